@@ -1,0 +1,103 @@
+"""What `robot-server` needs of hardware. Simulated, recorded and real devices answer to these small interfaces.
+
+Times are robot monotonic nanoseconds. Blocking drivers keep a thread of their own inside the adapter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from shared.calibration import Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedFrame:
+    """One camera image as it left the encoder."""
+
+    t_robot_ns: int  # mid-exposure of the first image row
+    exposure_ns: int
+    width: int
+    height: int
+    jpeg: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class ImuReading:
+    """One inertial sample, stamped when the sensor said it was ready."""
+
+    sequence: int  # counts samples the sensor made, so a hole shows a loss
+    t_robot_ns: int
+    gyro_imu: tuple[float, float, float]  # rad/s
+    accel_imu: tuple[float, float, float]  # m/s^2, specific force: +9.81 along up at rest
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryState:
+    """Supply of the motors."""
+
+    voltage_v: float
+    fraction: float  # 0..1
+
+
+class Camera(Protocol):
+    """Source of frames in time order."""
+
+    async def capture(self) -> CapturedFrame:
+        """Wait for the next frame. Raises DeviceLost when the camera stops answering, EndOfRecording at a recording's end."""
+        ...
+
+    async def close(self) -> None: ...
+
+
+class Imu(Protocol):
+    """Lossless source of inertial samples."""
+
+    async def read(self) -> list[ImuReading]:
+        """Wait for at least one sample and return all that came since the last call (at most a second's worth)."""
+        ...
+
+    async def close(self) -> None: ...
+
+
+class Motors(Protocol):
+    """Two sides of a skid-steer drive. Calls return at once; `stop` must work from any thread and may not raise."""
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class PanTilt(Protocol):
+    """Servo head. Angles from straight ahead, positive left and up."""
+
+    def point(self, pan_rad: float, tilt_rad: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Battery(Protocol):
+    """Voltage source of the motors."""
+
+    def read(self) -> BatteryState: ...
+
+
+class Hijackable(Protocol):
+    """Only simulated robots have this: be picked up and put down elsewhere."""
+
+    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSet:
+    """All devices of one robot; None where the robot has no such part."""
+
+    calibration: Calibration
+    camera: Camera | None
+    imu: Imu | None
+    motors: Motors | None
+    pan_tilt: PanTilt | None = None
+    battery: Battery | None = None
+    hijack: Hijackable | None = None

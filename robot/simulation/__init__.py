@@ -1,0 +1,1 @@
+"""The simulated flat, the robot body in it, its camera and IMU."""

@@ -1,0 +1,108 @@
+"""What is known of a robot's sensors before any data: camera model, noise, mounting. Travels in the hello."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from shared.errors import ConfigError
+from shared.geometry import FloatArray, inverse, orthonormal, se3
+
+
+class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
+    """Pinhole camera with lens distortion, mounted on the body (= IMU). OpenCV pixel convention: centre of pixel (0,0) is (0,0)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    model: Literal["radtan", "equidistant"] = "radtan"
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # radtan: k1 k2 p1 p2; equidistant: k1 k2 k3 k4
+    T_body_cam: tuple[float, ...] = (1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)  # row-major 4x4
+    time_shift_s: float = 0.0  # t_imu = t_cam + time_shift_s
+    line_delay_s: float = 0.0  # rolling shutter: row v is exposed line_delay_s * v after row 0; 0 is a global shutter
+    rate_hz: float = 20.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.width <= 8192 and 0 < self.height <= 8192):
+            raise ConfigError(f"camera size {self.width}x{self.height} is outside 1..8192 pixels")
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion, *self.T_body_cam)
+        if not all(math.isfinite(n) for n in numbers):
+            raise ConfigError("camera calibration holds a number that is not finite")
+        if self.fx <= 0 or self.fy <= 0:
+            raise ConfigError(f"focal length ({self.fx}, {self.fy}) px must be positive")
+        if len(self.T_body_cam) != 16:
+            raise ConfigError(f"T_body_cam has {len(self.T_body_cam)} numbers, needs 16 (row-major 4x4)")
+        if len(self.distortion) != 4:
+            raise ConfigError(f"distortion has {len(self.distortion)} numbers, needs 4")
+
+    @property
+    def K(self) -> FloatArray:
+        """Intrinsics (3, 3) px. Thesis eq. 3.1 with zero skew."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def T_body_cam_matrix(self) -> FloatArray:
+        """(4, 4), maps camera to body coordinates."""
+        return np.array(self.T_body_cam, dtype=np.float64).reshape(4, 4)
+
+    @property
+    def T_cam_body_matrix(self) -> FloatArray:
+        """(4, 4), maps body to camera coordinates."""
+        return inverse(self.T_body_cam_matrix)
+
+
+class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
+    """Continuous-time noise of the IMU (Kalibr's conventions)."""
+
+    gyro_density: float  # rad/s/sqrt(Hz)
+    accel_density: float  # m/s^2/sqrt(Hz)
+    gyro_walk: float  # rad/s^2/sqrt(Hz)
+    accel_walk: float  # m/s^3/sqrt(Hz)
+    rate_hz: float
+    gyro_range: float = math.inf  # rad/s: readings at the range are saturated
+    accel_range: float = math.inf  # m/s^2
+
+
+class Calibration(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything the station must know of one robot's sensors."""
+
+    camera: CameraCalibration | None
+    imu: ImuNoise | None
+    robot_kind: str = "generic"  # "sentinel": wheeled body, so that wheel constraints may be used
+    gravity: float = 9.81
+
+
+# Thesis eqs. 3.2-3.5. The printed rotation has 4 digits; the nearest true rotation is used.
+# Body axes there: x forward (the camera's optical axis), y left, z up.
+_R_BODY_CAM = orthonormal(np.array([[0.0116, 0.0364, 0.9993], [-0.9993, 0.0371, 0.0102], [-0.0367, -0.9986, 0.0368]]))
+REFERENCE_CAMERA = CameraCalibration(
+    width=640,
+    height=480,
+    fx=1083.4,
+    fy=1076.4,
+    cx=335.0879,
+    cy=257.0793,
+    model="radtan",
+    distortion=(-0.4373, 0.2476, 0.0, 0.0),
+    T_body_cam=tuple(se3(_R_BODY_CAM, np.array([0.1903, 0.0396, 0.006])).ravel().tolist()),
+    time_shift_s=-0.04175,
+    line_delay_s=30e-6,  # the Pi camera reads its rows in about 15 ms per frame
+    rate_hz=30.0,
+)
+# ICM-20948 datasheet (DS-000189 v1.3): gyro 0.015 dps/sqrt(Hz), accel 230 ug/sqrt(Hz); walks are typical of its class.
+REFERENCE_IMU = ImuNoise(
+    gyro_density=math.radians(0.015),
+    accel_density=230e-6 * 9.81,
+    gyro_walk=2e-5,
+    accel_walk=3e-4,
+    rate_hz=225.0,
+    gyro_range=math.radians(500.0),
+    accel_range=4 * 9.81,
+)
+REFERENCE_ROBOT = Calibration(camera=REFERENCE_CAMERA, imu=REFERENCE_IMU, robot_kind="sentinel")

@@ -1,0 +1,1 @@
+"""Programs that run on the PC: link, SLAM, places, maps, API and page."""

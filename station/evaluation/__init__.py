@@ -1,0 +1,1 @@
+"""Judges: trajectory error and matches against truth. Never used by the estimation."""

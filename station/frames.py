@@ -1,0 +1,63 @@
+"""Sensor data as the estimation sees it: decoded from the link, a dataset or a recording; times are the robot's clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import DataError
+from shared.geometry import FloatArray, IntArray
+
+ImageArray = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageFrame:
+    """One camera image, still encoded: who needs pixels decodes them."""
+
+    index: int  # position in the navigation, counts every frame seen
+    t_robot_ns: int  # mid-exposure of the first row, camera clock as delivered (see CameraCalibration.time_shift_s)
+    exposure_ns: int  # 0 where unknown
+    encoded: bytes  # a JPEG or PNG file
+    name: str = ""  # file name in a dataset, for messages
+
+    def grey(self) -> ImageArray:
+        """Pixels (H, W). Raises DataError when the image cannot be decoded."""
+        return self._decode(cv2.IMREAD_GRAYSCALE)
+
+    def bgr(self) -> ImageArray:
+        """Pixels (H, W, 3), blue first. Raises DataError when the image cannot be decoded."""
+        return self._decode(cv2.IMREAD_COLOR)
+
+    def _decode(self, flags: int) -> ImageArray:
+        buffer = np.frombuffer(self.encoded, dtype=np.uint8)
+        image = cv2.imdecode(buffer, flags) if len(buffer) else None
+        if image is None:
+            raise DataError(
+                f"image {self.name or self.index} is not a readable JPEG or PNG; remove it or copy it again"
+            )
+        return np.asarray(image, dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuBatch:
+    """Inertial samples in time order."""
+
+    t_robot_ns: IntArray  # (N,)
+    gyro_imu: FloatArray  # (N, 3) rad/s
+    accel_imu: FloatArray  # (N, 3) m/s^2, specific force: +9.81 along up at rest
+
+    def __len__(self) -> int:
+        return len(self.t_robot_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSample:
+    """The velocity the motors were told to hold, from this time on."""
+
+    t_robot_ns: int
+    linear_m_s: float
+    angular_rad_s: float

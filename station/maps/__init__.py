@@ -1,0 +1,1 @@
+"""Maps: places, graph, cloud and appearance of one home, versioned, and where they are kept."""

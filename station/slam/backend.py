@@ -1,0 +1,43 @@
+"""The one interface of every SLAM backend, online and offline. Pure: no clock, socket or thread; time comes with the data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from shared.geometry import FloatArray
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.navigation import Navigation
+
+TrackingState = Literal["initialising", "tracking", "lost"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamUpdate:
+    """What one frame changed."""
+
+    t_robot_ns: int
+    state: TrackingState
+    message: str  # for a person: "not initialised yet: needs ..."
+    T_world_body: (
+        FloatArray | None
+    )  # (4, 4); None while there is no pose (an offline backend never has one before finish)
+    num_landmarks: int
+    is_keyframe: bool
+    new_points_world: FloatArray | None = None  # (n, 3) landmarks finished since the last update, for the live view
+    new_points_rgb: FloatArray | None = None  # (n, 3) 0..255
+    segment: int = 0
+
+
+class SlamBackend(Protocol):
+    """Fed in sensor-time order: IMU and drive samples up to a frame's time come before the frame."""
+
+    def add_imu(self, imu: ImuBatch) -> None: ...
+
+    def add_drive(self, drive: DriveSample) -> None: ...
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate: ...
+
+    def finish(self) -> Navigation:
+        """End the navigation. Raises EstimationError, with the reason in a sentence, when nothing could be reconstructed."""
+        ...
