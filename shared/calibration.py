@@ -13,7 +13,7 @@ from shared.geometry import FloatArray, inverse, orthonormal, se3
 
 
 class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
-    """Pinhole camera with lens distortion, mounted on the body (= IMU). OpenCV pixel convention: centre of pixel (0,0) is (0,0)."""
+    """Pinhole camera with lens distortion, mounted on the body (= IMU). The centre of the first pixel is (0, 0)."""
 
     width: int
     height: int

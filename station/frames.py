@@ -1,4 +1,4 @@
-"""Sensor data as the estimation sees it: decoded from the link, a dataset or a recording; times are the robot's clock."""
+"""Sensor data as the estimation sees it: from the link, a dataset or a recording; robot clock."""
 
 from __future__ import annotations
 

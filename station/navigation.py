@@ -39,7 +39,7 @@ class Keyframes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """3D points and who saw them: row i of the (M, ...) arrays is landmark i, row k of the (K, ...) ones an observation."""
+    """3D points and who saw them: row i of (M, ...) is a landmark, row k of (K, ...) an observation."""
 
     p_world: FloatArray  # (M, 3)
     rgb: npt.NDArray[np.uint8]  # (M, 3)
@@ -57,7 +57,7 @@ class Landmarks:
         return np.bincount(self.observed_landmark, minlength=len(self)).astype(np.int64)
 
     def first_keyframe(self) -> IntArray:
-        """(M,) the first keyframe each landmark was seen from (thesis: the image it was generated from); -1 for none."""
+        """(M,) the keyframe each landmark was first seen from (thesis: its generating image); -1 for none."""
         first = np.full(len(self), np.iinfo(np.int64).max)
         np.minimum.at(first, self.observed_landmark, self.observed_keyframe)
         first[first == np.iinfo(np.int64).max] = -1

@@ -40,11 +40,15 @@ class BatteryState:
     fraction: float  # 0..1
 
 
+class EndOfRecording(Exception):
+    """A recorded device has played its last datum."""
+
+
 class Camera(Protocol):
     """Source of frames in time order."""
 
     async def capture(self) -> CapturedFrame:
-        """Wait for the next frame. Raises DeviceLost when the camera stops answering, EndOfRecording at a recording's end."""
+        """Wait for the next frame. Raises DeviceLost when the camera stops, EndOfRecording at a recording's end."""
         ...
 
     async def close(self) -> None: ...

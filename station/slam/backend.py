@@ -1,4 +1,4 @@
-"""The one interface of every SLAM backend, online and offline. Pure: no clock, socket or thread; time comes with the data."""
+"""The interface of every SLAM backend, online and offline. Pure: no clock, socket, thread; time is in the data."""
 
 from __future__ import annotations
 
@@ -39,5 +39,5 @@ class SlamBackend(Protocol):
     def add_frame(self, frame: ImageFrame) -> SlamUpdate: ...
 
     def finish(self) -> Navigation:
-        """End the navigation. Raises EstimationError, with the reason in a sentence, when nothing could be reconstructed."""
+        """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         ...
