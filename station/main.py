@@ -1,0 +1,33 @@
+"""`station`: the program on the PC. Commands live in `station/commands/`, one file each."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from shared.errors import RobotSystemError
+from station.commands import doctor
+
+app = typer.Typer(
+    name="station",
+    help="Receives a robot's camera and IMU, maps places, and answers which place the robot is at.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for command in (doctor,):
+    command.register(app)
+
+
+def main() -> None:
+    """Run one command; an error of ours becomes one sentence on stderr and exit code 1."""
+    try:
+        app()
+    except RobotSystemError as exc:
+        print(f"station: {exc}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
