@@ -11,11 +11,17 @@ from station.commands import doctor
 
 app = typer.Typer(
     name="station",
-    help="Receives a robot's camera and IMU, maps places, and answers which place the robot is at.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+@app.callback()
+def station() -> None:
+    """Receives a robot's camera and IMU, maps places, and answers which place the robot is at."""
+
+
 for command in (doctor,):
     command.register(app)
 
