@@ -1,0 +1,54 @@
+# Two commands matter: `make demo` and `make test`. Everything is installed into .venv; nothing else of the machine changes
+# except Debian packages that a step needs (firmware and browser tests), and that step says so.
+SHELL := /bin/bash
+VENV := .venv
+BIN := $(VENV)/bin
+SEED ?= 1
+
+.PHONY: help demo setup test lint check firmware bench bench-stop bench-page soak clean
+
+help:
+	@echo "make demo            simulated robot + station + page at http://127.0.0.1:8080 (ONCE=1: end by itself, SEED=n: another flat)"
+	@echo "make test            everything that needs no hardware: lint, types, tests"
+	@echo "make setup           only install, into .venv"
+	@echo "make lint | firmware | bench | bench-stop | bench-page | soak"
+
+WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -type f -print 2>/dev/null)
+
+$(VENV)/.run: pyproject.toml constraints.txt $(WEB_SOURCES)
+	@scripts/setup.sh run
+
+$(VENV)/.dev: pyproject.toml constraints.txt $(WEB_SOURCES)
+	@scripts/setup.sh dev
+
+setup: $(VENV)/.run
+
+demo: $(VENV)/.run
+	@$(BIN)/station demo $(if $(ONCE),--once) --seed $(SEED)
+
+lint: $(VENV)/.dev
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+
+test: $(VENV)/.dev
+	@scripts/test.sh
+
+firmware:
+	@firmware/install-deps.sh
+	@$(MAKE) -C firmware
+
+bench: $(VENV)/.dev
+	@scripts/bench.sh
+
+bench-stop: $(VENV)/.dev
+	@$(BIN)/python benchmarks/bench_stop.py
+
+bench-page: $(VENV)/.dev
+	@$(BIN)/python benchmarks/bench_page.py
+
+soak: $(VENV)/.dev
+	@$(BIN)/python benchmarks/bench_link.py --minutes 10
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis demo station/web/node_modules station/web/dist

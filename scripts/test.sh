@@ -1,0 +1,11 @@
+#!/usr/bin/env bash
+# What `make test` and CI run: formatting, lint, types, then every test that needs no hardware.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+bin=.venv/bin
+scripts/apt-need.sh "browser tests" chromium fonts-dejavu-core
+[ -x firmware/install-deps.sh ] && firmware/install-deps.sh
+$bin/ruff format --check --quiet .
+$bin/ruff check --quiet .
+$bin/mypy
+exec $bin/pytest -m "not hardware" "$@"
