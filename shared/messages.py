@@ -1,0 +1,285 @@
+"""Every message robot and station exchange: a tagged union per direction, msgpack on the wire (docs/protocol.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from shared.calibration import Calibration
+from shared.errors import RemoteProtocolError, RobotSystemError
+
+PROTOCOL_VERSION = 1
+
+# Limits of what a message may hold. A peer that exceeds one broke the rules and is told which.
+MAX_NAME_LENGTH = 64
+MAX_SENTENCE_LENGTH = 1000
+MAX_IMU_SAMPLES_PER_BATCH = 256
+MAX_IMAGE_SIDE_PX = 8192
+MAX_LIST_LENGTH = 32
+MAX_LINEAR_M_S = 3.0  # a robot in a home is slower; its own limits travel in the hello
+MAX_ANGULAR_RAD_S = 12.0
+MAX_DRIVE_TTL_MS = 250  # silence must stop the motors within 300 ms: 50 ms are left for threads and the serial line
+MAX_POSITION_M = 1000.0
+
+Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH)]
+Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]
+Count = Annotated[int, Meta(ge=0)]
+ImageSide = Annotated[int, Meta(ge=1, le=MAX_IMAGE_SIDE_PX)]
+
+
+def _require(name: str, value: float, limit: float) -> None:
+    if not (math.isfinite(value) and abs(value) <= limit):
+        raise ValueError(f"{name} {value} is outside -{limit}..{limit}")
+
+
+class _Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", gc=False):
+    """Base of all messages. Unknown fields are ignored, so that a later release may add some."""
+
+    def __str__(self) -> str:
+        return type(self).__name__
+
+
+class Capabilities(msgspec.Struct, frozen=True, kw_only=True):
+    """What this robot can do."""
+
+    camera: bool
+    imu: bool
+    drive: bool
+    pan_tilt: bool
+    battery: bool
+    hijack: bool  # only simulated robots can be picked up by a message
+    max_linear_m_s: float = 0.5
+    max_angular_rad_s: float = 2.0
+
+
+class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
+    """Robot's first message: who it is and what is known of its sensors."""
+
+    protocol: int
+    robot_id: Name
+    name: Name
+    session_id: Name  # new at every start of robot-server: sequence numbers are comparable only within one
+    capabilities: Capabilities
+    calibration: Calibration
+
+
+class Join(_Message, frozen=True, kw_only=True, tag="join"):
+    """Station's first message. It may continue the IMU stream where an earlier connection ended."""
+
+    protocol: int
+    station_name: Name
+    resume_session_id: Annotated[str, Meta(max_length=MAX_NAME_LENGTH)] = ""
+    next_imu_sequence: int = -1  # the first sample not yet received; -1: from now on
+
+
+class Welcome(_Message, frozen=True, kw_only=True, tag="welcome"):
+    """The robot takes the station in."""
+
+    client_id: int
+
+
+class Refusal(_Message, frozen=True, kw_only=True, tag="refusal"):
+    """The robot does not take the station in, and closes."""
+
+    reason: Sentence
+
+
+class Heartbeat(_Message, frozen=True, kw_only=True, tag="heartbeat"):
+    """Station to robot, several times a second: I am here, and this is my time."""
+
+    seq: int
+    t_station_ns: int
+
+
+class HeartbeatReply(_Message, frozen=True, kw_only=True, tag="heartbeat_reply"):
+    """Answer to one heartbeat, with the robot's clock at its arrival and at the answer's departure."""
+
+    seq: int
+    t_station_ns: int  # as received
+    t_robot_received_ns: int
+    t_robot_sent_ns: int
+
+
+class CameraFrame(_Message, frozen=True, kw_only=True, tag="frame"):
+    """One camera image. Newest wins: frames the connection had no time for are skipped and counted."""
+
+    seq: int  # counts every frame the camera made
+    t_robot_ns: int  # mid-exposure of the first image row
+    exposure_ns: int  # 0 where unknown
+    width: ImageSide
+    height: ImageSide
+    skipped: Count  # frames skipped for this station since the one sent before
+    jpeg: bytes
+
+    def __str__(self) -> str:
+        size = f"{self.width}x{self.height}, {len(self.jpeg)} bytes"
+        return f"CameraFrame(seq={self.seq}, t_robot_ns={self.t_robot_ns}, {size})"
+
+
+class ImuSample(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """One inertial reading as the sensor gave it."""
+
+    t_robot_ns: int
+    gyro_imu: tuple[float, float, float]  # rad/s
+    accel_imu: tuple[float, float, float]  # m/s^2, specific force: +9.81 along up at rest
+
+
+class ImuBatch(_Message, frozen=True, kw_only=True, tag="imu"):
+    """Consecutive samples: number `first_sequence`, +1, +2, ... A hole in the sensor's count starts a new batch."""
+
+    first_sequence: int
+    samples: Annotated[tuple[ImuSample, ...], Meta(min_length=1, max_length=MAX_IMU_SAMPLES_PER_BATCH)]
+
+    @property
+    def next_sequence(self) -> int:
+        """The number the sample after this batch must have."""
+        return self.first_sequence + len(self.samples)
+
+    def __str__(self) -> str:
+        return f"ImuBatch(first_sequence={self.first_sequence}, {len(self.samples)} samples)"
+
+
+class Drive(_Message, frozen=True, kw_only=True, tag="drive"):
+    """Hold this velocity for `ttl_ms`, then stop. Repeated while the joystick is held."""
+
+    seq: int  # increasing within one connection; an older one is ignored
+    t_station_ns: int
+    linear: float  # m/s, forward
+    angular: float  # rad/s, left
+    ttl_ms: Annotated[int, Meta(ge=1, le=MAX_DRIVE_TTL_MS)]
+
+    def __post_init__(self) -> None:
+        _require("linear", self.linear, MAX_LINEAR_M_S)
+        _require("angular", self.angular, MAX_ANGULAR_RAD_S)
+
+
+class Stop(_Message, frozen=True, kw_only=True, tag="stop"):
+    """Motors off now. Any station may say it, also one that does not drive."""
+
+    seq: int
+
+
+class PanTilt(_Message, frozen=True, kw_only=True, tag="pan_tilt"):
+    """Point the camera head; angles from straight ahead, positive left and up."""
+
+    pan: float  # rad
+    tilt: float  # rad
+
+    def __post_init__(self) -> None:
+        _require("pan", self.pan, math.pi)
+        _require("tilt", self.tilt, math.pi)
+
+
+class Hijack(_Message, frozen=True, kw_only=True, tag="hijack"):
+    """Pick the robot up and put it down elsewhere (simulated robots only)."""
+
+    x: float  # m, the simulated world's frame
+    y: float  # m
+    yaw: float  # rad
+
+    def __post_init__(self) -> None:
+        _require("x", self.x, MAX_POSITION_M)
+        _require("y", self.y, MAX_POSITION_M)
+        _require("yaw", self.yaw, 2 * math.pi)
+
+
+class DriveApplied(_Message, frozen=True, kw_only=True, tag="drive_applied"):
+    """What the motors were told, on each change and 20 times a second while driving or not."""
+
+    t_robot_ns: int
+    linear: float  # m/s
+    angular: float  # rad/s
+
+
+class Status(_Message, frozen=True, kw_only=True, tag="status"):
+    """How the robot is, once a second. Counts run since robot-server started."""
+
+    t_robot_ns: int
+    uptime_s: float
+    battery_v: float | None = None
+    battery_fraction: float | None = None  # 0..1
+    temperatures_c: dict[str, float] = {}
+    cpu_percent: float | None = None  # of one core, robot-server itself
+    frames_captured: Count = 0
+    frames_skipped: Count = 0  # for this station
+    imu_samples: Count = 0
+    imu_lost_in_sensor: Count = 0  # holes in the sensor's own count
+    imu_lost_in_backlog: Count = 0  # for this station: it was away or slow for longer than the backlog holds
+    messages_dropped: Count = 0  # for this station: drive reports and notices that found its queue full
+    stations: Count = 0
+    driver: str | None = None  # name of the station that drives
+    you_drive: bool = False
+    watchdog_stops: Count = 0  # the watchdog stopped moving motors because commands went silent
+    commands_refused: Count = 0
+    faults: Annotated[tuple[Sentence, ...], Meta(max_length=MAX_LIST_LENGTH)] = ()  # what does not work, in sentences
+
+
+class ErrorNotice(_Message, frozen=True, kw_only=True, tag="error"):
+    """Something was refused or failed. After a fatal one the sender closes the connection."""
+
+    code: Literal[
+        "protocol", "not_driver", "not_capable", "out_of_range", "device", "end_of_recording", "shutdown", "silent"
+    ]
+    message: Sentence
+    fatal: bool = False
+
+
+RobotMessage = Hello | Welcome | Refusal | HeartbeatReply | CameraFrame | ImuBatch | DriveApplied | Status | ErrorNotice
+StationMessage = Join | Heartbeat | Drive | Stop | PanTilt | Hijack | ErrorNotice
+Message = RobotMessage | StationMessage
+
+_encoder = msgspec.msgpack.Encoder()
+_robot_decoder: msgspec.msgpack.Decoder[RobotMessage] = msgspec.msgpack.Decoder(RobotMessage)
+_station_decoder: msgspec.msgpack.Decoder[StationMessage] = msgspec.msgpack.Decoder(StationMessage)
+
+
+class _VersionOnly(msgspec.Struct):
+    """The one field of a first message that every protocol version shares."""
+
+    protocol: int
+
+
+_version_decoder = msgspec.msgpack.Decoder(_VersionOnly)
+
+
+def encode_message(message: Message) -> bytes:
+    """The msgpack payload of a message, without its length prefix."""
+    return _encoder.encode(message)
+
+
+def decode_robot_message(payload: bytes) -> RobotMessage:
+    """A payload sent by a robot. Raises RemoteProtocolError when it is not a valid message."""
+    try:
+        return _robot_decoder.decode(payload)
+    except (msgspec.DecodeError, RobotSystemError, RecursionError) as exc:
+        raise RemoteProtocolError(_explain("robot", payload, exc)) from exc
+
+
+def decode_station_message(payload: bytes) -> StationMessage:
+    """A payload sent by a station. Raises RemoteProtocolError when it is not a valid message."""
+    try:
+        return _station_decoder.decode(payload)
+    except (msgspec.DecodeError, RobotSystemError, RecursionError) as exc:
+        raise RemoteProtocolError(_explain("station", payload, exc)) from exc
+
+
+def version_mismatch(theirs: int, peer: str) -> str:
+    """The sentence both sides use when the protocol versions differ."""
+    return (
+        f"the {peer} speaks protocol version {theirs}, this program speaks {PROTOCOL_VERSION};"
+        " install the same release of sentinel-robot on both machines"
+    )
+
+
+def _explain(peer: str, payload: bytes, exc: Exception) -> str:
+    """Why a payload was refused; a first message of another version is recognised whatever else it holds."""
+    try:
+        theirs = _version_decoder.decode(payload).protocol
+    except (msgspec.DecodeError, RecursionError):
+        theirs = PROTOCOL_VERSION
+    if theirs != PROTOCOL_VERSION:
+        return version_mismatch(theirs, peer)
+    return f"the {peer} sent {len(payload)} bytes that are not a valid message: {exc}"
