@@ -1,0 +1,178 @@
+"""EuRoC/ASL folders: `mav0/cam0`, `mav0/imu0`, `mav0/state_groundtruth_estimate0`, and our `mav0/drive0`.
+
+Format: Burri et al., The EuRoC micro aerial vehicle datasets, IJRR 2016. `drive0/data.csv` is ours:
+`#timestamp [ns],linear [m/s],angular [rad/s]`, the velocities the motors were told to hold from that time on.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.errors import DataError
+from shared.geometry import FloatArray, IntArray, inverse, rotation_from_quat, se3
+from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frames
+from station.datasets.sensor_yaml import number, read_camera, read_imu_noise, read_mounting, read_yaml
+from station.frames import DriveSample, ImageFrame, ImuBatch
+
+
+def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
+    """Open an ASL folder; images, IMU, drive commands and truth may each be absent."""
+    mav = path / "mav0"
+    imu_csv, camera_csv = mav / "imu0" / "data.csv", mav / "cam0" / "data.csv"
+    if not imu_csv.is_file() and not camera_csv.is_file():
+        raise DataError(f"{mav} holds neither cam0/data.csv nor imu0/data.csv; give a complete ASL folder")
+
+    camera = None
+    camera_yaml: dict[str, object] = {}
+    if camera_csv.is_file() or (mav / "cam0" / "sensor.yaml").is_file():
+        yaml_path = mav / "cam0" / "sensor.yaml"
+        if not yaml_path.is_file():
+            raise DataError(f"{yaml_path} is missing; the camera's intrinsics belong there")
+        camera_yaml = read_yaml(yaml_path)
+        camera = read_camera(yaml_path, camera_yaml)
+
+    imu, noise, T_body_imu = None, None, np.eye(4)
+    if imu_csv.is_file():
+        imu = _read_imu(imu_csv)
+        yaml_path = mav / "imu0" / "sensor.yaml"
+        content = read_yaml(yaml_path) if yaml_path.is_file() else {}
+        noise = read_imu_noise(yaml_path, content)
+        T_body_imu = read_mounting(content, yaml_path)
+    drive = _read_drive(mav / "drive0" / "data.csv")
+
+    # Our body is the IMU; without IMU and drive commands nothing but the camera is left to be the body.
+    T_ours_file = inverse(T_body_imu)
+    if camera is not None:
+        T_file_cam = camera.T_body_cam_matrix
+        if imu is None and not drive:
+            T_ours_file = inverse(T_file_cam)
+        camera = msgspec.structs.replace(camera, T_body_cam=tuple((T_ours_file @ T_file_cam).ravel().tolist()))
+    truth = _read_truth(mav / "state_groundtruth_estimate0" / "data.csv", inverse(T_ours_file))
+
+    times, names = _read_frame_list(camera_csv) if camera_csv.is_file() else (np.empty(0, np.int64), [])
+    chosen = choose_frames(range(len(times)), first, last, step)
+    if len(times) and not chosen:
+        raise DataError(f"{camera_csv} has {len(times)} frames, none of them in the range asked for")
+    times, names = times[chosen], [names[i] for i in chosen]
+    if len(times) and (first is not None or last is not None):
+        imu, drive = cut_to_frames(imu, drive, times)
+    image_folder = mav / "cam0" / "data"
+    has_images = bool(names) and image_folder.is_dir() and any(image_folder.iterdir())
+    if not has_images and imu is None:
+        raise DataError(f"{path} holds neither images (mav0/cam0/data) nor IMU samples (mav0/imu0); nothing to use")
+
+    gravity = number(dict(camera_yaml), "gravity", 9.81, mav / "cam0" / "sensor.yaml")
+    kind = str(camera_yaml.get("robot_kind", "generic"))
+    exposure_ns = int(1e9 * number(dict(camera_yaml), "exposure_s", 0.0, mav / "cam0" / "sensor.yaml"))
+
+    def read_frames() -> Iterator[ImageFrame]:
+        for index, (t_ns, name) in enumerate(zip(times, names, strict=True)):
+            yield ImageFrame(index, int(t_ns), exposure_ns, read_image_file(image_folder / name), name)
+
+    return Dataset(
+        path=path,
+        kind="asl",
+        calibration=Calibration(camera=camera, imu=noise, robot_kind=kind, gravity=gravity),
+        intrinsics_known=not bool(camera_yaml.get("approximate", False)),
+        frame_times_ns=times,
+        read_frames=read_frames if has_images else None,
+        imu_samples=imu,
+        drive_samples=drive,
+        truth_poses=truth,
+    )
+
+
+def read_image_file(path: Path) -> bytes:
+    """The bytes of an image file. Raises DataError where it is missing or empty."""
+    try:
+        encoded = path.read_bytes()
+    except OSError as exc:
+        raise DataError(f"image {path} cannot be read ({exc.strerror}); restore it or take it off the list") from exc
+    if not encoded:
+        raise DataError(f"image {path} is empty; remove it or copy it again")
+    return encoded
+
+
+def _read_table(path: Path, columns: int) -> tuple[IntArray, FloatArray]:
+    """Times (N,) ns and the next `columns` columns (N, columns). Times need all 64 bits, so they are parsed apart."""
+    times: list[int] = []
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for line_number, row in enumerate(csv.reader(file), start=1):
+                if not row or row[0].lstrip().startswith("#"):
+                    continue
+                try:
+                    times.append(int(row[0]))
+                    values = [float(x) for x in row[1 : 1 + columns]]
+                except ValueError as exc:
+                    raise DataError(f"{path} line {line_number} does not hold numbers; correct or remove it") from exc
+                if len(values) < columns:
+                    raise DataError(f"{path} line {line_number} has {len(row)} columns, needs {1 + columns}")
+                rows.append(values)
+    except (OSError, UnicodeDecodeError) as exc:
+        raise DataError(f"{path} cannot be read ({exc}); copy it again") from exc
+    t, table = np.array(times, dtype=np.int64), np.array(rows, dtype=np.float64).reshape(-1, columns)
+    if len(t) > 1 and (np.diff(t) <= 0).any():
+        bad = int(np.flatnonzero(np.diff(t) <= 0)[0]) + 1
+        raise DataError(f"{path}: time {t[bad]} does not come after the one before it; sort the file by time")
+    return t, table
+
+
+def _read_imu(path: Path) -> ImuBatch | None:
+    t, table = _read_table(path, 6)
+    if not len(t):
+        return None
+    if not np.isfinite(table).all():
+        raise DataError(f"{path} holds a number that is not finite; correct it")
+    return ImuBatch(t, np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(table[:, 3:]))
+
+
+def _read_drive(path: Path) -> tuple[DriveSample, ...]:
+    if not path.is_file():
+        return ()
+    t, table = _read_table(path, 2)
+    return tuple(DriveSample(int(ns), float(v), float(w)) for ns, (v, w) in zip(t, table, strict=True))
+
+
+def _read_truth(path: Path, T_file_ours: FloatArray) -> Truth | None:
+    """Columns: t, p (3), q wxyz (4), and in EuRoC's own v (3), gyro bias (3), accel bias (3)."""
+    if not path.is_file():
+        return None
+    t, table = _read_table(path, 7)
+    if not len(t):
+        return None
+    T = np.stack([se3(rotation_from_quat(row[3:7]), row[:3]) for row in table]) @ T_file_ours
+    try:
+        _, states = _read_table(path, 16)
+    except DataError:
+        return Truth(t, T)  # poses only
+    return Truth(t, T, states[:, 7:10], states[:, 10:13], states[:, 13:16])
+
+
+def _read_frame_list(path: Path) -> tuple[IntArray, list[str]]:
+    times: list[int] = []
+    names: list[str] = []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for line_number, row in enumerate(csv.reader(file), start=1):
+                if not row or row[0].lstrip().startswith("#"):
+                    continue
+                if len(row) < 2:
+                    raise DataError(f"{path} line {line_number} needs a time and a file name")
+                try:
+                    times.append(int(row[0]))
+                except ValueError as exc:
+                    raise DataError(f"{path} line {line_number} starts with no time in ns; correct it") from exc
+                names.append(row[1].strip())
+    except (OSError, UnicodeDecodeError) as exc:
+        raise DataError(f"{path} cannot be read ({exc}); copy it again") from exc
+    if len(times) > 1 and (np.diff(times) <= 0).any():
+        raise DataError(f"{path} is not in time order; sort its lines")
+    return np.array(times, dtype=np.int64), names

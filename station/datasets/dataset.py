@@ -1,0 +1,137 @@
+"""One recorded drive, whatever format it lies in: the same calls for every kind of dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.errors import DataError
+from shared.geometry import FloatArray, IntArray
+from station.frames import DriveSample, ImageFrame, ImuBatch
+
+# Inertial samples kept on both sides of a chosen range of frames: filters interpolate at its ends.
+IMU_MARGIN_NS = 500_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Where the body really was. For judging only."""
+
+    t_robot_ns: IntArray  # (N,) increasing
+    T_world_body: FloatArray  # (N, 4, 4), the truth's own world; body = IMU, or the camera where there is no IMU
+    v_world: FloatArray | None = None  # (N, 3) m/s
+    gyro_bias: FloatArray | None = None  # (N, 3) rad/s
+    accel_bias: FloatArray | None = None  # (N, 3) m/s^2
+
+    def __len__(self) -> int:
+        return len(self.t_robot_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dataset:
+    """Sensor data of one drive. Frames stay on disk until asked for; everything else is in memory."""
+
+    path: Path
+    kind: str  # "asl", "images", "video", "mcap"
+    calibration: Calibration
+    intrinsics_known: bool  # False: only a rough guess, let SfM refine it
+    frame_times_ns: IntArray  # (F,) robot clock; also where the images themselves are absent
+    read_frames: Callable[[], Iterator[ImageFrame]] | None  # None: no images
+    imu_samples: ImuBatch | None = None
+    drive_samples: Sequence[DriveSample] = ()
+    truth_poses: Truth | None = None
+
+    @property
+    def has_images(self) -> bool:
+        return self.read_frames is not None
+
+    def frames(self) -> Iterator[ImageFrame]:
+        """Images in time order, still encoded. Raises DataError where there are none or a file cannot be read."""
+        if self.read_frames is None:
+            raise DataError(f"{self.path} holds no camera images; choose a dataset with images for this command")
+        return self.read_frames()
+
+    def imu(self) -> ImuBatch | None:
+        """All inertial samples; None where there is no IMU."""
+        return self.imu_samples
+
+    def require_imu(self) -> ImuBatch:
+        """All inertial samples. Raises DataError where there is no IMU."""
+        if self.imu_samples is None:
+            raise DataError(f"{self.path} holds no IMU data; choose a dataset with an IMU, or a backend without")
+        return self.imu_samples
+
+    def drive(self) -> list[DriveSample]:
+        """Velocities the motors were told to hold; empty where not recorded."""
+        return list(self.drive_samples)
+
+    def truth(self) -> Truth | None:
+        """Where the body really was: for judging, never for estimating."""
+        return self.truth_poses
+
+    def events(self) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
+        """Everything in sensor-time order, as a SlamBackend wants it: IMU and drive up to a frame come before it."""
+        pending = _InertialEvents(self.imu_samples, self.drive_samples)
+        if self.read_frames is not None:
+            for frame in self.read_frames():
+                yield from pending.until(frame.t_robot_ns)
+                yield frame
+        yield from pending.until(np.iinfo(np.int64).max)
+
+
+class _InertialEvents:
+    """IMU samples cut at drive commands and at the times asked for."""
+
+    def __init__(self, imu: ImuBatch | None, drive: Sequence[DriveSample]) -> None:
+        self._imu = imu
+        self._drive = drive
+        self._next_imu = 0
+        self._next_drive = 0
+
+    def until(self, t_ns: int) -> Iterator[ImuBatch | DriveSample]:
+        while self._next_drive < len(self._drive) and self._drive[self._next_drive].t_robot_ns <= t_ns:
+            sample = self._drive[self._next_drive]
+            self._next_drive += 1
+            yield from self._imu_until(sample.t_robot_ns)
+            yield sample
+        yield from self._imu_until(t_ns)
+
+    def _imu_until(self, t_ns: int) -> Iterator[ImuBatch]:
+        if self._imu is None:
+            return
+        stop = int(np.searchsorted(self._imu.t_robot_ns, t_ns, side="right"))
+        if stop > self._next_imu:
+            yield slice_imu(self._imu, self._next_imu, stop)
+            self._next_imu = stop
+
+
+def slice_imu(imu: ImuBatch, start: int, stop: int) -> ImuBatch:
+    """Samples start..stop-1."""
+    return ImuBatch(imu.t_robot_ns[start:stop], imu.gyro_imu[start:stop], imu.accel_imu[start:stop])
+
+
+def choose_frames(numbers: Sequence[int], first: int | None, last: int | None, step: int) -> list[int]:
+    """Positions of the frames whose number lies in first..last (both included), every step-th of them."""
+    if step < 1:
+        raise DataError(f"step {step} must be at least 1")
+    chosen = [
+        i for i, number in enumerate(numbers) if (first is None or number >= first) and (last is None or number <= last)
+    ]
+    return chosen[::step]
+
+
+def cut_to_frames(
+    imu: ImuBatch | None, drive: Sequence[DriveSample], frame_times_ns: IntArray
+) -> tuple[ImuBatch | None, tuple[DriveSample, ...]]:
+    """The inertial samples and commands that belong to a chosen range of frames, with a margin."""
+    begin, end = int(frame_times_ns[0]) - IMU_MARGIN_NS, int(frame_times_ns[-1]) + IMU_MARGIN_NS
+    if imu is not None:
+        start, stop = np.searchsorted(imu.t_robot_ns, [begin, end])
+        imu = slice_imu(imu, int(start), int(stop)) if stop > start else None
+    # The command that holds at the begin was given before it.
+    held = [d for d in drive if d.t_robot_ns < begin][-1:]
+    return imu, (*held, *(d for d in drive if begin <= d.t_robot_ns < end))

@@ -1,0 +1,103 @@
+"""A folder of images with `camera.yaml` or `camera-intrinsics.txt`, optional `*.pose.txt` (T_world_cam)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from shared.calibration import Calibration, CameraCalibration
+from shared.errors import DataError
+from shared.geometry import FloatArray, orthonormal, se3
+from station.datasets.asl import read_image_file
+from station.datasets.dataset import Dataset, Truth, choose_frames
+from station.datasets.sensor_yaml import read_camera, read_intrinsics_text, read_yaml
+from station.frames import ImageFrame
+
+IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png"}
+DEFAULT_RATE_HZ = 30.0  # 7-Scenes: Kinect at 30 Hz; frames are numbered, so gaps keep their length
+
+
+def open_image_folder(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
+    """Open a folder of images. Times are frame number / rate, from 0 on the robot's clock."""
+    files = sorted(
+        (p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and ".depth" not in p.name),
+        key=lambda p: (_number_in(p.name) if _number_in(p.name) is not None else 0, p.name),
+    )
+    if not files:
+        raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a dataset")
+    found = [_number_in(p.name) for p in files]
+    numbers = [n for n in found if n is not None]
+    if len(numbers) != len(files) or len(set(numbers)) != len(files):
+        numbers = list(range(len(files)))  # names without (unique) numbers: their order is their time
+    chosen = choose_frames(numbers, first, last, step)
+    if not chosen:
+        raise DataError(f"{path} has {len(files)} images, none of them numbered in the range asked for")
+    camera, known = _read_calibration(path, files[chosen[0]])
+    files = [files[i] for i in chosen]
+    times = np.array([round(numbers[i] * 1e9 / camera.rate_hz) for i in chosen], dtype=np.int64)
+
+    def read_frames() -> Iterator[ImageFrame]:
+        for index, (t_ns, file) in enumerate(zip(times, files, strict=True)):
+            yield ImageFrame(index, int(t_ns), 0, read_image_file(file), file.name)
+
+    poses = [read_pose(file) for file in files]
+    has_pose = [i for i, pose in enumerate(poses) if pose is not None]
+    truth = Truth(times[has_pose], np.stack([p for p in poses if p is not None])) if has_pose else None
+    return Dataset(
+        path=path,
+        kind="images",
+        calibration=Calibration(camera=camera, imu=None),
+        intrinsics_known=known,
+        frame_times_ns=times,
+        read_frames=read_frames,
+        truth_poses=truth,
+    )
+
+
+def _number_in(name: str) -> int | None:
+    digits = re.findall(r"\d+", name.split(".")[0])
+    return int(digits[-1]) if digits else None
+
+
+def _read_calibration(path: Path, an_image: Path) -> tuple[CameraCalibration, bool]:
+    """Camera, and whether its intrinsics can be trusted. Without IMU the body is the camera: no mounting."""
+    yaml_path, text_path = path / "camera.yaml", path / "camera-intrinsics.txt"
+    if yaml_path.is_file():
+        return read_bare_camera(yaml_path)
+    if not text_path.is_file():
+        raise DataError(f"{path} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
+    K = read_intrinsics_text(text_path)
+    image = cv2.imdecode(np.frombuffer(read_image_file(an_image), np.uint8), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise DataError(f"image {an_image} is not a readable JPEG or PNG; remove it or copy it again")
+    height, width = image.shape[:2]
+    camera = CameraCalibration(
+        width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=DEFAULT_RATE_HZ
+    )
+    return camera, False  # three by three numbers without distortion are a guess
+
+
+def read_bare_camera(yaml_path: Path) -> tuple[CameraCalibration, bool]:
+    """A camera that is itself the body, and whether its intrinsics can be trusted (no `approximate: true`)."""
+    content = read_yaml(yaml_path)
+    unmounted = {key: value for key, value in content.items() if key not in ("T_BS", "T_body_cam")}
+    return read_camera(yaml_path, unmounted), not bool(content.get("approximate", False))
+
+
+def read_pose(image: Path) -> FloatArray | None:
+    """T_world_cam (4, 4) from the `*.pose.txt` beside an image; None where there is none or tracking was lost."""
+    stem = image.name.split(".")[0]
+    path = image.with_name(f"{stem}.pose.txt")
+    if not path.is_file():
+        return None
+    try:
+        T = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    except (OSError, ValueError) as exc:
+        raise DataError(f"{path} is not a 4x4 matrix of numbers; correct or remove it") from exc
+    if T.shape != (4, 4):
+        raise DataError(f"{path} is not a 4x4 matrix; correct or remove it")
+    return se3(orthonormal(T[:3, :3]), T[:3, 3]) if np.isfinite(T).all() else None

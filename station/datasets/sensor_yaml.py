@@ -1,0 +1,142 @@
+"""Calibration files: EuRoC's `sensor.yaml`, our `camera.yaml` (the same keys), and 3x3 intrinsics as text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from shared.calibration import CameraCalibration, ImuNoise
+from shared.errors import ConfigError, DataError
+from shared.geometry import FloatArray, orthonormal, se3
+
+DISTORTION_MODELS = {
+    "radial-tangential": "radtan",
+    "radtan": "radtan",
+    "plumb_bob": "radtan",
+    "none": "radtan",
+    "equidistant": "equidistant",
+    "kannala_brandt4": "equidistant",
+}
+# A noise file without these keys gets the figures of a consumer-grade IMU, so that estimators stay cautious.
+CONSUMER_IMU = {"gyro_density": 3e-4, "accel_density": 3e-3, "gyro_walk": 3e-5, "accel_walk": 3e-3}
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A YAML file's mapping. OpenCV's first line `%YAML:1.0`, which YAML itself forbids, is passed over."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as exc:
+        raise DataError(f"{path} cannot be read as text ({exc}); copy it again") from exc
+    lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
+    try:
+        # OpenCV marks its matrices with tags of its own, which the safe loader refuses.
+        content = yaml.safe_load("\n".join(lines).replace("!!opencv-matrix", ""))
+    except yaml.YAMLError as exc:
+        raise DataError(f"{path} is not readable YAML ({_first_line(exc)}); correct it") from exc
+    if not isinstance(content, dict):
+        raise DataError(f"{path} holds no `key: value` lines; write a calibration into it")
+    return content
+
+
+def _first_line(exc: yaml.YAMLError) -> str:
+    mark = getattr(exc, "problem_mark", None)
+    problem = getattr(exc, "problem", None) or "unreadable"
+    return f"line {mark.line + 1}: {problem}" if mark is not None else str(problem)
+
+
+def numbers(content: dict[str, Any], key: str, count: int, path: Path) -> list[float]:
+    """`count` numbers under a key. Raises DataError naming file and key."""
+    value = content.get(key)
+    if isinstance(value, dict):  # EuRoC's matrices: {cols, rows, data}
+        value = value.get("data")
+    try:
+        flat = np.asarray(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        flat = np.empty(0)
+    if len(flat) != count or not np.isfinite(flat).all():
+        raise DataError(f"{path}: {key} must be {count} numbers, is {value!r}")
+    return [float(x) for x in flat]
+
+
+def number(content: dict[str, Any], key: str, default: float, path: Path) -> float:
+    """One number under a key, or the default where the key is absent."""
+    return default if content.get(key) is None else numbers(content, key, 1, path)[0]
+
+
+def read_mounting(content: dict[str, Any], path: Path) -> FloatArray:
+    """T_body_sensor (4, 4): the key `T_BS` (or `T_body_cam`), identity where absent."""
+    for key in ("T_BS", "T_body_cam"):
+        if content.get(key) is not None:
+            T = np.array(numbers(content, key, 16, path)).reshape(4, 4)
+            if abs(np.linalg.det(T[:3, :3]) - 1.0) > 0.02:
+                raise DataError(f"{path}: {key} is not a rigid motion (its rotation's determinant is not 1)")
+            return se3(orthonormal(T[:3, :3]), T[:3, 3])
+    return np.eye(4)
+
+
+def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCalibration:
+    """Camera calibration from a `sensor.yaml` or `camera.yaml`; T_body_cam is the file's T_BS."""
+    content = read_yaml(path) if content is None else content
+    width, height = numbers(content, "resolution", 2, path)
+    fx, fy, cx, cy = numbers(content, "intrinsics", 4, path)
+    model = str(content.get("distortion_model", "none")).lower()
+    if model not in DISTORTION_MODELS:
+        raise DataError(f"{path}: distortion_model {model!r} is unknown; use radial-tangential or equidistant")
+    distortion = [0.0] * 4
+    if content.get("distortion_coefficients") is not None:
+        given = content["distortion_coefficients"]
+        given = given.get("data") if isinstance(given, dict) else given
+        count = len(given) if isinstance(given, list) and 1 <= len(given) <= 5 else 4
+        values = numbers(content, "distortion_coefficients", count, path)
+        if any(v != 0.0 for v in values[4:]):
+            raise DataError(f"{path}: distortion_coefficients may be k1, k2, p1, p2; a non-zero k3 is not supported")
+        distortion[: min(count, 4)] = values[:4]
+    try:
+        return CameraCalibration(
+            width=int(width),
+            height=int(height),
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            model="equidistant" if DISTORTION_MODELS[model] == "equidistant" else "radtan",
+            distortion=tuple(distortion),
+            T_body_cam=tuple(read_mounting(content, path).ravel().tolist()),
+            time_shift_s=number(content, "time_shift_s", 0.0, path),
+            line_delay_s=number(content, "line_delay_s", 0.0, path),
+            rate_hz=number(content, "rate_hz", 30.0, path),
+        )
+    except ConfigError as exc:
+        raise DataError(f"{path}: {exc}") from exc
+
+
+def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
+    """Noise figures from an IMU's `sensor.yaml`."""
+
+    def density(key: str, default: float) -> float:
+        value = number(content, key, default, path)
+        return value if value > 0 else default
+
+    return ImuNoise(
+        gyro_density=density("gyroscope_noise_density", CONSUMER_IMU["gyro_density"]),
+        accel_density=density("accelerometer_noise_density", CONSUMER_IMU["accel_density"]),
+        gyro_walk=density("gyroscope_random_walk", CONSUMER_IMU["gyro_walk"]),
+        accel_walk=density("accelerometer_random_walk", CONSUMER_IMU["accel_walk"]),
+        rate_hz=density("rate_hz", 200.0),
+        gyro_range=density("gyroscope_range", np.inf),
+        accel_range=density("accelerometer_range", np.inf),
+    )
+
+
+def read_intrinsics_text(path: Path) -> FloatArray:
+    """A camera matrix (3, 3) from a text file."""
+    try:
+        K = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    except (OSError, ValueError, UserWarning) as exc:
+        raise DataError(f"{path} is not a 3x3 matrix of numbers; correct it") from exc
+    if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise DataError(f"{path} is not a 3x3 camera matrix (fx 0 cx, 0 fy cy, 0 0 1); correct it")
+    return np.asarray(K)
