@@ -1,0 +1,144 @@
+"""Point clouds as PLY files. Source: G. Turk, The PLY polygon file format, 1994."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import DataError
+from shared.geometry import FloatArray
+
+PLY_TYPES = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+TYPE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"} | {
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
+FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+MAX_HEADER_BYTES = 65_536
+MAX_POINTS = 200_000_000
+
+Columns = dict[str, npt.NDArray[Any]]
+
+
+def write_ply(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write a cloud, binary little endian. Columns (N,) in order: x, y, z first, further ones under their names."""
+    count = len(next(iter(columns.values())))
+    types = [(name, "<" + column.dtype.str[1:]) for name, column in columns.items()]
+    table = np.empty(count, dtype=types)
+    for name, column in columns.items():
+        table[name] = column
+    properties = "".join(f"property {TYPE_NAMES[kind[1:]]} {name}\n" for name, kind in types)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
+    path.write_bytes(header.encode("ascii") + table.tobytes())
+
+
+def read_ply(path: Path) -> Columns:
+    """Read the vertices of a PLY file, ascii or binary: every scalar property under its name, (N,).
+
+    Raises:
+        DataError: no PLY file, damaged, or without x, y, z; says which.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as exc:
+        raise DataError(f"{path} cannot be read ({exc.strerror}); give a PLY file") from exc
+    file_format, elements, body = _parse_header(path, content)
+    for name, count, properties in elements:
+        if any(kind == "list" for _, kind in properties):
+            break  # faces before vertices: nobody writes that
+        types = [(key, FORMATS[file_format] + PLY_TYPES[kind]) for key, kind in properties]
+        if file_format == "ascii":
+            columns, body = _read_ascii(path, body, count, types)
+        else:
+            columns, body = _read_binary(path, body, count, types)
+        if name == "vertex":
+            if not {"x", "y", "z"} <= columns.keys():
+                raise DataError(f"{path} has vertices without x, y and z; export it as a point cloud")
+            return columns
+    raise DataError(f"{path} holds no vertices; export it as a point cloud")
+
+
+def read_points(path: Path) -> FloatArray:
+    """The points (N, 3) of a PLY file; ones that are not finite are left out. Raises DataError as read_ply does."""
+    columns = read_ply(path)
+    points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _parse_header(path: Path, content: bytes) -> tuple[str, list[tuple[str, int, list[tuple[str, str]]]], bytes]:
+    end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
+    newline = content.find(b"\n", end)
+    if not content.startswith(b"ply") or end < 0 or newline < 0:
+        raise DataError(f"{path} is not a PLY file (no ply … end_header); give a PLY point cloud")
+    file_format = ""
+    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
+    for line in content[:end].decode("ascii", errors="replace").splitlines()[1:]:
+        words = line.split()
+        match words:
+            case ["format", kind, *_]:
+                file_format = kind
+            case ["element", name, count] if count.isdigit():
+                elements.append((name, int(count), []))
+            case ["property", "list", _, _, name] if elements:
+                elements[-1][2].append((name, "list"))
+            case ["property", kind, name] if elements and kind in PLY_TYPES:
+                elements[-1][2].append((name, kind))
+            case [] | ["comment", *_] | ["obj_info", *_]:
+                pass
+            case _:
+                raise DataError(f"{path} has an unreadable header line {line!r}; export the cloud again")
+    if file_format not in FORMATS:
+        raise DataError(f"{path} has the unknown PLY format {file_format!r}; export it as ascii or binary")
+    if any(count > MAX_POINTS for _, count, _ in elements):
+        raise DataError(f"{path} claims more than {MAX_POINTS} points; thin it out")
+    for name, _, properties in elements:
+        keys = [key for key, _ in properties]
+        if len(set(keys)) != len(keys):
+            raise DataError(f"{path} names a property of {name} twice; export the cloud again")
+    return file_format, elements, content[newline + 1 :]
+
+
+def _read_binary(path: Path, body: bytes, count: int, types: list[tuple[str, str]]) -> tuple[Columns, bytes]:
+    dtype = np.dtype(types)
+    if len(body) < count * dtype.itemsize:
+        whole = len(body) // max(dtype.itemsize, 1)
+        raise DataError(f"{path} ends after {whole} of {count} points; copy it again")
+    table = np.frombuffer(body, dtype=dtype, count=count)
+    columns = {name: table[name].astype(table[name].dtype.newbyteorder("=")) for name, _ in types}
+    return columns, body[count * dtype.itemsize :]
+
+
+def _read_ascii(path: Path, body: bytes, count: int, types: list[tuple[str, str]]) -> tuple[Columns, bytes]:
+    lines = body.split(b"\n", count)
+    rows, rest = lines[:count], lines[count] if len(lines) > count else b""
+    try:
+        # By way of double: integers up to 2**53 are exact.
+        table = np.array([row.split() for row in rows], dtype=np.float64).reshape(count, len(types))
+    except ValueError as exc:
+        raise DataError(
+            f"{path} holds a line that is not {len(types)} numbers, or too few lines; copy it again"
+        ) from exc
+    return {name: table[:, i].astype(kind) for i, (name, kind) in enumerate(types)}, rest
