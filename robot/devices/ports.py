@@ -5,6 +5,8 @@ Times are robot monotonic nanoseconds. Blocking drivers keep a thread of their o
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -105,3 +107,4 @@ class DeviceSet:
     pan_tilt: PanTilt | None = None
     battery: Battery | None = None
     hijack: Hijackable | None = None
+    clock: Callable[[], int] = time.monotonic_ns  # the clock of all t_robot_ns; a recording or simulation has its own
