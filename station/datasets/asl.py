@@ -16,8 +16,8 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, inverse, rotation_from_quat, se3
+from shared.sensor_yaml import number, read_camera, read_imu_noise, read_mounting, read_yaml
 from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frames
-from station.datasets.sensor_yaml import number, read_camera, read_imu_noise, read_mounting, read_yaml
 from station.frames import DriveSample, ImageFrame, ImuBatch
 
 

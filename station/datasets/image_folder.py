@@ -12,9 +12,9 @@ import numpy as np
 from shared.calibration import Calibration, CameraCalibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, orthonormal, se3
+from shared.sensor_yaml import read_camera, read_intrinsics_text, read_yaml
 from station.datasets.asl import read_image_file
 from station.datasets.dataset import Dataset, Truth, choose_frames
-from station.datasets.sensor_yaml import read_camera, read_intrinsics_text, read_yaml
 from station.frames import ImageFrame
 
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png"}
