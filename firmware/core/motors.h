@@ -1,0 +1,62 @@
+// What the motors may do: time to live, ramps, battery cut-off. tick() runs in a timer interrupt, 1000 times a second.
+#pragma once
+#include <stdint.h>
+
+#include "protocol.h"
+
+namespace sentinel {
+
+// Longest silence the motors survive, whatever a command asks for: with 100 ms to spare to the 500 ms bound.
+const uint16_t MAX_TTL_MS = 400;
+const int16_t FULL = 1000;  // permille
+const uint16_t BRAKE_MS = 300;
+const uint16_t LOW_BATTERY_MS = 2000;       // a start-up dip of the motors is shorter
+const uint16_t BATTERY_HYSTERESIS_MV = 300;
+
+enum class Bridge : uint8_t { COAST, BRAKE, RUN };
+
+class MotorControl {
+ public:
+  // From the main loop, with interrupts off. Commands never move a motor by themselves: tick() does.
+  void command(const Drive& drive);
+  void stop();
+  void configure(const ConfigMotors& config);
+  void battery(uint16_t mv) { battery_mv_ = mv; }
+
+  // From the timer interrupt.
+  void tick();
+
+  int16_t left() const { return left_; }
+  int16_t right() const { return right_; }
+  Bridge bridge() const { return bridge_; }
+  bool slow_decay() const { return config_.slow_decay != 0; }
+  bool driving() const { return ttl_ms_ != 0; }
+  bool ttl_stop() const { return ttl_stop_; }
+  uint16_t ttl_stops() const { return ttl_stops_; }
+  bool low_battery() const { return low_battery_; }
+
+ private:
+  void halt();
+  void watch_battery();
+  int16_t ramp(int16_t now, int16_t target) const;
+
+  ConfigMotors config_ = {1, 4, 10, 0};  // 0 to full in 250 ms, back in 100 ms
+  int16_t target_left_ = 0, target_right_ = 0;
+  int16_t left_ = 0, right_ = 0;
+  uint16_t ttl_ms_ = 0;
+  uint16_t brake_ms_ = 0;
+  uint16_t battery_mv_ = 0;
+  uint16_t low_ms_ = 0;
+  uint16_t ttl_stops_ = 0;
+  bool ttl_stop_ = false;
+  bool low_battery_ = false;
+  Bridge bridge_ = Bridge::COAST;
+};
+
+// The two inputs of one DRV8833 bridge, permille of high time each (DRV8833 datasheet, table 2).
+struct BridgeInputs {
+  uint16_t in1, in2;
+};
+BridgeInputs bridge_inputs(Bridge bridge, int16_t speed, bool slow_decay);
+
+}  // namespace sentinel

@@ -1,0 +1,401 @@
+// Unit tests of firmware/core on a PC. Usage: test_core path/to/serial_frames.txt; prints one line per test.
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <functional>
+#include <iostream>
+#include <map>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "../core/cobs.h"
+#include "../core/crc16.h"
+#include "../core/imu.h"
+#include "../core/motors.h"
+#include "../core/protocol.h"
+#include "../core/ring_buffer.h"
+
+using namespace sentinel;
+
+static int failures = 0;
+#define CHECK(condition)                                                      \
+  do {                                                                        \
+    if (!(condition)) {                                                       \
+      if (++failures > 20) std::exit(1);                                        \
+      std::printf("  FAILED %s:%d: %s\n", __FILE__, __LINE__, #condition);    \
+    }                                                                         \
+  } while (0)
+
+typedef std::vector<uint8_t> Bytes;
+
+static Bytes from_hex(const std::string& hex) {
+  Bytes out;
+  for (size_t i = 0; i + 1 < hex.size(); i += 2) out.push_back(static_cast<uint8_t>(std::stoi(hex.substr(i, 2), nullptr, 16)));
+  return out;
+}
+
+static Bytes frame_of(const Bytes& payload) {
+  uint8_t out[MAX_FRAME];
+  const uint8_t n = encode_frame(payload.data(), static_cast<uint8_t>(payload.size()), out);
+  return Bytes(out, out + n);
+}
+
+struct Golden {
+  Bytes payload, frame;
+};
+static std::map<std::string, Golden> golden;
+
+static void load_golden(const char* path) {
+  std::ifstream file(path);
+  std::string name, payload, frame;
+  while (file >> name >> payload >> frame) golden[name] = Golden{from_hex(payload), from_hex(frame)};
+}
+
+static Bytes packed(const std::string& name) {
+  uint8_t out[MAX_PAYLOAD];
+  uint8_t n = 0;
+  if (name == "hello") {
+    n = pack(Hello{1, 1, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513}, out);
+  } else if (name == "imu") {
+    ImuPacket p = {7, 0xFFFFFFF0u, 0x11, {}};
+    for (uint8_t i = 0; i < IMU_BURST; ++i) p.burst[i] = i;
+    n = pack(p, out);
+  } else if (name == "status") {
+    n = pack(Status{70000, 0x41, 99, 1, 2, 3, 4, 5, 6, 7, 8, 9, 7400, -1000, 1000, 120, 6000}, out);
+  } else if (name == "ack") {
+    n = pack_ack(0x14, Result::BAD_VALUE, out);
+  } else if (name == "pong") {
+    n = pack_pong(0xDEADBEEFu, 1, out);
+  }
+  return Bytes(out, out + n);
+}
+
+static void test_crc_of_the_check_string() {
+  CHECK(crc16(reinterpret_cast<const uint8_t*>("123456789"), 9) == 0x29B1);
+}
+
+static void test_packed_messages_equal_the_golden_bytes() {
+  CHECK(golden.size() == 13);
+  for (const char* name : {"hello", "imu", "status", "ack", "pong"}) CHECK(packed(name) == golden[name].payload);
+}
+
+static void test_frames_equal_the_golden_bytes_and_parse_back() {
+  for (const auto& item : golden) {
+    CHECK(frame_of(item.second.payload) == item.second.frame);
+    FrameParser parser;
+    bool whole = false;
+    for (uint8_t byte : item.second.frame) whole = parser.feed(byte);
+    CHECK(whole);
+    CHECK(Bytes(parser.payload(), parser.payload() + parser.length()) == item.second.payload);
+  }
+}
+
+static void test_golden_commands_parse_to_their_values() {
+  const auto body = [](const char* name) { return golden[name].payload.data() + 1; };
+  const auto size = [](const char* name) { return static_cast<uint8_t>(golden[name].payload.size() - 1); };
+  Drive drive;
+  CHECK(parse(body("drive"), size("drive"), &drive) == Result::DONE);
+  CHECK(drive.left == -1000 && drive.right == 250 && drive.ttl_ms == 300);
+  ConfigImu imu;
+  CHECK(parse(body("config_imu"), size("config_imu"), &imu) == Result::DONE);
+  CHECK(imu.gyro_scale == 3 && imu.accel_scale == 0 && imu.gyro_filter == 7 && imu.accel_filter == 1 && imu.divider == 9);
+  ConfigMotors motors;
+  CHECK(parse(body("config_motors"), size("config_motors"), &motors) == Result::DONE);
+  CHECK(motors.slow_decay == 1 && motors.ramp_up == 4 && motors.ramp_down == 10 && motors.cutoff_mv == 6400);
+  Servo servo;
+  CHECK(parse(body("servo"), size("servo"), &servo) == Result::DONE);
+  CHECK(servo.pan_us == 1500 && servo.tilt_us == 0);
+}
+
+static void test_commands_out_of_range_are_refused() {
+  Drive drive;
+  Bytes body(golden["drive"].payload.begin() + 1, golden["drive"].payload.end());
+  body[6] ^= 1;  // the inverted copy disagrees
+  CHECK(parse(body.data(), 12, &drive) == Result::BAD_VALUE);
+  CHECK(parse(body.data(), 11, &drive) == Result::BAD_LENGTH);
+  Bytes fast = {0xE9, 0x03, 0, 0, 100, 0, 0x16, 0xFC, 0xFF, 0xFF, 0x9B, 0xFF};  // 1001 permille
+  CHECK(parse(fast.data(), 12, &drive) == Result::BAD_VALUE);
+  Servo servo;
+  const uint8_t beyond[4] = {0xC5, 0x09, 0, 0};  // 2501 us
+  CHECK(parse(beyond, 4, &servo) == Result::BAD_VALUE);
+}
+
+static void test_damage_costs_one_frame_and_an_overlong_one_is_dropped() {
+  FrameParser parser;
+  Bytes stream = golden["stop"].frame;
+  stream[1] ^= 0x40;
+  Bytes noise(400, 0x55);
+  stream.insert(stream.end(), noise.begin(), noise.end());
+  stream.push_back(0);
+  stream.insert(stream.end(), golden["ping"].frame.begin(), golden["ping"].frame.end());
+  int whole = 0;
+  for (uint8_t byte : stream) whole += parser.feed(byte);
+  CHECK(whole == 1 && parser.bad() == 2 && parser.payload()[0] == 0x12);
+}
+
+static void test_cobs_keeps_every_length_and_zero_pattern() {
+  for (uint8_t length = 0; length < 100; ++length) {
+    for (uint8_t period = 1; period < 12; ++period) {
+      Bytes data;
+      for (uint8_t i = 0; i < length; ++i) data.push_back(i % period == 0 ? 0 : i);
+      Bytes code(length + 1u);
+      CHECK(cobs_encode(data.data(), length, code.data()) == length + 1);
+      for (uint8_t byte : code) CHECK(byte != 0);
+      CHECK(cobs_decode(code.data(), static_cast<uint8_t>(length + 1)) == length);
+      CHECK(Bytes(code.begin(), code.begin() + length) == data);
+    }
+  }
+}
+
+static void test_ring_buffer_keeps_order_and_refuses_when_full() {
+  RingBuffer<8> ring;
+  uint8_t byte = 0;
+  CHECK(!ring.pop(&byte) && ring.room() == 7);
+  for (int round = 0; round < 50; ++round) {
+    for (uint8_t i = 0; i < 7; ++i) CHECK(ring.push(i));
+    CHECK(!ring.push(99) && ring.room() == 0);
+    for (uint8_t i = 0; i < 7; ++i) CHECK(ring.pop(&byte) && byte == i);
+  }
+  CHECK(ring.empty());
+  RingBuffer<256> big;
+  for (int i = 0; i < 255; ++i) CHECK(big.push(static_cast<uint8_t>(i)));
+  CHECK(!big.push(1) && big.used() == 255);
+}
+
+static void run(MotorControl& motors, int ms) {
+  for (int i = 0; i < ms; ++i) motors.tick();
+}
+
+static void test_motors_are_off_until_a_command_and_stop_when_commands_go_silent() {
+  MotorControl motors;
+  run(motors, 1000);
+  CHECK(motors.left() == 0 && motors.bridge() == Bridge::COAST);
+  motors.command(Drive{1000, -1000, 300});
+  CHECK(motors.left() == 0);  // only tick moves
+  run(motors, 299);
+  CHECK(motors.left() == 1000 && motors.right() == -1000 && motors.driving());
+  run(motors, 1);
+  CHECK(motors.left() == 0 && motors.right() == 0 && motors.bridge() == Bridge::BRAKE);
+  CHECK(motors.ttl_stop() && motors.ttl_stops() == 1);
+  run(motors, BRAKE_MS);
+  CHECK(motors.bridge() == Bridge::COAST);
+  run(motors, 5000);
+  CHECK(motors.left() == 0 && motors.ttl_stops() == 1);
+}
+
+static void test_time_to_live_has_an_upper_bound() {
+  MotorControl motors;
+  motors.command(Drive{500, 500, 60000});
+  run(motors, MAX_TTL_MS - 1);
+  CHECK(motors.left() == 500);
+  run(motors, 1);
+  CHECK(motors.left() == 0);
+  motors.command(Drive{500, 500, 0});
+  run(motors, 10);
+  CHECK(motors.left() == 0 && motors.bridge() != Bridge::RUN);
+}
+
+static void test_stop_is_at_once_and_a_fresh_command_is_needed() {
+  MotorControl motors;
+  motors.command(Drive{800, 800, 300});
+  run(motors, 250);
+  motors.stop();
+  CHECK(motors.left() == 0 && motors.right() == 0);
+  run(motors, 1000);
+  CHECK(motors.left() == 0 && !motors.ttl_stop());
+}
+
+static void test_speed_ramps_and_reverses_through_zero() {
+  MotorControl motors;
+  int16_t before = 0;
+  for (int ms = 0; ms < 2000; ++ms) {
+    if (ms % 100 == 0) motors.command(Drive{static_cast<int16_t>(ms < 1000 ? 1000 : -1000), 300, 300});
+    motors.tick();
+    const int change = motors.left() - before;
+    CHECK(change <= 10 && change >= -10);
+    if (before > 0) CHECK(motors.left() >= 0);
+    before = motors.left();
+  }
+  CHECK(motors.left() == -1000 && motors.right() == 300);
+}
+
+static void test_low_battery_holds_the_motors_off_until_it_recovers() {
+  MotorControl motors;
+  motors.configure(ConfigMotors{1, 4, 10, 6400});
+  motors.battery(6300);
+  for (int i = 0; i < 19; ++i) {  // shorter than the grace period: a start-up dip
+    motors.command(Drive{500, 500, 300});
+    run(motors, 100);
+  }
+  CHECK(motors.left() == 500 && !motors.low_battery());
+  run(motors, 200);
+  CHECK(motors.low_battery() && motors.left() == 0);
+  motors.battery(6500);  // within the hysteresis
+  motors.command(Drive{500, 500, 300});
+  run(motors, 50);
+  CHECK(motors.left() == 0);
+  motors.battery(6800);
+  run(motors, 1);
+  motors.command(Drive{500, 500, 300});
+  run(motors, 200);
+  CHECK(motors.left() == 500 && !motors.low_battery());
+}
+
+static void test_bridge_inputs_follow_the_driver_s_truth_table() {
+  const auto is = [](BridgeInputs b, int in1, int in2) { return b.in1 == in1 && b.in2 == in2; };
+  CHECK(is(bridge_inputs(Bridge::COAST, 700, true), 0, 0));
+  CHECK(is(bridge_inputs(Bridge::BRAKE, 700, false), 1000, 1000));
+  CHECK(is(bridge_inputs(Bridge::RUN, 700, true), 1000, 300));
+  CHECK(is(bridge_inputs(Bridge::RUN, -700, true), 300, 1000));
+  CHECK(is(bridge_inputs(Bridge::RUN, 700, false), 700, 0));
+  CHECK(is(bridge_inputs(Bridge::RUN, -700, false), 0, 700));
+  CHECK(is(bridge_inputs(Bridge::RUN, 0, true), 1000, 1000));
+}
+
+// A chip that answers like the ICM-20948: enough registers for the set-up and the burst.
+struct FakeChip {
+  uint8_t address = 0x69;
+  bool present = true, mag = true;
+  uint8_t bank = 0;
+  std::map<int, uint8_t> registers;
+  int resets = 0;
+
+  bool transfer(const BusOp& op, uint8_t* data) {
+    if (!present || op.address != address) return false;
+    const uint8_t reg = op.write[0];
+    if (op.write_length == 2) {
+      if (reg == 0x7F) {
+        bank = op.write[1] >> 4;
+      } else if (bank == 0 && reg == 0x06 && op.write[1] & 0x80) {
+        registers.clear();
+        bank = 0;
+        ++resets;
+      } else {
+        registers[bank << 8 | reg] = op.write[1];
+      }
+    }
+    for (uint8_t i = 0; i < op.read_length; ++i) data[i] = static_cast<uint8_t>(i + 1);
+    if (op.read_length == 1 && bank == 0 && reg == 0x00) data[0] = 0xEA;
+    if (op.read_length == 1 && bank == 0 && reg == 0x17) data[0] = mag ? 0x40 : 0x50;
+    return true;
+  }
+};
+
+static void bus(Icm20948& imu, FakeChip& chip, uint32_t from_ms, uint32_t to_ms, bool ready = false) {
+  uint8_t data[IMU_BURST];
+  for (uint32_t now = from_ms; now < to_ms; ++now) {
+    if (ready && chip.present && now % 4 == 0) imu.data_ready(now * 1000);
+    BusOp op;
+    while (imu.next(now, &op)) imu.done(now, chip.transfer(op, data), data);
+  }
+}
+
+static void test_imu_set_up_leaves_the_registers_as_meant() {
+  Icm20948 imu;
+  FakeChip chip;
+  bus(imu, chip, 0, 300);  // shorter than set-up plus the silence that starts it again
+  CHECK(imu.running() && imu.address() == 0x69 && imu.mag_present() && imu.starts() == 1 && chip.resets == 1);
+  CHECK(chip.registers[0x200] == 4 && chip.registers[0x201] == 0x1B && chip.registers[0x211] == 4);
+  CHECK(chip.registers[0x214] == 0x1B && chip.registers[0x209] == 1 && chip.registers[0x00F] == 0x10);
+  CHECK(chip.registers[0x011] == 1 && chip.registers[0x303] == 0x8C && chip.registers[0x305] == 0x89 && chip.bank == 0);
+}
+
+static void test_imu_is_found_at_its_other_address_and_without_magnetometer() {
+  Icm20948 imu;
+  FakeChip chip;
+  chip.address = 0x68;
+  chip.mag = false;
+  bus(imu, chip, 0, 400);
+  CHECK(imu.running() && imu.address() == 0x68 && !imu.mag_present());
+}
+
+static void test_every_data_ready_gives_one_packet_with_its_own_stamp() {
+  Icm20948 imu;
+  FakeChip chip;
+  bus(imu, chip, 0, 300);  // shorter than set-up plus the silence that starts it again
+  uint8_t data[IMU_BURST];
+  ImuPacket packet;
+  for (uint32_t i = 0; i < 100; ++i) {
+    imu.data_ready(5000 + i);
+    BusOp op;
+    CHECK(imu.next(300 + i, &op) && op.read_length == IMU_BURST);
+    imu.done(300 + i, chip.transfer(op, data), data);
+    CHECK(imu.take(&packet) && packet.sequence == i && packet.t_us == 5000 + i && packet.scales == 0x11);
+    CHECK(packet.burst[0] == 1 && packet.burst[22] == 23 && !imu.take(&packet));
+  }
+  imu.data_ready(1);
+  imu.data_ready(2);  // the first was never read: its number is missing
+  BusOp op;
+  CHECK(imu.next(500, &op));
+  imu.done(500, chip.transfer(op, data), data);
+  CHECK(imu.take(&packet) && packet.sequence == 101 && packet.t_us == 2);
+}
+
+static void test_imu_comes_back_after_it_was_unplugged() {
+  Icm20948 imu;
+  FakeChip chip;
+  bus(imu, chip, 0, 1000, true);
+  CHECK(imu.running());
+  chip.present = false;
+  bus(imu, chip, 1000, 2000, true);
+  CHECK(!imu.running() && imu.errors() > 0 && imu.address() == 0);
+  chip.present = true;
+  chip.registers.clear();
+  chip.bank = 2;
+  bus(imu, chip, 2000, 3000, true);
+  CHECK(imu.running() && imu.starts() == 2 && chip.registers[0x201] == 0x1B);
+}
+
+static void test_imu_that_falls_silent_is_set_up_again() {
+  Icm20948 imu;
+  FakeChip chip;
+  bus(imu, chip, 0, 1000, true);
+  bus(imu, chip, 1000, 2000, false);  // acknowledges, but no data-ready: it lost its set-up
+  CHECK(imu.starts() >= 2);
+}
+
+static void test_imu_takes_new_scales_and_rate() {
+  Icm20948 imu;
+  FakeChip chip;
+  bus(imu, chip, 0, 500, true);
+  imu.configure(ConfigImu{3, 2, 1, 5, 9});
+  bus(imu, chip, 500, 1000, true);
+  CHECK(imu.running() && chip.registers[0x200] == 9 && chip.registers[0x201] == (1 << 3 | 3 << 1 | 1));
+  CHECK(chip.registers[0x214] == (5 << 3 | 2 << 1 | 1));
+}
+
+int main(int argc, char** argv) {
+  if (argc != 2) return 2;
+  load_golden(argv[1]);
+  const std::vector<std::pair<const char*, void (*)()>> tests = {
+#define TEST(name) {#name, name}
+      TEST(test_crc_of_the_check_string),
+      TEST(test_packed_messages_equal_the_golden_bytes),
+      TEST(test_frames_equal_the_golden_bytes_and_parse_back),
+      TEST(test_golden_commands_parse_to_their_values),
+      TEST(test_commands_out_of_range_are_refused),
+      TEST(test_damage_costs_one_frame_and_an_overlong_one_is_dropped),
+      TEST(test_cobs_keeps_every_length_and_zero_pattern),
+      TEST(test_ring_buffer_keeps_order_and_refuses_when_full),
+      TEST(test_motors_are_off_until_a_command_and_stop_when_commands_go_silent),
+      TEST(test_time_to_live_has_an_upper_bound),
+      TEST(test_stop_is_at_once_and_a_fresh_command_is_needed),
+      TEST(test_speed_ramps_and_reverses_through_zero),
+      TEST(test_low_battery_holds_the_motors_off_until_it_recovers),
+      TEST(test_bridge_inputs_follow_the_driver_s_truth_table),
+      TEST(test_imu_set_up_leaves_the_registers_as_meant),
+      TEST(test_imu_is_found_at_its_other_address_and_without_magnetometer),
+      TEST(test_every_data_ready_gives_one_packet_with_its_own_stamp),
+      TEST(test_imu_comes_back_after_it_was_unplugged),
+      TEST(test_imu_that_falls_silent_is_set_up_again),
+      TEST(test_imu_takes_new_scales_and_rate),
+  };
+  for (const auto& test : tests) {
+    const int before = failures;
+    test.second();
+    std::printf("%s %s\n", failures == before ? "ok" : "FAILED", test.first);
+  }
+  return failures == 0 ? 0 : 1;
+}

@@ -1,0 +1,351 @@
+"""Frames between the Pi and the Mega: COBS(type, body, CRC-16 low byte first), 0x00. Numbers are little-endian.
+
+No I/O here. The C++ twin is `firmware/core/protocol.h`; `tests/golden/serial_frames.txt` holds bytes both must produce.
+COBS: Cheshire and Baker, IEEE/ACM ToN 7(2), 1999. CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from binascii import crc_hqx
+from dataclasses import astuple, dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar
+
+from shared.errors import LocalProtocolError
+
+PROTOCOL_VERSION = 1
+MAX_PAYLOAD = 80  # type + body
+MAX_FRAME = MAX_PAYLOAD + 4  # CRC, COBS code, delimiter
+MAX_TTL_MS = 400  # the firmware shortens longer ones
+BAUD_RATE = 500_000  # exact on a 16 MHz AVR; 115200 is 2.1 % off
+
+
+class Type(IntEnum):
+    """First byte of a payload."""
+
+    HELLO = 0x01
+    IMU = 0x02
+    STATUS = 0x03
+    ACK = 0x04
+    PONG = 0x05
+    QUATERNION = 0x06
+    DRIVE = 0x10
+    STOP = 0x11
+    PING = 0x12
+    ASK_HELLO = 0x13
+    CONFIG_IMU = 0x14
+    CONFIG_MOTORS = 0x15
+    SERVO = 0x16
+
+
+class Flag(IntFlag):
+    """Bits of `Status.flags`."""
+
+    IMU_MISSING = 1 << 0
+    MAG_MISSING = 1 << 1
+    BUS_ERROR = 1 << 2
+    LOW_BATTERY = 1 << 3
+    DRIVER_FAULT = 1 << 4
+    DRIVING = 1 << 5
+    TTL_STOP = 1 << 6
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """Who the firmware is; sent at its start and when asked."""
+
+    LAYOUT: ClassVar = struct.Struct("<11BH")
+    TYPE: ClassVar = Type.HELLO
+
+    version: int
+    firmware_major: int
+    firmware_minor: int
+    reset_cause: int  # MCUSR: 1 power on, 2 external (DTR), 4 brown-out, 8 watchdog
+    imu_address: int  # 0 while none was found
+    imu_who: int
+    gyro_scale: int
+    accel_scale: int
+    gyro_filter: int
+    accel_filter: int
+    divider: int
+    boot_id: int  # counts resets since power on
+
+
+GYRO_RANGES_DEG_S = (250.0, 500.0, 1000.0, 2000.0)
+ACCEL_RANGES_G = (2.0, 4.0, 8.0, 16.0)
+STANDARD_GRAVITY = 9.80665  # m/s^2, what the accelerometer's g means
+MAG_UT_PER_COUNT = 0.15  # AK09916 datasheet, table 5
+
+
+@dataclass(frozen=True, slots=True)
+class ImuPacket:
+    """One burst of the ICM-20948 as it lay in its registers."""
+
+    LAYOUT: ClassVar = struct.Struct("<IIB23s")
+    TYPE: ClassVar = Type.IMU
+    BURST: ClassVar = struct.Struct(">7h")  # accel, gyro, temperature; big-endian
+    MAG: ClassVar = struct.Struct("<BhhhBB")  # ST1, x, y, z, reserved, ST2; little-endian
+
+    sequence: int  # counts data-ready interrupts
+    t_us: int  # Mega's clock, wraps at 2^32
+    scales: int  # gyro_scale | accel_scale << 4
+    burst: bytes
+
+    def raw(self) -> tuple[int, ...]:
+        """Accel x y z, gyro x y z, temperature: counts."""
+        return tuple(self.BURST.unpack_from(self.burst))
+
+    def accel_imu(self) -> tuple[float, float, float]:
+        """Specific force, m/s^2."""
+        unit = ACCEL_RANGES_G[self.scales >> 4 & 3] * STANDARD_GRAVITY / 32768.0
+        x, y, z = self.raw()[0:3]
+        return x * unit, y * unit, z * unit
+
+    def gyro_imu(self) -> tuple[float, float, float]:
+        """Angular rate, rad/s."""
+        unit = math.radians(GYRO_RANGES_DEG_S[self.scales & 3]) / 32768.0
+        x, y, z = self.raw()[3:6]
+        return x * unit, y * unit, z * unit
+
+    def temperature_c(self) -> float:
+        """Chip temperature, deg C (DS-000189, section 8.33)."""
+        return self.raw()[6] / 333.87 + 21.0
+
+    def mag_imu(self) -> tuple[float, float, float] | None:
+        """Field in uT in the IMU's axes; None where the magnetometer had nothing new or was saturated.
+
+        The AK09916 inside the chip has its y and z against those of accelerometer and gyro (DS-000189, figure 12).
+        """
+        st1, x, y, z, _, st2 = self.MAG.unpack_from(self.burst, 14)
+        if not st1 & 1 or st2 & 8:
+            return None
+        return x * MAG_UT_PER_COUNT, -y * MAG_UT_PER_COUNT, -z * MAG_UT_PER_COUNT
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Health of the Mega, ten times a second."""
+
+    LAYOUT: ClassVar = struct.Struct("<IHII9HhhHH")
+    TYPE: ClassVar = Type.STATUS
+
+    uptime_ms: int
+    flags: int
+    samples: int
+    samples_lost: int
+    bus_errors: int
+    bus_recoveries: int
+    imu_starts: int
+    rx_frames: int
+    rx_bad: int
+    rx_overruns: int
+    tx_dropped: int
+    ttl_stops: int
+    battery_mv: int
+    left: int  # permille at the pins
+    right: int
+    loop_max_us: int
+    stack_free: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """Answer to a configuration or servo command."""
+
+    LAYOUT: ClassVar = struct.Struct("<BB")
+    TYPE: ClassVar = Type.ACK
+
+    asked: int
+    result: int  # 0 done, 1 bad length, 2 bad value, 3 unknown type
+
+
+@dataclass(frozen=True, slots=True)
+class Pong:
+    """Answer to a ping: the Mega's clock."""
+
+    LAYOUT: ClassVar = struct.Struct("<II")
+    TYPE: ClassVar = Type.PONG
+
+    token: int
+    t_us: int
+
+
+FirmwareMessage = Hello | ImuPacket | Status | Ack | Pong
+_FIRMWARE_MESSAGES: dict[int, type[FirmwareMessage]] = {m.TYPE: m for m in (Hello, ImuPacket, Status, Ack, Pong)}
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Speeds in permille of full duty, and how long they may last without another command."""
+
+    left: int
+    right: int
+    ttl_ms: int
+
+    def pack(self) -> bytes:
+        """Payload; the numbers repeated inverted, since a CRC-16 lets one damaged frame in 65536 pass."""
+        if not (abs(self.left) <= 1000 and abs(self.right) <= 1000 and 0 <= self.ttl_ms <= 65535):
+            raise LocalProtocolError(f"{self} is outside -1000..1000 permille, 0..65535 ms")
+        body = struct.pack("<hhH", self.left, self.right, self.ttl_ms)
+        return bytes([Type.DRIVE]) + body + bytes(b ^ 0xFF for b in body)
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Both motors off now."""
+
+    def pack(self) -> bytes:
+        return bytes([Type.STOP])
+
+
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """Asks for the Mega's clock."""
+
+    token: int
+
+    def pack(self) -> bytes:
+        return struct.pack("<BI", Type.PING, self.token & 0xFFFFFFFF)
+
+
+@dataclass(frozen=True, slots=True)
+class AskHello:
+    """Asks for a hello."""
+
+    def pack(self) -> bytes:
+        return bytes([Type.ASK_HELLO])
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigImu:
+    """Full scales 0..3 (250..2000 deg/s, 2..16 g), low-pass filters 0..7 (DLPFCFG), rate 1125 / (1 + divider) Hz."""
+
+    gyro_scale: int = 1
+    accel_scale: int = 1
+    gyro_filter: int = 3
+    accel_filter: int = 3
+    divider: int = 4
+
+    def pack(self) -> bytes:
+        return struct.pack("<6B", Type.CONFIG_IMU, *astuple(self))
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigMotors:
+    """Decay, ramps (permille per ms) and battery cut-off (0: no battery sensed)."""
+
+    slow_decay: bool = True
+    ramp_up: int = 4
+    ramp_down: int = 10
+    cutoff_mv: int = 0
+
+    def pack(self) -> bytes:
+        return struct.pack("<BBBBH", Type.CONFIG_MOTORS, *astuple(self))
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """Pulse widths, 500..2500 us; 0 lets a servo go."""
+
+    pan_us: int
+    tilt_us: int
+
+    def pack(self) -> bytes:
+        return struct.pack("<BHH", Type.SERVO, self.pan_us, self.tilt_us)
+
+
+Command = Drive | Stop | Ping | AskHello | ConfigImu | ConfigMotors | Servo
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/CCITT-FALSE: `crc16(b"123456789") == 0x29B1`."""
+    return crc_hqx(data, 0xFFFF)
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Data below 254 bytes without zeros, one byte longer."""
+    if len(data) >= 254:
+        raise LocalProtocolError(f"frame of {len(data)} bytes, the limit is 253")
+    return b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0"))
+
+
+def cobs_decode(data: bytes) -> bytes | None:
+    """Inverse of `cobs_encode`; None where a code points beyond the end."""
+    blocks: list[bytes] = []
+    at = 0
+    while at < len(data):
+        code = data[at]
+        if code == 0 or at + code > len(data):
+            return None
+        blocks.append(data[at + 1 : at + code])
+        at += code
+    return b"\0".join(blocks)
+
+
+def encode_frame(payload: bytes) -> bytes:
+    """Payload to frame with its delimiter."""
+    if not 0 < len(payload) <= MAX_PAYLOAD:
+        raise LocalProtocolError(f"payload of {len(payload)} bytes, allowed are 1..{MAX_PAYLOAD}")
+    return cobs_encode(payload + crc16(payload).to_bytes(2, "little")) + b"\0"
+
+
+def encode(command: Command) -> bytes:
+    """A command's frame."""
+    return encode_frame(command.pack())
+
+
+def pack(message: FirmwareMessage) -> bytes:
+    """Payload of a firmware message: what the Mega sends, for tests and stand-ins."""
+    return bytes([message.TYPE]) + message.LAYOUT.pack(*astuple(message))
+
+
+def parse(payload: bytes) -> FirmwareMessage | None:
+    """Firmware message of a checked payload; None where type or length are not known to this version."""
+    kind = _FIRMWARE_MESSAGES.get(payload[0])
+    if kind is None or len(payload) != 1 + kind.LAYOUT.size:
+        return None
+    return kind(*kind.LAYOUT.unpack_from(payload, 1))
+
+
+class SerialDecoder:
+    """Cuts the Mega's byte stream into payloads. Damage costs the frame it hits and at most the one behind it."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._skipping = False
+        self.frames = 0
+        self.bad = 0
+
+    def receive(self, data: bytes) -> list[bytes]:
+        """Payloads completed by these bytes. Never raises; damage is counted in `bad`."""
+        payloads: list[bytes] = []
+        *ended, rest = data.split(b"\0")
+        for piece in ended:
+            payload = self._end_frame(piece)
+            if payload is not None:
+                payloads.append(payload)
+        self._collect(rest)
+        return payloads
+
+    def _collect(self, piece: bytes) -> None:
+        if len(self._buffer) + len(piece) >= MAX_FRAME:
+            self._skipping = True
+            self._buffer.clear()
+        elif not self._skipping:
+            self._buffer += piece
+
+    def _end_frame(self, piece: bytes) -> bytes | None:
+        self._collect(piece)
+        frame, skipped = bytes(self._buffer), self._skipping
+        self._buffer.clear()
+        self._skipping = False
+        if not frame and not skipped:
+            return None
+        decoded = None if skipped else cobs_decode(frame)
+        if decoded is None or len(decoded) < 3 or crc16(decoded[:-2]) != int.from_bytes(decoded[-2:], "little"):
+            self.bad += 1
+            return None
+        self.frames += 1
+        return decoded[:-2]

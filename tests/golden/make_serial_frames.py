@@ -1,0 +1,25 @@
+"""Writes serial_frames.txt: name, payload, frame (hex), one message a line. Both twins are held to it."""
+
+from pathlib import Path
+
+from shared import serial_protocol as sp
+
+EXAMPLES: list[tuple[str, bytes]] = [
+    ("hello", sp.pack(sp.Hello(1, 1, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513))),
+    ("imu", sp.pack(sp.ImuPacket(7, 0xFFFFFFF0, 0x11, bytes(range(23))))),
+    ("status", sp.pack(sp.Status(70000, 0x41, 99, 1, 2, 3, 4, 5, 6, 7, 8, 9, 7400, -1000, 1000, 120, 6000))),
+    ("ack", sp.pack(sp.Ack(0x14, 2))),
+    ("pong", sp.pack(sp.Pong(0xDEADBEEF, 1))),
+    ("drive", sp.Drive(-1000, 250, 300).pack()),
+    ("drive_zero", sp.Drive(0, 0, 0).pack()),
+    ("stop", sp.Stop().pack()),
+    ("ping", sp.Ping(0x01020304).pack()),
+    ("ask_hello", sp.AskHello().pack()),
+    ("config_imu", sp.ConfigImu(3, 0, 7, 1, 9).pack()),
+    ("config_motors", sp.ConfigMotors(True, 4, 10, 6400).pack()),
+    ("servo", sp.Servo(1500, 0).pack()),
+]
+
+if __name__ == "__main__":
+    lines = [f"{name} {payload.hex()} {sp.encode_frame(payload).hex()}" for name, payload in EXAMPLES]
+    Path(__file__).with_name("serial_frames.txt").write_text("\n".join(lines) + "\n")
