@@ -1,0 +1,262 @@
+"""Registration of two clouds: global start, refinement with scale, GICP, and checks that may say no.
+
+The main path is `register_clouds`; docs/registration.md explains each step and where its thresholds come from.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.errors import DataError, DegenerateGeometry, EstimationError
+from shared.geometry import FloatArray, IntArray
+from station.places.registration.axes import upright_rotations
+from station.places.registration.cloud import PreparedCloud, clean_points, prepare_cloud, thin
+from station.places.registration.free_space import Rays
+from station.places.registration.gicp import align_gicp, require_backend
+from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.refine import Refined, measure_residuals, refine, scale_of
+from station.places.registration.result import Alternative, Backend, Gravity, Registration, Scale, refused
+from station.places.registration.score import Score, score_alignment
+from station.places.registration.verify import Evidence, judge
+from station.places.registration.yaw_search import Candidate, SearchConfig, search_yaw
+
+FREE_SCALE_RANGE = (0.78, 1.28)  # clouds in one unit: the scale drift of visual SLAM, and a margin
+ARBITRARY_SCALE_RANGE = (0.55, 1.8)  # about the ratio of the sizes, when a gauge is arbitrary
+MAX_SIZE_RATIO = 4.0  # parts of one flat in one unit differ less in size
+SCALE_STEP = 1.07  # the refinement's basin in scale is about +-4 %
+NUM_CANDIDATES = 10  # refined; the right one was first among them in 200 of 200 known-scale pairs
+REFINE_SUBSET = 1000
+SCORE_SUBSET = 1500
+FINE_SUBSET = 6000
+# Search radii in voxels of the global search: its error is about one voxel.
+COARSE_REACHES = (2.5, 2.5, 2.0, 1.5, 1.5, 1.0, 1.0, 1.0, 0.75, 0.75, 0.75)
+FINE_REACHES = (0.75,) * 8
+
+
+def register_clouds(
+    target: FloatArray,
+    source: FloatArray,
+    *,
+    scale: Scale = "known",
+    gravity: Gravity = "known",
+    backend: Backend = "small_gicp",
+    seed: int = 0,
+    target_rays: Rays | None = None,
+    source_rays: Rays | None = None,
+    scale_range: tuple[float, float] | None = None,
+    start: tuple[FloatArray, ...] = (),
+) -> Registration:
+    """Find how the source cloud lies in the target's frame, without a guess, or say why not.
+
+    Args:
+        target: (N, 3) at least 50 points.
+        source: (M, 3).
+        scale: "known": both in one unit. "free": the source's scale is estimated, too.
+        gravity: "known": z is up in both clouds (small tilts are corrected).
+        backend: library of the GICP step.
+        seed: of the random subsets; same input and seed, same answer.
+        target_rays, source_rays: who saw which point, for the free-space check.
+        scale_range: allowed scale when free; by default 0.78..1.28, or about the ratio of the clouds' sizes when that
+            shows different units.
+        start: guesses (4, 4) to refine beside those of the global search.
+    Returns:
+        Registration; `accepted` False with reasons when it found nothing it can stand for.
+    Raises:
+        DataError: an array is not (N, 3).
+        ConfigError: the backend is unknown or not installed.
+    """
+    require_backend(backend)
+    try:
+        p_target, p_source = clean_points(target, "target"), clean_points(source, "source")
+        ranges = _scale_range(p_target, p_source, scale, scale_range)
+    except DegenerateGeometry as exc:
+        return refused(str(exc), backend)
+    rng = np.random.default_rng(seed)
+    A, B = prepare_cloud(p_target, rng), prepare_cloud(p_source, rng)
+    voxel = float(np.max(np.ptp(np.percentile(A.points, [1, 99], axis=0), axis=0)[:2])) / SearchConfig().cells
+    candidates = _global_start(A, B, ranges, gravity, voxel, rng) + [Candidate(T, 0.0) for T in start]
+    ranked = _refine_and_rank(A, B, candidates, gravity, scale, voxel, rng)
+    if not ranked:
+        return refused("no alignment has enough points in common", backend)
+    best = _finish(A, B, ranked[0][0].T_target_source, gravity, scale, voxel, backend, rng)
+    tolerance = _tolerance(A, B)
+    score = score_alignment(A, B, best.T_target_source, *_subsets(A, B, rng, SCORE_SUBSET), tolerance)
+    others = [(r, s) for r, s in ranked if _is_other(r.T_target_source, best.T_target_source, B, voxel)]
+    evidence = Evidence(
+        target=A,
+        source=B,
+        refined=best,
+        score=score,
+        runner_up=others[0][1] if others else None,
+        tolerance=tolerance,
+        voxel=voxel,
+        scale=scale,
+        scale_range=ranges,
+        gravity=gravity,
+        target_rays=target_rays,
+        source_rays=source_rays,
+        target_given=np.asarray(target, dtype=np.float64),
+        source_given=np.asarray(source, dtype=np.float64),
+    )
+    verdict = judge(evidence, rng)
+    return Registration(
+        accepted=verdict.accepted,
+        reasons=verdict.reasons,
+        T_target_source=best.T_target_source,
+        scale=scale_of(best.T_target_source),
+        rmse=score.rmse,
+        inlier_ratio=score.inlier_ratio,
+        overlap=score.overlap,
+        covariance=verdict.covariance,
+        eigenvalues=verdict.eigenvalues,
+        backend=backend,
+        score=score.inlier_share,
+        alternatives=tuple(Alternative(r.T_target_source, s.inlier_share) for r, s in others[:4]),
+    )
+
+
+def _scale_range(
+    target: FloatArray, source: FloatArray, scale: Scale, given: tuple[float, float] | None
+) -> tuple[float, float]:
+    """Smallest and largest scale to consider. Raises DegenerateGeometry when known scales cannot be right."""
+    ratio = _size(target) / _size(source)
+    odd = not 1 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO
+    if scale == "known":
+        if odd and not 1 / 50 < ratio < 50:
+            raise DegenerateGeometry(
+                f"the target is {ratio:.3g} times the source's size: the clouds seem to be in different units; "
+                "convert one, or use scale free"
+            )
+        return (1.0, 1.0)
+    if given is not None:
+        if not 0 < given[0] <= given[1]:
+            raise DataError(f"scale_range {given} must be two positive numbers, smaller first")
+        return given
+    low, high = ARBITRARY_SCALE_RANGE if odd else FREE_SCALE_RANGE
+    return (ratio * low, ratio * high) if odd else (low, high)
+
+
+def _size(points: FloatArray) -> float:
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+
+
+def _global_start(
+    A: PreparedCloud,
+    B: PreparedCloud,
+    scales: tuple[float, float],
+    gravity: Gravity,
+    voxel: float,
+    rng: np.random.Generator,
+) -> list[Candidate]:
+    """Coarse alignments by our own search, and KISS-Matcher's one where it is installed and the scale is known."""
+    steps = max(1, int(np.ceil(np.log(scales[1] / scales[0]) / np.log(SCALE_STEP))) + 1) if scales[1] > scales[0] else 1
+    grid = np.exp(np.linspace(np.log(scales[0]), np.log(scales[1]), steps)) if steps > 1 else np.array([scales[0]])
+    target = A.points if len(A.points) <= 8000 else thin(A.points, 8000, rng)
+    source = B.points if len(B.points) <= 8000 else thin(B.points, 8000, rng)
+    found: list[Candidate] = []
+    if gravity == "known":
+        found = search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES)
+    else:
+        R_up, options = upright_rotations(A, B)
+        for R_option in options:  # each puts one of the source's axes upright; the yaw is searched
+            for c in search_yaw(target @ R_up.T, source @ R_option.T, scales=grid, keep=NUM_CANDIDATES // 2):
+                T = c.T_target_source.copy()
+                T[:3, 3] = R_up.T @ T[:3, 3]
+                T[:3, :3] = R_up.T @ T[:3, :3] @ R_option
+                found.append(Candidate(T, c.score))
+        found = sorted(found, key=lambda c: -c.score)[: 2 * NUM_CANDIDATES]
+    if scales[0] == scales[1] == 1.0 and gravity == "unknown" and kiss_is_available():
+        T_kiss = match_features(target, source, upright=False, voxel=voxel)
+        if T_kiss is not None:
+            found.append(Candidate(T_kiss, 0.0))
+    return found
+
+
+def _refine_and_rank(
+    A: PreparedCloud,
+    B: PreparedCloud,
+    candidates: list[Candidate],
+    gravity: Gravity,
+    scale: Scale,
+    voxel: float,
+    rng: np.random.Generator,
+) -> list[tuple[Refined, Score]]:
+    """Refine every candidate coarsely and sort by the share of points it explains, best first."""
+    subset_A, subset_B = _subsets(A, B, rng, REFINE_SUBSET)
+    reaches = tuple(r * voxel for r in COARSE_REACHES)
+    tolerance = _tolerance(A, B)
+    ranked = []
+    for candidate in candidates:
+        refined = refine(
+            A,
+            B,
+            candidate.T_target_source,
+            subset=subset_B,
+            reaches=reaches,
+            upright=gravity == "known",
+            free_scale=scale == "free",
+            tolerance=1e-3 * voxel,
+        )
+        if np.isfinite(refined.rms):
+            ranked.append((refined, score_alignment(A, B, refined.T_target_source, subset_A, subset_B, tolerance)))
+    return sorted(ranked, key=lambda pair: -pair[1].inlier_share)
+
+
+def _finish(
+    A: PreparedCloud,
+    B: PreparedCloud,
+    T: FloatArray,
+    gravity: Gravity,
+    scale: Scale,
+    voxel: float,
+    backend: Backend,
+    rng: np.random.Generator,
+) -> Refined:
+    """GICP on the points that have a counterpart, then the joint refinement with scale and gravity."""
+    reach = FINE_REACHES[-1] * voxel
+    _, subset = _subsets(A, B, rng, FINE_SUBSET)
+
+    def polish(T: FloatArray, reaches: tuple[float, ...]) -> Refined:
+        return refine(
+            A,
+            B,
+            T,
+            subset=subset,
+            reaches=reaches,
+            upright=gravity == "known",
+            free_scale=scale == "free",
+            tolerance=1e-4 * voxel,
+        )
+
+    T = polish(T, tuple(r * voxel for r in FINE_REACHES)).T_target_source
+    residuals = measure_residuals(A, B.points[subset], B.normals[subset], T, reach)
+    paired = np.abs(residuals.along_normal) < reach / 2
+    if np.count_nonzero(paired) >= 50:
+        try:
+            T_gicp = align_gicp(A.points, B.points[subset][paired], T, reach=reach, backend=backend)
+        except EstimationError:
+            T_gicp = T  # the polished start stands; the checks judge it like any other
+        if _moved(T_gicp, T, B) < 2 * voxel:
+            T = T_gicp
+    return polish(T, (reach * 0.8, reach * 0.8, reach * 0.8))
+
+
+def _moved(T: FloatArray, T_before: FloatArray, B: PreparedCloud) -> float:
+    sample = B.points[:: max(1, len(B.points) // 200)]
+    return float(np.median(np.linalg.norm(sample @ (T - T_before)[:3, :3].T + (T - T_before)[:3, 3], axis=1)))
+
+
+def _is_other(T: FloatArray, T_best: FloatArray, B: PreparedCloud, voxel: float) -> bool:
+    """Whether T is another answer, not the same one a little off."""
+    return _moved(T, T_best, B) > 2.0 * voxel
+
+
+def _tolerance(A: PreparedCloud, B: PreparedCloud) -> float:
+    """How far from a surface its own landmarks lie: three times the noise seen in the clouds."""
+    return 3.0 * max(A.noise, min(B.noise, 2 * A.noise), 0.05 * A.spacing)
+
+
+def _subsets(A: PreparedCloud, B: PreparedCloud, rng: np.random.Generator, count: int) -> tuple[IntArray, IntArray]:
+    return tuple(  # type: ignore[return-value]
+        np.sort(rng.choice(len(cloud.points), size=min(count, len(cloud.points)), replace=False)) for cloud in (A, B)
+    )

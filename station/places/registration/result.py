@@ -1,0 +1,43 @@
+"""What a registration answers. A failed one is a value with reasons, never an identity matrix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from shared.geometry import FloatArray
+
+Scale = Literal["known", "free"]
+Gravity = Literal["known", "unknown"]
+Backend = Literal["small_gicp", "open3d"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternative:
+    """Another way the clouds could lie on each other, and how well it explains them (0..1)."""
+
+    T_target_source: FloatArray  # (4, 4) with scale
+    score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """How the source cloud lies in the target's frame, and whether that may be believed."""
+
+    accepted: bool
+    reasons: tuple[str, ...]  # why not; for an accepted one, what speaks for it
+    T_target_source: FloatArray | None  # (4, 4), upper-left 3x3 is scale * R; None: no candidate at all
+    scale: float
+    rmse: float  # of inliers along the target's surface normals, target units
+    inlier_ratio: float  # share of the source's points in the shared space that lie on the target's surfaces
+    overlap: float  # share of points with a neighbour in the other cloud, the smaller of both directions
+    covariance: FloatArray | None  # (7, 7) of (rotation rad, translation, log scale), target frame; fixed ones are 0
+    eigenvalues: FloatArray | None  # of the normal equations per inlier, ascending: a small one is a free direction
+    backend: str
+    score: float  # what candidates are ranked by, 0..1
+    alternatives: tuple[Alternative, ...]
+
+
+def refused(reason: str, backend: str) -> Registration:
+    """A registration that found nothing to even judge."""
+    return Registration(False, (reason,), None, 1.0, float("nan"), 0.0, 0.0, None, None, backend, 0.0, ())

@@ -1,0 +1,70 @@
+"""How well an alignment explains both clouds: shares of points on each other's surfaces, beyond what chance gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray, inverse, se3
+from station.places.registration.cloud import PreparedCloud
+from station.places.registration.refine import measure_residuals, scale_of
+
+AGREEMENT = 0.7  # |cosine| of normals that may belong to one surface
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Shares in 0..1 of one alignment."""
+
+    inlier_share: float  # points on the other cloud's surface, of all points; the mean of both directions
+    inlier_ratio: float  # of the points with a neighbour in the other cloud
+    overlap: float  # points with a neighbour in the other cloud, the smaller of both directions
+    point_share: float  # points with a landmark of the other cloud within the tolerance, beyond chance
+    rmse: float  # of inliers, along normals
+
+
+def inverse_similarity(T: FloatArray) -> FloatArray:
+    """Inverse of a rigid motion with scale."""
+    scale = scale_of(T)
+    rigid = se3(T[:3, :3] / scale, T[:3, 3] / scale)
+    back = inverse(rigid)
+    back[:3, :3] /= scale
+    return back
+
+
+def score_alignment(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    T: FloatArray,
+    target_subset: IntArray,
+    source_subset: IntArray,
+    tolerance: float,
+) -> Score:
+    """Two-way score at one tolerance (target units)."""
+    scale = scale_of(T)
+    reach = max(3.0 * max(target.spacing, source.spacing * scale), 2 * tolerance)
+    forward = _one_way(target, source, T, source_subset, tolerance, reach)
+    back = _one_way(source, target, inverse_similarity(T), target_subset, tolerance / scale, reach / scale)
+    return Score(
+        inlier_share=(forward[0] + back[0]) / 2,
+        inlier_ratio=(forward[0] + back[0]) / max(forward[1] + back[1], 1e-9),
+        overlap=min(forward[1], back[1]),
+        point_share=(forward[2] + back[2]) / 2,
+        rmse=forward[3],
+    )
+
+
+def _one_way(
+    target: PreparedCloud, source: PreparedCloud, T: FloatArray, subset: IntArray, tolerance: float, reach: float
+) -> tuple[float, float, float, float]:
+    found = measure_residuals(target, source.points[subset], source.normals[subset], T, reach)
+    near = np.isfinite(found.distance)
+    along = np.abs(found.along_normal)
+    inlier = near & (along <= tolerance) & (found.agreement >= AGREEMENT)
+    rmse = float(np.sqrt(np.mean(along[inlier] ** 2))) if inlier.any() else float("nan")
+    # Landmarks that coincide: within the tolerance in all directions, against those within twice of it. On a surface
+    # sampled independently, the share grows with the square of the radius; coinciding landmarks exceed that.
+    close = float(np.mean(found.distance <= tolerance))
+    ring = float(np.mean(found.distance <= 2 * tolerance))
+    return float(inlier.mean()), float(near.mean()), max(0.0, close - ring / 4), rmse

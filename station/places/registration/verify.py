@@ -1,0 +1,122 @@
+"""Checks that see what an inlier ratio cannot: yaw, scale and symmetry. docs/registration.md: measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray
+from station.places.registration.cloud import PreparedCloud
+from station.places.registration.free_space import Rays, violation_share
+from station.places.registration.refine import Refined, scale_of
+from station.places.registration.result import Gravity, Scale
+from station.places.registration.score import Score, inverse_similarity
+
+# Set on the training seeds of benchmarks/bench_registration.py.
+MIN_INLIER_SHARE = 0.26
+MIN_OVERLAP = 0.2
+MAX_RUNNER_UP = 0.88
+MAX_TILT_RAD = np.radians(6.0)
+MIN_EIGENVALUE = 0.01
+MAX_VIOLATION = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """All that the verdict is based on."""
+
+    target: PreparedCloud
+    source: PreparedCloud
+    refined: Refined
+    score: Score
+    runner_up: Score | None  # of the best alignment that is a different answer
+    tolerance: float
+    voxel: float
+    scale: Scale
+    scale_range: tuple[float, float]
+    gravity: Gravity
+    target_rays: Rays | None
+    source_rays: Rays | None
+    target_given: FloatArray  # the clouds as the rays index them
+    source_given: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """Accepted or not, why, and how certain."""
+
+    accepted: bool
+    reasons: tuple[str, ...]
+    covariance: FloatArray | None
+    eigenvalues: FloatArray | None
+
+
+def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
+    """Every check that fails adds a reason; none failed means accepted."""
+    T = e.refined.T_target_source
+    against: list[str] = []
+    if e.score.inlier_share < MIN_INLIER_SHARE:
+        against.append(
+            f"only {e.score.inlier_share:.0%} of the points lie on the other cloud's surfaces, "
+            f"needs {MIN_INLIER_SHARE:.0%}: too little in common, or different rooms"
+        )
+    if e.score.overlap < MIN_OVERLAP:
+        against.append(f"the clouds share {e.score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}")
+    if e.runner_up is not None:
+        ratio = e.runner_up.inlier_share / max(e.score.inlier_share, 1e-9)
+        if ratio > MAX_RUNNER_UP:
+            against.append(
+                f"another alignment fits {ratio:.0%} as well: the room looks alike from there, or nothing fits well"
+            )
+    if e.gravity == "known":
+        tilt = float(np.arccos(np.clip(T[2, 2] / np.linalg.norm(T[:3, 2]), -1, 1)))
+        if tilt > MAX_TILT_RAD:
+            against.append(f"the result tilts the source by {np.degrees(tilt):.1f} degrees, though z is up in both")
+    if e.scale == "free":
+        scale = scale_of(T)
+        low, high = e.scale_range
+        if not low * 0.97 < scale < high * 1.03:
+            against.append(f"scale {scale:.3f} is outside the allowed {low:.2f} to {high:.2f}")
+    covariance, eigenvalues = _uncertainty(e)
+    if eigenvalues is not None and eigenvalues[0] < MIN_EIGENVALUE:
+        against.append(f"one direction is hardly determined (eigenvalue {eigenvalues[0]:.4f} per point)")
+    violation = _violation(e, rng)
+    if violation > MAX_VIOLATION:
+        against.append(f"{violation:.0%} of the points would hang where the other drive saw through empty space")
+    if against:
+        return Verdict(False, tuple(against), covariance, eigenvalues)
+    pro = [f"{e.score.inlier_share:.0%} of the points lie on the other cloud's surfaces"]
+    if e.runner_up is not None:
+        pro.append(f"the next best alignment reaches {e.runner_up.inlier_share:.0%}")
+    return Verdict(True, tuple(pro), covariance, eigenvalues)
+
+
+def _uncertainty(e: Evidence) -> tuple[FloatArray | None, FloatArray | None]:
+    """Covariance; and eigenvalues of the normal equations per unit of information, lengths in cloud radii."""
+    H = e.refined.hessian
+    free = np.arange(7) if e.scale == "free" else np.arange(6)
+    trace = float(np.trace(H[3:6, 3:6]))
+    if trace <= 0:
+        return None, None
+    unit = np.array([1 / e.target.radius] * 3 + [1.0] * 3 + [1 / e.target.radius])
+    scaled = (H * np.outer(unit, unit))[np.ix_(free, free)] * (3.0 / trace)
+    values = np.asarray(np.linalg.eigvalsh(scaled), dtype=np.float64)
+    covariance = np.zeros((7, 7))
+    # Neighbouring residuals share the error of their plane: NEIGHBOURS of them are worth one.
+    covariance[np.ix_(free, free)] = 12.0 * np.linalg.pinv(H[np.ix_(free, free)], hermitian=True)
+    return covariance, values
+
+
+def _violation(e: Evidence, rng: np.random.Generator) -> float:
+    """The larger free-space violation of both directions; 0 without viewpoints."""
+    T = e.refined.T_target_source
+    shares = [0.0]
+    if e.target_rays is not None:
+        moved = e.source.points @ T[:3, :3].T + T[:3, 3]
+        shares.append(violation_share(e.target_given, e.target_rays, moved, e.voxel, rng))
+    if e.source_rays is not None:
+        back = inverse_similarity(T)
+        moved = e.target.points @ back[:3, :3].T + back[:3, 3]
+        shares.append(violation_share(e.source_given, e.source_rays, moved, e.voxel / scale_of(T), rng))
+    return float(np.nanmax(shares))

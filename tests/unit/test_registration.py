@@ -1,0 +1,116 @@
+"""Registration of clouds: recovers motions, refuses what it cannot know."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.registration_clouds import make_pair
+from shared.errors import DataError
+from shared.geometry import FloatArray, inverse, se3, so3_log, yaw_rotation
+from station.places.registration import register_clouds
+from station.places.registration.score import inverse_similarity
+
+
+def errors(T: FloatArray, T_true: FloatArray, at: FloatArray) -> tuple[float, float, float]:
+    """Rotation (degrees), translation at the source's middle, relative scale."""
+    scale, scale_true = np.cbrt(np.linalg.det(T[:3, :3])), np.cbrt(np.linalg.det(T_true[:3, :3]))
+    R = (T[:3, :3] / scale) @ (T_true[:3, :3] / scale_true).T
+    shift = (T - T_true)[:3, :3] @ at + (T - T_true)[:3, 3]
+    return float(np.degrees(np.linalg.norm(so3_log(R)))), float(np.linalg.norm(shift)), abs(scale / scale_true - 1)
+
+
+@pytest.mark.parametrize("seed", [9001, 9002])
+def test_two_drives_of_one_flat_are_registered(seed: int) -> None:
+    pair = make_pair(seed, overlap=(0.7, 1.0), points=(3000, 6000))
+    assert pair.T_target_source is not None
+    result = register_clouds(pair.target, pair.source)
+    assert result.accepted, result.reasons
+    assert result.T_target_source is not None
+    rotation_deg, shift, _ = errors(result.T_target_source, pair.T_target_source, np.median(pair.source, axis=0))
+    assert rotation_deg < 2 and shift < 0.05
+
+
+def test_a_free_scale_is_found_together_with_the_motion() -> None:
+    pair = make_pair(9003, overlap=(0.8, 1.0), points=(3000, 5000), scale_range=0.2)
+    assert pair.T_target_source is not None
+    result = register_clouds(pair.target, pair.source, scale="free")
+    assert result.accepted, result.reasons
+    assert result.T_target_source is not None
+    rotation_deg, shift, scale = errors(result.T_target_source, pair.T_target_source, np.median(pair.source, axis=0))
+    assert rotation_deg < 2 and shift < 0.05 and scale < 0.01
+    assert result.scale == pytest.approx(np.cbrt(np.linalg.det(result.T_target_source[:3, :3])))
+
+
+def test_clouds_of_different_flats_are_refused_with_a_reason() -> None:
+    pair = make_pair(9004, same_flat=False, points=(3000, 5000))
+    result = register_clouds(pair.target, pair.source)
+    assert not result.accepted
+    assert result.reasons
+
+
+def test_without_noise_the_error_is_almost_zero() -> None:
+    cloud = make_pair(9005, overlap=(1.0, 1.0), points=(4000, 4001), noise_m=0.0, outliers=(0.0, 0.0)).target
+    T_true = se3(yaw_rotation(2.5), np.array([1.0, -2.0, 0.3]))
+    result = register_clouds(cloud, (cloud - T_true[:3, 3]) @ T_true[:3, :3])
+    assert result.accepted
+    assert result.T_target_source is not None
+    rotation_deg, shift, _ = errors(result.T_target_source, T_true, np.zeros(3))
+    assert rotation_deg < 1e-3 and shift < 1e-4
+
+
+def test_same_input_and_seed_give_the_same_answer() -> None:
+    pair = make_pair(9006, points=(3000, 4000))
+    a, b = (register_clouds(pair.target, pair.source, seed=5) for _ in range(2))
+    assert np.array_equal(a.T_target_source, b.T_target_source)  # type: ignore[arg-type]
+
+
+def box(rng: np.random.Generator, n: int = 3000) -> FloatArray:
+    p = rng.uniform(0, 1, (n, 3)) * [4.0, 3.0, 2.5]
+    wall = rng.integers(0, 3, n)
+    p[np.arange(n), wall] = np.round(p[np.arange(n), wall] / [4, 3, 2.5][0]) * np.array([4, 3, 2.5])[wall]
+    return p
+
+
+@pytest.mark.parametrize(
+    ("cloud", "word"),
+    [
+        (np.zeros((0, 3)), "0 usable points"),
+        (np.zeros((1, 3)), "1 usable points"),
+        (np.full((500, 3), np.nan), "no finite point"),
+        (np.zeros((500, 3)), "coincide"),
+        (np.outer(np.linspace(0, 1, 500), [1.0, 2.0, 0.5]), "one line"),
+        (np.column_stack([np.random.default_rng(0).uniform(0, 3, (500, 2)), np.zeros(500)]), "one plane"),
+    ],
+)
+def test_a_cloud_that_fixes_nothing_is_refused_in_a_sentence(cloud: FloatArray, word: str) -> None:
+    good = box(np.random.default_rng(1))
+    for target, source in ((good, cloud), (cloud, good)):
+        result = register_clouds(target, source)
+        assert not result.accepted and result.T_target_source is None
+        assert word in result.reasons[0]
+
+
+def test_clouds_in_different_units_are_named_as_such() -> None:
+    pair = make_pair(9007, points=(3000, 3500))
+    result = register_clouds(pair.target, pair.source * 1000)
+    assert not result.accepted
+    assert "units" in result.reasons[0]
+
+
+def test_not_a_number_rows_do_not_spoil_a_good_cloud() -> None:
+    pair = make_pair(9008, overlap=(0.9, 1.0), points=(3000, 3500))
+    source = np.concatenate([pair.source, np.full((20, 3), np.nan)])
+    assert register_clouds(pair.target, source).accepted
+
+
+def test_a_wrong_shape_is_an_error_of_the_caller() -> None:
+    with pytest.raises(DataError, match="shape"):
+        register_clouds(np.zeros((5, 2)), np.zeros((500, 3)))
+
+
+def test_inverse_similarity_undoes_a_scaled_motion() -> None:
+    T = se3(1.7 * yaw_rotation(0.4), np.array([1.0, 2.0, 3.0]))
+    assert np.allclose(inverse_similarity(T) @ T, np.eye(4))
+    rigid = se3(yaw_rotation(0.4), np.array([1.0, 2.0, 3.0]))
+    assert np.allclose(inverse_similarity(rigid), inverse(rigid))
