@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 from sklearn.cluster import DBSCAN
 
 from shared.geometry import FloatArray, IntArray
@@ -17,11 +18,24 @@ from station.places.voxels import voxelise
 
 NOISE = -1
 MIN_LANDMARKS = 10  # fewer points have no centroid worth naming
-MIN_SHARE = 0.1  # of the median hill's landmarks: crumbs at the edge of the view are no places
+MIN_SHARE = 0.25  # of the median hill: crumbs at the edge of the view come and go from drive to drive
 CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only bounds the work in dense clouds
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
 SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
-MIN_PROMINENCE = 0.15  # a hill rises so much of its height above the saddle to its neighbour, or it is a part of it
+SAMPLE = 16  # points that a kernel needs to tell a hill from chance: sparse clouds are smoothed more
+MIN_PROMINENCE = 0.2  # a hill rises so much of its height above the saddle to its neighbour, or it is a part of it
+MIN_SIGNIFICANCE = 2.0  # and so many standard deviations: what chance makes in one drive of 20
+
+
+@dataclass(frozen=True, slots=True)
+class Lengths:
+    """The lengths that decide how large places are."""
+
+    viewing_distance: float
+    smoothing: float
+
+    def scaled(self, scale: float) -> Lengths:
+        return Lengths(self.viewing_distance * scale, self.smoothing * scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,21 +50,27 @@ class Clusters:
     def count(self) -> int:
         return len(self.quality)
 
+    @property
+    def lengths(self) -> Lengths | None:
+        """What another navigation must be clustered with to be compared; None where nothing was clustered."""
+        viewing, smoothing = self.parameters.get("viewing_distance"), self.parameters.get("smoothing")
+        return Lengths(viewing, smoothing) if isinstance(viewing, float) and isinstance(smoothing, float) else None
+
     def members(self, cluster: int) -> IntArray:
         """(n,) landmark indices of one cluster."""
         return np.flatnonzero(self.label == cluster)
 
 
-def cluster_landmarks(navigation: Navigation, config: PlacesConfig, *, length_unit: float | None = None) -> Clusters:
+def cluster_landmarks(navigation: Navigation, config: PlacesConfig, *, lengths: Lengths | None = None) -> Clusters:
     """Clusters of a navigation's landmarks in the configured mode.
 
-    `length_unit` (map units) replaces the cloud's own viewing distance: a second navigation is clustered with the
-    map's, carried over by the registration's scale. The thesis mode has no such unit and ignores it.
+    `lengths` (this navigation's units) come from the map when a second navigation is compared with it: the places
+    of both have one size then. The thesis mode has its own given lengths and ignores them.
     An empty or hopeless cloud has no clusters: an ordinary result.
     """
     if config.mode == "thesis":
         return cluster_thesis(navigation.landmarks.p_world, config.thesis, is_metric=navigation.is_metric)
-    return cluster_default(navigation, config, length_unit=length_unit)
+    return cluster_default(navigation, config, lengths)
 
 
 def centre_and_normalise(p: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -79,24 +99,26 @@ def cluster_thesis(p_world: FloatArray, config: ThesisConfig, *, is_metric: bool
     return Clusters(label=label, quality=np.ones(count), parameters=dict(parameters))
 
 
-def cluster_default(navigation: Navigation, config: PlacesConfig, *, length_unit: float | None = None) -> Clusters:
+def cluster_default(navigation: Navigation, config: PlacesConfig, lengths: Lengths | None = None) -> Clusters:
     """Hills of the landmarks' density, smoothed to the size of what one looks at.
 
     Nothing is set in metres: the unit is the median distance between cameras and landmarks. See modes.py for the
     hierarchy of hills and docs/places.md for why this repeats between two drives where DBSCAN does not.
     """
     landmarks = navigation.landmarks
-    unit = length_unit if length_unit is not None else viewing_distance(navigation)
+    unit = lengths.viewing_distance if lengths else viewing_distance(navigation)
     label = np.full(len(landmarks), NOISE, dtype=np.int64)
     usable = usable_landmarks(navigation, unit) if unit is not None else np.zeros(0, dtype=np.int64)
     if unit is None or len(usable) < MIN_LANDMARKS:
         return Clusters(label=label, quality=np.zeros(0), parameters={"usable_landmarks": len(usable)})
     p = landmarks.p_world[usable]
+    smoothing = config.size_factor * max(
+        SMOOTHING_SHARE * unit, sampling_distance(p), lengths.smoothing if lengths else 0.0
+    )
+    reach = smoothing * config.eps_factor
     cells = voxelise(p, smallest=CELL_SHARE * unit, max_cells=config.voxelise_above)
-    bandwidth = SMOOTHING_SHARE * unit * config.size_factor
-    reach = bandwidth * config.eps_factor
-    density = smooth_density(cells.p, equalising_weights(cells, EQUAL_SHARE * unit), bandwidth)
-    modes = climb(cells.p, density, reach, MIN_PROMINENCE)
+    density = smooth_density(cells.p, equalising_weights(cells, EQUAL_SHARE * unit), smoothing)
+    modes = climb(cells.p, density, reach, MIN_PROMINENCE, MIN_SIGNIFICANCE)
     hill = modes.label[cells.cell_of_point]
     size = np.bincount(hill, minlength=len(modes.peak))
     kept = np.flatnonzero(size >= max(MIN_LANDMARKS, MIN_SHARE * np.median(size)))
@@ -105,10 +127,18 @@ def cluster_default(navigation: Navigation, config: PlacesConfig, *, length_unit
     label[usable] = new_label[hill]
     parameters: dict[str, object] = {
         "viewing_distance": unit,
-        "smoothing": bandwidth,
+        "smoothing": smoothing,
         "reach": reach,
         "cell": cells.size,
         "min_prominence": MIN_PROMINENCE,
         "usable_landmarks": len(usable),
     }
     return Clusters(label=label, quality=modes.prominence[kept], parameters=parameters)
+
+
+def sampling_distance(p: FloatArray) -> float:
+    """Median distance to the SAMPLE-th neighbour: below it a density has nothing to say (the k-distance of DBSCAN)."""
+    if len(p) <= SAMPLE:
+        return 0.0
+    sample = p[:: max(1, len(p) // 20_000)]
+    return float(np.median(cKDTree(p).query(sample, k=SAMPLE)[0][:, -1]))

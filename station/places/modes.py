@@ -37,26 +37,41 @@ def equalising_weights(cells: Cells, radius: float) -> FloatArray:
     return cells.count / np.sqrt(np.maximum(around, cells.count))
 
 
-def smooth_density(p: FloatArray, weight: FloatArray, bandwidth: float) -> FloatArray:
-    """(C,) Gaussian kernel density of the weighted cells at themselves, in weights per kernel."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Density:
+    """A smoothed density at the cells, and how sure it is."""
+
+    value: FloatArray  # (C,) weights per kernel
+    sigma: FloatArray  # (C,) its standard deviation, as if each point had come by chance
+
+
+def smooth_density(p: FloatArray, weight: FloatArray, bandwidth: float) -> Density:
+    """Gaussian kernel density of the weighted cells at themselves.
+
+    Its variance is that of a weighted Poisson process, sum (w K)^2.
+    """
     tree = cKDTree(p)
-    density = np.empty(len(p))
+    value, variance = np.empty(len(p)), np.empty(len(p))
     for start in range(0, len(p), CHUNK):
         rows = p[start : start + CHUNK]
         distance = cKDTree(rows).sparse_distance_matrix(tree, 3.0 * bandwidth, output_type="coo_matrix")
         kernel = np.exp(-0.5 * (distance.data / bandwidth) ** 2) * weight[distance.col]
-        density[start : start + CHUNK] = np.bincount(distance.row, kernel, minlength=len(rows))
-    return density
+        value[start : start + CHUNK] = np.bincount(distance.row, kernel, minlength=len(rows))
+        variance[start : start + CHUNK] = np.bincount(distance.row, kernel**2, minlength=len(rows))
+    return Density(value, np.sqrt(variance))
 
 
-def climb(p: FloatArray, density: FloatArray, radius: float, min_prominence: float) -> Modes:
-    """Hills of the density on the graph of cells closer than `radius`.
+def climb(p: FloatArray, density: Density, reach: float, min_prominence: float, min_significance: float) -> Modes:
+    """Hills of the density on the graph of cells closer than `reach`.
 
-    Cells join from the highest down; where two hills meet, the lower one is merged when it rises less than
-    `min_prominence` of its own height above the saddle. Source: Chazal et al., JACM 60(6), 2013, algorithm 1, with
-    a relative threshold, so that the density's unit does not matter.
+    Cells join from the highest down. Where two hills meet, the lower one becomes part of the other when it rises
+    less than `min_prominence` of its own height, or less than `min_significance` of its standard deviations, above
+    the saddle: another drive would not see it. Source: Chazal et al., "Persistence-based clustering in Riemannian
+    manifolds" (ToMATo), JACM 60(6), 2013, algorithm 1; the relative threshold and the significance are ours.
     """
-    order = np.argsort(-density, kind="stable")
+    value = density.value
+    rise = np.maximum(min_prominence * value, min_significance * density.sigma)
+    order = np.argsort(-value, kind="stable")
     rank = np.empty(len(p), dtype=np.int64)
     rank[order] = np.arange(len(p))
     tree = cKDTree(p)
@@ -71,7 +86,7 @@ def climb(p: FloatArray, density: FloatArray, radius: float, min_prominence: flo
 
     for start in range(0, len(order), CHUNK):
         chunk = order[start : start + CHUNK]
-        for i, near in zip(chunk.tolist(), tree.query_ball_point(p[chunk], radius), strict=True):
+        for i, near in zip(chunk.tolist(), tree.query_ball_point(p[chunk], reach), strict=True):
             higher = [j for j in near if rank[j] < rank[i]]
             if not higher:
                 parent[i] = i
@@ -82,13 +97,13 @@ def climb(p: FloatArray, density: FloatArray, radius: float, min_prominence: flo
                 if a == b:
                     continue
                 low, high = (a, b) if rank[a] > rank[b] else (b, a)
-                if density[i] > (1.0 - min_prominence) * density[low]:
+                if value[low] - value[i] < rise[low]:
                     parent[low] = high
                 else:
                     for top in (low, high):
-                        saddle[top] = max(saddle.get(top, 0.0), float(density[i]))
+                        saddle[top] = max(saddle.get(top, 0.0), float(value[i]))
     roots = np.array([root(i) for i in range(len(p))], dtype=np.int64)
     tops, label = np.unique(roots, return_inverse=True)
-    peak = density[tops]
+    peak = value[tops]
     prominence = 1.0 - np.array([saddle.get(int(t), 0.0) for t in tops]) / peak
-    return Modes(label=label.reshape(-1).astype(np.int64), density=density, peak=peak, prominence=prominence)
+    return Modes(label=label.reshape(-1).astype(np.int64), density=value, peak=peak, prominence=prominence)
