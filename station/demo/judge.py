@@ -1,0 +1,92 @@
+"""Was the current place right? Compares the station's answers with the simulator's truth; estimation never sees this."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.errors import EstimationError
+from shared.geometry import FloatArray, transform
+from station.demo.simulator_client import TruthLog
+from station.evaluation.alignment import align_points
+from station.navigation import Trajectory
+
+TIE = 1.10  # a place is right when no other is nearer by more than this factor (issue of two places at equal distance)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One answer of `GET /place/current` while the robot drove."""
+
+    t_robot_ns: int  # sensor time the answer is about
+    state: str
+    place_id: str | None
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the truth says of the answers."""
+
+    right: int
+    wrong: int
+    not_known: int
+    final_known_right: bool
+    first_known_right: bool | None
+    seconds_to_first_known: float | None
+    map_error_m: float  # RMS of the map's trajectory after alignment to the truth
+    map_scale: float  # truth length per map length; 1 for a perfect metric map
+
+    @property
+    def passed(self) -> bool:
+        """The last answer is known and right, and at least nine in ten of the known answers are."""
+        known = self.right + self.wrong
+        return self.final_known_right and self.right >= 0.9 * known
+
+
+def positions_at(log: TruthLog, t_robot_ns: FloatArray) -> FloatArray:
+    """True body positions (N, 3) at the given robot times, linear in between."""
+    t0 = log.t_robot_ns[0]
+    t = (log.t_robot_ns - t0).astype(np.float64)
+    wanted = t_robot_ns - float(t0)
+    return np.stack([np.interp(wanted, t, log.T_world_body[:, i, 3]) for i in range(3)], axis=1)
+
+
+def is_right(place: str, centroids_true: dict[str, FloatArray], position_true: FloatArray) -> bool:
+    """The answered place is the nearest one by true position, ties within 10 %."""
+    distances = {name: float(np.linalg.norm(c - position_true)) for name, c in centroids_true.items()}
+    return place in distances and distances[place] <= TIE * min(distances.values())
+
+
+def judge(
+    map_trajectory: Trajectory, centroids_map: dict[str, FloatArray], log: TruthLog, samples: list[Sample], start_ns: int
+) -> Verdict:
+    """Judge the samples taken after `start_ns` (robot clock: when the robot was put down again).
+
+    Args:
+        map_trajectory: body poses of the mapping drive, map frame.
+        centroids_map: place id -> (3,) centroid, map frame.
+        log: the simulator's truth over both drives.
+    """
+    truth = positions_at(log, map_trajectory.t_robot_ns.astype(np.float64))
+    aligned = align_points(truth, map_trajectory.T_world_body[:, :3, 3], with_scale=True)
+    centroids_true = {
+        name: transform(aligned.T_target_source, c[None])[0] for name, c in centroids_map.items()
+    }
+    after = [s for s in samples if s.t_robot_ns >= start_ns]
+    if not after:
+        raise EstimationError("the station gave no answer after the hijack")
+    where = positions_at(log, np.array([s.t_robot_ns for s in after], dtype=np.float64))
+    known = [(s, is_right(s.place_id or "", centroids_true, p)) for s, p in zip(after, where, strict=True) if s.state == "known"]
+    last = after[-1]
+    return Verdict(
+        right=sum(right for _, right in known),
+        wrong=sum(not right for _, right in known),
+        not_known=len(after) - len(known),
+        final_known_right=last.state == "known" and is_right(last.place_id or "", centroids_true, where[-1]),
+        first_known_right=known[0][1] if known else None,
+        seconds_to_first_known=(known[0][0].t_robot_ns - start_ns) * 1e-9 if known else None,
+        map_error_m=aligned.rms_m,
+        map_scale=aligned.scale,
+    )
