@@ -1,1 +1,1 @@
-"""The demo: simulated robot, robot-server and station as separate programs, a mapping drive, a hijack, a second drive."""
+"""The demo: simulated robot, robot-server and station as separate programs; map, hijack, second drive."""

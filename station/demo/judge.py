@@ -1,4 +1,4 @@
-"""Was the current place right? Compares the station's answers with the simulator's truth; estimation never sees this."""
+"""Was the current place right? Compares the station's answers with the simulator's truth: judging only."""
 
 from __future__ import annotations
 
@@ -60,7 +60,11 @@ def is_right(place: str, centroids_true: dict[str, FloatArray], position_true: F
 
 
 def judge(
-    map_trajectory: Trajectory, centroids_map: dict[str, FloatArray], log: TruthLog, samples: list[Sample], start_ns: int
+    map_trajectory: Trajectory,
+    centroids_map: dict[str, FloatArray],
+    log: TruthLog,
+    samples: list[Sample],
+    start_ns: int,
 ) -> Verdict:
     """Judge the samples taken after `start_ns` (robot clock: when the robot was put down again).
 
@@ -70,15 +74,17 @@ def judge(
         log: the simulator's truth over both drives.
     """
     truth = positions_at(log, map_trajectory.t_robot_ns.astype(np.float64))
-    aligned = align_points(truth, map_trajectory.T_world_body[:, :3, 3], with_scale=True)
-    centroids_true = {
-        name: transform(aligned.T_target_source, c[None])[0] for name, c in centroids_map.items()
-    }
+    aligned = align_points(truth, map_trajectory.T_world_body[:, :3, 3], kind="sim3")
+    centroids_true = {name: transform(aligned.T_target_source, c[None])[0] for name, c in centroids_map.items()}
     after = [s for s in samples if s.t_robot_ns >= start_ns]
     if not after:
         raise EstimationError("the station gave no answer after the hijack")
     where = positions_at(log, np.array([s.t_robot_ns for s in after], dtype=np.float64))
-    known = [(s, is_right(s.place_id or "", centroids_true, p)) for s, p in zip(after, where, strict=True) if s.state == "known"]
+    known = [
+        (s, is_right(s.place_id or "", centroids_true, p))
+        for s, p in zip(after, where, strict=True)
+        if s.state == "known"
+    ]
     last = after[-1]
     return Verdict(
         right=sum(right for _, right in known),
@@ -87,6 +93,6 @@ def judge(
         final_known_right=last.state == "known" and is_right(last.place_id or "", centroids_true, where[-1]),
         first_known_right=known[0][1] if known else None,
         seconds_to_first_known=(known[0][0].t_robot_ns - start_ns) * 1e-9 if known else None,
-        map_error_m=aligned.rms_m,
+        map_error_m=aligned.rms,
         map_scale=aligned.scale,
     )

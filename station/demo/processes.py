@@ -1,4 +1,4 @@
-"""Child programs of the demo: started together, logged to files, ended together (robot last, so that motors stop first)."""
+"""Child programs of the demo: started together, logged to files, ended newest first."""
 
 from __future__ import annotations
 
