@@ -141,8 +141,11 @@ class Session:
         if event is None and not isinstance(message, ErrorNotice) and self.state not in _JOINED:
             raise LocalProtocolError(f"cannot send {message} while the connection is {self.state.value}")
         data = encode_payload(encode_message(message), self._max_sent)
-        if self._is_robot and event in (Event.WELCOME, Event.REFUSAL):
-            self._happen(event, str(message))  # the robot's own answer decides for both
+        # The robot's own answer decides for both sides.
+        if self._is_robot and isinstance(message, Welcome):
+            self._happen(Event.WELCOME, str(message))
+        elif self._is_robot and isinstance(message, Refusal):
+            self.close(Event.REFUSAL, message.reason)
         return data
 
     def tick(self, now_ns: int) -> list[Tick]:

@@ -1,0 +1,103 @@
+"""Wires robot-server: chooses the devices and runs the server. The only place that knows all adapters."""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import importlib
+import logging
+import signal
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from robot.config import RobotConfig, ServerConfig
+from robot.devices.ports import DeviceSet
+from robot.server import RobotServer
+from shared.errors import ConfigError
+
+logger = logging.getLogger(__name__)
+
+DeviceKind = Literal["simulated", "recorded", "pi"]
+
+
+def run(kind: DeviceKind, config: RobotConfig) -> None:
+    """Serve until SIGINT or SIGTERM. The port is taken first: a second robot-server must not touch the devices."""
+    listener = bind(config.server)
+    with listener:
+        server = RobotServer(open_devices(kind, config), config, starts_with_first_station=kind == "recorded")
+        atexit.register(server.stop_motors)
+        host, port = listener.getsockname()[:2]
+        print(f"robot-server: {kind} devices on {host}:{port}", flush=True)
+        with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+            runner.run(serve_until_signal(server, listener))
+
+
+def open_devices(kind: DeviceKind, config: RobotConfig) -> DeviceSet:
+    """The devices asked for; never others in their place. Imported only then: each kind needs other packages."""
+    if kind == "simulated":
+        simulated = config.simulated
+        return _adapter("simulated", "open_simulated")(simulated.world, simulated.seed, simulated.sim_port)
+    if kind == "recorded":
+        recorded = config.recorded
+        if not recorded.dataset:
+            raise ConfigError("--devices recorded needs --dataset DIR, the folder of a recorded drive")
+        open_recorded = _adapter("recorded", "open_recorded")
+        return open_recorded(Path(recorded.dataset), speed=recorded.speed, at_end=recorded.at_end)
+    return _adapter("pi", "open_pi")(config.pi)
+
+
+def _adapter(kind: str, opener: str) -> Callable[..., DeviceSet]:
+    found: Callable[..., DeviceSet] = getattr(importlib.import_module(f"robot.devices.{kind}"), opener)
+    return found
+
+
+def bind(config: ServerConfig) -> socket.socket:
+    """A listening socket. Raises ConfigError in one sentence when the address cannot be used."""
+    try:
+        family, *_, address = socket.getaddrinfo(config.host, config.port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, socket.SOCK_STREAM)
+    except OSError as exc:
+        raise ConfigError(f"--host {config.host} cannot be used ({exc}); give an address of this machine") from exc
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(128)
+    except OSError as exc:
+        listener.close()
+        raise ConfigError(
+            f"cannot listen on {config.host}:{config.port} ({exc.strerror});"
+            " stop the program that uses the port or choose another with --port"
+        ) from exc
+    listener.setblocking(False)
+    return listener
+
+
+async def serve_until_signal(server: RobotServer, listener: socket.socket) -> None:
+    """Run the server until SIGINT or SIGTERM; the motors stop in the signal handler itself."""
+    loop = asyncio.get_running_loop()
+    serving = loop.create_task(server.serve(listener))
+
+    def shut_down(name: str) -> None:
+        server.stop_motors()
+        logger.info("%s: shutting down", name)
+        serving.cancel()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, shut_down, number.name)
+    try:
+        await serving
+    except asyncio.CancelledError:
+        if not serving.cancelled():
+            raise
+
+
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    """uvloop where it is installed: half the CPU time per message."""
+    try:
+        import uvloop
+    except ImportError:
+        return None
+    factory: Callable[[], asyncio.AbstractEventLoop] = uvloop.new_event_loop
+    return factory

@@ -1,0 +1,133 @@
+"""What stations' commands do to the robot: who may drive, what is refused and why."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+
+from robot.config import DriveConfig
+from robot.devices.ports import DeviceSet
+from robot.driving import CommandOrder, DriverLease
+from robot.watchdog import MotorWatchdog, Velocity
+from shared.errors import HardwareError
+from shared.messages import Capabilities, Drive, ErrorNotice, Heartbeat, Hijack, PanTilt, StationMessage, Stop
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass
+class CommandDesk:
+    """Carries out commands of all stations, one driver at a time."""
+
+    devices: DeviceSet
+    watchdog: MotorWatchdog | None  # None: a robot without motors
+    limits: DriveConfig
+    lease: DriverLease = field(default_factory=DriverLease)
+    refused: int = 0
+    stale: int = 0
+    _orders: dict[int, CommandOrder] = field(default_factory=dict)  # client id → order of its commands
+
+    def capabilities(self) -> Capabilities:
+        """What this robot can do, for the hello."""
+        return Capabilities(
+            camera=self.devices.camera is not None,
+            imu=self.devices.imu is not None,
+            drive=self.watchdog is not None,
+            pan_tilt=self.devices.pan_tilt is not None,
+            battery=self.devices.battery is not None,
+            hijack=self.devices.hijack is not None,
+            max_linear_m_s=self.limits.max_linear_m_s,
+            max_angular_rad_s=self.limits.max_angular_rad_s,
+        )
+
+    def handle(self, client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
+        """Carry out one message; the answer is a notice when it was refused."""
+        order = self._orders.setdefault(client, CommandOrder())
+        match message:
+            case Heartbeat():
+                order.observe(message.t_station_ns, now_ns)
+                return None
+            case Drive():
+                return self._drive(client, order, message, now_ns)
+            case Stop():
+                return self._stop(client, order, message)
+            case PanTilt():
+                return self._point(client, message, now_ns)
+            case Hijack():
+                return self._hijack(client, message, now_ns)
+            case _:
+                return None
+
+    def leave(self, client: int) -> None:
+        """The station is gone: if it drove, the motors stop now."""
+        self._orders.pop(client, None)
+        self.go_quiet(client)
+
+    def go_quiet(self, client: int) -> None:
+        """Nothing was heard of the station for a while: it does not drive any more."""
+        if self.lease.release(client) and self.watchdog is not None:
+            self.watchdog.stop()
+
+    def _drive(self, client: int, order: CommandOrder, message: Drive, now_ns: int) -> ErrorNotice | None:
+        if self.watchdog is None:
+            return self._refuse("not_capable", "this robot has no motors")
+        if not order.is_fresh(message, now_ns):
+            self.stale += 1
+            return None  # the past needs no answer; what counts comes next
+        limits = self.limits
+        is_within = abs(message.linear) <= limits.max_linear_m_s and abs(message.angular) <= limits.max_angular_rad_s
+        if not is_within:
+            return self._refuse(
+                "out_of_range",
+                f"drive command ({message.linear:g} m/s, {message.angular:g} rad/s) exceeds this robot's limits"
+                f" of {limits.max_linear_m_s:g} m/s and {limits.max_angular_rad_s:g} rad/s",
+            )
+        wish = Velocity(message.linear, message.angular)
+        if reason := self.lease.request(client, wish.is_zero, now_ns):
+            return self._refuse("not_driver", reason)
+        if not self.watchdog.command(wish, message.ttl_ms):
+            return self._refuse("device", "the motors are shut down; restart robot-server")
+        return None
+
+    def _stop(self, client: int, order: CommandOrder, message: Stop) -> ErrorNotice | None:
+        order.is_newest(message.seq)  # commands sent before it are old now
+        self.lease.stop(client)
+        if self.watchdog is not None:
+            self.watchdog.stop()
+        return None
+
+    def _point(self, client: int, message: PanTilt, now_ns: int) -> ErrorNotice | None:
+        if self.devices.pan_tilt is None:
+            return self._refuse("not_capable", "this robot has no pan-tilt head")
+        if self._is_driven_by_another(client, now_ns):
+            return self._refuse("not_driver", "another station drives; it also points the camera")
+        try:
+            self.devices.pan_tilt.point(message.pan, message.tilt)
+        except HardwareError as exc:
+            return self._refuse("device", f"the pan-tilt head does not obey: {exc}")
+        return None
+
+    def _hijack(self, client: int, message: Hijack, now_ns: int) -> ErrorNotice | None:
+        if self.devices.hijack is None:
+            return self._refuse("not_capable", "only simulated robots can be hijacked")
+        if self._is_driven_by_another(client, now_ns):
+            return self._refuse("not_driver", "another station drives; it alone may hijack the robot")
+        try:
+            self.devices.hijack.hijack(message.x, message.y, message.yaw)
+        except ValueError as exc:
+            return self._refuse("out_of_range", f"cannot put the robot there: {exc}")
+        return None
+
+    def _is_driven_by_another(self, client: int, now_ns: int) -> bool:
+        self.lease.expire(now_ns)
+        return self.lease.driver not in (None, client)
+
+    def _refuse(self, code: str, reason: str) -> ErrorNotice:
+        self.refused += 1
+        logger.info("refused: %s", reason)
+        return notice(code, reason)
+
+
+def notice(code: str, message: str, fatal: bool = False) -> ErrorNotice:
+    """An error notice whose sentence fits its limit."""
+    return ErrorNotice(code=code, message=message[:1000], fatal=fatal)  # type: ignore[arg-type]

@@ -1,0 +1,118 @@
+"""All settings of robot-server, from one TOML file; command-line options override it. Unknown keys are refused.
+
+The sections are frozen msgspec structs, not dataclasses: they check types, ranges and unknown keys by themselves.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from shared.errors import ConfigError
+from shared.messages import MAX_ANGULAR_RAD_S, MAX_LINEAR_M_S, MAX_NAME_LENGTH
+
+Positive = Annotated[float, Meta(gt=0)]
+ShortText = Annotated[str, Meta(max_length=MAX_NAME_LENGTH)]
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of the TOML file."""
+
+
+class IdentityConfig(_Section, frozen=True, kw_only=True):
+    """Who this robot is."""
+
+    id: ShortText = ""  # empty: the host's name
+    name: ShortText = ""  # empty: the id
+
+
+class ServerConfig(_Section, frozen=True, kw_only=True):
+    """Where stations connect, and how much is kept for them."""
+
+    host: str = "127.0.0.1"  # whoever reaches the port can drive: open it to the network on purpose only
+    port: Annotated[int, Meta(ge=0, le=65535)] = 7400  # 0: any free port, printed at start
+    max_stations: Annotated[int, Meta(ge=1, le=64)] = 8
+    max_waiting: Annotated[int, Meta(ge=1, le=256)] = 32  # connections that have not joined yet; the oldest yields
+    # 36 s at 225 Hz: a station that was away or stalled for less gets every sample.
+    imu_backlog_samples: Annotated[int, Meta(ge=256, le=1_000_000)] = 8192
+    imu_batch_interval_ms: Annotated[int, Meta(ge=0, le=100)] = 10  # one packet per sample would cost the Pi a core
+
+
+class DriveConfig(_Section, frozen=True, kw_only=True):
+    """What commands the motors get. Faster ones are refused."""
+
+    max_linear_m_s: Annotated[float, Meta(gt=0, le=MAX_LINEAR_M_S)] = 0.5
+    max_angular_rad_s: Annotated[float, Meta(gt=0, le=MAX_ANGULAR_RAD_S)] = 2.5
+
+
+class SimulatedConfig(_Section, frozen=True, kw_only=True):
+    """The simulated robot's world."""
+
+    world: str = "flat"
+    seed: int = 1
+    sim_port: Annotated[int, Meta(ge=0, le=65535)] | None = None  # where tests and the demo ask for the truth
+
+
+class RecordedConfig(_Section, frozen=True, kw_only=True):
+    """The recording that is played instead of a robot."""
+
+    dataset: str = ""
+    speed: Annotated[float, Meta(gt=0, le=100)] = 1.0
+    at_end: Literal["stop", "loop"] = "stop"  # loop: again, with times that go on
+
+
+class PiConfig(_Section, frozen=True, kw_only=True):
+    """Wiring of the real robot."""
+
+    serial_port: str = "/dev/ttyACM0"  # the Arduino Mega
+
+
+class RobotConfig(_Section, frozen=True, kw_only=True):
+    """The whole file."""
+
+    identity: IdentityConfig = IdentityConfig()
+    server: ServerConfig = ServerConfig()
+    drive: DriveConfig = DriveConfig()
+    simulated: SimulatedConfig = SimulatedConfig()
+    recorded: RecordedConfig = RecordedConfig()
+    pi: PiConfig = PiConfig()
+
+
+def load_config(path: Path | None, overrides: dict[str, dict[str, Any]]) -> RobotConfig:
+    """Read the file (none: defaults) and lay the command line's values over it.
+
+    Args:
+        path: TOML file.
+        overrides: section → key → value; None means not given.
+    Raises:
+        ConfigError: names the file, the key and what is allowed.
+    """
+    content: dict[str, Any] = {}
+    if path is not None:
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as exc:
+            raise ConfigError(
+                f"{path} cannot be read ({exc.strerror}); give an existing TOML file to --config"
+            ) from exc
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
+            raise ConfigError(f"{path} is not valid TOML: {exc}") from exc
+    source = str(path) if path is not None else "the command line"
+    _convert(content, source)  # the file must be right by itself: its mistakes are reported in its name
+    for section, values in overrides.items():
+        given = {key: value for key, value in values.items() if value is not None}
+        if given:
+            content[section] = {**content.get(section, {}), **given}
+    return _convert(content, "the command line")
+
+
+def _convert(content: dict[str, Any], source: str) -> RobotConfig:
+    try:
+        return msgspec.convert(content, RobotConfig)
+    except msgspec.ValidationError as exc:
+        # msgspec says `... - at `$.server.port``; people know keys without the `$.`.
+        raise ConfigError(f"{source}: {exc}".replace("$.", "")) from exc

@@ -1,0 +1,186 @@
+"""What lies in a recording on disk (ASL folder or folder of images): frames, inertial samples, calibration."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from robot.devices.ports import ImuReading
+from robot.devices.recorded.images import read_size
+from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.errors import DataError
+from shared.geometry import inverse
+from shared.sensor_yaml import number, read_camera, read_imu_noise, read_intrinsics_text, read_mounting, read_yaml
+
+IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png"}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFrame:
+    """An image file and the sensor time it was taken at."""
+
+    t_robot_ns: int
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """One recorded drive. Frames or samples may be absent, not both."""
+
+    path: Path
+    calibration: Calibration
+    frames: tuple[RecordedFrame, ...]
+    exposure_ns: int
+    samples: tuple[ImuReading, ...]
+    remarks: tuple[str, ...]  # what is missing, in sentences
+
+    @property
+    def first_ns(self) -> int:
+        return min(times[0] for times in self._times() if times)
+
+    @property
+    def last_ns(self) -> int:
+        return max(times[-1] for times in self._times() if times)
+
+    @property
+    def period_ns(self) -> int:
+        """After which the recording may begin anew: its length and one step of its slower sensor."""
+        steps = [(times[-1] - times[0]) // (len(times) - 1) for times in self._times() if len(times) > 1]
+        return self.last_ns - self.first_ns + max(steps, default=33_000_000)
+
+    def _times(self) -> tuple[list[int], list[int]]:
+        return [f.t_robot_ns for f in self.frames], [s.t_robot_ns for s in self.samples]
+
+
+def open_recording(path: Path) -> Recording:
+    """Open an ASL folder (`mav0/...`) or a folder of images with `camera.yaml`.
+
+    Raises:
+        DataError: names the file and the remedy.
+    """
+    if not path.exists():
+        raise DataError(f"{path} does not exist; give the folder of a recorded drive to --dataset")
+    if not path.is_dir():
+        raise DataError(f"{path} is a file; --dataset needs an ASL folder or a folder of images")
+    if (path / "mav0").is_dir():
+        return _open_asl(path)
+    if path.name == "mav0":
+        return _open_asl(path.parent)
+    return _open_images(path)
+
+
+def _open_asl(path: Path) -> Recording:
+    mav, remarks = path / "mav0", []
+    camera_yaml, imu_yaml = mav / "cam0" / "sensor.yaml", mav / "imu0" / "sensor.yaml"
+    frames = tuple(_read_frames(mav / "cam0"))
+    samples = tuple(_read_samples(mav / "imu0" / "data.csv"))
+    if not frames and not samples:
+        raise DataError(f"{path} holds neither images (mav0/cam0/data) nor IMU samples (mav0/imu0); nothing to play")
+    if not frames:
+        remarks.append(f"{path} holds no images; only its IMU is played")
+    if not samples:
+        remarks.append(f"{path} holds no IMU samples; only its images are played")
+    camera, imu, exposure_ns, kind, gravity = None, None, 0, "generic", 9.81
+    if frames or camera_yaml.is_file():
+        if not camera_yaml.is_file():
+            raise DataError(f"{camera_yaml} is missing; the camera's intrinsics belong there")
+        content = read_yaml(camera_yaml)
+        camera = read_camera(camera_yaml, content)
+        exposure_ns = int(1e9 * number(content, "exposure_s", 0.0, camera_yaml))
+        gravity = number(content, "gravity", gravity, camera_yaml)
+        kind = str(content.get("robot_kind", kind))
+    if samples:
+        imu, camera = _place_on_imu(imu_yaml, camera)
+    calibration = Calibration(camera=camera, imu=imu, robot_kind=kind, gravity=gravity)
+    return Recording(path, calibration, frames, exposure_ns, samples, tuple(remarks))
+
+
+def _place_on_imu(path: Path, camera: CameraCalibration | None) -> tuple[ImuNoise, CameraCalibration | None]:
+    """IMU noise, and the camera's pose relative to the IMU: our body is the IMU, the file's may be elsewhere."""
+    content = read_yaml(path) if path.is_file() else {}
+    if camera is not None:
+        T_imu_cam = inverse(read_mounting(content, path)) @ camera.T_body_cam_matrix
+        camera = msgspec.structs.replace(camera, T_body_cam=tuple(T_imu_cam.ravel().tolist()))
+    return read_imu_noise(path, content), camera
+
+
+def _rows(path: Path, columns: int) -> Iterator[tuple[int, int, list[str]]]:
+    """Line number, time and the next columns of every line; times must increase."""
+    last_ns = None
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for line_number, row in enumerate(csv.reader(file), start=1):
+                if not row or row[0].lstrip().startswith("#"):
+                    continue
+                try:
+                    t_ns = int(row[0])
+                except ValueError as exc:
+                    raise DataError(f"{path} line {line_number} starts with no time in ns; correct it") from exc
+                if len(row) <= columns:
+                    raise DataError(f"{path} line {line_number} has {len(row)} columns, needs {columns + 1}")
+                if last_ns is not None and t_ns <= last_ns:
+                    raise DataError(
+                        f"{path} line {line_number} is not later than the line before; sort the file by time"
+                    )
+                last_ns = t_ns
+                yield line_number, t_ns, row[1 : columns + 1]
+    except (OSError, UnicodeDecodeError, csv.Error) as exc:
+        raise DataError(f"{path} cannot be read ({exc}); copy it again") from exc
+
+
+def _read_frames(folder: Path) -> Iterator[RecordedFrame]:
+    """The listed images. A dataset delivered without images keeps its list: then there are no frames."""
+    if not (folder / "data.csv").is_file() or not (folder / "data").is_dir() or not any((folder / "data").iterdir()):
+        return
+    for line_number, t_ns, (name,) in _rows(folder / "data.csv", 1):
+        image = folder / "data" / name.strip()
+        if not image.is_file():
+            raise DataError(f"{folder / 'data.csv'} line {line_number} names {name.strip()}, which is not in data/")
+        yield RecordedFrame(t_ns, image)
+
+
+def _read_samples(path: Path) -> Iterator[ImuReading]:
+    if not path.is_file():
+        return
+    for sequence, (line_number, t_ns, cells) in enumerate(_rows(path, 6)):
+        try:
+            wx, wy, wz, ax, ay, az = map(float, cells)
+        except ValueError as exc:
+            raise DataError(f"{path} line {line_number} does not hold numbers; correct or remove it") from exc
+        yield ImuReading(sequence, t_ns, (wx, wy, wz), (ax, ay, az))
+
+
+def _open_images(path: Path) -> Recording:
+    files = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and ".depth" not in p.name]
+    if not files:
+        raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a recorded drive to --dataset")
+    camera = _image_folder_camera(path, files[0])
+    numbered = [(_number_in(p), p) for p in files]
+    if len({n for n, _ in numbered}) < len(files):  # names without (unique) numbers: their order is their time
+        numbered = list(enumerate(sorted(files)))
+    frames = tuple(RecordedFrame(round(n * 1e9 / camera.rate_hz), p) for n, p in sorted(numbered))
+    remarks = (f"{path} holds no IMU samples; only its images are played",)
+    return Recording(path, Calibration(camera=camera, imu=None), frames, 0, (), remarks)
+
+
+def _number_in(path: Path) -> int:
+    digits = re.findall(r"\d+", path.name.split(".")[0])
+    return int(digits[-1]) if digits else -1
+
+
+def _image_folder_camera(path: Path, an_image: Path) -> CameraCalibration:
+    """Without IMU the body is the camera: a mounting in the file is passed over."""
+    yaml_path, text_path = path / "camera.yaml", path / "camera-intrinsics.txt"
+    if yaml_path.is_file():
+        content = {key: value for key, value in read_yaml(yaml_path).items() if key not in ("T_BS", "T_body_cam")}
+        return read_camera(yaml_path, content)
+    if not text_path.is_file():
+        raise DataError(f"{path} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
+    K = read_intrinsics_text(text_path)
+    width, height = read_size(an_image.read_bytes(), an_image)
+    return CameraCalibration(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=30.0)

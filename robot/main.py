@@ -1,0 +1,78 @@
+"""`robot-server`: the program on the robot."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robot import app
+from robot.config import load_config
+from shared.errors import RobotSystemError
+
+cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+class Devices(str, Enum):  # noqa: UP042  # typer shows the values of a str enum
+    """Where sensors and motors come from."""
+
+    simulated = "simulated"
+    recorded = "recorded"
+    pi = "pi"
+
+
+class AtEnd(str, Enum):  # noqa: UP042
+    """What happens when a recording is over."""
+
+    stop = "stop"
+    loop = "loop"
+
+
+@cli.command()
+def serve(
+    devices: Annotated[Devices, typer.Option(help="Real, simulated or recorded hardware; chosen, never guessed.")],
+    world: Annotated[str | None, typer.Option(help="Simulated world.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the simulated world.")] = None,
+    sim_port: Annotated[int | None, typer.Option(help="Port of the simulator's truth, for tests and the demo.")] = None,
+    dataset: Annotated[Path | None, typer.Option(help="Recorded drive: ASL folder or folder of images.")] = None,
+    speed: Annotated[float | None, typer.Option(help="Play a recording so many times as fast.")] = None,
+    at_end: Annotated[AtEnd | None, typer.Option(help="When the recording is over.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 lets the network in.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
+) -> None:
+    """Serve this robot's camera, IMU and motors to stations."""
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING, format="robot-server: %(levelname)s: %(message)s"
+    )
+    settings = load_config(
+        config,
+        {
+            "server": {"host": host, "port": port},
+            "simulated": {"world": world, "seed": seed, "sim_port": sim_port},
+            "recorded": {
+                "dataset": None if dataset is None else str(dataset),
+                "speed": speed,
+                "at_end": None if at_end is None else at_end.value,
+            },
+        },
+    )
+    app.run(devices.value, settings)
+
+
+def main() -> None:
+    """Run; an error of ours becomes one sentence on stderr and exit code 1."""
+    try:
+        cli()
+    except RobotSystemError as exc:
+        print(f"robot-server: {exc}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""What waits for stations. Frames: the newest only. IMU: one bounded backlog for all, a cursor for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from robot.devices.ports import CapturedFrame, ImuReading
+from shared.messages import MAX_IMU_SAMPLES_PER_BATCH, ImuBatch, ImuSample
+
+
+class ImuBacklog:
+    """Ring of the newest samples. Positions count every sample kept here; sequence numbers are the sensor's own."""
+
+    def __init__(self, capacity: int) -> None:
+        self._ring: list[tuple[int, ImuSample] | None] = [None] * capacity
+        self.end = 0  # position after the newest sample
+        self.lost_in_sensor = 0  # holes in the sensor's count
+        self.restarts = 0  # how often the sensor counted backwards
+        self._shift = 0  # added to the sensor's count, so that ours never goes back
+        self._last_sequence: int | None = None
+
+    @property
+    def begin(self) -> int:
+        """Position of the oldest sample still kept."""
+        return max(0, self.end - len(self._ring))
+
+    def append(self, reading: ImuReading) -> None:
+        """Keep a sample; the oldest one makes room."""
+        sequence = reading.sequence + self._shift
+        if self._last_sequence is not None:
+            if sequence <= self._last_sequence:
+                self.restarts += 1
+                self._shift += self._last_sequence + 1 - sequence
+                sequence = self._last_sequence + 1
+            self.lost_in_sensor += sequence - self._last_sequence - 1
+        self._last_sequence = sequence
+        sample = ImuSample(reading.t_robot_ns, reading.gyro_imu, reading.accel_imu)
+        self._ring[self.end % len(self._ring)] = (sequence, sample)
+        self.end += 1
+
+    def position_of(self, sequence: int) -> int:
+        """Position of the first kept sample numbered `sequence` or higher."""
+        low, high = self.begin, self.end
+        while low < high:
+            middle = (low + high) // 2
+            if self._at(middle)[0] < sequence:
+                low = middle + 1
+            else:
+                high = middle
+        return low
+
+    def sequence_at(self, position: int) -> int:
+        """Number of the sample at a kept position."""
+        return self._at(position)[0]
+
+    def batch(self, position: int) -> tuple[ImuBatch, int] | None:
+        """Consecutively numbered samples from a kept position on, and the position after them; None at the end."""
+        if position >= self.end:
+            return None
+        first_sequence, sample = self._at(position)
+        samples = [sample]
+        position += 1
+        while position < self.end and len(samples) < MAX_IMU_SAMPLES_PER_BATCH:
+            sequence, sample = self._at(position)
+            if sequence != first_sequence + len(samples):
+                break
+            samples.append(sample)
+            position += 1
+        return ImuBatch(first_sequence=first_sequence, samples=tuple(samples)), position
+
+    def _at(self, position: int) -> tuple[int, ImuSample]:
+        entry = self._ring[position % len(self._ring)]
+        if entry is None or not self.begin <= position < self.end:
+            raise IndexError(f"position {position} is not kept ({self.begin}..{self.end})")
+        return entry
+
+
+class ImuCursor:
+    """How far one station has read the backlog. Falling out of it is a counted gap."""
+
+    def __init__(self, backlog: ImuBacklog, position: int) -> None:
+        self._backlog = backlog
+        self._position = position
+        self.lost = 0
+
+    @classmethod
+    def resuming(cls, backlog: ImuBacklog, next_sequence: int) -> ImuCursor:
+        """Continue at a sequence number; what the backlog no longer holds counts as lost."""
+        cursor = cls(backlog, backlog.position_of(next_sequence))
+        if cursor._position == backlog.begin < backlog.end:
+            cursor.lost = max(0, backlog.sequence_at(backlog.begin) - next_sequence) if backlog.begin else 0
+        return cursor
+
+    def next_batch(self) -> ImuBatch | None:
+        """The next samples for this station; None when it has all."""
+        if self._position < self._backlog.begin:
+            self.lost += self._backlog.begin - self._position
+            self._position = self._backlog.begin
+        found = self._backlog.batch(self._position)
+        if found is None:
+            return None
+        batch, self._position = found
+        return batch
+
+
+@dataclass
+class FrameSlot:
+    """The newest camera frame; `count` is how many the camera has made."""
+
+    newest: CapturedFrame | None = None
+    count: int = 0
+
+    def put(self, frame: CapturedFrame) -> None:
+        self.newest = frame
+        self.count += 1
+
+
+class FrameCursor:
+    """Which frame one station got last. Starts with the next one."""
+
+    def __init__(self, slot: FrameSlot) -> None:
+        self._slot = slot
+        self._sent = slot.count
+        self.skipped = 0
+
+    def next_frame(self) -> tuple[int, int, CapturedFrame] | None:
+        """(sequence number, frames skipped before it, frame); None when there is no new one."""
+        frame = self._slot.newest
+        if frame is None or self._slot.count == self._sent:
+            return None
+        skipped = self._slot.count - self._sent - 1
+        self._sent = self._slot.count
+        self.skipped += skipped
+        return self._slot.count - 1, skipped, frame

@@ -1,0 +1,287 @@
+"""robot-server's core: listens for stations, moves sensor data to them and their commands to the devices."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import secrets
+import socket
+import time
+from collections.abc import Callable
+
+from robot.commands import CommandDesk, notice
+from robot.config import RobotConfig
+from robot.devices.ports import DeviceSet
+from robot.health import CpuMeter, read_temperatures
+from robot.outbox import FrameCursor, FrameSlot, ImuBacklog, ImuCursor
+from robot.sensors import Faults, pump_camera, pump_imu
+from robot.station_client import StationClient
+from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
+from shared.errors import HardwareError
+from shared.messages import (
+    PROTOCOL_VERSION,
+    DriveApplied,
+    Heartbeat,
+    Hello,
+    Join,
+    Refusal,
+    StationMessage,
+    Status,
+    Welcome,
+)
+from shared.session import Event, State, reply_to
+
+logger = logging.getLogger(__name__)
+
+TICK_S = 0.05  # also the interval of drive reports: 20 Hz
+TICKS_PER_STATUS = 20
+SEND_BUFFER_BYTES = 128 * 1024  # what the kernel holds is stale when it arrives: keep it to a few frames
+
+
+class RobotServer:
+    """Serves one robot's devices to stations until cancelled. Motors stop first, whatever ends it."""
+
+    def __init__(
+        self,
+        devices: DeviceSet,
+        config: RobotConfig,
+        *,
+        starts_with_first_station: bool = False,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._devices = devices
+        self._config = config
+        self._now_ns = now_ns
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
+        self.desk = CommandDesk(devices, self.watchdog, config.drive)
+        self.faults = Faults(lambda sentence: self._broadcast_notice("device", sentence))
+        self._frames = FrameSlot()
+        self._backlog = ImuBacklog(config.server.imu_backlog_samples)
+        self._clients: dict[int, StationClient] = {}
+        self._next_client_id = 1
+        self._started_ns = now_ns()
+        self._session_id = secrets.token_hex(8)
+        self._may_start = asyncio.Event()
+        if not starts_with_first_station:
+            self._may_start.set()
+        self._cpu = CpuMeter()
+
+    async def serve(self, listener: socket.socket) -> None:
+        """Serve stations on a bound socket until cancelled."""
+        self._loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                server = await asyncio.start_server(
+                    lambda reader, writer: self._take_in(tasks, reader, writer), sock=listener, backlog=128
+                )
+                try:
+                    tasks.create_task(self._tick_forever())
+                    tasks.create_task(self._run_sensors())
+                    await asyncio.Event().wait()
+                finally:
+                    self.stop_motors()
+                    server.close()
+                    await self._say_goodbye()
+        finally:
+            self.stop_motors()
+            self._loop = None
+            for device in (self._devices.camera, self._devices.imu):
+                if device is not None:
+                    await device.close()
+            for part in (self._devices.pan_tilt, self._devices.motors):
+                if part is not None:
+                    part.close()
+
+    def stop_motors(self) -> None:
+        """Motors off for good: the first thing every way out does."""
+        if self.watchdog is not None:
+            self.watchdog.close()
+
+    def hello(self) -> Hello:
+        """What every station is told first."""
+        identity = self._config.identity
+        robot_id = identity.id or socket.gethostname() or "robot"
+        return Hello(
+            protocol=PROTOCOL_VERSION,
+            robot_id=robot_id,
+            name=identity.name or robot_id,
+            session_id=self._session_id,
+            capabilities=self.desk.capabilities(),
+            calibration=self._devices.calibration,
+        )
+
+    # Connections
+
+    def _take_in(self, tasks: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        connection = writer.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client = StationClient(self._next_client_id, reader, writer, self._now_ns)
+        self._next_client_id += 1
+        self._make_room()
+        self._clients[client.id] = client
+        tasks.create_task(self._serve_client(client))
+
+    def _make_room(self) -> None:
+        """Who waits longest without joining yields, so that silent connections cannot keep a real station out."""
+        waiting = [c for c in self._clients.values() if c.session.state in (State.OPENING, State.JOINING)]
+        if len(waiting) >= self._config.server.max_waiting:
+            reason = f"{len(waiting)} connections wait to join, and this one waited longest"
+            waiting[0].end(Event.REFUSAL, Refusal(reason=reason))
+
+    async def _serve_client(self, client: StationClient) -> None:
+        try:
+            await client.run(self.hello(), self._handle)
+        except Exception:
+            logger.exception("connection %d failed", client.id)
+        finally:
+            self.desk.leave(client.id)
+            del self._clients[client.id]
+            name = client.station_name or f"connection {client.id}"
+            logger.info("%s left: %s", name, client.session.close_reason)
+
+    def _handle(self, client: StationClient, message: Join | StationMessage) -> None:
+        if isinstance(message, Join):
+            self._welcome(client, message)
+            return
+        if isinstance(message, Heartbeat):
+            t_robot_ns = self._devices.clock()
+            client.put(reply_to(message, t_robot_ns, t_robot_ns))
+        if (refusal := self.desk.handle(client.id, message, self._now_ns())) is not None:
+            client.put(refusal)
+
+    def _welcome(self, client: StationClient, join: Join) -> None:
+        limit = self._config.server.max_stations
+        if sum(c.is_joined for c in self._clients.values()) >= limit:
+            client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
+            return
+        client.station_name = join.station_name
+        client.put(Welcome(client_id=client.id))
+        client.put(self._drive_report(self._applied()))
+        client.put(self._status_for(client))
+        client.frames = FrameCursor(self._frames)
+        client.imu = self._imu_cursor(join)
+        self._may_start.set()
+        logger.info("%s joined as connection %d", join.station_name, client.id)
+
+    def _imu_cursor(self, join: Join) -> ImuCursor:
+        if join.resume_session_id == self._session_id and join.next_imu_sequence >= 0:
+            return ImuCursor.resuming(self._backlog, join.next_imu_sequence)
+        return ImuCursor(self._backlog, self._backlog.end)
+
+    async def _say_goodbye(self) -> None:
+        for client in list(self._clients.values()):
+            client.end(Event.LOST, notice("shutdown", "robot-server is shutting down", fatal=True))
+        # The connections' own tasks send it; they are ended with the task group after this.
+        deadline_ns = self._now_ns() + 500_000_000
+        while self._clients and self._now_ns() < deadline_ns:
+            await asyncio.sleep(0.01)
+
+    # Sensors
+
+    async def _run_sensors(self) -> None:
+        await self._may_start.wait()
+        async with asyncio.TaskGroup() as tasks:
+            if self._devices.camera is not None:
+                tasks.create_task(pump_camera(self._devices.camera, self._frames, self.faults, self._wake_all))
+            if self._devices.imu is not None:
+                interval_s = self._config.server.imu_batch_interval_ms * 1e-3
+                tasks.create_task(pump_imu(self._devices.imu, self._backlog, self.faults, self._wake_all, interval_s))
+        if self._devices.camera is not None or self._devices.imu is not None:
+            sentence = "the recording has ended; restart robot-server to play it again"
+            self.faults.set("recording", sentence)
+            self._broadcast_notice("end_of_recording", sentence)
+
+    def _wake_all(self) -> None:
+        for client in self._clients.values():
+            client.wake()
+
+    def _broadcast_notice(self, code: str, sentence: str) -> None:
+        for client in self._clients.values():
+            if client.is_joined:
+                client.put(notice(code, sentence))
+
+    # Reports
+
+    async def _tick_forever(self) -> None:
+        for count in itertools.count():
+            await asyncio.sleep(TICK_S)
+            self._check_motors()
+            for client in list(self._clients.values()):
+                if client.tick():
+                    self.desk.go_quiet(client.id)
+                if client.is_joined:
+                    if self.watchdog is not None:
+                        client.put(self._drive_report(self._applied()))
+                    if count % TICKS_PER_STATUS == 0:
+                        client.put(self._status_for(client))
+
+    def _check_motors(self) -> None:
+        self.desk.lease.expire(self._now_ns())
+        if self.watchdog is None:
+            return
+        self.watchdog.check()
+        if self.watchdog.fault:
+            self.faults.set("motors", self.watchdog.fault)
+        else:
+            self.faults.clear("motors")
+
+    def _applied(self) -> Velocity:
+        return STANDSTILL if self.watchdog is None else self.watchdog.applied
+
+    def _drive_report(self, velocity: Velocity) -> DriveApplied:
+        return DriveApplied(
+            t_robot_ns=self._devices.clock(), linear=velocity.linear_m_s, angular=velocity.angular_rad_s
+        )
+
+    def _report_from_thread(self, velocity: Velocity) -> None:
+        """Called by the watchdog's thread on each change: its time is taken there, the sending is the loop's."""
+        report, loop = self._drive_report(velocity), self._loop
+        if loop is None:
+            return
+        try:
+            loop.call_soon_threadsafe(self._broadcast_drive, report)
+        except RuntimeError:
+            logger.debug("drive report after the event loop's end")
+
+    def _broadcast_drive(self, report: DriveApplied) -> None:
+        for client in self._clients.values():
+            if client.is_joined:
+                client.put(report)
+
+    def _status_for(self, client: StationClient) -> Status:
+        battery = self._read_battery()
+        driver = self._clients.get(self.desk.lease.driver or 0)
+        return Status(
+            t_robot_ns=self._devices.clock(),
+            uptime_s=(self._now_ns() - self._started_ns) * 1e-9,
+            battery_v=battery[0],
+            battery_fraction=battery[1],
+            temperatures_c=read_temperatures(),
+            cpu_percent=self._cpu.percent(),
+            frames_captured=self._frames.count,
+            frames_skipped=client.frames.skipped if client.frames else 0,
+            imu_samples=self._backlog.end,
+            imu_lost_in_sensor=self._backlog.lost_in_sensor,
+            imu_lost_in_backlog=client.imu.lost if client.imu else 0,
+            messages_dropped=client.messages_dropped,
+            stations=sum(c.is_joined for c in self._clients.values()),
+            driver=driver.station_name if driver is not None else None,
+            you_drive=self.desk.lease.driver == client.id,
+            watchdog_stops=0 if self.watchdog is None else self.watchdog.stops,
+            commands_refused=self.desk.refused,
+            faults=self.faults.sentences(),
+        )
+
+    def _read_battery(self) -> tuple[float | None, float | None]:
+        if self._devices.battery is None:
+            return None, None
+        try:
+            state = self._devices.battery.read()
+        except HardwareError as exc:
+            self.faults.set("battery", f"battery: {exc}")
+            return None, None
+        self.faults.clear("battery")
+        return state.voltage_v, state.fraction

@@ -1,0 +1,159 @@
+"""One station's connection, seen from the robot. It has its own cursors, so a slow station never slows another."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Callable
+
+from robot.commands import notice
+from robot.outbox import FrameCursor, ImuCursor
+from shared.errors import RemoteProtocolError
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Join, Message, Refusal, StationMessage
+from shared.session import Event, Session, State, Tick
+
+logger = logging.getLogger(__name__)
+
+MAX_QUEUED_MESSAGES = 512  # 20 s of drive reports; beyond it the oldest go, counted
+READ_BYTES = 65536
+LAST_WORD_WITHIN_S = 1.0  # a peer that does not read must not hold up the closing
+
+
+class _Ended(Exception):
+    """Ends the tasks of a connection; the session holds the reason."""
+
+
+class StationClient:
+    """Reads commands and writes what is due, one message at a time, most urgent first."""
+
+    def __init__(
+        self,
+        client_id: int,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        now_ns: Callable[[], int],
+    ) -> None:
+        self.id = client_id
+        self.station_name = ""
+        self.imu: ImuCursor | None = None
+        self.frames: FrameCursor | None = None
+        self.messages_dropped = 0
+        self.session = Session("robot", now_ns())
+        self._reader = reader
+        self._writer = writer
+        self._now_ns = now_ns
+        self._queue: deque[Message] = deque()
+        self._wake = asyncio.Event()
+        self._ending = asyncio.Event()
+        self._last_word = b""
+        # Everything waits in our own queues, where it can be skipped and counted, not in the transport's.
+        writer.transport.set_write_buffer_limits(high=0)
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether it takes part: gets data, may command."""
+        return self.session.state in (State.ACTIVE, State.QUIET)
+
+    def wake(self) -> None:
+        """There may be something new to send."""
+        self._wake.set()
+
+    def put(self, message: Message) -> None:
+        """Queue a message; when the queue is full, the oldest drive report goes."""
+        if len(self._queue) >= MAX_QUEUED_MESSAGES:
+            oldest = next((m for m in self._queue if isinstance(m, DriveApplied)), self._queue[0])
+            self._queue.remove(oldest)
+            self.messages_dropped += 1
+        self._queue.append(message)
+        self._wake.set()
+
+    def end(self, event: Event, last_word: ErrorNotice | Refusal) -> None:
+        """Close the connection, after telling the station why."""
+        if self._ending.is_set():
+            return
+        self._last_word = self.session.send(last_word)
+        self.session.close(event, last_word.message if isinstance(last_word, ErrorNotice) else last_word.reason)
+        self._ending.set()
+
+    def tick(self) -> bool:
+        """Let time pass. True when the station just went quiet."""
+        duties = self.session.tick(self._now_ns())
+        if Tick.CLOSE in duties:
+            self.end(Event.TIMED_OUT, notice("silent", self.session.close_reason, fatal=True))
+        return Tick.WENT_QUIET in duties
+
+    async def run(self, hello: Message, handle: Callable[[StationClient, Join | StationMessage], None]) -> None:
+        """Serve this station until it leaves, breaks the rules, falls silent or `end` is called."""
+        self.put(hello)
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._read(handle))
+                tasks.create_task(self._write())
+                tasks.create_task(self._wait_for_end())
+        except* _Ended:
+            pass
+        except* OSError as group:
+            self.session.close(Event.LOST, f"connection lost: {group.exceptions[0]}")
+        finally:
+            await self._close()
+
+    async def _read(self, handle: Callable[[StationClient, Join | StationMessage], None]) -> None:
+        while data := await self._reader.read(READ_BYTES):
+            self.session.receive(data)
+            try:
+                while not self._ending.is_set() and (message := self.session.next_message(self._now_ns())) is not None:
+                    handle(self, message)  # type: ignore[arg-type]  # the session decodes station messages only
+            except RemoteProtocolError as exc:
+                self.end(Event.BROKE_RULES, notice("protocol", str(exc), fatal=True))
+                return
+        self.session.close(Event.LOST, "the station closed the connection")
+        raise _Ended
+
+    async def _write(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while (message := self._next_message()) is not None:
+                self._writer.write(self.session.send(message))
+                await self._writer.drain()
+
+    def _next_message(self) -> Message | None:
+        """The most urgent message that is due: answers and reports, then all IMU samples, then the newest frame."""
+        if self.session.state is State.CLOSED:
+            return None
+        if self._queue:
+            return self._queue.popleft()
+        if self.imu is not None and (batch := self.imu.next_batch()) is not None:
+            return batch
+        if self.frames is not None and (found := self.frames.next_frame()) is not None:
+            seq, skipped, frame = found
+            return CameraFrame(
+                seq=seq,
+                t_robot_ns=frame.t_robot_ns,
+                exposure_ns=frame.exposure_ns,
+                width=frame.width,
+                height=frame.height,
+                skipped=skipped,
+                jpeg=frame.jpeg,
+            )
+        return None
+
+    async def _wait_for_end(self) -> None:
+        await self._ending.wait()
+        raise _Ended
+
+    async def _close(self) -> None:
+        try:
+            async with asyncio.timeout(LAST_WORD_WITHIN_S):
+                if self._last_word:
+                    self._writer.write(self._last_word)
+                    await self._writer.drain()
+                    self._writer.write_eof()
+                    # Closing a socket with unread bytes resets it, and the peer would lose the last word.
+                    while await self._reader.read(READ_BYTES):
+                        pass
+        except (OSError, TimeoutError):
+            logger.debug("station %d did not take the last word", self.id)
+        finally:
+            self._writer.transport.abort()

@@ -1,0 +1,193 @@
+"""The motors' guard: they run only while fresh commands keep coming, whatever else in this process hangs or fails.
+
+`DriveGuard` decides, with time as an argument. `MotorWatchdog` is the thread that makes it true; nobody else touches
+the motors. Every fresh command reaches them, also an unchanged one, so that the station feeds the firmware's watchdog.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from robot.devices.ports import Motors
+from shared.errors import HardwareError
+from shared.messages import MAX_DRIVE_TTL_MS
+
+logger = logging.getLogger(__name__)
+
+MAX_TTL_NS = MAX_DRIVE_TTL_MS * 1_000_000
+LATEST_CHECK_S = 0.05  # the thread looks at the clock at least so often, even if a wake-up was lost
+
+
+@dataclass(frozen=True, slots=True)
+class Velocity:
+    """What the motors are told to hold."""
+
+    linear_m_s: float = 0.0
+    angular_rad_s: float = 0.0
+
+    @property
+    def is_zero(self) -> bool:
+        return self.linear_m_s == 0.0 and self.angular_rad_s == 0.0
+
+
+STANDSTILL = Velocity()
+
+
+class DriveGuard:
+    """The one wish that holds, and until when. Starts at standstill; after `close` it stays there."""
+
+    def __init__(self) -> None:
+        self._wish = STANDSTILL
+        self._until_ns = 0
+        self._closed = False
+        self.num_commands = 0
+        self.stops = 0  # how often silence ended a motion
+
+    def command(self, wish: Velocity, ttl_ns: int, now_ns: int) -> bool:
+        """Hold a velocity for a time, at most MAX_TTL_NS. False after `close`."""
+        if self._closed:
+            return False
+        self._wish = wish
+        self._until_ns = now_ns + min(max(ttl_ns, 0), MAX_TTL_NS)
+        self.num_commands += 1
+        return True
+
+    def stop(self) -> None:
+        """Forget the wish; the next command counts again."""
+        self._wish = STANDSTILL
+
+    def close(self) -> None:
+        """Stop for good."""
+        self._closed = True
+        self.stop()
+
+    def velocity(self, now_ns: int) -> Velocity:
+        """What the motors must be told now. Silence beyond the time to live is a stop."""
+        if not self._wish.is_zero and now_ns >= self._until_ns:
+            self._wish = STANDSTILL
+            self.stops += 1
+        return self._wish
+
+    def next_deadline_ns(self) -> int | None:
+        """When `velocity` will change by itself."""
+        return None if self._wish.is_zero else self._until_ns
+
+
+class MotorWatchdog:
+    """Owns the motors and a thread of its own. Methods may be called from any thread."""
+
+    def __init__(
+        self,
+        motors: Motors,
+        on_applied: Callable[[Velocity], None] | None = None,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._motors = motors
+        self._on_applied = on_applied  # called from the watchdog's thread on each change
+        self._now_ns = now_ns
+        self._guard = DriveGuard()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._applied = STANDSTILL
+        self._told_commands = 0  # how many commands the motors have been told
+        self.fault = ""  # why the motors do not obey, in a sentence
+        motors.stop()  # whatever ran here before may have left them running
+        self._thread = threading.Thread(target=self._run, name="motor-watchdog", daemon=True)
+        self._thread.start()
+
+    @property
+    def stops(self) -> int:
+        """How often silence ended a motion."""
+        return self._guard.stops
+
+    @property
+    def applied(self) -> Velocity:
+        """What the motors were told last."""
+        return self._applied
+
+    def command(self, wish: Velocity, ttl_ms: int) -> bool:
+        """Hold a velocity for `ttl_ms`. False when closed or when the watchdog's thread died: then nothing may move."""
+        if not self._thread.is_alive():
+            self._motors.stop()
+            return False
+        with self._changed:
+            accepted = self._guard.command(wish, ttl_ms * 1_000_000, self._now_ns())
+            self._changed.notify()
+        return accepted
+
+    def stop(self) -> None:
+        """Motors off now; does not wait for a thread that hangs in a driver."""
+        with self._changed:
+            self._guard.stop()
+            self._changed.notify()
+        # The thread stops them as well, after anything it is telling them at this moment.
+        self._motors.stop()
+
+    def check(self) -> None:
+        """Stop the motors from the caller's thread when ours hangs in a driver. Call it regularly from elsewhere."""
+        with self._changed:
+            must_rest = self._guard.velocity(self._now_ns()).is_zero
+        if must_rest and not self._applied.is_zero:
+            self._motors.stop()
+
+    def close(self) -> None:
+        """Stop for good and end the thread. Safe to call twice."""
+        with self._changed:
+            self._guard.close()
+            self._closed = True
+            self._changed.notify()
+        self._motors.stop()
+        self._thread.join(timeout=1.0)
+        self._motors.stop()
+
+    def _run(self) -> None:
+        try:
+            while not self._closed:
+                self._apply_once()
+        finally:
+            self._motors.stop()
+
+    def _apply_once(self) -> None:
+        with self._changed:
+            if not self._is_due() and not self._closed:
+                self._changed.wait(self._time_to_wait_s())
+            is_due, velocity = self._is_due(), self._guard.velocity(self._now_ns())
+            self._told_commands = self._guard.num_commands
+        # Outside the lock: a driver that blocks must not keep `stop` from being called.
+        if is_due:
+            self._tell(velocity)
+
+    def _is_due(self) -> bool:
+        velocity = self._guard.velocity(self._now_ns())
+        return velocity != self._applied or (not velocity.is_zero and self._told_commands != self._guard.num_commands)
+
+    def _time_to_wait_s(self) -> float:
+        deadline_ns = self._guard.next_deadline_ns()
+        if deadline_ns is None:
+            return LATEST_CHECK_S
+        return min(LATEST_CHECK_S, max(0.0, (deadline_ns - self._now_ns()) * 1e-9))
+
+    def _tell(self, velocity: Velocity) -> None:
+        try:
+            if velocity.is_zero:
+                self._motors.stop()
+            else:
+                self._motors.drive(velocity.linear_m_s, velocity.angular_rad_s)
+        except HardwareError as exc:
+            if not self.fault:
+                logger.error("motors do not obey: %s", exc)
+            self.fault = f"motors do not obey: {exc}"
+            with self._changed:
+                self._guard.stop()
+            self._motors.stop()
+            velocity = STANDSTILL
+        else:
+            self.fault = ""
+        has_changed = velocity != self._applied
+        self._applied = velocity
+        if has_changed and self._on_applied is not None:
+            self._on_applied(velocity)
