@@ -21,7 +21,7 @@ MAX_JPEG_BYTES = MAX_ROBOT_PAYLOAD - 1024  # the rest of a frame message
 class Faults:
     """What does not work at present: device → sentence."""
 
-    def __init__(self, on_new: Callable[[str], None]) -> None:
+    def __init__(self, on_new: Callable[[str, str], None]) -> None:
         self._on_new = on_new
         self._sentences: dict[str, str] = {}
 
@@ -33,7 +33,7 @@ class Faults:
         if self._sentences.get(device) != sentence:
             logger.warning("%s", sentence)
             self._sentences[device] = sentence
-            self._on_new(sentence)
+            self._on_new(device, sentence)
 
     def clear(self, device: str) -> None:
         """The device works (again)."""

@@ -56,7 +56,7 @@ class RobotServer:
         self._loop: asyncio.AbstractEventLoop | None = None
         self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
-        self.faults = Faults(lambda sentence: self._broadcast_notice("device", sentence))
+        self.faults = Faults(self._broadcast_fault)
         self._frames = FrameSlot()
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
@@ -190,15 +190,14 @@ class RobotServer:
                 interval_s = self._config.server.imu_batch_interval_ms * 1e-3
                 tasks.create_task(pump_imu(self._devices.imu, self._backlog, self.faults, self._wake_all, interval_s))
         if self._devices.camera is not None or self._devices.imu is not None:
-            sentence = "the recording has ended; restart robot-server to play it again"
-            self.faults.set("recording", sentence)
-            self._broadcast_notice("end_of_recording", sentence)
+            self.faults.set("recording", "the recording has ended; restart robot-server to play it again")
 
     def _wake_all(self) -> None:
         for client in self._clients.values():
             client.wake()
 
-    def _broadcast_notice(self, code: str, sentence: str) -> None:
+    def _broadcast_fault(self, device: str, sentence: str) -> None:
+        code = "end_of_recording" if device == "recording" else "device"
         for client in self._clients.values():
             if client.is_joined:
                 client.put(notice(code, sentence))

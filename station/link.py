@@ -1,13 +1,50 @@
-"""The station's connection to one robot: finds it, stays connected, hands on what arrives and sends what is asked."""
+"""The station's connection to one robot: stays connected, hands on what arrives and sends what is asked."""
 
 from __future__ import annotations
 
+import asyncio
+import logging
+import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.errors import LocalProtocolError, RemoteProtocolError
+from shared.messages import (
+    MAX_DRIVE_TTL_MS,
+    PROTOCOL_VERSION,
+    CameraFrame,
+    Drive,
+    DriveApplied,
+    ErrorNotice,
+    Heartbeat,
+    HeartbeatReply,
+    Hello,
+    Hijack,
+    ImuBatch,
+    Join,
+    Message,
+    PanTilt,
+    Refusal,
+    StationMessage,
+    Status,
+    Stop,
+    Welcome,
+)
+from shared.session import Event, Session, State, Tick
+from station.link_state import LinkClock, LinkState, RateMeter
+
+__all__ = ["LinkListener", "LinkState", "RobotLink"]
+
+logger = logging.getLogger(__name__)
+
+RETRY_S = 0.25  # a robot that just started is found well within two seconds
+CONNECT_WITHIN_S = 1.5
+TICK_S = 0.025
+RECEIVE_BUFFER_BYTES = 256 * 1024  # frames waiting in the kernel grow stale: keep room for a few only
+READ_BYTES = 256 * 1024
+# What is sent first when several things are due. Each kind has room for one: the newest wins.
+SENDING_ORDER: tuple[type, ...] = (Join, Stop, Hijack, Drive, PanTilt, Heartbeat)
 
 
 class LinkListener(Protocol):
@@ -36,31 +73,6 @@ class LinkListener(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class LinkState:
-    """Snapshot of a link for the API and the page. Counts run since the link was made."""
-
-    host: str
-    port: int
-    connected: bool = False
-    hello: Hello | None = None  # of the present or the last connection
-    reason: str = "not connected yet"  # why not connected, in a sentence
-    connections: int = 0  # how often a connection was made
-    rtt_ms: float | None = None  # of the last heartbeat
-    clock_offset_ns: int | None = None  # t_station - t_robot, now
-    clock_drift_ppm: float | None = None  # the robot's clock is this much faster than the station's
-    frame_rate_hz: float = 0.0  # over the last seconds
-    imu_rate_hz: float = 0.0
-    received_bytes_per_s: float = 0.0
-    frames: int = 0
-    frames_skipped: int = 0
-    imu_samples: int = 0
-    imu_gaps: int = 0  # how many holes
-    imu_lost: int = 0  # how many samples were in them
-    status: Status | None = None  # the last one
-    notice: ErrorNotice | None = None  # the last one
-
-
 class RobotLink:
     """Connection to the robot-server at host:port. All methods belong on the event loop that runs `run()`."""
 
@@ -73,19 +85,58 @@ class RobotLink:
         station_name: str = "station",
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
+        self._host = host
+        self._port = port
         self._listener = listener
         self._station_name = station_name
         self._now_ns = now_ns
-        self._state = LinkState(host, port)
+        self._session = Session("station", now_ns())
+        self._due: dict[type, StationMessage] = {}
+        self._wake = asyncio.Event()
+        self._seq = 0  # of drive, stop and heartbeat
+        self._connected = False
+        self._reason = "not connected yet"
+        self._hello: Hello | None = None
+        self._next_imu_sequence = -1
+        self._clock = LinkClock()
+        self._rates = RateMeter()
+        self._connections = 0
+        self._bytes = self._frames = self._frames_skipped = 0
+        self._imu_samples = self._imu_gaps = self._imu_lost = 0
+        self._status: Status | None = None
+        self._notice: ErrorNotice | None = None
 
     @property
     def state(self) -> LinkState:
         """What is known of the link now."""
-        return self._state
+        frame_rate_hz, imu_rate_hz, bytes_per_s = self._rates.rates()
+        return LinkState(
+            host=self._host,
+            port=self._port,
+            connected=self._connected,
+            hello=self._hello,
+            reason="" if self._connected else self._reason,
+            connections=self._connections,
+            rtt_ms=None if self._clock.rtt_ns is None else self._clock.rtt_ns * 1e-6,
+            clock_offset_ns=self._clock.offset_ns(self._now_ns()),
+            clock_drift_ppm=self._clock.drift_ppm,
+            frame_rate_hz=frame_rate_hz,
+            imu_rate_hz=imu_rate_hz,
+            received_bytes_per_s=bytes_per_s,
+            frames=self._frames,
+            frames_skipped=self._frames_skipped,
+            imu_samples=self._imu_samples,
+            imu_gaps=self._imu_gaps,
+            imu_lost=self._imu_lost,
+            status=self._status,
+            notice=self._notice,
+        )
 
-    async def run(self) -> None:
-        """Connect, and connect again whenever the connection is lost, until cancelled."""
-        raise NotImplementedError
+    def to_station_ns(self, t_robot_ns: int) -> int | None:
+        """The station's monotonic time of a robot time; None before the clocks are known."""
+        return self._clock.to_station_ns(t_robot_ns)
+
+    # Commands
 
     def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
         """Hold a velocity (m/s, rad/s) for `ttl_ms` (above the protocol's limit: the limit); newest wins.
@@ -93,20 +144,210 @@ class RobotLink:
         Returns False, and sends nothing, when no robot is connected or it cannot drive.
         Raises LocalProtocolError when a number is not finite or out of the protocol's range.
         """
-        raise NotImplementedError
+        ttl_ms = max(1, min(ttl_ms, MAX_DRIVE_TTL_MS))
+        try:
+            command = Drive(
+                seq=self._count(), t_station_ns=self._now_ns(), linear=linear, angular=angular, ttl_ms=ttl_ms
+            )
+        except ValueError as exc:
+            raise LocalProtocolError(f"drive command refused: {exc}") from exc
+        return self._can("drive") and self._put(command)
 
     def stop(self) -> bool:
         """Motors off now. False when no robot is connected (its own watchdog has stopped it by then)."""
-        raise NotImplementedError
+        self._due.pop(Drive, None)
+        return self._connected and self._put(Stop(seq=self._count()))
 
     def point(self, pan: float, tilt: float) -> bool:
         """Point the camera head (rad, positive left and up); newest wins. False when there is none."""
-        raise NotImplementedError
+        try:
+            command = PanTilt(pan=pan, tilt=tilt)
+        except ValueError as exc:
+            raise LocalProtocolError(f"pan-tilt command refused: {exc}") from exc
+        return self._can("pan_tilt") and self._put(command)
 
     def hijack(self, x: float, y: float, yaw: float) -> bool:
         """Put a simulated robot down elsewhere (m, m, rad). False when not connected or the robot is real."""
-        raise NotImplementedError
+        try:
+            command = Hijack(x=x, y=y, yaw=yaw)
+        except ValueError as exc:
+            raise LocalProtocolError(f"hijack refused: {exc}") from exc
+        return self._can("hijack") and self._put(command)
 
-    def to_station_ns(self, t_robot_ns: int) -> int | None:
-        """The station's monotonic time of a robot time; None before the clocks are known."""
-        raise NotImplementedError
+    def _can(self, capability: str) -> bool:
+        return self._connected and self._hello is not None and bool(getattr(self._hello.capabilities, capability))
+
+    def _put(self, message: StationMessage) -> bool:
+        self._due[type(message)] = message
+        self._wake.set()
+        return True
+
+    def _count(self) -> int:
+        self._seq += 1
+        return self._seq
+
+    # Connection
+
+    async def run(self) -> None:
+        """Connect, and connect again whenever the connection is lost, until cancelled."""
+        while True:
+            was_connected = False
+            try:
+                self._reason = await self._connect_once()
+            finally:
+                was_connected, self._connected = self._connected, False
+            if was_connected:
+                logger.warning("robot lost: %s", self._reason)
+                self._listener.on_disconnected(self._reason)
+            await asyncio.sleep(RETRY_S)
+
+    async def _connect_once(self) -> str:
+        """Connect and stay connected; returns the sentence why not any longer."""
+        address = f"{self._host}:{self._port}"
+        try:
+            async with asyncio.timeout(CONNECT_WITHIN_S):
+                reader, writer = await self._open()
+        except TimeoutError:
+            return f"no answer from {address}; check that the robot is on and in this network"
+        except OSError as exc:
+            return f"cannot connect to {address} ({exc.strerror or exc}); start robot-server there"
+        self._session = Session("station", self._now_ns())
+        self._due.clear()
+        self._seq = 0
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._read(reader))
+                tasks.create_task(self._write(writer))
+                tasks.create_task(self._tick())
+        except* _Ended:
+            pass
+        except* OSError as group:
+            self._session.close(Event.LOST, f"connection lost: {group.exceptions[0]}")
+        finally:
+            writer.transport.abort()
+        return self._session.close_reason
+
+    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        loop = asyncio.get_running_loop()
+        error: OSError | None = None
+        for family, kind, protocol, _, address in await loop.getaddrinfo(
+            self._host, self._port, type=socket.SOCK_STREAM
+        ):
+            connection = socket.socket(family, kind, protocol)
+            try:
+                connection.setblocking(False)
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                await loop.sock_connect(connection, address)
+                return await asyncio.open_connection(sock=connection, limit=READ_BYTES)
+            except OSError as exc:
+                error = exc
+                connection.close()
+            except BaseException:
+                connection.close()
+                raise
+        raise error or OSError("no address found")
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        session = self._session
+        while data := await reader.read(READ_BYTES):
+            self._bytes += len(data)
+            session.receive(data)
+            try:
+                while (message := session.next_message(self._now_ns())) is not None:
+                    self._take(message, self._now_ns())
+                    if session.state is State.CLOSED:
+                        raise _Ended
+            except RemoteProtocolError as exc:
+                raise _Ended from exc  # the session holds the reason
+        session.close(Event.LOST, "the robot closed the connection")
+        raise _Ended
+
+    async def _write(self, writer: asyncio.StreamWriter) -> None:
+        writer.transport.set_write_buffer_limits(high=0)
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while (kind := next((kind for kind in SENDING_ORDER if kind in self._due), None)) is not None:
+                writer.write(self._session.send(self._due.pop(kind)))
+                await writer.drain()
+
+    async def _tick(self) -> None:
+        session = self._session
+        while True:
+            now_ns = self._now_ns()
+            for duty in session.tick(now_ns):
+                if duty is Tick.SEND_HEARTBEAT:
+                    self._put(Heartbeat(seq=self._count(), t_station_ns=now_ns))
+                elif duty is Tick.CLOSE:
+                    raise _Ended
+            self._rates.sample(now_ns, self._frames, self._imu_samples, self._bytes)
+            await asyncio.sleep(TICK_S)
+
+    # What arrives
+
+    def _take(self, message: Message, now_ns: int) -> None:
+        match message:
+            case CameraFrame():
+                self._frames += 1
+                self._frames_skipped += message.skipped
+                self._listener.on_frame(message, now_ns)
+            case ImuBatch():
+                self._take_imu(message)
+            case DriveApplied():
+                self._clock.add_stamp(message.t_robot_ns, now_ns)
+                self._listener.on_drive_applied(message)
+            case HeartbeatReply():
+                self._clock.add_reply(message, now_ns)
+            case Status():
+                self._status = message
+                self._listener.on_status(message)
+            case ErrorNotice():
+                self._take_notice(message)
+            case Hello():
+                self._take_hello(message)
+            case Welcome():
+                self._connected = True
+                self._connections += 1
+                if self._hello is not None:
+                    self._listener.on_connected(self._hello)
+            case Refusal():
+                self._session.close_reason = f"the robot refused this station: {message.reason}"
+            case _:
+                pass
+
+    def _take_hello(self, hello: Hello) -> None:
+        is_same_run = self._hello is not None and self._hello.session_id == hello.session_id
+        if not is_same_run:  # another count of samples, and perhaps another clock
+            self._next_imu_sequence = -1
+            self._clock = LinkClock()
+        self._hello = hello
+        self._put(
+            Join(
+                protocol=PROTOCOL_VERSION,
+                station_name=self._station_name,
+                resume_session_id=hello.session_id if is_same_run else "",
+                next_imu_sequence=self._next_imu_sequence,
+            )
+        )
+
+    def _take_imu(self, batch: ImuBatch) -> None:
+        if self._next_imu_sequence >= 0 and batch.first_sequence > self._next_imu_sequence:
+            missing = batch.first_sequence - self._next_imu_sequence
+            self._imu_gaps += 1
+            self._imu_lost += missing
+            self._listener.on_gap(missing)
+        self._next_imu_sequence = batch.next_sequence
+        self._imu_samples += len(batch.samples)
+        self._listener.on_imu(batch)
+
+    def _take_notice(self, notice: ErrorNotice) -> None:
+        self._notice = notice
+        logger.warning("robot: %s", notice.message)
+        if notice.fatal:
+            self._session.close_reason = f"the robot closed the connection: {notice.message}"
+        self._listener.on_notice(notice)
+
+
+class _Ended(Exception):
+    """Ends the tasks of a connection; the session holds the reason."""
