@@ -1,0 +1,144 @@
+"""Appearance index: which images of a map look like this one. Visual words, trained on the map itself, inverted file.
+
+The number of words grows with the map, so an inverted list keeps its length; a word is found through two levels in
+the square root of their number. A query therefore costs much less than the map's size.
+Source: Sivic and Zisserman, ICCV 2003 (words, tf-idf); Nister and Stewenius, CVPR 2006 (hierarchy).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray
+from station.places.features import DescriptorArray, Float32Array, to_floats
+
+DESCRIPTORS_PER_WORD = 12
+MAX_WORDS = 1 << 18
+TRAINING_LIMIT = 200_000  # descriptors; a random sample of larger maps
+LLOYD_ROUNDS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vocabulary:
+    """Two levels of cluster centres. Word numbers run through the cells of the first level."""
+
+    coarse: Float32Array  # (c, 128)
+    fine: Float32Array  # (w, 128) grouped by coarse cell
+    first: IntArray  # (c + 1,) where each coarse cell's words begin
+
+    @property
+    def num_words(self) -> int:
+        return len(self.fine)
+
+    def words(self, descriptors: DescriptorArray) -> IntArray:
+        """(n,) the word of each descriptor (n, 128)."""
+        x = to_floats(descriptors)
+        cell = _nearest(x, self.coarse)
+        out = np.zeros(len(x), dtype=np.int64)
+        for c in np.unique(cell):
+            mine = cell == c
+            out[mine] = self.first[c] + _nearest(x[mine], self.fine[self.first[c] : self.first[c + 1]])
+        return out
+
+
+def train_vocabulary(descriptors: DescriptorArray, seed: int = 0) -> Vocabulary:
+    """Words for the descriptors (n, 128) of a map: about one per DESCRIPTORS_PER_WORD of them."""
+    rng = np.random.default_rng(seed)
+    total = len(descriptors)
+    num_words = int(np.clip(total // DESCRIPTORS_PER_WORD, 1, MAX_WORDS))
+    sample = descriptors if total <= TRAINING_LIMIT else descriptors[rng.choice(total, TRAINING_LIMIT, replace=False)]
+    x = to_floats(sample)
+    coarse = _cluster(x, max(1, round(np.sqrt(num_words))), rng)
+    cell = _nearest(x, coarse)
+    fine, first = [], [0]
+    for c in range(len(coarse)):
+        mine = x[cell == c]
+        count = max(1, round(num_words * len(mine) / len(x)))
+        centres = _cluster(mine, count, rng) if len(mine) else coarse[c : c + 1]
+        fine.append(centres)
+        first.append(first[-1] + len(centres))
+    return Vocabulary(coarse, np.concatenate(fine), np.array(first, dtype=np.int64))
+
+
+def _nearest(x: Float32Array, centres: Float32Array) -> IntArray:
+    """Index of the nearest centre (k, 128) to each row of x (n, 128)."""
+    half_norm = 0.5 * (centres**2).sum(axis=1)
+    out = np.empty(len(x), dtype=np.int64)
+    for start in range(0, len(x), 8192):
+        out[start : start + 8192] = np.argmax(x[start : start + 8192] @ centres.T - half_norm, axis=1)
+    return out
+
+
+def _cluster(x: Float32Array, count: int, rng: np.random.Generator) -> Float32Array:
+    """Lloyd's k-means from random members; fewer centres than asked when there are fewer points."""
+    count = min(count, len(x))
+    centres = x[rng.choice(len(x), count, replace=False)]
+    if count == len(x):
+        return centres
+    for _ in range(LLOYD_ROUNDS):
+        label = _nearest(x, centres)
+        order = np.argsort(label, kind="stable")
+        filled, begin = np.unique(label[order], return_index=True)
+        sums = np.add.reduceat(x[order], begin, axis=0)
+        centres = centres.copy()
+        centres[filled] = sums / np.diff([*begin, len(x)])[:, None]
+    return np.asarray(centres, dtype=np.float32)
+
+
+class AppearanceIndex:
+    """Inverted file over images: word → the images that show it."""
+
+    def __init__(self, images: Sequence[DescriptorArray], seed: int = 0) -> None:
+        """Index the images' descriptors, each (n_i, 128); an image without any can never be proposed."""
+        self.num_images = len(images)
+        stacked = np.concatenate([np.zeros((0, 128), dtype=np.uint8), *images])
+        if not len(stacked):
+            self._vocabulary: Vocabulary | None = None
+            return
+        self._vocabulary = train_vocabulary(stacked, seed)
+        word = self._vocabulary.words(stacked)
+        image = np.repeat(np.arange(len(images)), [len(d) for d in images])
+        pair, count = np.unique(word * np.int64(len(images)) + image, return_counts=True)
+        pair_word, self._posting_image = pair // len(images), pair % len(images)
+        num_words = self._vocabulary.num_words
+        self._begin = np.searchsorted(pair_word, np.arange(num_words + 1))
+        in_images = np.diff(self._begin)
+        # A word seen in most images says nothing.
+        self._idf = np.log((1 + len(images)) / (1 + in_images)) * (in_images > 0)
+        weight = np.sqrt(count) * self._idf[pair_word]
+        norm = np.sqrt(np.bincount(self._posting_image, weight**2, minlength=len(images)))
+        self._posting_weight = weight / np.maximum(norm[self._posting_image], 1e-12)
+
+    @property
+    def num_words(self) -> int:
+        return self._vocabulary.num_words if self._vocabulary else 0
+
+    @property
+    def num_bytes(self) -> int:
+        """Memory of the index without the descriptors themselves."""
+        v = self._vocabulary
+        if v is None:
+            return 0
+        arrays = (v.coarse, v.fine, v.first, self._posting_image, self._posting_weight, self._begin, self._idf)
+        return sum(a.nbytes for a in arrays)
+
+    def query(self, descriptors: DescriptorArray, count: int) -> tuple[IntArray, FloatArray]:
+        """The most similar images: numbers (k,) and cosine similarities (k,), best first; k <= count."""
+        if self._vocabulary is None or not len(descriptors):
+            return np.zeros(0, dtype=np.int64), np.zeros(0)
+        word, times = np.unique(self._vocabulary.words(descriptors), return_counts=True)
+        weight = np.sqrt(times) * self._idf[word]
+        norm = float(np.linalg.norm(weight))
+        if norm <= 0:
+            return np.zeros(0, dtype=np.int64), np.zeros(0)
+        begin, end = self._begin[word], self._begin[word + 1]
+        length = end - begin
+        posting = np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum())
+        contribution = self._posting_weight[posting] * np.repeat(weight / norm, length)
+        image, inverse_index = np.unique(self._posting_image[posting], return_inverse=True)
+        score = np.bincount(inverse_index, contribution, minlength=len(image))
+        best = np.argsort(-score, kind="stable")[:count]
+        return image[best].astype(np.int64), score[best].astype(np.float64)

@@ -1,0 +1,74 @@
+"""Local image features: what appearance means here. SIFT as RootSIFT, in bytes.
+
+Source: Lowe, IJCV 60(2), 2004; square root of the L1-normalised descriptor: Arandjelovic and Zisserman, CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shared.calibration import CameraCalibration
+from shared.geometry import FloatArray
+from station.frames import ImageArray
+
+DescriptorArray = npt.NDArray[np.uint8]
+Float32Array = npt.NDArray[np.float32]
+
+MAX_FEATURES = 800
+# Root of a share of the L1 norm, times this: a unit vector of length 512 whose entries rarely reach 255.
+BYTE_SCALE = 512.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Keypoints of one image."""
+
+    uv_px: FloatArray  # (n, 2) as measured, distorted pixels
+    descriptors: DescriptorArray  # (n, 128) RootSIFT in bytes
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+
+class FeatureExtractor:
+    """Detects and describes. Holds the library's detector, so one per thread."""
+
+    def __init__(self, max_features: int = MAX_FEATURES) -> None:
+        self._sift = cv2.SIFT.create(nfeatures=max_features, contrastThreshold=0.02)
+
+    def extract(self, grey: ImageArray) -> Features:
+        """Features of an image (H, W); none on a featureless one."""
+        keypoints, raw = self._sift.detectAndCompute(grey, None)
+        if raw is None or not len(keypoints):
+            return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8))
+        uv = np.array([k.pt for k in keypoints], dtype=np.float64)
+        return Features(uv, to_bytes(np.asarray(raw, dtype=np.float32)))
+
+
+def to_bytes(sift: Float32Array) -> DescriptorArray:
+    """RootSIFT (n, 128) of SIFT descriptors (n, 128), in bytes."""
+    share = sift / np.maximum(np.abs(sift).sum(axis=1, keepdims=True), 1e-12)
+    return np.clip(np.round(np.sqrt(share) * BYTE_SCALE), 0, 255).astype(np.uint8)
+
+
+def to_floats(descriptors: DescriptorArray) -> Float32Array:
+    """(n, 128) of about unit length, so that a dot product is a similarity 0..1."""
+    return descriptors.astype(np.float32) / np.float32(BYTE_SCALE)
+
+
+def to_rays(camera: CameraCalibration, uv_px: FloatArray) -> FloatArray:
+    """Normalised coordinates (n, 2) of distorted pixels (n, 2): the ray is (x, y, 1) in the camera frame."""
+    if not len(uv_px):
+        return np.zeros((0, 2))
+    points = np.ascontiguousarray(uv_px, dtype=np.float64).reshape(-1, 1, 2)
+    distortion = np.array(camera.distortion)
+    if camera.model == "equidistant":
+        return np.asarray(cv2.fisheye.undistortPoints(points, camera.K, distortion), dtype=np.float64).reshape(-1, 2)
+    # The default five iterations leave a pixel of error in the corners of a lens like the reference robot's.
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-9)
+    out = cv2.undistortPoints(points, camera.K, distortion, criteria=criteria)
+    return np.asarray(out, dtype=np.float64).reshape(-1, 2)
