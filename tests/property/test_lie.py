@@ -1,0 +1,112 @@
+"""The group axioms of SO(3) and SE_k(3), also near 0 and near pi."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shared.geometry import FloatArray
+from station.slam.ukf import lie
+
+ANGLES = [0.0, 1e-12, 1e-7, 9e-5, 1.1e-4, 5e-3, 0.011, 0.09, 0.11, 1.0, 2.9, 3.05, np.pi - 1e-4, np.pi - 1e-9, np.pi]
+K = 4
+
+
+def element(angle: float, seed: int) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    return axis / np.linalg.norm(axis) * angle, rng.normal(size=(K, 3)) * 3.0
+
+
+def as_matrix(R: FloatArray, X: FloatArray) -> FloatArray:
+    """Thesis eq. B.5."""
+    M = np.eye(3 + len(X))
+    M[:3, :3] = R
+    M[:3, 3:] = X.T
+    return M
+
+
+def algebra_matrix(phi: FloatArray, xi: FloatArray) -> FloatArray:
+    M = np.zeros((3 + len(xi), 3 + len(xi)))
+    M[:3, :3] = lie.skew(phi)
+    M[:3, 3:] = xi.T
+    return M
+
+
+angles = st.one_of(st.sampled_from(ANGLES), st.floats(0, np.pi))
+seeds = st.integers(0, 10**6)
+
+
+@given(angle=angles, seed=seeds)
+@settings(max_examples=80, deadline=None)
+def test_exp_is_the_matrix_exponential(angle: float, seed: int) -> None:
+    phi, xi = element(angle, seed)
+    expected = scipy.linalg.expm(algebra_matrix(phi, xi))
+    assert np.allclose(as_matrix(*lie.exp(phi, xi)), expected, atol=1e-9)
+
+
+@given(angle=angles, seed=seeds)
+@settings(max_examples=80, deadline=None)
+def test_log_inverts_exp(angle: float, seed: int) -> None:
+    phi, xi = element(angle, seed)
+    back_phi, back_xi = lie.log(*lie.exp(phi, xi))
+    if angle > np.pi - 1e-6:  # phi and -phi are the same rotation there
+        assert np.allclose(lie.so3_exp(back_phi), lie.so3_exp(phi), atol=1e-7)
+    else:
+        assert np.allclose(back_phi, phi, atol=1e-8)
+        assert np.allclose(back_xi, xi, atol=1e-6)
+
+
+@given(a=angles, b=angles, c=angles, seed=seeds)
+@settings(max_examples=50, deadline=None)
+def test_group_axioms(a: float, b: float, c: float, seed: int) -> None:
+    A, B, C = (lie.exp(*element(angle, seed + i)) for i, angle in enumerate((a, b, c)))
+    identity = (np.eye(3), np.zeros((K, 3)))
+    left = lie.compose(*lie.compose(*A, *B), *C)
+    right = lie.compose(*A, *lie.compose(*B, *C))
+    assert all(np.allclose(x, y, atol=1e-9) for x, y in zip(left, right, strict=True))
+    for product in (lie.compose(*A, *lie.inverse(*A)), lie.compose(*lie.inverse(*A), *A)):
+        assert all(np.allclose(x, y, atol=1e-9) for x, y in zip(product, identity, strict=True))
+    assert np.allclose(as_matrix(*lie.compose(*A, *B)), as_matrix(*A) @ as_matrix(*B), atol=1e-9)
+
+
+@given(angle=angles, seed=seeds)
+@settings(max_examples=50, deadline=None)
+def test_left_jacobian_is_the_finite_difference(angle: float, seed: int) -> None:
+    phi, xi = element(angle, seed)
+    J = lie.left_jacobian(phi, xi)
+    z = np.concatenate([phi, xi.ravel()])
+    inverse = lie.inverse(*lie.exp(phi, xi))
+    h = 1e-6
+    for column in range(0, len(z), 2):
+        difference = np.zeros(len(z))
+        for sign in (1.0, -1.0):
+            moved = z.copy()
+            moved[column] += sign * h
+            step = lie.log(*lie.compose(*lie.exp(moved[:3], moved[3:].reshape(-1, 3)), *inverse))
+            difference += sign * np.concatenate([step[0], step[1].ravel()]) / (2 * h)
+        assert np.allclose(J[:, column], difference, atol=2e-5)
+
+
+@pytest.mark.parametrize("angle", [a for a in ANGLES if a < 3.1])
+def test_jacobian_inverse_and_integrals(angle: float) -> None:
+    phi, _ = element(angle, 3)
+    assert np.allclose(lie.so3_left_jacobian(phi) @ lie.so3_left_jacobian_inverse(phi), np.eye(3), atol=1e-10)
+    # Gamma_1 and Gamma_2 are the first and second integral of exp(s phi) over s in [0, 1]
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    s, w = 0.5 * (nodes + 1.0), 0.5 * weights
+    R = lie.so3_exp(s[:, None] * phi)
+    assert np.allclose(np.einsum("n,nij->ij", w, R), lie.so3_left_jacobian(phi), atol=1e-11)
+    assert np.allclose(np.einsum("n,nij->ij", w * (1.0 - s), R), lie.gamma2(phi), atol=1e-11)
+
+
+def test_batches_agree_with_single_elements() -> None:
+    elements = [element(angle, i) for i, angle in enumerate(ANGLES)]
+    phi, xi = np.stack([e[0] for e in elements]), np.stack([e[1] for e in elements])
+    R, X = lie.exp(phi, xi)
+    for i, (p, x) in enumerate(elements):
+        assert np.allclose(R[i], lie.exp(p, x)[0]) and np.allclose(X[i], lie.exp(p, x)[1])
+        assert np.allclose(lie.so3_log(R)[i], lie.so3_log(R[i]))
