@@ -1,0 +1,42 @@
+"""The filter's settings. One set serves every sequence of a rig; what differs between rigs is in the calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from station.slam.frontend.tracker import TrackerConfig
+from station.slam.ukf.state import ErrorKind
+
+
+@dataclass(frozen=True, slots=True)
+class FilterConfig:
+    """Estimation."""
+
+    error: ErrorKind = ErrorKind.RIGHT
+    use_sigma_points: bool = True  # False with RIGHT: the invariant EKF
+    spread: float = 1.0  # sigma points lie that many standard deviations out
+    num_landmarks: int = 30  # p, at most
+    num_clones: int = 12
+    keyframe_parallax_px: float = 8.0  # the newest clone replaces its predecessor until the image moved that much
+    sigma_px: float = 1.0
+    gate_probability: float = 0.95
+    landmark_gate_probability: float = 0.99
+    window_gate_slack: float = 1.0
+    huber: float = 1.5
+    min_track_observations: int = 4
+    min_landmark_observations: int = 6
+    max_track_rms: float = 3.0  # whitened; a triangulation that fits worse is an outlier
+    max_window_tracks: int = 30  # per frame, longest first: bounds the time per frame
+    max_new_landmarks: int = 5  # per frame
+    landmark_depth_sigma: float = 0.25  # relative; a point enters the state once its depth is that well known
+    window_depth_sigma: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class UkfConfig:
+    """Everything of the backend."""
+
+    filter: FilterConfig = field(default_factory=FilterConfig)
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    landmarks: Literal["default", "thesis"] = "default"  # thesis: each landmark as it first entered the filter
