@@ -1,0 +1,132 @@
+"""Writes EuRoC/ASL dataset folders: images, IMU, truth, drive commands. Nothing half-written stays under the name."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from robot.simulation.body import MotionState
+from robot.simulation.sensors import ImuMeasurement
+from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.errors import DataError
+from shared.geometry import FloatArray, quat_from_rotation
+
+_DISTORTION_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"}
+
+
+class AslWriter:
+    """Collects one drive into DIR; the folder appears under its name when the drive is complete."""
+
+    def __init__(self, out: Path, calibration: Calibration) -> None:
+        if out.exists() and any(out.iterdir() if out.is_dir() else [out]):
+            raise DataError(f"{out} already exists and is not empty; choose another --out or remove it")
+        self._out = out
+        self._partial = out.with_name(out.name + ".partial")
+        shutil.rmtree(self._partial, ignore_errors=True)
+        mav = self._partial / "mav0"
+        try:
+            for folder in ("cam0/data", "imu0", "state_groundtruth_estimate0", "drive0"):
+                (mav / folder).mkdir(parents=True)
+        except OSError as exc:
+            raise DataError(f"{out} cannot be written: {exc.strerror}; choose another --out") from exc
+        if calibration.camera:
+            (mav / "cam0/sensor.yaml").write_text(camera_yaml(calibration.camera))
+        if calibration.imu:
+            (mav / "imu0/sensor.yaml").write_text(imu_yaml(calibration.imu))
+        self._files = {
+            "cam0": (mav / "cam0/data.csv").open("w"),
+            "imu0": (mav / "imu0/data.csv").open("w"),
+            "truth": (mav / "state_groundtruth_estimate0/data.csv").open("w"),
+            "drive0": (mav / "drive0/data.csv").open("w"),
+        }
+        self._files["cam0"].write("#timestamp [ns],filename,exposure [ns]\n")
+        self._files["imu0"].write(
+            "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+            "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
+        )
+        self._files["truth"].write(
+            "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
+            "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],"
+            "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]\n"
+        )
+        self._files["drive0"].write("#timestamp [ns],linear [m s^-1],angular [rad s^-1]\n")
+        self.num_frames = 0
+
+    def __enter__(self) -> AslWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for file in self._files.values():
+            file.close()
+        if kind is not None:
+            shutil.rmtree(self._partial, ignore_errors=True)
+            return
+        if self._out.exists():
+            self._out.rmdir()
+        self._partial.rename(self._out)
+
+    def add_file(self, name: str, text: str) -> None:
+        """A further file beside mav0, such as the configuration of the run."""
+        (self._partial / name).write_text(text)
+
+    def add_frame(self, t_ns: int, jpeg: bytes, exposure_s: float) -> None:
+        name = f"{t_ns}.jpg"
+        (self._partial / "mav0/cam0/data" / name).write_bytes(jpeg)
+        self._files["cam0"].write(f"{t_ns},{name},{round(exposure_s * 1e9)}\n")
+        self.num_frames += 1
+
+    def add_imu(self, t_ns: int, measurement: ImuMeasurement) -> None:
+        values = ",".join(f"{v:.9g}" for v in (*measurement.gyro_imu, *measurement.accel_imu))
+        self._files["imu0"].write(f"{t_ns},{values}\n")
+
+    def add_truth(self, t_ns: int, motion: MotionState, biases: Sequence[FloatArray]) -> None:
+        q = quat_from_rotation(motion.R_world_body)
+        numbers = np.concatenate([motion.p_world, q, motion.v_world, *biases])
+        self._files["truth"].write(f"{t_ns}," + ",".join(f"{v:.9g}" for v in numbers) + "\n")
+
+    def add_drive(self, t_ns: int, linear_m_s: float, angular_rad_s: float) -> None:
+        self._files["drive0"].write(f"{t_ns},{linear_m_s:.6g},{angular_rad_s:.6g}\n")
+
+
+def camera_yaml(camera: CameraCalibration) -> str:
+    """sensor.yaml of a camera, with the keys EuRoC lacks: time_shift_s, line_delay_s."""
+    rows = [", ".join(f"{v:.12g}" for v in row) for row in camera.T_body_cam_matrix]
+    matrix = ",\n         ".join(rows)
+    return (
+        "sensor_type: camera\ncomment: simulated\n"
+        f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{matrix}]\n"
+        f"rate_hz: {camera.rate_hz:g}\nresolution: [{camera.width}, {camera.height}]\ncamera_model: pinhole\n"
+        f"intrinsics: [{camera.fx}, {camera.fy}, {camera.cx}, {camera.cy}]\n"
+        f"distortion_model: {_DISTORTION_NAMES[camera.model]}\n"
+        f"distortion_coefficients: [{', '.join(map(str, camera.distortion))}]\n"
+        f"time_shift_s: {camera.time_shift_s}  # t_imu = t_cam + time_shift_s\n"
+        f"line_delay_s: {camera.line_delay_s}  # row v is exposed line_delay_s * v after row 0\n"
+    )
+
+
+def imu_yaml(imu: ImuNoise) -> str:
+    """sensor.yaml of an IMU, with the keys EuRoC lacks: gyroscope_range, accelerometer_range."""
+    identity = (
+        "1.0, 0.0, 0.0, 0.0,\n         0.0, 1.0, 0.0, 0.0,\n         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0"
+    )
+    return (
+        "sensor_type: imu\ncomment: simulated\n"
+        f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{identity}]\n"
+        f"rate_hz: {imu.rate_hz:g}\n"
+        f"gyroscope_noise_density: {imu.gyro_density:.9g}\n"
+        f"gyroscope_random_walk: {imu.gyro_walk:.9g}\n"
+        f"accelerometer_noise_density: {imu.accel_density:.9g}\n"
+        f"accelerometer_random_walk: {imu.accel_walk:.9g}\n"
+        f"gyroscope_range: {_finite(imu.gyro_range)}\n"
+        f"accelerometer_range: {_finite(imu.accel_range)}\n"
+    )
+
+
+def _finite(value: float) -> str:
+    return f"{value:.9g}" if np.isfinite(value) else ".inf"

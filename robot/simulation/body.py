@@ -1,0 +1,342 @@
+"""A skid-steer robot in a world of boxes: motor lag, slip, uneven floor, collisions, and hands that carry it away.
+
+The motion is a smooth solution of an ODE, so rates and accelerations are exact derivatives and the IMU made from
+them integrates back to the trajectory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot.simulation.config import BodyParameters
+from robot.simulation.world import World
+from shared.geometry import FloatArray
+
+TICK_RATE_HZ = 225.0
+TICK_S = 1.0 / TICK_RATE_HZ
+CARRY_HEIGHT_M = 0.45
+CARRY_SPEED_M_S = 2.0
+MIN_CARRY_S = 1.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionState:
+    """True motion of the body (= IMU) at one instant. World frame: the simulated world's."""
+
+    t_s: float
+    p_world: FloatArray  # (3,) m
+    R_world_body: FloatArray  # (3, 3)
+    v_world: FloatArray  # (3,) m/s
+    a_world: FloatArray  # (3,) m/s^2
+    omega_body: FloatArray  # (3,) rad/s
+    carried: float = 0.0  # 0 on the floor .. 1 held in a hand that covers the lens
+
+
+@dataclass(slots=True)
+class _Plane:
+    """State of the ODE: position, heading, forward speed, yaw rate with their derivatives, distance rolled."""
+
+    x: float
+    y: float
+    yaw: float
+    v: float = 0.0
+    a: float = 0.0
+    w: float = 0.0
+    b: float = 0.0  # d w / d t
+    s: float = 0.0
+
+
+class Body:
+    """The platform; step() advances it by one tick."""
+
+    def __init__(self, world: World, parameters: BodyParameters, start: tuple[float, float, float], seed: int) -> None:
+        self._parameters = parameters
+        rng = np.random.default_rng([seed, 11])
+        self._boxes = CollisionBoxes(world)
+        self._plane = _Plane(*start)
+        self._ticks = 0
+        self._command = (0.0, 0.0)
+        spread = parameters.yaw_efficiency_spread
+        self._yaw_efficiency = parameters.yaw_efficiency + (spread * rng.standard_normal() if parameters.slip else 0.0)
+        self._yaw_efficiency = float(np.clip(self._yaw_efficiency, 0.2, 0.5)) if parameters.slip else 1.0
+        self._slip_phase = rng.uniform(0, 2 * np.pi, 3)
+        self._bumps = _Bumps(parameters, rng)
+        self._carry: _Carry | None = None
+        self.is_blocked = False
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """x m, y m, yaw rad on the floor plan."""
+        return self._plane.x, self._plane.y, self._plane.yaw
+
+    def command(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """What the motors are told from now on."""
+        p = self._parameters
+        self._command = (
+            float(np.clip(linear_m_s, -p.max_linear_m_s, p.max_linear_m_s)),
+            float(np.clip(angular_rad_s, -p.max_angular_rad_s, p.max_angular_rad_s)),
+        )
+
+    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        """Somebody lifts the robot, carries it and puts it down with wheels at rest."""
+        plane = self._plane
+        distance = math.hypot(x_m - plane.x, y_m - plane.y)
+        duration = max(MIN_CARRY_S, distance / CARRY_SPEED_M_S + 0.6)
+        turn = (yaw_rad - plane.yaw + math.pi) % (2 * math.pi) - math.pi
+        self._carry = _Carry(replace(plane), (x_m, y_m, plane.yaw + turn), duration)
+        plane.v = plane.a = plane.w = plane.b = 0.0
+
+    def step(self) -> MotionState:
+        """Advance by TICK_S and return the motion at the new instant."""
+        self._ticks += 1
+        if self._carry is not None:
+            return self._step_carried(self._carry)
+        plane = self._plane
+        before = (plane.v, plane.w)
+        self._integrate()
+        self._collide(before)
+        return self.state()
+
+    def state(self) -> MotionState:
+        """The motion now."""
+        p = self._plane
+        c, s = math.cos(p.yaw), math.sin(p.yaw)
+        icr = self._parameters.icr_offset_m if self._parameters.slip else 0.0
+        lateral, lateral_rate = icr * p.w, icr * p.b  # the IMU in front of the turning centre swings sideways
+        ax, ay = p.a - p.w * lateral, lateral_rate + p.w * p.v
+        speed, speed_rate = _rolling_speed(p)
+        z, roll, pitch = self._bumps.at(p.s, speed, speed_rate)
+        R = _rotation(p.yaw, pitch[0], roll[0])
+        return MotionState(
+            t_s=self._ticks * TICK_S,
+            p_world=np.array([p.x, p.y, self._parameters.imu_height_m + z[0]]),
+            R_world_body=R,
+            v_world=np.array([c * p.v - s * lateral, s * p.v + c * lateral, z[1]]),
+            a_world=np.array([c * ax - s * ay, s * ax + c * ay, z[2]]),
+            omega_body=_body_rates(p.w, pitch, roll),
+        )
+
+    def _integrate(self) -> None:
+        """One classical Runge-Kutta step of the ODE."""
+        p, h = self._plane, TICK_S
+        y0 = (p.x, p.y, p.yaw, p.v, p.a, p.w, p.b, p.s)
+        targets = self._targets()
+        k1 = self._slope(y0, targets)
+        k2 = self._slope(tuple(y + 0.5 * h * k for y, k in zip(y0, k1, strict=True)), targets)
+        k3 = self._slope(tuple(y + 0.5 * h * k for y, k in zip(y0, k2, strict=True)), targets)
+        k4 = self._slope(tuple(y + h * k for y, k in zip(y0, k3, strict=True)), targets)
+        p.x, p.y, p.yaw, p.v, p.a, p.w, p.b, p.s = (
+            y + h / 6 * (a + 2 * b + 2 * c + d) for y, a, b, c, d in zip(y0, k1, k2, k3, k4, strict=True)
+        )
+
+    def _targets(self) -> tuple[float, float]:
+        """Speeds the wheels reach for the present command, slip included."""
+        linear, angular = self._command
+        if not self._parameters.slip:
+            return linear, angular
+        s = self._plane.s
+        waves = math.sin(1.3 * s + self._slip_phase[0]) + math.sin(2.9 * s + self._slip_phase[1])
+        yaw_efficiency = self._yaw_efficiency * (1.0 + 0.12 * waves)
+        return linear * self._parameters.linear_efficiency, angular * yaw_efficiency
+
+    def _slope(self, y: tuple[float, ...], targets: tuple[float, float]) -> tuple[float, ...]:
+        _x, _y, yaw, v, a, w, b, _s = y
+        lag = self._parameters.lag_s
+        lateral = (self._parameters.icr_offset_m if self._parameters.slip else 0.0) * w
+        c, s = math.cos(yaw), math.sin(yaw)
+        return (
+            c * v - s * lateral,
+            s * v + c * lateral,
+            w,
+            a,
+            (targets[0] - v - 2 * lag * a) / lag**2,
+            b,
+            (targets[1] - w - 2 * lag * b) / lag**2,
+            math.sqrt(v * v + (0.15 * w) ** 2 + _SPEED_EPS**2) - _SPEED_EPS,
+        )
+
+    def _collide(self, before: tuple[float, float]) -> None:
+        """Push the robot out of what it touches and take the speed into it away."""
+        p = self._plane
+        push = self._boxes.push_out(p.x, p.y, self._parameters.radius_m)
+        self.is_blocked = push is not None
+        if push is None:
+            return
+        p.x, p.y = p.x + push[0], p.y + push[1]
+        nx, ny = push / max(1e-12, float(np.hypot(*push)))
+        c, s = math.cos(p.yaw), math.sin(p.yaw)
+        into = p.v * (c * nx + s * ny)  # speed along the outward normal; negative runs into the wall
+        if into < 0:
+            p.v -= into * (c * nx + s * ny)
+            p.a = (p.v - before[0]) / TICK_S  # the jolt, as the accelerometer feels it
+            p.a = float(np.clip(p.a, -60.0, 60.0))
+
+    def _step_carried(self, carry: _Carry) -> MotionState:
+        state = carry.state(self._ticks * TICK_S, self._parameters.imu_height_m)
+        p = self._plane
+        p.x, p.y, p.yaw = float(state.p_world[0]), float(state.p_world[1]), carry.yaw
+        if carry.is_done:
+            p.x, p.y, p.yaw = carry.target
+            self._carry = None
+        return state
+
+
+_SPEED_EPS = 1e-3
+
+
+def _rolling_speed(p: _Plane) -> tuple[float, float]:
+    """Speed of the wheels over the floor and its rate; both vanish smoothly at rest."""
+    root = math.sqrt(p.v * p.v + (0.15 * p.w) ** 2 + _SPEED_EPS**2)
+    return root - _SPEED_EPS, (p.v * p.a + 0.15**2 * p.w * p.b) / root
+
+
+def _rotation(yaw: float, pitch: float, roll: float) -> FloatArray:
+    """R_world_body = Rz(yaw) Ry(pitch) Rx(roll)."""
+    cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _body_rates(yaw_rate: float, pitch: tuple[float, ...], roll: tuple[float, ...]) -> FloatArray:
+    """Angular velocity (3,) rad/s in body axes from Euler angles and their rates."""
+    sp, cp, sr, cr = math.sin(pitch[0]), math.cos(pitch[0]), math.sin(roll[0]), math.cos(roll[0])
+    return np.array([roll[1] - yaw_rate * sp, pitch[1] * cr + yaw_rate * cp * sr, -pitch[1] * sr + yaw_rate * cp * cr])
+
+
+class _Bumps:
+    """Heave, roll and pitch as smooth functions of the distance rolled."""
+
+    def __init__(self, parameters: BodyParameters, rng: np.random.Generator) -> None:
+        scale = 1.0 if parameters.wobble else 0.0
+        self._k = 2 * np.pi / np.array([0.65, 0.31, 0.17])  # rad/m
+        share = np.array([0.6, 0.3, 0.12])
+        amplitudes = np.array([parameters.heave_mm * 1e-3, *[math.radians(parameters.wobble_deg)] * 2])
+        self._amplitude = scale * amplitudes[:, None] * share  # (3 motions, 3 waves)
+        self._phase = rng.uniform(0, 2 * np.pi, (3, 3))
+
+    def at(self, s: float, speed: float, speed_rate: float) -> list[tuple[float, float, float]]:
+        """Value, rate and acceleration of heave (m), roll and pitch (rad)."""
+        argument = self._k * s + self._phase
+        sine, cosine = np.sin(argument), np.cos(argument)
+        value = (self._amplitude * sine).sum(1)
+        slope = (self._amplitude * self._k * cosine).sum(1)
+        bend = -(self._amplitude * self._k**2 * sine).sum(1)
+        rate, acceleration = slope * speed, bend * speed**2 + slope * speed_rate
+        return [(float(value[i]), float(rate[i]), float(acceleration[i])) for i in range(3)]
+
+
+def _minimum_jerk(f: float, duration: float) -> tuple[float, float, float]:
+    """Progress 0..1 at share f of a movement, its rate and acceleration. Source: Flash and Hogan, 1985, eq. 3."""
+    f = min(max(f, 0.0), 1.0)
+    return (
+        f**3 * (10 - 15 * f + 6 * f**2),
+        30 * f**2 * (1 - f) ** 2 / duration,
+        60 * f * (1 - f) * (1 - 2 * f) / duration**2,
+    )
+
+
+class _Carry:
+    """Lift, carry and put down along a smooth path; the hand covers the lens on the way."""
+
+    def __init__(self, origin: _Plane, target: tuple[float, float, float], duration_s: float) -> None:
+        self.target = target
+        self._origin, self._duration = origin, duration_s
+        self._elapsed = 0.0
+        self.yaw = origin.yaw
+
+    @property
+    def is_done(self) -> bool:
+        return self._elapsed >= self._duration
+
+    def state(self, t_s: float, height_m: float) -> MotionState:
+        self._elapsed += TICK_S
+        f = self._elapsed / self._duration
+        m, m1, m2 = _minimum_jerk(f, self._duration)
+        up = f < 0.5
+        half = self._duration / 2
+        h, h1, h2 = _minimum_jerk(2 * f if up else 2 * (1 - f), half)
+        h1 = h1 if up else -h1
+        dx, dy = self.target[0] - self._origin.x, self.target[1] - self._origin.y
+        turn = self.target[2] - self._origin.yaw
+        self.yaw = self._origin.yaw + m * turn
+        # Tilts in the hand and comes back level.
+        tilt = 0.35
+        pitch, roll = (tilt * h, tilt * h1), (-0.6 * tilt * h, -0.6 * tilt * h1)
+        return MotionState(
+            t_s=t_s,
+            p_world=np.array([self._origin.x + m * dx, self._origin.y + m * dy, height_m + CARRY_HEIGHT_M * h]),
+            R_world_body=_rotation(self.yaw, pitch[0], roll[0]),
+            v_world=np.array([m1 * dx, m1 * dy, CARRY_HEIGHT_M * h1]),
+            a_world=np.array([m2 * dx, m2 * dy, CARRY_HEIGHT_M * h2]),
+            omega_body=_body_rates(m1 * turn, pitch, roll),
+            carried=float(np.clip((h - 0.15) / 0.25, 0.0, 1.0)),
+        )
+
+
+class CollisionBoxes:
+    """All solid boxes as arrays, for quick tests against a disc."""
+
+    def __init__(self, world: World) -> None:
+        obstacles = world.obstacles
+        self._centre = np.array([[o.x_m, o.y_m] for o in obstacles]).reshape(-1, 2)
+        self._half = np.array([[o.half_x_m, o.half_y_m] for o in obstacles]).reshape(-1, 2)
+        yaw = np.array([o.yaw_rad for o in obstacles])
+        self._cos, self._sin = np.cos(yaw), np.sin(yaw)
+
+    def clearance(self, p: FloatArray) -> FloatArray:
+        """Distance (N,) m of points (N, 2) to the nearest box; negative inside."""
+        if len(self._centre) == 0:
+            return np.full(len(p), math.inf)
+        d = p[:, None, :] - self._centre
+        local = np.abs(
+            np.stack(
+                [self._cos * d[..., 0] + self._sin * d[..., 1], -self._sin * d[..., 0] + self._cos * d[..., 1]], -1
+            )
+        )
+        beyond = local - self._half
+        outside = np.hypot(*np.moveaxis(np.maximum(beyond, 0.0), -1, 0))
+        inside = np.minimum(beyond.max(-1), 0.0)
+        return np.asarray((outside + inside).min(1))
+
+    def push_out(self, x: float, y: float, radius: float) -> FloatArray | None:
+        """Shift (2,) m that frees a disc from the boxes it overlaps, None where it overlaps none."""
+        shift = np.zeros(2)
+        for _ in range(4):  # a corner between two boxes needs a few rounds
+            step = self._deepest(x + shift[0], y + shift[1], radius)
+            if step is None:
+                break
+            shift += step
+        return shift if shift.any() else None
+
+    def _deepest(self, x: float, y: float, radius: float) -> FloatArray | None:
+        dx, dy = x - self._centre[:, 0], y - self._centre[:, 1]
+        lx, ly = self._cos * dx + self._sin * dy, -self._sin * dx + self._cos * dy
+        qx, qy = (
+            lx - np.clip(lx, -self._half[:, 0], self._half[:, 0]),
+            ly - np.clip(ly, -self._half[:, 1], self._half[:, 1]),
+        )
+        distance = np.hypot(qx, qy)
+        if len(distance) == 0 or distance.min() >= radius:
+            return None
+        i = int(np.argmin(distance))
+        if distance[i] > 1e-9:
+            nx, ny, depth = qx[i] / distance[i], qy[i] / distance[i], radius - distance[i]
+        else:  # the centre itself is inside: leave by the nearest side
+            gaps = self._half[i] - np.abs([lx[i], ly[i]])
+            k = int(np.argmin(gaps))
+            nx, ny = (math.copysign(1.0, lx[i]), 0.0) if k == 0 else (0.0, math.copysign(1.0, ly[i]))
+            depth = radius + gaps[k]
+        c, s = self._cos[i], self._sin[i]
+        return depth * np.array([c * nx - s * ny, s * nx + c * ny])
+
+
+PoseFunction = Callable[[float], FloatArray]  # time in s to T_world_body (4, 4)

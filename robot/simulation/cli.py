@@ -1,0 +1,94 @@
+"""`robot-sim`: datasets from the simulated robot, renderings along a given path, a scripted driver, pictures."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robot.simulation.config import SimulationConfig, load_config, without_imperfections
+from shared.errors import RobotSystemError
+
+app = typer.Typer(name="robot-sim", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+
+WorldOption = Annotated[str, typer.Option(help="home, lookalike, room, vicon or checker")]
+SeedOption = Annotated[int, typer.Option(help="which world of that kind")]
+ConfigOption = Annotated[Path | None, typer.Option(help="TOML file with imperfections and faults")]
+IdealOption = Annotated[bool, typer.Option(help="switch every imperfection of sensors and floor off")]
+
+
+@app.callback()
+def robot_sim() -> None:
+    """The simulated robot: furnished flats from a seed, a skid-steer body, camera and IMU with their faults."""
+
+
+def effective_config(path: Path | None, no_imperfections: bool) -> SimulationConfig:
+    config = load_config(path) if path else SimulationConfig()
+    return without_imperfections(config) if no_imperfections else config
+
+
+class Progress:
+    """A percentage on stderr, only on a terminal."""
+
+    def __init__(self) -> None:
+        self._shown = -1
+
+    def __call__(self, share: float) -> None:
+        percent = int(100 * share)
+        if percent != self._shown and sys.stderr.isatty():
+            print(f"\r{percent:3d} %", end="" if percent < 100 else "\n", file=sys.stderr, flush=True)
+            self._shown = percent
+
+
+@app.command()
+def dataset(
+    out: Annotated[Path, typer.Option(help="folder to write, must not exist")],
+    world: WorldOption = "home",
+    seed: SeedOption = 0,
+    route: Annotated[str, typer.Option(help="mapping, second, tour, triangle_a, triangle_b or triangle_c")] = "mapping",
+    drive_seed: Annotated[int, typer.Option(help="noise, slip and small differences of this drive")] = 0,
+    fps: Annotated[float | None, typer.Option(help="frames per second")] = None,
+    config: ConfigOption = None,
+    no_imperfections: IdealOption = False,
+    max_duration: Annotated[float, typer.Option(help="stop after this many seconds")] = 600.0,
+) -> None:
+    """Drive a route and write an EuRoC/ASL folder with images, IMU, truth and drive commands."""
+    import dataclasses
+    import time
+
+    from robot.simulation.atlas import default_cache_dir
+    from robot.simulation.recording import record_drive
+    from robot.simulation.routes import plan_route
+    from robot.simulation.worlds import make_world
+
+    settings = effective_config(config, no_imperfections)
+    if fps is not None:
+        settings = dataclasses.replace(settings, camera_rate_hz=fps)
+    flat = make_world(world, seed, settings)
+    plan = plan_route(flat, route, drive_seed, settings.body.radius_m)
+    began = time.monotonic()
+    result = record_drive(
+        flat, plan, settings, drive_seed, out, default_cache_dir(), Progress(), max_duration_s=max_duration
+    )
+    wall_s = time.monotonic() - began
+    state = "finished" if result.route_done else "not finished"
+    print(
+        f"{out}: {result.frames} frames, {result.duration_s:.1f} s, path {result.path_m:.1f} m, route {state}, "
+        f"blocked {result.blocked_s:.1f} s, rooms: {', '.join(result.rooms)}; "
+        f"{result.duration_s / wall_s:.1f}x real time"
+    )
+
+
+def main() -> None:
+    """Run one command; an error of ours becomes one sentence on stderr and exit code 1."""
+    try:
+        app()
+    except RobotSystemError as exc:
+        print(f"robot-sim: {exc}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

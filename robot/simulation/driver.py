@@ -1,0 +1,71 @@
+"""Follows a route by pure pursuit on the true pose: what a person with a joystick would do, every time the same."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot.simulation.routes import Route
+
+LOOKAHEAD_M = 0.35
+WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
+GOAL_M = 0.12
+PIVOT_RAD = 1.2  # turn in place first when the route points further aside than this
+
+
+@dataclass(frozen=True, slots=True)
+class DriveCommand:
+    """What to tell the motors."""
+
+    linear_m_s: float
+    angular_rad_s: float
+
+
+class RouteDriver:
+    """Gives a command for each true pose until the route ends."""
+
+    def __init__(self, route: Route, expected_yaw_efficiency: float = 0.33) -> None:
+        self._route = route
+        self._index = 0
+        self._efficiency = expected_yaw_efficiency
+        self._last_yaw_rate = 0.0
+        self.is_done = False
+
+    @property
+    def progress(self) -> float:
+        """Share of the route driven, 0..1."""
+        return 1.0 if self.is_done else self._index / max(1, len(self._route.points) - 1)
+
+    def command(self, x_m: float, y_m: float, yaw_rad: float, yaw_rate_rad_s: float) -> DriveCommand:
+        """The command for the present pose and achieved yaw rate."""
+        points = self._route.points
+        window = points[self._index : self._index + WINDOW_POINTS]
+        distance = np.hypot(window[:, 0] - x_m, window[:, 1] - y_m)
+        self._index += int(np.argmin(distance))
+        if self._index >= len(points) - 3 and math.hypot(*(points[-1] - (x_m, y_m))) < GOAL_M + 0.05:
+            self.is_done = True
+        if self.is_done or self._index >= len(points) - 1:
+            self.is_done = True
+            return DriveCommand(0.0, 0.0)
+        target = points[min(self._index + int(LOOKAHEAD_M / 0.05), len(points) - 1)]
+        bearing = math.atan2(target[1] - y_m, target[0] - x_m) - yaw_rad
+        bearing = (bearing + math.pi) % (2 * math.pi) - math.pi
+        reach = max(0.1, math.hypot(target[0] - x_m, target[1] - y_m))
+        speed, limit = self._route.max_speed_m_s, self._route.max_yaw_rate_rad_s
+        if abs(bearing) > PIVOT_RAD:
+            linear, yaw_rate = 0.05, math.copysign(limit, bearing)
+        else:
+            curvature = 2 * math.sin(bearing) / reach
+            linear = min(speed, limit / max(abs(curvature), 1e-6))
+            yaw_rate = linear * curvature
+        self._learn_efficiency(yaw_rate_rad_s)
+        self._last_yaw_rate = float(np.clip(yaw_rate / self._efficiency, -3.0, 3.0))
+        return DriveCommand(linear, self._last_yaw_rate)
+
+    def _learn_efficiency(self, yaw_rate_rad_s: float) -> None:
+        """How much of the commanded turning the wheels achieve here, as a driver feels after a second."""
+        if abs(self._last_yaw_rate) > 0.5:
+            ratio = yaw_rate_rad_s / self._last_yaw_rate
+            self._efficiency = float(np.clip(self._efficiency + 0.03 * (ratio - self._efficiency), 0.15, 1.2))

@@ -1,0 +1,349 @@
+"""A furnished flat from a seed: rooms by recursive splitting, doors by a spanning tree, furniture along the walls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot.simulation.building import DOOR_HEIGHT_M, Builder, Pose2, TexturePicker
+from robot.simulation.furniture import PIECES, Site
+from robot.simulation.textures import TextureSpec
+from robot.simulation.world import WALL_HEIGHT_M, WALL_THICKNESS_M, Door, Obstacle, Room, World
+
+MIN_SIDE_M = 2.6
+DOOR_WIDTH_M = 0.9
+_HALF_WALL = WALL_THICKNESS_M / 2
+
+ROOM_KINDS: dict[str, tuple[str, ...]] = {
+    "living room": ("sofa", "television", "bookshelf", "plant", "sideboard", "chair", "boxes", "person"),
+    "bedroom": ("bed", "wardrobe", "sideboard", "basket", "person", "chair", "boxes"),
+    "kitchen": ("counter", "fridge", "washer", "chair", "sideboard", "basket", "boxes"),
+    "office": ("desk", "bookshelf", "bookshelf", "boxes", "chair", "plant", "person"),
+    "child's room": ("bed", "boxes", "bookshelf", "boxes", "basket", "chair", "sideboard"),
+    "workshop": ("desk", "boxes", "sideboard", "boxes", "wardrobe", "person", "basket"),
+}
+WALL_STYLES = ("wallpaper", "plaster", "brick", "tiled", "wallpaper", "plaster")
+
+
+@dataclass(frozen=True, slots=True)
+class FlatOptions:
+    """How this visit to the flat differs from others."""
+
+    rooms: tuple[int, int] = (3, 5)
+    lookalike_rooms: bool = False  # two rooms get the same furniture in the same places
+    moved_chairs_seed: int | None = None  # chairs, boxes and baskets stand elsewhere
+    light_seed: int | None = None  # rooms are lit differently
+
+
+@dataclass(frozen=True, slots=True)
+class _WallRun:
+    """One side of one room: from `left` to `right` as seen from inside."""
+
+    left: tuple[float, float]
+    right: tuple[float, float]
+    length_m: float
+    openings: tuple[tuple[float, float], ...]  # m along the wall
+
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of a piece's local x axis: its y axis then looks into the room."""
+        return math.atan2(self.left[1] - self.right[1], self.left[0] - self.right[0])
+
+    def at(self, s_m: float) -> tuple[float, float]:
+        f = s_m / self.length_m
+        return (self.left[0] + f * (self.right[0] - self.left[0]), self.left[1] + f * (self.right[1] - self.left[1]))
+
+
+def make_flat(name: str, seed: int, options: FlatOptions) -> World:
+    """Build the flat of a seed; options change only what they say."""
+    rng = np.random.default_rng([seed, 1])
+    cells, doors = _plan(rng, options)
+    names = _room_names(rng, len(cells))
+    rooms = tuple(
+        Room(n, x0 + _HALF_WALL, y0 + _HALF_WALL, x1 - _HALF_WALL, y1 - _HALF_WALL)
+        for n, (x0, y0, x1, y1) in zip(names, cells, strict=True)
+    )
+    builder = Builder()
+    plain_room, plain_side = int(rng.integers(0, len(rooms))), int(rng.integers(0, 4))
+    room_seeds = [int(s) for s in rng.integers(0, 2**31, len(rooms))]
+    if options.lookalike_rooms:
+        rooms, room_seeds = _make_lookalike(rooms, room_seeds)
+    for index, room in enumerate(rooms):
+        featureless = plain_side if index == plain_room else -1
+        furnish_room(builder, room, index, doors, room_seeds[index], featureless, options.moved_chairs_seed)
+    for door in doors:
+        _build_jambs(builder, door, rng)
+    light = _light(options.light_seed, len(rooms))
+    start_room = max(rooms, key=lambda r: (r.x1_m - r.x0_m) * (r.y1_m - r.y0_m))
+    world = World(
+        name, seed, rooms, tuple(doors), tuple(builder.surfaces), tuple(builder.obstacles), (0.0, 0.0, 0.0), light
+    )
+    return replace(world, start=(*start_room.centre, 0.0))
+
+
+def _light(light_seed: int | None, count: int) -> tuple[float, ...]:
+    if light_seed is None:
+        return ()
+    return tuple(float(v) for v in np.random.default_rng([light_seed, 3]).uniform(0.45, 1.35, count))
+
+
+def _room_names(rng: np.random.Generator, count: int) -> list[str]:
+    kinds = list(ROOM_KINDS)
+    order = ["living room", *(kinds[int(i)] for i in rng.permutation(len(kinds)) if kinds[int(i)] != "living room")]
+    return order[:count]
+
+
+def _make_lookalike(rooms: tuple[Room, ...], seeds: list[int]) -> tuple[tuple[Room, ...], list[int]]:
+    """The two rooms of most similar size get one seed and one kind."""
+    size = np.array([[r.x1_m - r.x0_m, r.y1_m - r.y0_m] for r in rooms])
+    pairs = [(float(np.abs(size[i] - size[j]).sum()), i, j) for i in range(len(rooms)) for j in range(i)]
+    _, i, j = min(pairs)
+    twin_seeds = list(seeds)
+    twin_seeds[i] = seeds[j]
+    twins = list(rooms)
+    twins[i] = replace(rooms[i], name=rooms[j].name + " 2")
+    return tuple(twins), twin_seeds
+
+
+# --- floor plan ---------------------------------------------------------------------------------------------------
+
+Cell = tuple[float, float, float, float]  # x0 y0 x1 y1 m, to the middle of the walls
+
+
+def _plan(rng: np.random.Generator, options: FlatOptions) -> tuple[list[Cell], list[Door]]:
+    low, high = options.rooms
+    weights = np.array([0.5, 0.3, 0.2, 0.1, 0.1][: high - low + 1])
+    count = low + int(rng.choice(len(weights), p=weights / weights.sum()))
+    while True:
+        cells = _split_area(rng, count)
+        doors = _place_doors(rng, cells) if cells else None
+        if cells and doors is not None:
+            return cells, doors
+
+
+def _split_area(rng: np.random.Generator, count: int) -> list[Cell] | None:
+    area = count * rng.uniform(10.5, 13.0)
+    aspect = rng.uniform(0.65, 1.0)
+    width, depth = math.sqrt(area / aspect), math.sqrt(area * aspect)
+    cells: list[Cell] = [(0.0, 0.0, width, depth)]
+    while len(cells) < count:
+        cells.sort(key=lambda c: (c[2] - c[0]) * (c[3] - c[1]))
+        x0, y0, x1, y1 = cells.pop()
+        f = rng.uniform(0.4, 0.6)
+        if x1 - x0 >= y1 - y0:
+            cut = x0 + f * (x1 - x0)
+            cells += [(x0, y0, cut, y1), (cut, y0, x1, y1)]
+        else:
+            cut = y0 + f * (y1 - y0)
+            cells += [(x0, y0, x1, cut), (x0, cut, x1, y1)]
+    if min(min(x1 - x0, y1 - y0) for x0, y0, x1, y1 in cells) < MIN_SIDE_M:
+        return None
+    return sorted(cells)
+
+
+def _shared_wall(a: Cell, b: Cell) -> tuple[str, float, float, float] | None:
+    """Axis along the wall, its fixed coordinate, and the range both rooms have of it."""
+    for axis, fixed in (("y", (a[2], b[0])), ("y", (a[0], b[2])), ("x", (a[3], b[1])), ("x", (a[1], b[3]))):
+        if abs(fixed[0] - fixed[1]) < 1e-9:
+            k = 1 if axis == "y" else 0
+            low, high = max(a[k], b[k]), min(a[k + 2], b[k + 2])
+            if high - low > DOOR_WIDTH_M + 0.5:
+                return axis, fixed[0], low, high
+    return None
+
+
+def _place_doors(rng: np.random.Generator, cells: list[Cell]) -> list[Door] | None:
+    """Doors of a random spanning tree, now and then one more; None when rooms stay unreachable."""
+    edges = [(i, j) for i in range(len(cells)) for j in range(i) if _shared_wall(cells[i], cells[j])]
+    group = list(range(len(cells)))
+    doors = []
+    for k in rng.permutation(len(edges)):
+        i, j = edges[int(k)]
+        is_needed = group[i] != group[j]
+        if not is_needed and rng.random() > 0.3:
+            continue
+        group = [group[j] if g == group[i] else g for g in group]
+        wall = _shared_wall(cells[i], cells[j])
+        assert wall is not None
+        axis, fixed, low, high = wall
+        margin = DOOR_WIDTH_M / 2 + 0.2
+        centre = float(rng.uniform(low + margin, high - margin))
+        x, y = (fixed, centre) if axis == "y" else (centre, fixed)
+        doors.append(Door(x, y, DOOR_WIDTH_M, axis, (j, i)))
+    return doors if len(set(group)) == 1 else None
+
+
+# --- one room -----------------------------------------------------------------------------------------------------
+
+
+def _wall_runs(room: Room, index: int, doors: list[Door]) -> list[_WallRun]:
+    """The four walls as seen from inside: south, east, north, west."""
+    x0, y0, x1, y1 = room.x0_m, room.y0_m, room.x1_m, room.y1_m
+    # Seen from inside, the left end of the south wall (y0) is at x1.
+    ends = [((x1, y0), (x0, y0)), ((x1, y1), (x1, y0)), ((x0, y1), (x1, y1)), ((x0, y0), (x0, y1))]
+    runs = []
+    for left, right in ends:
+        length = math.hypot(right[0] - left[0], right[1] - left[1])
+        direction = ((right[0] - left[0]) / length, (right[1] - left[1]) / length)
+        openings = []
+        for door in doors:
+            if index not in door.rooms:
+                continue
+            s = (door.x_m - left[0]) * direction[0] + (door.y_m - left[1]) * direction[1]
+            off = abs(-(door.x_m - left[0]) * direction[1] + (door.y_m - left[1]) * direction[0])
+            if off < WALL_THICKNESS_M and 0 < s < length:
+                openings.append((s - door.width_m / 2, s + door.width_m / 2))
+        runs.append(_WallRun(left, right, length, tuple(sorted(openings))))
+    return runs
+
+
+def furnish_room(
+    builder: Builder,
+    room: Room,
+    index: int,
+    doors: list[Door],
+    seed: int,
+    featureless_side: int = -1,
+    moved_seed: int | None = None,
+) -> None:
+    """Walls, floor, ceiling, rug, furniture and pictures of one room."""
+    rng = np.random.default_rng([seed, 2])
+    pick = TexturePicker(np.random.default_rng([seed, 4]))
+    width, depth = room.x1_m - room.x0_m, room.y1_m - room.y0_m
+    centre = Pose2(*room.centre, 0.0)
+    kind = room.name.removesuffix(" 2")
+    floor_kind = "floor_tiles" if kind == "kitchen" or rng.random() < 0.3 else "planks"
+    builder.level(centre, (width, depth), 0.0, pick.new(floor_kind, width, depth, 300), index)
+    builder.level(centre, (width, depth), WALL_HEIGHT_M, pick.new("ceiling", width, depth, 80), index, facing_up=False)
+    rug_size = (min(width - 1.2, rng.uniform(1.3, 2.2)), min(depth - 1.2, rng.uniform(1.0, 1.8)))
+    rug = Pose2(centre.x_m + rng.uniform(-0.3, 0.3), centre.y_m + rng.uniform(-0.3, 0.3), 0.0)
+    builder.level(rug, rug_size, 0.004, pick.new("rug", *rug_size, 400), index)
+    style = "tiled" if kind == "kitchen" else WALL_STYLES[int(rng.integers(0, len(WALL_STYLES)))]
+    pieces = list(ROOM_KINDS[kind])
+    for side, run in enumerate(_wall_runs(room, index, doors)):
+        is_plain = side == featureless_side
+        texture = pick.new("plain_wall" if is_plain else style, run.length_m, WALL_HEIGHT_M, 350)
+        _build_wall(builder, run, texture, index)
+        builder.obstacles += _wall_boxes(run, index)
+        if not is_plain:
+            _furnish_wall(builder, pick, rng, run, room, index, pieces, moved_seed)
+
+
+def _build_wall(builder: Builder, run: _WallRun, texture: TextureSpec, room: int) -> None:
+    """A wall with its door openings cut out."""
+    s = 0.0
+    for low, high in [*run.openings, (run.length_m, run.length_m)]:
+        builder.upright(run.at(s), run.at(low), (0.0, WALL_HEIGHT_M), texture, room, (s, 0.0))
+        if high > low:
+            builder.upright(run.at(low), run.at(high), (DOOR_HEIGHT_M, WALL_HEIGHT_M), texture, room, (low, 0.0))
+        s = high
+
+
+def wall_obstacles(room: Room, index: int, doors: list[Door]) -> list[Obstacle]:
+    """The solid parts of a room's four walls."""
+    return [box for run in _wall_runs(room, index, doors) for box in _wall_boxes(run, index)]
+
+
+def _wall_boxes(run: _WallRun, room: int) -> list[Obstacle]:
+    """Half a wall's thickness per room, so that nothing sticks into the neighbouring room."""
+    boxes = []
+    s = -_HALF_WALL
+    outward = math.sin(run.yaw_rad), -math.cos(run.yaw_rad)
+    for low, high in [*run.openings, (run.length_m + _HALF_WALL, 0.0)]:
+        if low - s > 1e-6:
+            x, y = run.at((s + low) / 2)
+            x, y = x + outward[0] * _HALF_WALL / 2, y + outward[1] * _HALF_WALL / 2
+            boxes.append(Obstacle(x, y, (low - s) / 2, _HALF_WALL / 2, run.yaw_rad, WALL_HEIGHT_M, "wall", room))
+        s = high
+    return boxes
+
+
+def _build_jambs(builder: Builder, door: Door, rng: np.random.Generator) -> None:
+    """The inner faces of a door opening, with a wooden threshold."""
+    pick = TexturePicker(rng)
+    wood = pick.new("wood", WALL_THICKNESS_M, DOOR_HEIGHT_M, 400)
+    threshold = pick.new("wood", door.width_m, WALL_THICKNESS_M, 400)
+    yaw = 0.0 if door.along == "x" else math.pi / 2
+    pose = Pose2(door.x_m, door.y_m, yaw)
+    h, t = door.width_m / 2, WALL_THICKNESS_M / 2
+    room = door.rooms[0]
+    builder.upright(pose.at(h, t), pose.at(h, -t), (0.0, DOOR_HEIGHT_M), wood, room)
+    builder.upright(pose.at(-h, -t), pose.at(-h, t), (0.0, DOOR_HEIGHT_M), wood, room)
+    builder.level(pose, (door.width_m, WALL_THICKNESS_M), DOOR_HEIGHT_M, threshold, room, facing_up=False)
+    builder.level(pose, (door.width_m, WALL_THICKNESS_M), 0.0, threshold, room)
+
+
+MOVABLE = {"chair", "boxes", "basket"}
+
+
+def _furnish_wall(
+    builder: Builder,
+    pick: TexturePicker,
+    rng: np.random.Generator,
+    run: _WallRun,
+    room: Room,
+    index: int,
+    pieces: list[str],
+    moved_seed: int | None,
+) -> None:
+    """Stand pieces side by side along the free parts of a wall, and hang pictures between and above them."""
+    corner = 0.45  # keeps the pieces of two walls apart in the corners
+    spans = []
+    s = corner
+    for low, high in [*run.openings, (run.length_m - corner, run.length_m - corner)]:
+        if low - 0.15 - s > 0.4:
+            spans.append((s, low - 0.15))
+        s = max(s, high + 0.15)
+    deepest = 0.5 * min(room.x1_m - room.x0_m, room.y1_m - room.y0_m) - 0.65
+    for low, high in spans:
+        s = low + float(rng.uniform(0.0, 0.2))
+        while True:
+            fitting = [
+                name for name in pieces if PIECES[name].width_m[0] <= high - s and PIECES[name].depth_m <= deepest + 0.2
+            ]
+            if not fitting:
+                break
+            name = fitting[int(rng.integers(0, len(fitting)))]
+            if name not in MOVABLE:
+                pieces.remove(name)
+            piece = PIECES[name]
+            width = float(min(rng.uniform(*piece.width_m), high - s))
+            position = s + width / 2
+            piece_rng = np.random.default_rng(int(rng.integers(0, 2**31)))
+            if moved_seed is not None and name in MOVABLE:
+                piece_rng = np.random.default_rng([moved_seed, int(piece_rng.integers(0, 2**31))])
+                position += float(np.clip(piece_rng.normal(0, 0.25), low + width / 2 - position, 0.1))
+            pose = Pose2(*run.at(position), run.yaw_rad)
+            piece.build(Site(builder, pick, piece_rng, pose, width, piece.depth_m, index, name))
+            s += width + float(rng.choice([rng.uniform(0.03, 0.12), rng.uniform(0.3, 0.7)], p=[0.6, 0.4]))
+        _hang_pictures(builder, pick, rng, run, low, high, index)
+
+
+def _hang_pictures(
+    builder: Builder,
+    pick: TexturePicker,
+    rng: np.random.Generator,
+    run: _WallRun,
+    low: float,
+    high: float,
+    room: int,
+) -> None:
+    """Posters and pictures, low enough that a robot's camera sees some of them."""
+    s = low
+    while s < high - 0.35:
+        w, h = float(rng.uniform(0.3, min(0.8, high - s))), float(rng.uniform(0.3, 0.7))
+        z0 = float(rng.uniform(0.18, 0.5) if rng.random() < 0.6 else rng.uniform(0.9, 1.5))
+        texture = pick.new("poster", w, h, 550)
+        left, right = run.at(s), run.at(s + w)
+        off = 0.012  # the frame stands off the wall
+        nx, ny = -math.sin(run.yaw_rad), math.cos(run.yaw_rad)
+        builder.upright(
+            (left[0] + off * nx, left[1] + off * ny),
+            (right[0] + off * nx, right[1] + off * ny),
+            (z0, z0 + h),
+            texture,
+            room,
+        )
+        s += w + float(rng.uniform(0.1, 0.6))
