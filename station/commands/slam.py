@@ -1,0 +1,78 @@
+"""`station slam`: one navigation from recorded data."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from shared.errors import DataError
+from station.datasets import Dataset, open_dataset
+from station.navigation import Navigation
+from station.navigation_files import save_navigation
+from station.slam.backend import SlamBackend, SlamUpdate
+from station.slam.backends import make_backend
+from station.slam.run import run_backend
+
+
+def register(app: typer.Typer) -> None:
+    app.command()(slam)
+
+
+def slam(
+    dataset: Annotated[Path, typer.Argument(help="ASL/EuRoC folder, folder of images, video or MCAP recording.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write the navigation into.")],
+    backend: Annotated[str, typer.Option("--backend", help="sfm, ukf.")] = "sfm",
+    first: Annotated[int | None, typer.Option(help="Number of the first frame to use.")] = None,
+    last: Annotated[int | None, typer.Option(help="Number of the last frame to use.")] = None,
+    step: Annotated[int, typer.Option(help="Use every step-th frame.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object on stdout.")] = False,
+) -> None:
+    """Reconstruct trajectory and landmarks of one recorded drive."""
+    data = open_dataset(dataset, first, last, step)
+    if not data.has_images:
+        raise DataError(f"{dataset} holds no camera images; choose a dataset with images")
+    running = make_backend(backend, data.calibration, seed, threads, data.intrinsics_known)
+    nav = run_with_progress(running, data)
+    save_navigation(nav, out)
+    if as_json:
+        print(json.dumps({"out": str(out), **msgspec.to_builtins(nav.report)}, default=str))
+    else:
+        print(summary(nav, out))
+
+
+def run_with_progress(backend: SlamBackend, data: Dataset) -> Navigation:
+    """Run over a dataset with a progress bar on stderr; without one where stderr is no terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
+        task = progress.add_task("reading frames", total=len(data.frame_times_ns))
+
+        def on_update(update: SlamUpdate) -> None:
+            progress.update(task, advance=1, description=update.message)
+
+        return run_backend(
+            backend, data.events(), on_update, lambda: progress.update(task, description="making the map")
+        )
+
+
+def summary(nav: Navigation, out: Path) -> str:
+    """What a person wants to know of a navigation, in a few lines."""
+    report = nav.report
+    scale = "metres" if nav.is_metric else "arbitrary scale"
+    lines = [
+        f"{report.landmarks} landmarks, {len(nav.trajectory)} poses, {len(nav.keyframes)} keyframes ({scale}, "
+        f"{'gravity-aligned' if nav.is_gravity_aligned else 'upright only as the camera was'})",
+        f"{report.duration_s:.1f} s of driving in {report.wall_s:.1f} s",
+        *report.messages,
+        f"written to {out}",
+    ]
+    return "\n".join(lines)

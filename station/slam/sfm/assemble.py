@@ -1,0 +1,154 @@
+"""What COLMAP made → keyframes, poses and landmarks as plain arrays, weak landmarks dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pycolmap
+
+from shared.calibration import CameraCalibration
+from shared.geometry import FloatArray, IntArray, inverse
+from station.frames import ImageFrame
+from station.navigation import Keyframes, Landmarks
+from station.slam.sfm.config import SfmConfig
+from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
+from station.slam.sfm.visual import CAMERA_ID
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstructed:
+    """A model in the world frame and scale of its own."""
+
+    keyframes: Keyframes  # T_world_cam in that world
+    landmarks: Landmarks
+    camera: CameraCalibration  # refined, where asked for
+
+
+def read_model(
+    model: pycolmap.Reconstruction,
+    frames: Sequence[ImageFrame],
+    features: Sequence[Features],
+    camera: CameraCalibration,
+    config: SfmConfig,
+    refined: bool,
+) -> Reconstructed:
+    """Keyframes in time order and the landmarks worth keeping, with their observations and colours."""
+    registered = sorted(number - 1 for number in model.reg_image_ids())
+    index_of = {k: i for i, k in enumerate(registered)}
+    T_world_cam = np.stack([_pose(model, k) for k in registered])
+    keyframes = Keyframes(
+        frame_index=np.array([frames[k].index for k in registered], dtype=np.int64),
+        t_robot_ns=np.array([frames[k].t_robot_ns for k in registered], dtype=np.int64),
+        T_world_cam=T_world_cam,
+        encoded=tuple(frames[k].encoded for k in registered),
+        segment=np.zeros(len(registered), dtype=np.int64),
+    )
+    points, owner, seen_from, feature = _observations(model, index_of, config)
+    uv = np.array(
+        [features[registered[k]].uv_px[f] for k, f in zip(seen_from.tolist(), feature.tolist(), strict=True)]
+    ).reshape(-1, 2)
+    keep = good_landmarks(points, owner, seen_from, T_world_cam[:, :3, 3], config)
+    points, owner, seen_from, uv = _keep_only(keep, points, owner, seen_from, uv)
+    landmarks = Landmarks(
+        p_world=points,
+        rgb=sample_colours(keyframes.encoded, owner, seen_from, uv, len(points)),
+        cov_world=np.zeros((len(points), 3, 3)),
+        observed_landmark=owner,
+        observed_keyframe=seen_from,
+        observed_uv_px=uv,
+    )
+    return Reconstructed(keyframes, landmarks, _calibrated(model, camera) if refined else camera)
+
+
+def _pose(model: pycolmap.Reconstruction, k: int) -> FloatArray:
+    T_cam_world = np.eye(4)
+    T_cam_world[:3] = model.image(k + 1).cam_from_world().matrix()
+    return inverse(T_cam_world)
+
+
+def _observations(
+    model: pycolmap.Reconstruction, index_of: dict[int, int], config: SfmConfig
+) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
+    """Points (M, 3) and of each observation: point, keyframe, feature."""
+    points: list[FloatArray] = []
+    owner: list[int] = []
+    seen_from: list[int] = []
+    feature: list[int] = []
+    model.update_point_3d_errors()
+    for _, point in sorted(model.points3D.items()):
+        if point.error > config.max_reprojection_error_px:
+            continue
+        elements = sorted((index_of[e.image_id - 1], e.point2D_idx) for e in point.track.elements)
+        for k, f in elements:
+            owner.append(len(points))
+            seen_from.append(k)
+            feature.append(f)
+        points.append(point.xyz)
+    as_index = [np.array(column, dtype=np.int64) for column in (owner, seen_from, feature)]
+    return np.array(points, dtype=np.float64).reshape(-1, 3), *as_index  # type: ignore[return-value]
+
+
+def good_landmarks(
+    points: FloatArray, owner: IntArray, seen_from: IntArray, centres: FloatArray, config: SfmConfig
+) -> npt.NDArray[np.bool_]:
+    """(M,) landmarks seen often enough and from directions far enough apart to have a sure depth."""
+    length = np.bincount(owner, minlength=len(points))
+    rays = points[owner] - centres[seen_from]
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+    # The widest angle of a track is at least its angle to the mean ray: cheap and safe.
+    mean = np.zeros_like(points)
+    np.add.at(mean, owner, rays)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    off_mean = np.arccos(np.clip((rays * mean[owner]).sum(axis=1), -1.0, 1.0))
+    widest = np.zeros(len(points))
+    np.maximum.at(widest, owner, off_mean)
+    wide_enough = 2.0 * widest >= np.radians(config.min_triangulation_angle_deg)
+    return (length >= config.min_track_length) & wide_enough
+
+
+def _keep_only(
+    keep: npt.NDArray[np.bool_], points: FloatArray, owner: IntArray, seen_from: IntArray, uv: FloatArray
+) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
+    number = np.cumsum(keep) - 1
+    rows = keep[owner] if len(owner) else np.empty(0, dtype=bool)
+    return points[keep], number[owner[rows]].astype(np.int64), seen_from[rows], uv[rows]
+
+
+def sample_colours(
+    encoded: Sequence[bytes], owner: IntArray, seen_from: IntArray, uv_px: FloatArray, num_points: int
+) -> npt.NDArray[np.uint8]:
+    """Mean colour (M, 3) RGB of each landmark over the keyframes that see it."""
+    total, count = np.zeros((num_points, 3)), np.zeros(num_points)
+    for k, file in enumerate(encoded):
+        rows = np.flatnonzero(seen_from == k)
+        if not len(rows):
+            continue
+        image = ImageFrame(k, 0, 0, file).bgr()
+        u = np.clip(np.round(uv_px[rows, 0]).astype(int), 0, image.shape[1] - 1)
+        v = np.clip(np.round(uv_px[rows, 1]).astype(int), 0, image.shape[0] - 1)
+        np.add.at(total, owner[rows], image[v, u, ::-1].astype(np.float64))
+        np.add.at(count, owner[rows], 1.0)
+    return np.round(total / np.maximum(count, 1.0)[:, None]).astype(np.uint8)
+
+
+def _calibrated(model: pycolmap.Reconstruction, camera: CameraCalibration) -> CameraCalibration:
+    """The camera with COLMAP's refined numbers (model RADIAL: f, cx, cy, k1, k2; or OPENCV)."""
+    params = [float(p) for p in model.camera(CAMERA_ID).params]
+    if model.camera(CAMERA_ID).model_name == "OPENCV":
+        fx, fy, cx, cy, *distortion = params
+    else:
+        f, cx, cy, k1, k2 = params
+        fx, fy, distortion = f, f, [k1, k2, 0.0, 0.0]
+    return msgspec.structs.replace(
+        camera,
+        fx=fx,
+        fy=fy,
+        cx=cx - COLMAP_PIXEL_CENTRE,
+        cy=cy - COLMAP_PIXEL_CENTRE,
+        model="radtan",
+        distortion=tuple(distortion),
+    )

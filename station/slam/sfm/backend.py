@@ -1,0 +1,163 @@
+"""The structure-from-motion backend: collects keyframes while the robot drives, reconstructs when it has arrived."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict
+
+import cv2
+import msgspec
+import numpy as np
+import pycolmap
+import scipy
+
+from shared.calibration import Calibration
+from shared.errors import ConfigError, EstimationError
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.navigation import Keyframes, Navigation, NavigationReport
+from station.slam.backend import SlamUpdate
+from station.slam.frontend.lens import Lens
+from station.slam.sfm.assemble import Reconstructed, read_model
+from station.slam.sfm.config import SfmConfig
+from station.slam.sfm.features import Features, SiftExtractor
+from station.slam.sfm.keyframes import KeyframeSelector
+from station.slam.sfm.matching import Match, Shortlist, verify
+from station.slam.sfm.visual import colmap_camera, map_incrementally
+from station.slam.sfm.world import place_in_world
+
+logger = logging.getLogger(__name__)
+MIN_KEYFRAMES = 3
+
+
+class SfmBackend:
+    """A SlamBackend. Features and matches are made as keyframes arrive; poses and landmarks exist after finish()."""
+
+    def __init__(
+        self, calibration: Calibration, config: SfmConfig | None = None, intrinsics_known: bool = True
+    ) -> None:
+        if calibration.camera is None:
+            raise ConfigError("structure from motion needs a camera, and the calibration has none; give one")
+        pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, 2)
+        self._calibration = calibration
+        self._camera = calibration.camera
+        self._config = config or SfmConfig()
+        refine = self._config.refine_intrinsics
+        self._refine = not intrinsics_known if refine is None else refine
+        self._lens = Lens(self._camera)
+        self._colmap_camera = colmap_camera(self._camera, refine=False)
+        self._selector = KeyframeSelector(self._config.keyframes)
+        self._extractor = SiftExtractor(self._config.features)
+        self._shortlist = Shortlist(self._config.matching)
+        self._imu: list[ImuBatch] = []
+        self._drive: list[DriveSample] = []
+        self._frames: list[ImageFrame] = []  # keyframes
+        self._features: list[Features] = []
+        self._matches: list[Match] = []
+        self._frame_times: list[int] = []
+
+    def add_imu(self, imu: ImuBatch) -> None:
+        self._imu.append(imu)
+
+    def add_drive(self, drive: DriveSample) -> None:
+        self._drive.append(drive)
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        """Take one frame in. Raises DataError when the image cannot be decoded or has another size."""
+        grey = frame.grey()
+        self._check_size(frame, grey.shape)
+        self._frame_times.append(frame.t_robot_ns)
+        is_keyframe = self._selector.is_keyframe(grey, frame.t_robot_ns)
+        if is_keyframe:
+            self._add_keyframe(frame, self._extractor.extract(grey, self._lens))
+        return SlamUpdate(
+            t_robot_ns=frame.t_robot_ns,
+            state="tracking" if self._matches else "initialising",
+            message=f"{len(self._frames)} keyframes collected; the map is made when the drive ends",
+            T_world_body=None,
+            num_landmarks=0,
+            is_keyframe=is_keyframe,
+        )
+
+    def _check_size(self, frame: ImageFrame, shape: tuple[int, ...]) -> None:
+        if shape[:2] != (self._camera.height, self._camera.width):
+            raise ConfigError(
+                f"image {frame.name or frame.index} is {shape[1]}x{shape[0]}, the calibration is for "
+                f"{self._camera.width}x{self._camera.height}; give the calibration of these images"
+            )
+
+    def _add_keyframe(self, frame: ImageFrame, features: Features) -> None:
+        b = len(self._frames)
+        first_previous = max(0, b - self._config.matching.num_previous)
+        older = self._shortlist.most_alike(features, first_previous)
+        self._frames.append(frame)
+        self._features.append(features)
+        self._shortlist.add(features)
+        for a in [*older, *range(first_previous, b)]:
+            match = verify(
+                a, b, self._features[a], features, self._colmap_camera, self._config.matching, self._config.seed
+            )
+            if match is not None:
+                self._matches.append(match)
+
+    def finish(self) -> Navigation:
+        """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""
+        if len(self._frames) < MIN_KEYFRAMES:
+            raise EstimationError(
+                f"{len(self._frames)} keyframes are too few to reconstruct from; drive further, with texture in view"
+            )
+        camera = colmap_camera(self._camera, self._refine)
+        models = map_incrementally(camera, self._features, self._matches, self._config, self._refine)
+        if not models:
+            raise EstimationError(
+                f"no two of {len(self._frames)} keyframes could be reconstructed; drive slower, with texture in view"
+            )
+        model = read_model(models[0], self._frames, self._features, self._camera, self._config, self._refine)
+        return self._navigation(model, len(models))
+
+    def _navigation(self, model: Reconstructed, num_models: int) -> Navigation:
+        placed = place_in_world(
+            model, self._calibration, self._imu, self._drive, np.array(self._frame_times, dtype=np.int64)
+        )
+        lost_s = tracking_lost_s(np.array(self._frame_times), model.keyframes.t_robot_ns)
+        messages = list(placed.messages)
+        if num_models > 1:
+            messages.append(f"{num_models - 1} parts of the drive could not be connected and were left out")
+        calibration = msgspec.structs.replace(self._calibration, camera=model.camera)
+        duration = (self._frame_times[-1] - self._frame_times[0]) * 1e-9
+        report = NavigationReport(
+            backend="sfm",
+            frames=len(self._frame_times),
+            duration_s=duration,
+            wall_s=0.0,
+            realtime_factor=0.0,
+            cpu_s=0.0,
+            landmarks=len(placed.landmarks),
+            tracking_lost_s=lost_s,
+            scale="metric" if placed.is_metric else "arbitrary",
+            gravity_aligned=placed.is_gravity_aligned,
+            seed=self._config.seed,
+            versions={
+                "pycolmap": pycolmap.__version__,
+                "opencv": cv2.__version__,
+                "numpy": np.__version__,
+                "scipy": scipy.__version__,
+            },
+            config=asdict(self._config) | {"refine_intrinsics": self._refine, **placed.facts},
+            messages=tuple(messages),
+        )
+        keyframes = Keyframes(
+            frame_index=model.keyframes.frame_index,
+            t_robot_ns=model.keyframes.t_robot_ns,
+            T_world_cam=placed.T_world_cam,
+            encoded=model.keyframes.encoded,
+            segment=model.keyframes.segment,
+        )
+        identity = f"sfm-{self._frame_times[0]}"
+        return Navigation(identity, calibration, placed.trajectory, keyframes, placed.landmarks, report)
+
+
+def tracking_lost_s(t_frames_ns: np.ndarray, t_keyframes_ns: np.ndarray, max_gap_s: float = 4.0) -> float:
+    """Seconds of the drive without a keyframe near enough to know the pose."""
+    marks = np.concatenate([[t_frames_ns[0]], t_keyframes_ns, [t_frames_ns[-1]]])
+    gaps = np.diff(np.sort(marks)) * 1e-9
+    return float(gaps[gaps > max_gap_s].sum())

@@ -1,0 +1,117 @@
+"""Which keyframes see the same, feature by feature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pycolmap
+
+from shared.geometry import IntArray
+from station.slam.sfm.config import MatchConfig
+from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
+
+Descriptors = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Keyframes a < b that see the same, with the features they share."""
+
+    a: int
+    b: int
+    pairs: IntArray  # (M, 2) feature of a, feature of b
+    geometry: pycolmap.TwoViewGeometry = field(repr=False)
+
+    @property
+    def is_loop(self) -> bool:
+        return self.b - self.a > LOOP_DISTANCE
+
+
+LOOP_DISTANCE = 15  # keyframes further apart met again rather than followed each other
+
+
+def match_descriptors(a: Descriptors, b: Descriptors, max_ratio: float) -> IntArray:
+    """Pairs (M, 2) of descriptors that are each other's nearest, and clearly nearer than the second nearest.
+
+    Source: Lowe, IJCV 60(2), 2004, section 7.1 (ratio test), both ways.
+    """
+    if len(a) < 2 or len(b) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    similarity = a @ b.T
+    best_b, clear_a = _nearest(similarity, max_ratio)
+    best_a, clear_b = _nearest(similarity.T, max_ratio)
+    index_a = np.arange(len(a))
+    good = clear_a & (best_a[best_b] == index_a) & clear_b[best_b]
+    return np.column_stack([index_a[good], best_b[good]]).astype(np.int64)
+
+
+def _nearest(similarity: npt.NDArray[np.float32], max_ratio: float) -> tuple[IntArray, npt.NDArray[np.bool_]]:
+    """Of each row: the best column, and whether it is clearly better than the second best."""
+    best = similarity.argmax(axis=1)
+    rows = np.arange(len(similarity))
+    first = similarity[rows, best].copy()
+    top_two = np.partition(similarity, similarity.shape[1] - 2, axis=1)[:, -2]
+    # Unit vectors: distance^2 = 2 - 2 * similarity.
+    clear = (1.0 - first) <= max_ratio**2 * (1.0 - top_two)
+    return best.astype(np.int64), clear
+
+
+class Shortlist:
+    """Finds older keyframes that look alike, by matching the largest features only: no vocabulary is needed."""
+
+    def __init__(self, config: MatchConfig, max_keyframes: int = 400) -> None:
+        self._config = config
+        self._max_keyframes = max_keyframes
+        self._descriptors: list[Descriptors] = []
+
+    def add(self, features: Features) -> None:
+        self._descriptors.append(features.descriptors[: self._config.shortlist_features])
+
+    def most_alike(self, query: Features, num_older: int) -> list[int]:
+        """Among the first num_older keyframes: those that look most like the query, best first."""
+        descriptors = query.descriptors[: self._config.shortlist_features]
+        candidates = range(num_older)
+        if num_older > self._max_keyframes:  # long drives: the work per keyframe stays bounded
+            candidates = np.unique(np.linspace(0, num_older - 1, self._max_keyframes).astype(int)).tolist()
+        scores = []
+        for k in candidates:
+            pairs = match_descriptors(descriptors, self._descriptors[k], self._config.max_ratio)
+            scores.append((len(pairs), k))
+        scores.sort(key=lambda score: (-score[0], score[1]))
+        chosen: list[int] = []
+        for count, k in scores:
+            if count < self._config.min_shortlist_matches or len(chosen) == self._config.num_shortlist:
+                break
+            # Neighbours of a chosen one tell little that is new.
+            if all(abs(k - other) > 1 for other in chosen):
+                chosen.append(k)
+        return chosen
+
+
+def verify(
+    a: int, b: int, features_a: Features, features_b: Features, camera: pycolmap.Camera, config: MatchConfig, seed: int
+) -> Match | None:
+    """Match two keyframes; None where too few features agree on one motion."""
+    pairs = match_descriptors(features_a.descriptors, features_b.descriptors, config.max_ratio)
+    if len(pairs) < config.min_inliers:
+        return None
+    options = pycolmap.TwoViewGeometryOptions()
+    options.min_num_inliers = config.min_inliers
+    options.ransac.max_error = config.max_error_px
+    options.ransac.random_seed = seed
+    options.ransac.max_num_trials = 2000
+    options.detect_watermark = False
+    geometry = pycolmap.estimate_calibrated_two_view_geometry(
+        camera,
+        features_a.uv_ideal_px + COLMAP_PIXEL_CENTRE,
+        camera,
+        features_b.uv_ideal_px + COLMAP_PIXEL_CENTRE,
+        pairs.astype(np.uint32),
+        options,
+    )
+    inliers = np.asarray(geometry.inlier_matches, dtype=np.int64).reshape(-1, 2)
+    if len(inliers) < config.min_inliers:
+        return None
+    return Match(a, b, inliers, geometry)
