@@ -24,8 +24,8 @@ def make_backend(
     """
     try:
         if name == "sfm":
-            from station.slam.sfm.backend import SfmBackend  # noqa: PLC0415
-            from station.slam.sfm.config import SfmConfig  # noqa: PLC0415
+            from station.slam.sfm.backend import SfmBackend
+            from station.slam.sfm.config import SfmConfig
 
             return SfmBackend(calibration, SfmConfig(seed=seed, threads=threads), intrinsics_known)
     except ImportError as exc:
