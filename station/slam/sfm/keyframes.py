@@ -71,12 +71,11 @@ class KeyframeSelector:
         if not len(self._now) or self._previous is None:
             return
         points = self._now.reshape(-1, 1, 2)
-        unused = np.empty_like(points)
         moved, found, _ = cv2.calcOpticalFlowPyrLK(
-            self._previous, small, points, unused, winSize=LK_WINDOW, maxLevel=LK_LEVELS
+            self._previous, small, points, np.empty_like(points), winSize=LK_WINDOW, maxLevel=LK_LEVELS
         )
         back, found_back, _ = cv2.calcOpticalFlowPyrLK(
-            small, self._previous, moved, unused, winSize=LK_WINDOW, maxLevel=LK_LEVELS
+            small, self._previous, moved, np.empty_like(points), winSize=LK_WINDOW, maxLevel=LK_LEVELS
         )
         error = np.linalg.norm((back - points).reshape(-1, 2), axis=1)
         good = (found.ravel() == 1) & (found_back.ravel() == 1) & (error < FORWARD_BACKWARD_PX)
