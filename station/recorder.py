@@ -1,0 +1,284 @@
+"""Writes everything that arrives from a robot into an MCAP file, in a thread of its own (docs/recordings.md).
+
+A recording that could not be closed (crash, power cut, full disk) stays readable up to its last chunk.
+"""
+
+from __future__ import annotations
+
+import base64
+import logging
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import msgspec
+from mcap.writer import CompressionType, Writer
+
+from shared.errors import DataError
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.foxglove import (
+    CALIBRATION_SCHEMA_NAME,
+    IMAGE_SCHEMA_NAME,
+    camera_calibration,
+    encode_image,
+    image_schema,
+    time_of,
+)
+
+logger = logging.getLogger(__name__)
+
+CHUNK_BYTES = 512 * 1024  # what a crash may cost: about a third of a second of video
+MAX_WAITING_FRAMES = 120  # some seconds between the event loop and the disk; then frames are dropped, counted
+MAX_LATE = 100_000  # IMU samples and reports are never dropped; a disk that is minutes behind ends the recording
+MIN_FREE_BYTES = 256 * 1024 * 1024  # the disk also holds the maps: stop in time, with a proper end of the file
+CHECK_DISK_NS = 1_000_000_000
+
+HELLO_TOPIC = "/robot/hello"
+IMAGE_TOPIC = "/camera/image"
+FRAME_TOPIC = "/camera/frame"
+CALIBRATION_TOPIC = "/camera/calibration"
+IMU_TOPIC = "/imu"
+DRIVE_TOPIC = "/drive/applied"
+STATUS_TOPIC = "/robot/status"
+NOTICE_TOPIC = "/robot/notice"
+GAP_TOPIC = "/link/imu_gap"
+LINK_TOPIC = "/link/connection"
+
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_VECTOR = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyz"}}
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": properties}
+
+
+_INTEGER, _NUMBER, _TEXT = {"type": "integer"}, {"type": "number"}, {"type": "string"}
+# topic → (schema name, JSON schema)
+JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
+    HELLO_TOPIC: ("sentinel.Hello", _object(robot_id=_TEXT, name=_TEXT, session_id=_TEXT, msgpack_base64=_TEXT)),
+    FRAME_TOPIC: (
+        "sentinel.Frame",
+        _object(timestamp=_TIME, seq=_INTEGER, exposure_ns=_INTEGER, width=_INTEGER, height=_INTEGER, skipped=_INTEGER),
+    ),
+    CALIBRATION_TOPIC: (CALIBRATION_SCHEMA_NAME, _object(timestamp=_TIME, frame_id=_TEXT)),
+    IMU_TOPIC: ("sentinel.Imu", _object(timestamp=_TIME, sequence=_INTEGER, gyro=_VECTOR, accel=_VECTOR)),
+    DRIVE_TOPIC: ("sentinel.DriveApplied", _object(timestamp=_TIME, linear=_NUMBER, angular=_NUMBER)),
+    STATUS_TOPIC: ("sentinel.Status", _object(timestamp=_TIME, battery_v=_NUMBER, driver=_TEXT)),
+    NOTICE_TOPIC: ("sentinel.Notice", _object(code=_TEXT, message=_TEXT)),
+    GAP_TOPIC: ("sentinel.ImuGap", _object(num_samples=_INTEGER)),
+    LINK_TOPIC: ("sentinel.Connection", _object(connected={"type": "boolean"}, reason=_TEXT)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingReport:
+    """What became of a recording."""
+
+    path: Path
+    messages: int
+    bytes: int
+    frames_dropped: int  # the disk was too slow for them
+    error: str  # empty, or the sentence why it ended before it was closed
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    topic: str
+    t_sensor_ns: int
+    t_station_ns: int
+    content: bytes | dict[str, Any]  # bytes: encoded already; otherwise JSON
+
+
+class Recorder:
+    """A link's listener that records. Give it the present hello first, when the robot is connected already.
+
+    Raises:
+        DataError: the file cannot be made; one sentence.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        min_free_bytes: int = MIN_FREE_BYTES,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.path = path
+        self._now_ns = now_ns
+        self._wall_minus_monotonic_ns = time.time_ns() - now_ns()
+        self._file = _create(path)
+        self._min_free_bytes = min_free_bytes
+        self._waiting: queue.Queue[_Entry | None] = queue.Queue()
+        self._messages = 0
+        self._frames_taken = 0
+        self._frames_written = 0
+        self._frames_dropped = 0
+        self._error = ""
+        self._closed = False
+        self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def report(self) -> RecordingReport:
+        """How it stands now; `error` is set as soon as the recording ended by itself."""
+        size = self.path.stat().st_size if self.path.is_file() else 0
+        return RecordingReport(self.path, self._messages, size, self._frames_dropped, self._error)
+
+    def close(self) -> RecordingReport:
+        """Write what waits, finish the file. Safe to call twice."""
+        if not self._closed:
+            self._closed = True
+            self._waiting.put(None)
+        self._thread.join()
+        return self.report
+
+    # LinkListener
+
+    def on_connected(self, hello: Hello) -> None:
+        content = {
+            "robot_id": hello.robot_id,
+            "name": hello.name,
+            "session_id": hello.session_id,
+            "msgpack_base64": base64.b64encode(msgspec.msgpack.encode(hello)).decode(),  # JSON has no infinity
+        }
+        self._put(HELLO_TOPIC, None, content)
+        camera = hello.calibration.camera
+        if camera is not None:
+            self._put(CALIBRATION_TOPIC, None, camera_calibration(camera, self._now_ns()))
+        self._put(LINK_TOPIC, None, {"connected": True, "reason": ""})
+
+    def on_disconnected(self, reason: str) -> None:
+        self._put(LINK_TOPIC, None, {"connected": False, "reason": reason})
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        if self._frames_taken - self._frames_written >= MAX_WAITING_FRAMES:
+            self._frames_dropped += 1
+            return
+        self._frames_taken += 1
+        content = {
+            "timestamp": time_of(frame.t_robot_ns),
+            "seq": frame.seq,
+            "exposure_ns": frame.exposure_ns,
+            "width": frame.width,
+            "height": frame.height,
+            "skipped": frame.skipped,
+        }
+        self._put(FRAME_TOPIC, frame.t_robot_ns, content, t_station_ns)
+        self._put(IMAGE_TOPIC, frame.t_robot_ns, encode_image(frame.t_robot_ns, frame.jpeg), t_station_ns)
+
+    def on_imu(self, batch: ImuBatch) -> None:
+        t_station_ns = self._now_ns()
+        for number, sample in enumerate(batch.samples):
+            content = {
+                "timestamp": time_of(sample.t_robot_ns),
+                "sequence": batch.first_sequence + number,
+                "gyro": dict(zip("xyz", sample.gyro_imu, strict=True)),
+                "accel": dict(zip("xyz", sample.accel_imu, strict=True)),
+            }
+            self._put(IMU_TOPIC, sample.t_robot_ns, content, t_station_ns)
+
+    def on_gap(self, num_samples: int) -> None:
+        self._put(GAP_TOPIC, None, {"num_samples": num_samples})
+
+    def on_drive_applied(self, applied: DriveApplied) -> None:
+        content = {
+            "timestamp": time_of(applied.t_robot_ns),
+            "linear": applied.linear,
+            "angular": applied.angular,
+        }
+        self._put(DRIVE_TOPIC, applied.t_robot_ns, content)
+
+    def on_status(self, status: Status) -> None:
+        content = {"timestamp": time_of(status.t_robot_ns), **msgspec.structs.asdict(status)}
+        self._put(STATUS_TOPIC, status.t_robot_ns, content)
+
+    def on_notice(self, notice: ErrorNotice) -> None:
+        self._put(NOTICE_TOPIC, None, {"code": notice.code, "message": notice.message})
+
+    # The recorder's thread
+
+    def _put(
+        self, topic: str, t_sensor_ns: int | None, content: bytes | dict[str, Any], t_station_ns: int | None = None
+    ) -> None:
+        if self._closed or self._error:
+            return
+        if self._waiting.qsize() >= MAX_LATE:
+            self._fail(f"the disk is {MAX_LATE} messages behind; record to a faster one")
+            return
+        t_station_ns = self._now_ns() if t_station_ns is None else t_station_ns
+        # Foxglove's time line is the log time, which is wall time; the sensor's own time is the publish time.
+        wall_ns = t_station_ns + self._wall_minus_monotonic_ns
+        self._waiting.put(_Entry(topic, max(0, wall_ns if t_sensor_ns is None else t_sensor_ns), wall_ns, content))
+
+    def _fail(self, why: str) -> None:
+        if not self._error:
+            self._error = f"recording {self.path} ended: {why}"
+            logger.error("%s", self._error)
+
+    def _write_all(self) -> None:
+        try:
+            with self._file:
+                self._write_entries()
+        except OSError as exc:
+            self._fail(f"{exc.strerror or exc}; what was written until then can be read")
+        except Exception as exc:
+            logger.exception("recorder")
+            self._fail(f"an error of the recorder ({exc}); what was written until then can be read")
+
+    def _write_entries(self) -> None:
+        writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        writer.start(profile="", library="sentinel-robot")
+        channels = _register_channels(writer)
+        checked_ns = self._now_ns()
+        while not self._error and (entry := self._waiting.get()) is not None:
+            self._messages += 1
+            self._frames_written += entry.topic == IMAGE_TOPIC
+            content = entry.content if isinstance(entry.content, bytes) else msgspec.json.encode(entry.content)
+            writer.add_message(
+                channel_id=channels[entry.topic],
+                log_time=entry.t_station_ns,
+                data=content,
+                publish_time=entry.t_sensor_ns,
+                sequence=self._messages & 0xFFFFFFFF,
+            )
+            if self._now_ns() - checked_ns >= CHECK_DISK_NS:
+                checked_ns = self._now_ns()
+                self._file.flush()
+                self._check_disk()
+        finish: Callable[[], None] = writer.finish
+        finish()
+
+    def _check_disk(self) -> None:
+        free = _free_bytes(self.path)
+        if free < self._min_free_bytes:
+            self._fail(
+                f"{free // 2**20} MiB are left on the disk, {self._min_free_bytes // 2**20} MiB are kept free;"
+                " delete old recordings"
+            )
+
+
+def _create(path: Path) -> BinaryIO:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("wb")
+    except OSError as exc:
+        raise DataError(f"cannot record to {path} ({exc.strerror}); choose a folder that can be written") from exc
+
+
+def _free_bytes(path: Path) -> int:
+    disk = os.statvfs(path.parent)
+    return disk.f_bavail * disk.f_frsize
+
+
+def _register_channels(writer: Writer) -> dict[str, int]:
+    schema = writer.register_schema(IMAGE_SCHEMA_NAME, "protobuf", image_schema())
+    channels = {IMAGE_TOPIC: writer.register_channel(IMAGE_TOPIC, "protobuf", schema)}
+    for topic, (name, json_schema) in JSON_CHANNELS.items():
+        schema = writer.register_schema(name, "jsonschema", msgspec.json.encode(json_schema))
+        channels[topic] = writer.register_channel(topic, "json", schema)
+    return channels
