@@ -1,0 +1,119 @@
+"""Numbers behind the current place: one hypothesis of where the robot is, and how odometry and images change it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log
+
+
+@dataclass(frozen=True, slots=True)
+class BeliefConfig:
+    """Rates and likelihoods. Probabilities are per independent view, distances in metres."""
+
+    known_from: float = 0.9  # of the answer being right, ties within 10 % of distance included
+    unknown_from: float = 0.5
+    prior_unmapped: float = 0.4  # of a robot that was just put down somewhere
+    prior_lost: float = 0.6
+    unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
+    false_localization: float = 0.02  # of a verified pose that is wrong, at the fewest inliers
+    false_localization_floor: float = 2e-4
+    fewest_inliers: int = 16
+    fail_known_view: float = 0.35  # no localisation although a keyframe looks this way from here
+    fail_other_view: float = 0.9  # ... where the map has no such view
+    fail_lost: float = 0.6  # ... somewhere in the map
+    fail_unmapped: float = 0.995
+    informative_features: int = 60  # an image with fewer says nothing about where it was taken
+    new_view_rad: float = 0.2  # turning or driving this far makes an image independent of the last one
+    new_view_m: float = 0.3
+    same_view: float = 0.1  # weight of the evidence of an unchanged view
+    same_view_per_s: float = 0.25  # without odometry: how fast views become independent
+    covered_m: float = 2.5  # from the mapping drive's path: beyond it the map does not know
+    covered_softness_m: float = 0.25
+    drift_per_m: float = 0.05  # odometry: position error per metre
+    drift_rad_per_rad: float = 0.02
+    drift_rad_per_m: float = 0.01
+    drift_per_s: float = 0.002
+    blind_speed_m_s: float = 0.3  # how fast the robot may go where nothing tells
+    blind_turn_rad_s: float = 0.5
+    pose_floor_m: float = 0.04  # map errors that no image's covariance knows
+    pose_floor_rad: float = 0.03
+    max_hypotheses: int = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """The robot moves in this map, and its navigation's frame lies there by this transform."""
+
+    map_index: int
+    T_map_nav: FloatArray  # (4, 4) rigid, map units
+    unit: float  # map units per metre: odometry is in metres
+    sigma_m: float  # position, per axis
+    sigma_rad: float  # heading
+    weight: float
+    evidence_t_robot_ns: int
+    evidence_keyframe: int
+    inliers: int
+
+    def pose(self, T_nav_body: FloatArray) -> FloatArray:
+        """T_map_body (4, 4) for an odometry pose in metres."""
+        return self.T_map_nav @ in_units(T_nav_body, self.unit)
+
+    def moved_to(self, T_map_body: FloatArray, T_nav_body: FloatArray) -> Hypothesis:
+        """The hypothesis whose pose is T_map_body while odometry says T_nav_body."""
+        return replace(self, T_map_nav=T_map_body @ inverse(in_units(T_nav_body, self.unit)))
+
+
+def in_units(T: FloatArray, unit: float) -> FloatArray:
+    """A motion in metres as one in map units."""
+    out = T.copy()
+    out[:3, 3] *= unit
+    return out
+
+
+def grown(h: Hypothesis, distance_m: float, turn_rad: float, seconds: float, c: BeliefConfig) -> Hypothesis:
+    """The hypothesis after odometry moved it: errors add up linearly, as drift is not white."""
+    sigma_rad = h.sigma_rad + c.drift_rad_per_rad * turn_rad + c.drift_rad_per_m * distance_m
+    sigma_m = h.sigma_m + c.drift_per_m * distance_m + c.drift_per_s * seconds + 0.5 * h.sigma_rad * distance_m
+    return replace(h, sigma_m=sigma_m, sigma_rad=min(sigma_rad, np.pi))
+
+
+def blurred(h: Hypothesis, seconds: float, c: BeliefConfig) -> Hypothesis:
+    """The hypothesis after a time without odometry."""
+    sigma_rad = min(h.sigma_rad + c.blind_turn_rad_s * seconds, np.pi)
+    return replace(h, sigma_m=h.sigma_m + c.blind_speed_m_s * seconds, sigma_rad=sigma_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How a measured pose fits a hypothesis."""
+
+    squared: float  # Mahalanobis, 4 degrees of freedom (position, heading)
+    density: float  # against a uniform one over the map
+
+
+def agreement(
+    T_expected: FloatArray,
+    T_measured: FloatArray,
+    sigma_m: float,
+    sigma_rad: float,
+    map_area_m2: float,
+    unit: float,
+) -> Agreement:
+    """Compare poses. Height and tilt of a robot on a floor carry no choice, so the density counts x, y and heading."""
+    gap = (T_measured[:3, 3] - T_expected[:3, 3]) / unit
+    turn = float(np.linalg.norm(so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])))
+    squared = float(gap @ gap) / sigma_m**2 + turn**2 / sigma_rad**2
+    uniform = 1.0 / (max(map_area_m2, 1.0) * 2 * np.pi)
+    peak = 1.0 / ((2 * np.pi) ** 1.5 * sigma_m**2 * sigma_rad)
+    return Agreement(squared, max(peak / uniform, 1.0) * float(np.exp(-0.5 * min(squared, 200.0))))
+
+
+def fused(T_expected: FloatArray, T_measured: FloatArray, gain_position: float, gain_heading: float) -> FloatArray:
+    """Between the expected and the measured pose, by Kalman gains 0..1."""
+    turn = so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])
+    R = T_expected[:3, :3] @ so3_exp(gain_heading * turn)
+    t = T_expected[:3, 3] + gain_position * (T_measured[:3, 3] - T_expected[:3, 3])
+    return se3(R, t)

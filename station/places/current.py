@@ -1,0 +1,388 @@
+"""The current place, live: a Bayesian estimate over the places of the active maps, plus "unmapped".
+
+Hypotheses are: the robot moves in a map at a tracked pose (several of these), it is somewhere in a map ("lost"), or
+where no map knows ("unmapped"). Verified images multiply their weights, failed attempts are evidence for "unmapped",
+odometry carries poses between images, a hijack sends their weight to "lost" and "unmapped". The place is the one whose
+centroid is nearest to the robot (thesis 4.4, step 7), averaged over the position's uncertainty.
+docs/localisation.md explains the likelihoods.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.geometry import FloatArray, inverse, so3_log
+from station.maps.map import PlaceMap
+from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
+from station.places.belief import BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
+from station.places.coverage import Coverage, units_per_metre
+
+HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
+SAMPLES = 200  # positions drawn per hypothesis
+TIE = 1.1  # centroids within 10 % of the nearest distance count as equally near
+ODOMETRY_GAP_S = 1.0  # after a longer silence, odometry is treated as absent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _MapView:
+    """One active map, prepared."""
+
+    place_map: PlaceMap
+    centroids: FloatArray  # (P, 3)
+    unit: float  # map units per metre
+    area_m2: float
+    coverage: Coverage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OdometryPose:
+    t_robot_ns: int
+    T_nav_body: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Everything the answer is made from; probabilities sum to one."""
+
+    place: FloatArray  # (P,) over the places of all maps, in order
+    tie: FloatArray  # (P,) that the place is nearest or within a tie of it
+    unmapped: float
+    lost: float  # share of `place` that is mere prior: somewhere in a map
+
+
+class CurrentPlaceEstimator:
+    """Fed with events in any order of arrival; answers for a time. No clock, no I/O."""
+
+    def __init__(
+        self,
+        maps: PlaceMap | Sequence[PlaceMap],
+        calibration: Calibration | None = None,
+        config: BeliefConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        """`calibration`: of the robot that drives now; by default that of the first map's navigation."""
+        given = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
+        self.config = config or BeliefConfig()
+        self._maps = tuple(_view(m) for m in given)
+        self._index = {m.id: i for i, m in enumerate(given)}
+        camera = (calibration or given[0].navigation.calibration).camera if given else None
+        self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
+        self._draws = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
+        self._hypotheses: list[Hypothesis] = []
+        self._lost, self._unmapped = self.config.prior_lost, self.config.prior_unmapped
+        self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
+        self._segment = 0
+        self._t_ns: int | None = None  # up to which time the hypotheses were carried
+        self._last_view: _OdometryPose | None = None  # of the last image that was evidence
+        self._hijack_reason = ""
+
+    # -- events ---------------------------------------------------------------------------------------------------
+
+    def on_odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int = 0) -> None:
+        """A pose of the running navigation. A new `segment` means tracking was lost in between: a new frame."""
+        if self._odometry and t_robot_ns <= self._odometry[-1].t_robot_ns:
+            return
+        previous = self._odometry[-1] if self._odometry else None
+        self._odometry.append(_OdometryPose(t_robot_ns, T_nav_body))
+        if previous is None or segment != self._segment:
+            self._segment = segment
+            self._change_frame(t_robot_ns, previous, T_nav_body)
+            return
+        seconds = (t_robot_ns - previous.t_robot_ns) / 1e9
+        distance, turn = _motion(previous.T_nav_body, T_nav_body)
+        if seconds > ODOMETRY_GAP_S:
+            self._hypotheses = [blurred(h, seconds, self.config) for h in self._hypotheses]
+        self._hypotheses = [grown(h, distance, turn, seconds, self.config) for h in self._hypotheses]
+        self._carry(t_robot_ns)
+
+    def on_localization(self, localization: Localization) -> None:
+        """A verified pose of an image."""
+        index = self._index.get(localization.map_id)
+        if index is None:
+            return
+        t = localization.t_robot_ns
+        self._advance(t)
+        T_measured = localization.T_map_cam @ self._T_cam_body
+        T_nav_body = self._nav_body_at(t)
+        freshness = self._freshness(t, T_nav_body)
+        self._weigh_localization(index, localization, T_measured, T_nav_body, freshness)
+        self._last_view = _OdometryPose(t, T_nav_body)
+
+    def on_failure(self, t_robot_ns: int, num_features: int | None = None) -> None:
+        """An image that could not be localised. With few features (dark, covered, a white wall) it says nothing."""
+        c = self.config
+        self._advance(t_robot_ns)
+        if num_features is not None and num_features < c.informative_features:
+            return
+        T_nav_body = self._nav_body_at(t_robot_ns)
+        freshness = self._freshness(t_robot_ns, T_nav_body)
+        weighed = []
+        for h in self._hypotheses:
+            T_map_cam = h.pose(T_nav_body) @ inverse(self._T_cam_body)
+            expected = self._maps[h.map_index].coverage.sees_known_view(T_map_cam) and h.sigma_m < 1.0
+            fail = c.fail_known_view if expected else c.fail_other_view
+            weighed.append(replace(h, weight=h.weight * fail**freshness))
+        self._hypotheses = weighed
+        self._lost *= c.fail_lost**freshness
+        self._unmapped *= c.fail_unmapped**freshness
+        self._normalise()
+        self._last_view = _OdometryPose(t_robot_ns, T_nav_body)
+
+    def on_hijack(self, t_robot_ns: int, reason: str, confidence: float = 0.98) -> None:
+        """The robot was picked up: what was known of its position counts `1 - confidence`."""
+        self._advance(t_robot_ns)
+        c = self.config
+        known = sum(h.weight for h in self._hypotheses) * confidence
+        known += (self._lost + self._unmapped) * confidence
+        self._hypotheses = [replace(h, weight=h.weight * (1 - confidence)) for h in self._hypotheses]
+        self._lost = self._lost * (1 - confidence) + known * c.prior_lost
+        self._unmapped = self._unmapped * (1 - confidence) + known * c.prior_unmapped
+        self._normalise()
+        self._last_view = None
+        self._hijack_reason = reason
+
+    # -- answers --------------------------------------------------------------------------------------------------
+
+    def belief(self) -> Belief:
+        """The probabilities now."""
+        sizes = [len(m.centroids) for m in self._maps]
+        first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        place, tie = np.zeros(first[-1]), np.zeros(first[-1])
+        unmapped = self._unmapped
+        T_nav_body = self._nav_body_at(self._t_ns or 0)
+        for h in self._hypotheses:
+            view = self._maps[h.map_index]
+            nearest, tied, covered = self._spread(view, h.pose(T_nav_body)[:3, 3], h.sigma_m)
+            if not len(nearest):
+                unmapped += h.weight
+                continue
+            part = slice(first[h.map_index], first[h.map_index + 1])
+            place[part] += h.weight * covered * nearest
+            tie[part] += h.weight * covered * tied
+            unmapped += h.weight * (1 - covered)
+        if len(place):
+            place += self._lost / len(place)
+            tie += self._lost / len(place)
+        else:
+            unmapped += self._lost
+        return Belief(place, tie, float(unmapped), self._lost)
+
+    def answer(self, t_robot_ns: int) -> PlaceAnswer:
+        """The current place at this time; times before the last event are answered as of that event."""
+        self._advance(t_robot_ns)
+        belief = self.belief()
+        names = [(p.id, p.name) for view in self._maps for p in view.place_map.places]
+        order = np.argsort(-belief.place, kind="stable")
+        candidates = [PlaceCandidate(names[i][0], names[i][1], float(belief.place[i])) for i in order]
+        best = max(self._hypotheses, key=lambda h: h.weight, default=None)
+        p_body = None if best is None else best.pose(self._nav_body_at(t_robot_ns))[:3, 3]
+        is_known = best is not None and bool(len(order)) and belief.tie[order[0]] >= self.config.known_from
+        if is_known and best is not None and p_body is not None:
+            centroid = np.concatenate([v.centroids for v in self._maps])[order[0]]
+            age_s = max(0.0, (t_robot_ns - best.evidence_t_robot_ns) / 1e9)
+            return PlaceAnswer(
+                state="known",
+                place=candidates[0],
+                distance=float(np.linalg.norm(p_body - centroid)),
+                position_map=p_body,
+                t_robot_ns=t_robot_ns,
+                evidence_t_robot_ns=best.evidence_t_robot_ns,
+                evidence_keyframe=best.evidence_keyframe,
+                inliers=best.inliers,
+                alternatives=tuple(candidates[1:4]),
+                reason=f"{best.inliers} landmarks of the map were recognised {age_s:.1f} s ago",
+            )
+        is_unknown = belief.unmapped >= self.config.unknown_from or not len(order)
+        return PlaceAnswer(
+            state="unknown" if is_unknown else "lost",
+            place=None,
+            distance=None,
+            position_map=p_body if best is not None and best.weight > 0.5 else None,
+            t_robot_ns=t_robot_ns,
+            evidence_t_robot_ns=best.evidence_t_robot_ns if best else None,
+            evidence_keyframe=best.evidence_keyframe if best else None,
+            inliers=best.inliers if best else 0,
+            alternatives=tuple(candidates[:4]),
+            reason=self._reason(is_unknown, belief, best),
+        )
+
+    def _reason(self, is_unknown: bool, belief: Belief, best: Hypothesis | None) -> str:
+        if not len(belief.place):
+            return "the active maps hold no places"
+        if is_unknown:
+            if best is not None and best.weight > 0.5:
+                return f"the robot is more than {self.config.covered_m:.1f} m from where the mapping drive went"
+            return f"images match nothing in the map ({belief.unmapped:.0%} that this place is not in it)"
+        if best is not None and best.weight > 0.5:
+            return "the robot is between places, or its position has become too uncertain"
+        if self._hijack_reason:
+            return f"hijacked ({self._hijack_reason}) and not recognised again yet"
+        return "no image has been recognised yet"
+
+    # -- numbers --------------------------------------------------------------------------------------------------
+
+    def _spread(self, view: _MapView, p_body: FloatArray, sigma_m: float) -> tuple[FloatArray, FloatArray, float]:
+        """Shares (P,) of drawn positions nearest to each place, those within a tie, and the share that is mapped."""
+        c = self.config
+        if not len(view.centroids):
+            return np.zeros(0), np.zeros(0), 0.0
+        spread = self._draws * np.array([1.0, 1.0, 0.2]) * min(sigma_m, 20.0) * view.unit
+        p = p_body + spread
+        distance = np.linalg.norm(p[:, None] - view.centroids[None], axis=2)
+        nearest = distance.argmin(axis=1)
+        share = np.bincount(nearest, minlength=len(view.centroids)) / len(p)
+        tied = (distance <= TIE * distance.min(axis=1, keepdims=True)).mean(axis=0)
+        away = (view.coverage.distance(p) - c.covered_m) / c.covered_softness_m
+        covered = float(np.mean(1.0 / (1.0 + np.exp(np.clip(away, -50, 50)))))
+        return share, tied, covered
+
+    def _weigh_localization(
+        self, index: int, z: Localization, T_measured: FloatArray, T_nav_body: FloatArray, freshness: float
+    ) -> None:
+        """Bayes' rule for a verified pose: it confirms a hypothesis, or starts one from "lost"."""
+        c = self.config
+        view = self._maps[index]
+        extra = max(0, z.num_inliers - c.fewest_inliers)
+        false = max(c.false_localization * float(np.exp(-extra / 10.0)), c.false_localization_floor)
+        sigma_z = float(np.hypot(z.sigma_position / view.unit, c.pose_floor_m))
+        matched = False
+        weighed = []
+        for h in self._hypotheses:
+            if h.map_index != index:
+                weighed.append(replace(h, weight=h.weight * false**freshness))
+                continue
+            T_expected = h.pose(T_nav_body)
+            sigma_m = float(np.hypot(h.sigma_m, sigma_z))
+            sigma_rad = float(np.hypot(h.sigma_rad, c.pose_floor_rad))
+            fit = agreement(T_expected, T_measured, sigma_m, sigma_rad, view.area_m2, view.unit)
+            likelihood = (1 - false) * fit.density + false
+            h = replace(h, weight=h.weight * likelihood**freshness)
+            if fit.squared < 16.0:  # 4 sigma
+                matched = True
+                gain = h.sigma_m**2 / sigma_m**2
+                gain_heading = h.sigma_rad**2 / sigma_rad**2
+                T = fused(T_expected, T_measured, gain, gain_heading)
+                h = replace(
+                    h.moved_to(T, T_nav_body),
+                    sigma_m=float(np.sqrt(max(1 - gain, 0.05))) * h.sigma_m,
+                    sigma_rad=float(np.sqrt(max(1 - gain_heading, 0.05))) * h.sigma_rad,
+                    evidence_t_robot_ns=z.t_robot_ns,
+                    evidence_keyframe=z.keyframe_index,
+                    inliers=z.num_inliers,
+                )
+            weighed.append(h)
+        found = self._lost * (1 - false)
+        self._lost *= false**freshness
+        self._unmapped *= false**freshness
+        if not matched:
+            new = Hypothesis(
+                map_index=index,
+                T_map_nav=T_measured @ inverse(in_units(T_nav_body, view.unit)),
+                unit=view.unit,
+                sigma_m=sigma_z,
+                sigma_rad=c.pose_floor_rad,
+                weight=found,
+                evidence_t_robot_ns=z.t_robot_ns,
+                evidence_keyframe=z.keyframe_index,
+                inliers=z.num_inliers,
+            )
+            weighed.append(new)
+        self._hypotheses = weighed
+        self._normalise()
+
+    def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray) -> float:
+        """Weight 0..1 of an image as evidence: near zero while it shows what the last one showed."""
+        c = self.config
+        if self._last_view is None:
+            return 1.0
+        distance, turn = _motion(self._last_view.T_nav_body, T_nav_body)
+        moved = distance / c.new_view_m + turn / c.new_view_rad
+        if not self._odometry:
+            moved = c.same_view_per_s * max(0.0, (t_robot_ns - self._last_view.t_robot_ns) / 1e9)
+        return float(np.clip(moved, c.same_view, 1.0))
+
+    def _advance(self, t_robot_ns: int) -> None:
+        """Carry the hypotheses to a time: without odometry they blur."""
+        if self._t_ns is not None and t_robot_ns > self._t_ns:
+            silent_since = self._odometry[-1].t_robot_ns if self._odometry else self._t_ns
+            before = max(0.0, (self._t_ns - silent_since) / 1e9 - ODOMETRY_GAP_S)
+            after = max(0.0, (t_robot_ns - silent_since) / 1e9 - ODOMETRY_GAP_S)
+            if not self._odometry:
+                before, after = 0.0, (t_robot_ns - self._t_ns) / 1e9
+            if after > before:
+                self._hypotheses = [blurred(h, after - before, self.config) for h in self._hypotheses]
+        self._carry(t_robot_ns)
+
+    def _carry(self, t_robot_ns: int) -> None:
+        """Let time pass for the weights: the robot may have been moved without anyone noticing."""
+        if self._t_ns is None:
+            self._t_ns = t_robot_ns
+            return
+        seconds = (t_robot_ns - self._t_ns) / 1e9
+        if seconds <= 0:
+            return
+        self._t_ns = t_robot_ns
+        c = self.config
+        stay = float(np.exp(-c.unnoticed_move_per_s * seconds))
+        moved = sum(h.weight for h in self._hypotheses) * (1 - stay)
+        self._hypotheses = [replace(h, weight=h.weight * stay) for h in self._hypotheses]
+        self._lost += moved * c.prior_lost
+        self._unmapped += moved * c.prior_unmapped
+        # A robot in unmapped space may drive into a mapped one.
+        self._lost, self._unmapped = (
+            self._lost + self._unmapped * (1 - stay),
+            self._unmapped * stay,
+        )
+
+    def _change_frame(self, t_robot_ns: int, previous: _OdometryPose | None, T_nav_body: FloatArray) -> None:
+        """Odometry starts, or starts again, in another frame: poses stay where they were, blurred by the gap."""
+        before = previous.T_nav_body if previous else np.eye(4)
+        gap_s = max(0.0, (t_robot_ns - (previous.t_robot_ns if previous else (self._t_ns or t_robot_ns))) / 1e9)
+        self._hypotheses = [
+            blurred(h.moved_to(h.pose(before), T_nav_body), gap_s, self.config) for h in self._hypotheses
+        ]
+        last = self._odometry[-1]
+        self._odometry.clear()
+        self._odometry.append(last)
+        self._last_view = None
+        self._carry(t_robot_ns)
+
+    def _nav_body_at(self, t_robot_ns: int) -> FloatArray:
+        """The odometry pose nearest in time; identity without odometry."""
+        if not self._odometry:
+            return np.eye(4)
+        if t_robot_ns >= self._odometry[-1].t_robot_ns:
+            return self._odometry[-1].T_nav_body
+        times = np.array([o.t_robot_ns for o in self._odometry])
+        return self._odometry[int(np.argmin(np.abs(times - t_robot_ns)))].T_nav_body
+
+    def _normalise(self) -> None:
+        total = self._lost + self._unmapped + sum(h.weight for h in self._hypotheses)
+        if total <= 0:  # every explanation was ruled out at once: start over
+            self._hypotheses = []
+            self._lost, self._unmapped = self.config.prior_lost, self.config.prior_unmapped
+            return
+        kept = sorted(self._hypotheses, key=lambda h: -h.weight)[: self.config.max_hypotheses]
+        kept = [h for h in kept if h.weight > 1e-9 * total]
+        total = self._lost + self._unmapped + sum(h.weight for h in kept)
+        self._hypotheses = [replace(h, weight=h.weight / total) for h in kept]
+        self._lost, self._unmapped = self._lost / total, self._unmapped / total
+
+
+def _motion(T_before: FloatArray, T_after: FloatArray) -> tuple[float, float]:
+    """Distance and turn between two poses."""
+    T = inverse(T_before) @ T_after
+    return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(so3_log(T[:3, :3])))
+
+
+def _view(place_map: PlaceMap) -> _MapView:
+    unit = units_per_metre(place_map)
+    positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
+    size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
+    centroids = np.array([p.centroid_map for p in place_map.places], dtype=np.float64).reshape(-1, 3)
+    return _MapView(place_map, centroids, unit, float(np.prod(size)), Coverage(place_map, unit))

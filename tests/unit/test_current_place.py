@@ -1,0 +1,224 @@
+"""The current place: what images, failures, odometry and hijacks do to the answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shared.calibration import Calibration, CameraCalibration
+from shared.geometry import FloatArray, se3, yaw_rotation
+from station.maps.map import Place, PlaceMap
+from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.places.answer import Localization
+from station.places.current import CurrentPlaceEstimator
+
+R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along body x
+SECOND = 1_000_000_000
+
+
+def pose(x: float, y: float, yaw: float = 0.0) -> FloatArray:
+    return se3(yaw_rotation(yaw), np.array([x, y, 0.0]))
+
+
+def make_map(map_id: str = "map", places: int = 3) -> PlaceMap:
+    """A drive along x from 0 to 6 m; places at x = 0, 3, 6."""
+    camera = CameraCalibration(
+        width=640, height=480, fx=500, fy=500, cx=320, cy=240, T_body_cam=tuple(se3(R_BODY_CAM, np.zeros(3)).ravel())
+    )
+    xs = np.linspace(0, 6, 25)
+    T = np.stack([pose(x, 0.0) @ se3(R_BODY_CAM, np.zeros(3)) for x in xs])
+    t = np.arange(25) * SECOND
+    centroids = np.array([[3.0 * i, 0.0, 0.3] for i in range(places)]).reshape(-1, 3)
+    landmarks = Landmarks(
+        p_world=centroids,
+        rgb=np.zeros((places, 3), dtype=np.uint8),
+        cov_world=np.zeros((places, 3, 3)),
+        observed_landmark=np.arange(places),
+        observed_keyframe=np.zeros(places, dtype=np.int64),
+        observed_uv_px=np.zeros((places, 2)),
+    )
+    report = NavigationReport("test", 25, 25, 1, 1, 1, places, 0, "metric", True, 0, {}, {})
+    navigation = Navigation(
+        id="nav",
+        calibration=Calibration(camera=camera, imu=None),
+        trajectory=Trajectory(t, T),
+        keyframes=Keyframes(np.arange(25), t, T, (b"",) * 25, np.zeros(25, dtype=np.int64)),
+        landmarks=landmarks,
+        report=report,
+    )
+    made = tuple(
+        Place(f"{map_id}-{i}", f"Place {i}", centroids[i], 0.3, np.array([i]), np.array([0]), 0, 1.0)
+        for i in range(places)
+    )
+    return PlaceMap(map_id, map_id, navigation, made, (), {})
+
+
+def seen(t_s: float, T_map_body: FloatArray, inliers: int = 60, map_id: str = "map") -> Localization:
+    return Localization(
+        t_robot_ns=int(t_s * SECOND),
+        T_map_cam=T_map_body @ se3(R_BODY_CAM, np.zeros(3)),
+        num_inliers=inliers,
+        inlier_ratio=0.6,
+        sigma_position=0.03,
+        keyframe_index=4,
+        map_id=map_id,
+    )
+
+
+def test_before_any_image_the_robot_is_lost() -> None:
+    answer = CurrentPlaceEstimator(make_map()).answer(0)
+    assert answer.state == "lost" and answer.place is None
+    assert answer.reason
+
+
+def test_a_verified_image_names_the_nearest_place() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_localization(seen(1.0, pose(2.8, 0.2)))
+    answer = estimator.answer(SECOND)
+    assert answer.state == "known"
+    assert answer.place is not None and answer.place.id == "map-1"
+    assert answer.place.probability > 0.9
+    assert answer.distance == pytest.approx(np.linalg.norm([0.2, 0.2, 0.3]))
+    assert answer.evidence_keyframe == 4 and answer.inliers == 60
+
+
+def test_odometry_carries_the_robot_to_the_next_place() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_localization(seen(0.0, pose(0.1, 0.0, 0.0)))
+    for k in range(1, 60):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    answer = estimator.answer(6 * SECOND)
+    assert answer.state == "known" and answer.place is not None
+    assert answer.place.id == "map-2"
+    assert answer.position_map is not None
+    assert np.allclose(answer.position_map, [6.0, 0.0, 0.0], atol=0.05)
+
+
+def test_an_image_localised_late_counts_for_its_own_moment() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    for k in range(31):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    estimator.on_localization(seen(1.0, pose(1.0, 0.0)))  # known 2 s later, when the robot is at x = 3
+    answer = estimator.answer(3 * SECOND)
+    assert answer.place is not None and answer.place.id == "map-1"
+    assert answer.position_map is not None and answer.position_map[0] == pytest.approx(3.0, abs=0.05)
+
+
+def test_failed_views_make_the_robot_doubt_the_map() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    for k in range(12):
+        estimator.on_odometry(k * SECOND, pose(0, 0, 0.4 * k))
+        estimator.on_failure(k * SECOND, num_features=400)
+    answer = estimator.answer(12 * SECOND)
+    assert answer.state == "unknown"
+    assert answer.place is None
+
+
+def test_a_covered_lens_is_no_evidence() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
+    before = estimator.belief().unmapped
+    for k in range(1, 30):
+        estimator.on_odometry(k * SECOND // 2, pose(0, 0))
+        estimator.on_failure(k * SECOND // 2, num_features=3)
+    assert estimator.answer(15 * SECOND).state == "known"
+    assert estimator.belief().unmapped == pytest.approx(before, abs=0.01)
+
+
+def test_after_a_hijack_the_old_place_is_forgotten_and_the_new_one_found() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
+    estimator.on_hijack(SECOND, "lifted")
+    lost = estimator.answer(SECOND)
+    assert lost.state == "lost" and "lifted" in lost.reason
+    estimator.on_localization(seen(2.0, pose(6.0, 0.0, 2.0)))
+    found = estimator.answer(2 * SECOND)
+    assert found.state == "known" and found.place is not None and found.place.id == "map-2"
+
+
+def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    for k in range(10):
+        estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.1 * k))
+        estimator.on_localization(seen(k, pose(0.05 * k, 0, 0.1 * k)))
+    estimator.on_localization(seen(9.5, pose(6.0, 0.0), inliers=16))
+    answer = estimator.answer(10 * SECOND)
+    assert answer.place is not None and answer.place.id == "map-0"
+
+
+def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_localization(seen(0.0, pose(6.0, 0.0)))
+    for k in range(1, 60):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    answer = estimator.answer(6 * SECOND)
+    assert answer.state == "unknown" and "mapping drive" in answer.reason
+
+
+def test_halfway_between_two_places_both_count_as_right() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_localization(seen(0.0, pose(1.5, 0.0)))
+    answer = estimator.answer(0)
+    assert answer.state == "known" and answer.place is not None
+    assert {answer.place.id, answer.alternatives[0].id} == {"map-0", "map-1"}
+    assert answer.place.probability < 0.7
+
+
+def test_a_map_without_places_never_answers_known() -> None:
+    estimator = CurrentPlaceEstimator(make_map(places=0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
+    answer = estimator.answer(0)
+    assert answer.state == "unknown" and "no places" in answer.reason
+
+
+def test_without_odometry_certainty_fades() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_localization(seen(0.0, pose(1.0, 0.0)))
+    assert estimator.answer(SECOND).state == "known"
+    assert estimator.answer(60 * SECOND).state != "known"
+
+
+def test_the_right_one_of_two_active_maps_answers() -> None:
+    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    estimator.on_localization(seen(0.0, pose(3.0, 0.0), map_id="b"))
+    answer = estimator.answer(0)
+    assert answer.place is not None and answer.place.id == "b-1"
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["loc", "fail", "odometry", "hijack", "wait"]),
+        st.floats(0, 5),
+        st.floats(-2, 8),
+        st.floats(-3, 3),
+    ),
+    max_size=25,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(events=EVENTS)
+def test_probabilities_always_sum_to_one(events: list[tuple[str, float, float, float]]) -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    t = 0.0
+    for kind, seconds, x, yaw in events:
+        t += seconds
+        if kind == "loc":
+            estimator.on_localization(seen(t, pose(x, 0.0, yaw)))
+        elif kind == "fail":
+            estimator.on_failure(int(t * SECOND))
+        elif kind == "odometry":
+            estimator.on_odometry(int(t * SECOND) + 1, pose(x, 0.0, yaw))
+        elif kind == "hijack":
+            estimator.on_hijack(int(t * SECOND), "test")
+        belief = estimator.belief()
+        assert belief.place.sum() + belief.unmapped == pytest.approx(1.0)
+        assert (belief.place >= 0).all() and belief.unmapped >= 0
+        answer = estimator.answer(int(t * SECOND))
+        assert (answer.place is not None) == (answer.state == "known")
