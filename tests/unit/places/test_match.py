@@ -1,0 +1,109 @@
+"""A second drive through a known room finds its places again; another room does not."""
+
+import numpy as np
+import pytest
+
+from shared.geometry import FloatArray, se3, transform, yaw_rotation
+from station.datasets import Truth
+from station.evaluation.matches import judge_matches, true_landmarks
+from station.maps.map import PlaceMap
+from station.navigation import Navigation
+from station.places.build import build_map
+from station.places.config import PlacesConfig, ThesisConfig
+from station.places.match import match_navigation
+from tests.synthetic_home import drive, furnished_room, navigate, with_points
+
+PLANE = np.c_[np.mgrid[0:9, 0:9].reshape(2, -1).T, np.zeros(81)]
+T_NAV_WORLD = se3(yaw_rotation(2.2), np.array([4.0, -1.0, 0.0]))
+
+
+def truth_of(poses: FloatArray) -> Truth:
+    return Truth(np.arange(len(poses), dtype=np.int64) * 100_000_000, poses)
+
+
+@pytest.fixture(scope="module")
+def first() -> tuple[PlaceMap, FloatArray]:
+    home = furnished_room(3, density=300)
+    poses = drive(home, 31)
+    return build_map(navigate(home, poses, seed=31)), poses
+
+
+@pytest.fixture(scope="module")
+def second() -> tuple[Navigation, FloatArray]:
+    home = furnished_room(3, density=300)
+    poses = drive(home, 32, radius=0.6)
+    return navigate(home, poses, seed=32, T_nav_world=T_NAV_WORLD), poses
+
+
+def test_a_second_drive_finds_the_places_again(
+    first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray]
+) -> None:
+    place_map, poses = first
+    navigation, true_poses = second
+    result = match_navigation(place_map, navigation)
+    assert result.registration.accepted, result.registration.reasons
+    assert len({m.place_id for m in result.matches}) == len({m.location_id for m in result.matches})
+    judgement = judge_matches(place_map, truth_of(poses), navigation, truth_of(true_poses), result)
+    assert judgement.precision == 1.0
+    assert judgement.recall is not None and judgement.recall >= 0.8
+    assert judgement.registration_error is not None and judgement.registration_error < 0.05
+    np.testing.assert_allclose(result.position_map, true_poses[:, :3, 3], atol=0.1)
+
+
+def test_another_room_gives_no_matches(first: tuple[PlaceMap, FloatArray]) -> None:
+    home = furnished_room(77, density=300, size=(3.2, 6.0))
+    result = match_navigation(first[0], navigate(home, drive(home, 5), seed=5))
+    assert not result.registration.accepted
+    assert result.matches == () and len(result.nearest_place) == 0
+    assert result.registration.reasons
+
+
+def test_thesis_mode_matches_when_the_frames_are_already_near(first: tuple[PlaceMap, FloatArray]) -> None:
+    _, poses = first
+    config = PlacesConfig(mode="thesis", thesis=ThesisConfig(eps=0.25, min_pts=11, inlier_ratio=0.75))
+    home = furnished_room(3, density=300)
+    place_map = build_map(navigate(home, poses, seed=31), config=config)
+    T = se3(yaw_rotation(0.05), np.array([0.05, 0.02, 0.0]))
+    navigation = navigate(home, drive(home, 32), seed=32, T_nav_world=T)
+    result = match_navigation(place_map, navigation, config)
+    carried = transform(result.registration.T_target_source, transform(T, home.p))  # type: ignore[arg-type]
+    assert np.median(np.linalg.norm(carried - home.p, axis=1)) < 0.03
+    assert result.matches
+
+
+@pytest.mark.parametrize(
+    "p",
+    [np.zeros((0, 3)), np.ones((1, 3)), np.full((60, 3), np.nan), PLANE],
+    ids=["empty", "one point", "all NaN", "a plane"],
+)
+@pytest.mark.parametrize("mode", ["thesis", "default"])
+def test_a_hopeless_navigation_is_answered_without_matches(
+    first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray], p: FloatArray, mode: str
+) -> None:
+    config = PlacesConfig(mode="thesis" if mode == "thesis" else "default")
+    result = match_navigation(first[0], with_points(second[0], p), config)
+    if mode == "default" or len(p) < 12 or np.isnan(p).all():
+        assert not result.registration.accepted and result.registration.reasons
+        assert result.matches == ()
+
+
+def test_a_map_without_and_with_one_place(
+    first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray]
+) -> None:
+    place_map, _ = first
+    none = PlaceMap(place_map.id, "", place_map.navigation, (), (), place_map.config)
+    assert match_navigation(none, second[0]).matches == ()
+    one = PlaceMap(place_map.id, "", place_map.navigation, place_map.places[:1], (), place_map.config)
+    result = match_navigation(one, second[0])
+    assert len(result.matches) <= 1
+    assert (result.nearest_place == 0).all() and len(result.nearest_place)
+
+
+def test_true_landmarks_undo_the_navigations_frame_and_scale() -> None:
+    home = furnished_room(2)
+    poses = drive(home, 2)
+    T = se3(yaw_rotation(1.0), np.array([3.0, 1.0, 0.5]))
+    T[:3, :3] *= 4.0
+    clean = navigate(home, poses, seed=2, noise_m=0.0, outlier_share=0.0)
+    moved = navigate(home, poses, seed=2, noise_m=0.0, outlier_share=0.0, T_nav_world=T, metric=False)
+    np.testing.assert_allclose(true_landmarks(moved, truth_of(poses)), clean.landmarks.p_world, atol=1e-6)
