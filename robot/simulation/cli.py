@@ -81,6 +81,30 @@ def dataset(
     )
 
 
+@app.command()
+def along(
+    states: Annotated[Path, typer.Argument(help="CSV of true states (state_groundtruth_estimate0/data.csv)")],
+    camera: Annotated[Path, typer.Option(help="sensor.yaml; a data.csv beside it gives the frame stamps")],
+    out: Annotated[Path, typer.Option(help="folder to write, must not exist")],
+    imu: Annotated[Path | None, typer.Option(help="folder of a recorded IMU to copy; without it one is made")] = None,
+    world: WorldOption = "vicon",
+    seed: SeedOption = 0,
+    start: Annotated[float, typer.Option(help="seconds after the first state")] = 0.0,
+    duration: Annotated[float, typer.Option(help="seconds")] = float("inf"),
+    config: ConfigOption = None,
+    no_imperfections: IdealOption = False,
+) -> None:
+    """Render the world along a recorded path and write an EuRoC/ASL folder."""
+    from robot.simulation.along import AlongRequest, render_along
+    from robot.simulation.atlas import default_cache_dir
+    from robot.simulation.worlds import make_world
+
+    settings = effective_config(config, no_imperfections)
+    request = AlongRequest(states, camera, imu, out, start, duration)
+    frames = render_along(make_world(world, seed, settings), request, settings, seed, default_cache_dir(), Progress())
+    print(f"{out}: {frames} frames")
+
+
 def main() -> None:
     """Run one command; an error of ours becomes one sentence on stderr and exit code 1."""
     try:

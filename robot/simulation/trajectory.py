@@ -68,7 +68,7 @@ class RecordedPath:
     """A list of states as a smooth function of time."""
 
     def __init__(self, states: list[MotionState]) -> None:
-        self._states = states
+        self.states = states
         self._times = [s.t_s for s in states]
 
     @property
@@ -82,4 +82,4 @@ class RecordedPath:
     def pose(self, t_s: float) -> FloatArray:
         """T_world_body (4, 4); beyond the ends the end pose."""
         i = min(max(bisect_right(self._times, t_s) - 1, 0), len(self._times) - 2)
-        return interpolate(self._states[i], self._states[i + 1], t_s)
+        return interpolate(self.states[i], self.states[i + 1], t_s)

@@ -1,0 +1,222 @@
+"""Renders a world along a recorded path, so that a real IMU gets images that belong to it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import yaml
+
+from robot.simulation.asl import AslWriter
+from robot.simulation.body import MotionState
+from robot.simulation.config import SimulationConfig
+from robot.simulation.imaging import SimulatedCamera
+from robot.simulation.renderer import Renderer
+from robot.simulation.sensors import ImuMeasurement, ImuModel
+from robot.simulation.trajectory import RecordedPath
+from robot.simulation.world import World
+from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.errors import ConfigError, DataError
+from shared.geometry import FloatArray, IntArray, rotation_from_quat, so3_log
+
+NUM_STATE_COLUMNS = 17
+_MODELS = {"radial-tangential": "radtan", "radtan": "radtan", "equidistant": "equidistant"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateTable:
+    """Rows of a state_groundtruth_estimate0 file: stamps and p, q wxyz, v, gyro bias, accel bias."""
+
+    t_ns: IntArray  # (N,)
+    values: FloatArray  # (N, 16)
+
+    def path(self) -> RecordedPath:
+        """The states as a function of seconds since the first one."""
+        t_s = (self.t_ns - self.t_ns[0]) * 1e-9
+        R = np.stack([rotation_from_quat(q) for q in self.values[:, 3:7]])
+        v = self.values[:, 7:10]
+        a, omega = np.gradient(v, t_s, axis=0), np.zeros_like(v)
+        for i in range(len(R)):
+            low, high = max(i - 1, 0), min(i + 1, len(R) - 1)
+            omega[i] = so3_log(R[low].T @ R[high]) / (t_s[high] - t_s[low])
+        return RecordedPath(
+            [MotionState(float(t_s[i]), self.values[i, :3], R[i], v[i], a[i], omega[i]) for i in range(len(R))]
+        )
+
+
+def read_states(path: Path) -> StateTable:
+    """Read a states CSV (ASL). Raises DataError that names file and line."""
+    stamps, rows = [], []
+    for number, row in _csv_rows(path):
+        try:
+            stamps.append(int(row[0]))
+            rows.append([float(v) for v in row[1:NUM_STATE_COLUMNS]])
+        except ValueError as exc:
+            raise DataError(f"{path}, line {number}: not a number ({exc}); repair or remove the line") from exc
+        if len(rows[-1]) < 10:
+            raise DataError(f"{path}, line {number}: {len(row)} columns, needs stamp, position, quaternion, velocity")
+        rows[-1] += [0.0] * (NUM_STATE_COLUMNS - 1 - len(rows[-1]))
+    if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(stamps) <= 0).any():
+        raise DataError(f"{path} needs at least two finite states with growing stamps")
+    return StateTable(np.array(stamps), np.array(rows))
+
+
+def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
+    try:
+        with path.open(newline="") as file:
+            return [(n, row) for n, row in enumerate(csv.reader(file), 1) if row and not row[0].startswith("#")]
+    except (OSError, UnicodeDecodeError) as exc:
+        raise DataError(f"{path} cannot be read: {exc}") from exc
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        lines = [line for line in path.read_text().splitlines() if not line.startswith("%")]
+        table = yaml.safe_load("\n".join(lines))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as exc:
+        raise DataError(f"{path} is not a readable YAML file: {exc}") from exc
+    if not isinstance(table, dict):
+        raise DataError(f"{path} holds no keys; it should be an ASL sensor.yaml")
+    return table
+
+
+def read_camera(path: Path) -> CameraCalibration:
+    """Camera of an ASL sensor.yaml. Raises DataError that names the missing or wrong key."""
+    table = _read_yaml(path)
+    try:
+        fx, fy, cx, cy = (float(v) for v in table["intrinsics"])
+        width, height = (int(v) for v in table["resolution"])
+        distortion = tuple(float(v) for v in table["distortion_coefficients"])
+        T = tuple(float(v) for v in table["T_BS"]["data"])
+        model = cast(Any, _MODELS[str(table["distortion_model"])])
+        return CameraCalibration(
+            width=width,
+            height=height,
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            model=model,
+            distortion=distortion,
+            T_body_cam=T,
+            time_shift_s=float(table.get("time_shift_s", 0.0)),
+            line_delay_s=float(table.get("line_delay_s", 0.0)),
+            rate_hz=float(table.get("rate_hz", 20.0)),
+        )
+    except (KeyError, TypeError, ValueError, ConfigError) as exc:
+        raise DataError(f"{path}: key {exc} is missing or wrong in this camera file") from exc
+
+
+def read_imu_noise(path: Path) -> ImuNoise:
+    """Noise of an ASL imu sensor.yaml."""
+    table = _read_yaml(path)
+    try:
+        return ImuNoise(
+            gyro_density=float(table["gyroscope_noise_density"]),
+            accel_density=float(table["accelerometer_noise_density"]),
+            gyro_walk=float(table["gyroscope_random_walk"]),
+            accel_walk=float(table["accelerometer_random_walk"]),
+            rate_hz=float(table["rate_hz"]),
+            gyro_range=float(table.get("gyroscope_range", np.inf)),
+            accel_range=float(table.get("accelerometer_range", np.inf)),
+        )
+    except (KeyError, TypeError, ValueError) as exc:
+        raise DataError(f"{path}: key {exc} is missing or wrong in this IMU file") from exc
+
+
+@dataclass(frozen=True, slots=True)
+class AlongRequest:
+    """What to render."""
+
+    states: Path  # CSV of true states
+    camera: Path  # sensor.yaml; a data.csv beside it gives the stamps
+    imu: Path | None  # folder with data.csv and sensor.yaml to copy; None: synthesise
+    out: Path
+    start_s: float = 0.0  # after the first state
+    duration_s: float = np.inf
+
+
+DEFAULT_IMU = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=1.9e-5, accel_walk=3e-3, rate_hz=200.0)
+
+
+def render_along(
+    world: World,
+    request: AlongRequest,
+    config: SimulationConfig,
+    seed: int,
+    cache_dir: Path | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> int:
+    """Write an ASL folder with images along the path; returns the number of frames."""
+    cv2.setNumThreads(1)
+    table = read_states(request.states)
+    camera_calibration = read_camera(request.camera)
+    noise = read_imu_noise(request.imu / "sensor.yaml") if request.imu else DEFAULT_IMU
+    calibration = Calibration(camera=camera_calibration, imu=noise)
+    path = table.path()
+    first = int(table.t_ns[0])
+    begin_s = max(request.start_s, path.start_s)
+    end_s = min(begin_s + request.duration_s, path.end_s)
+    readout_s = camera_calibration.line_delay_s * camera_calibration.height
+    stamps = _frame_stamps(request.camera.parent / "data.csv", camera_calibration, first, begin_s, end_s)
+    shift_s = camera_calibration.time_shift_s
+    margin = readout_s + 0.01  # every exposed row needs a pose
+    stamps = [s for s in stamps if begin_s <= (s - first) * 1e-9 + shift_s <= end_s - margin]
+    if not stamps:
+        raise DataError(f"no frame stamp lies between {begin_s:.2f} s and {end_s:.2f} s of {request.states}")
+    camera = SimulatedCamera(Renderer(world, camera_calibration, cache_dir), camera_calibration, config.camera, seed)
+    with AslWriter(request.out, calibration) as writer:
+        for k, stamp in enumerate(stamps):
+            exposure = camera.expose(path.pose, (stamp - first) * 1e-9 + shift_s, config.faults)
+            writer.add_frame(stamp, exposure.jpeg, exposure.exposure_s)
+            if on_progress:
+                on_progress((k + 1) / len(stamps))
+        low, high = first + round(begin_s * 1e9), first + round(end_s * 1e9)
+        _write_truth(writer, table, low, high)
+        if request.imu:
+            _copy_imu(writer, request.imu / "data.csv", low, high)
+        else:
+            _synthesise_imu(writer, table, path, ImuModel(noise, config.imu, calibration.gravity, seed), low, high)
+    return len(stamps)
+
+
+def _frame_stamps(data_csv: Path, camera: CameraCalibration, first_ns: int, begin_s: float, end_s: float) -> list[int]:
+    """Recorded stamps where there are any, else evenly spaced ones."""
+    if data_csv.is_file():
+        try:
+            return [int(row[0]) for _, row in _csv_rows(data_csv)]
+        except ValueError as exc:
+            raise DataError(f"{data_csv}: {exc}; the first column must hold stamps in ns") from exc
+    count = int((end_s - begin_s) * camera.rate_hz)
+    return [first_ns + round((begin_s + k / camera.rate_hz) * 1e9) for k in range(count)]
+
+
+def _write_truth(writer: AslWriter, table: StateTable, low: int, high: int) -> None:
+    for t_ns, row in zip(table.t_ns, table.values, strict=True):
+        if low <= t_ns <= high:
+            zero = np.zeros(3)
+            state = MotionState(0.0, row[:3], rotation_from_quat(row[3:7]), row[7:10], zero, zero)
+            writer.add_truth(int(t_ns), state, (row[10:13], row[13:16]))
+
+
+def _copy_imu(writer: AslWriter, path: Path, low: int, high: int) -> None:
+    for number, row in _csv_rows(path):
+        try:
+            t_ns, values = int(row[0]), np.array([float(v) for v in row[1:7]])
+        except ValueError as exc:
+            raise DataError(f"{path}, line {number}: {exc}") from exc
+        if low <= t_ns <= high:
+            writer.add_imu(t_ns, ImuMeasurement(0.0, values[:3], values[3:], np.zeros(3), np.zeros(3)))
+
+
+def _synthesise_imu(
+    writer: AslWriter, table: StateTable, path: RecordedPath, model: ImuModel, low: int, high: int
+) -> None:
+    for t_ns, state in zip(table.t_ns, path.states, strict=True):
+        if low <= t_ns <= high:
+            writer.add_imu(int(t_ns), model.measure(state))
