@@ -30,7 +30,7 @@ def match_features(target: FloatArray, source: FloatArray, *, upright: bool, vox
 
     config = kiss_matcher.KISSMatcherConfig(voxel_size=voxel, use_quatro=upright)
     matcher = kiss_matcher.KISSMatcher(config)
-    with _silent_stdout():
+    with _silenced():
         solution = matcher.estimate(list(source.astype(np.float32)), list(target.astype(np.float32)))
     R, t = np.asarray(solution.rotation, dtype=np.float64), np.asarray(solution.translation, dtype=np.float64).ravel()
     if not (np.isfinite(R).all() and np.isfinite(t).all()) or abs(np.linalg.det(R) - 1) > 0.1:
@@ -39,13 +39,15 @@ def match_features(target: FloatArray, source: FloatArray, *, upright: bool, vox
 
 
 @contextmanager
-def _silent_stdout() -> Iterator[None]:
-    """The library prints from C++; stdout is for our JSON."""
-    saved, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+def _silenced() -> Iterator[None]:
+    """The library prints from C++, past Python's streams; stdout is for our JSON."""
+    saved, sink = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 1)
+        os.dup2(sink, 2)
         yield
     finally:
-        os.dup2(saved, 1)
-        os.close(saved)
+        for stream, copy in zip((1, 2), saved, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
         os.close(sink)

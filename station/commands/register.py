@@ -1,0 +1,73 @@
+"""`station register`: how one point cloud lies in another's frame."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    app.command("register")(register_files)
+
+
+def register_files(
+    target: Annotated[Path, typer.Argument(help="PLY cloud whose frame is wanted.")],
+    source: Annotated[Path, typer.Argument(help="PLY cloud to be placed in it.")],
+    scale: Annotated[Literal["known", "free"], typer.Option(help="known: both clouds in one unit.")] = "known",
+    gravity: Annotated[Literal["known", "unknown"], typer.Option(help="known: z is up in both clouds.")] = "known",
+    backend: Annotated[Literal["small_gicp", "open3d"], typer.Option(help="Library of the GICP step.")] = "small_gicp",
+    seed: Annotated[int, typer.Option(help="Seed of the random subsets.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="End with one JSON object on stdout.")] = False,
+) -> None:
+    """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
+    from station.places.registration import register_clouds
+    from station.ply import read_points
+
+    p_target, p_source = read_points(target), read_points(source)
+    print(f"registering {len(p_source)} points of {source} to {len(p_target)} of {target} ...", file=sys.stderr)
+    start = time.perf_counter()
+    result = register_clouds(p_target, p_source, scale=scale, gravity=gravity, backend=backend, seed=seed)
+    seconds = time.perf_counter() - start
+    verdict = "accepted" if result.accepted else "refused"
+    if not as_json:
+        print(f"{verdict}: {'; '.join(result.reasons)}")
+        if result.T_target_source is not None:
+            for row in result.T_target_source.tolist():
+                print("  " + " ".join(f"{value: .6f}" for value in row))
+            print(f"scale {result.scale:.4f}, overlap {result.overlap:.0%}, rmse {result.rmse:.4f}, {seconds:.2f} s")
+    else:
+        print(f"{verdict}: {'; '.join(result.reasons)}", file=sys.stderr)
+        print(
+            json.dumps(
+                {
+                    "accepted": result.accepted,
+                    "reasons": list(result.reasons),
+                    "T_target_source": None if result.T_target_source is None else result.T_target_source.tolist(),
+                    "scale": result.scale,
+                    "rmse": _number(result.rmse),
+                    "inlier_ratio": result.inlier_ratio,
+                    "overlap": result.overlap,
+                    "seconds": seconds,
+                    "backend": result.backend,
+                    "score": result.score,
+                    "covariance": None if result.covariance is None else result.covariance.tolist(),
+                    "eigenvalues": None if result.eigenvalues is None else result.eigenvalues.tolist(),
+                    "alternatives": [
+                        {"T_target_source": a.T_target_source.tolist(), "score": a.score} for a in result.alternatives
+                    ],
+                }
+            )
+        )
+    if not result.accepted:
+        raise typer.Exit(2)
+
+
+def _number(value: float) -> Any:
+    """JSON knows no NaN."""
+    return value if math.isfinite(value) else None
