@@ -52,7 +52,7 @@ class DriveConfig(_Section, frozen=True, kw_only=True):
 class SimulatedConfig(_Section, frozen=True, kw_only=True):
     """The simulated robot's world."""
 
-    world: str = "flat"
+    world: str = "home"
     seed: int = 1
     sim_port: Annotated[int, Meta(ge=0, le=65535)] | None = None  # where tests and the demo ask for the truth
 

@@ -6,11 +6,9 @@ import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 import cv2
 import numpy as np
-import yaml
 
 from robot.simulation.asl import AslWriter
 from robot.simulation.body import MotionState
@@ -21,11 +19,11 @@ from robot.simulation.sensors import ImuMeasurement, ImuModel
 from robot.simulation.trajectory import RecordedPath
 from robot.simulation.world import World
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
-from shared.errors import ConfigError, DataError
+from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, rotation_from_quat, so3_log
+from shared.sensor_yaml import read_camera, read_imu_noise, read_yaml
 
 NUM_STATE_COLUMNS = 17
-_MODELS = {"radial-tangential": "radtan", "radtan": "radtan", "equidistant": "equidistant"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,61 +72,6 @@ def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
         raise DataError(f"{path} cannot be read: {exc}") from exc
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        lines = [line for line in path.read_text().splitlines() if not line.startswith("%")]
-        table = yaml.safe_load("\n".join(lines))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as exc:
-        raise DataError(f"{path} is not a readable YAML file: {exc}") from exc
-    if not isinstance(table, dict):
-        raise DataError(f"{path} holds no keys; it should be an ASL sensor.yaml")
-    return table
-
-
-def read_camera(path: Path) -> CameraCalibration:
-    """Camera of an ASL sensor.yaml. Raises DataError that names the missing or wrong key."""
-    table = _read_yaml(path)
-    try:
-        fx, fy, cx, cy = (float(v) for v in table["intrinsics"])
-        width, height = (int(v) for v in table["resolution"])
-        distortion = tuple(float(v) for v in table["distortion_coefficients"])
-        T = tuple(float(v) for v in table["T_BS"]["data"])
-        model = cast(Any, _MODELS[str(table["distortion_model"])])
-        return CameraCalibration(
-            width=width,
-            height=height,
-            fx=fx,
-            fy=fy,
-            cx=cx,
-            cy=cy,
-            model=model,
-            distortion=distortion,
-            T_body_cam=T,
-            time_shift_s=float(table.get("time_shift_s", 0.0)),
-            line_delay_s=float(table.get("line_delay_s", 0.0)),
-            rate_hz=float(table.get("rate_hz", 20.0)),
-        )
-    except (KeyError, TypeError, ValueError, ConfigError) as exc:
-        raise DataError(f"{path}: key {exc} is missing or wrong in this camera file") from exc
-
-
-def read_imu_noise(path: Path) -> ImuNoise:
-    """Noise of an ASL imu sensor.yaml."""
-    table = _read_yaml(path)
-    try:
-        return ImuNoise(
-            gyro_density=float(table["gyroscope_noise_density"]),
-            accel_density=float(table["accelerometer_noise_density"]),
-            gyro_walk=float(table["gyroscope_random_walk"]),
-            accel_walk=float(table["accelerometer_random_walk"]),
-            rate_hz=float(table["rate_hz"]),
-            gyro_range=float(table.get("gyroscope_range", np.inf)),
-            accel_range=float(table.get("accelerometer_range", np.inf)),
-        )
-    except (KeyError, TypeError, ValueError) as exc:
-        raise DataError(f"{path}: key {exc} is missing or wrong in this IMU file") from exc
-
-
 @dataclass(frozen=True, slots=True)
 class AlongRequest:
     """What to render."""
@@ -156,7 +99,10 @@ def render_along(
     cv2.setNumThreads(1)
     table = read_states(request.states)
     camera_calibration = read_camera(request.camera)
-    noise = read_imu_noise(request.imu / "sensor.yaml") if request.imu else DEFAULT_IMU
+    noise = DEFAULT_IMU
+    if request.imu:
+        imu_file = request.imu / "sensor.yaml"
+        noise = read_imu_noise(imu_file, read_yaml(imu_file))
     calibration = Calibration(camera=camera_calibration, imu=noise)
     path = table.path()
     first = int(table.t_ns[0])

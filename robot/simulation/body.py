@@ -81,14 +81,20 @@ class Body:
             float(np.clip(angular_rad_s, -p.max_angular_rad_s, p.max_angular_rad_s)),
         )
 
-    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
-        """Somebody lifts the robot, carries it and puts it down with wheels at rest."""
+    @property
+    def is_carried(self) -> bool:
+        """Whether somebody holds the robot."""
+        return self._carry is not None
+
+    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> float:
+        """Somebody lifts the robot, carries it and puts it down with wheels at rest; returns for how long (s)."""
         plane = self._plane
         distance = math.hypot(x_m - plane.x, y_m - plane.y)
         duration = max(MIN_CARRY_S, distance / CARRY_SPEED_M_S + 0.6)
         turn = (yaw_rad - plane.yaw + math.pi) % (2 * math.pi) - math.pi
         self._carry = _Carry(replace(plane), (x_m, y_m, plane.yaw + turn), duration)
         plane.v = plane.a = plane.w = plane.b = 0.0
+        return duration
 
     def step(self) -> MotionState:
         """Advance by TICK_S and return the motion at the new instant."""

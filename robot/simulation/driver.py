@@ -12,6 +12,7 @@ from robot.simulation.routes import Route
 LOOKAHEAD_M = 0.35
 WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
 GOAL_M = 0.12
+MAX_COMMAND_RAD_S = 2.4  # robot-server refuses more than 2.5
 PIVOT_RAD = 1.2  # turn in place first when the route points further aside than this
 
 
@@ -61,7 +62,7 @@ class RouteDriver:
             linear = min(speed, limit / max(abs(curvature), 1e-6))
             yaw_rate = linear * curvature
         self._learn_efficiency(yaw_rate_rad_s)
-        self._last_yaw_rate = float(np.clip(yaw_rate / self._efficiency, -3.0, 3.0))
+        self._last_yaw_rate = float(np.clip(yaw_rate / self._efficiency, -MAX_COMMAND_RAD_S, MAX_COMMAND_RAD_S))
         return DriveCommand(linear, self._last_yaw_rate)
 
     def _learn_efficiency(self, yaw_rate_rad_s: float) -> None:

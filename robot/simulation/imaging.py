@@ -12,7 +12,7 @@ from robot.simulation.config import CameraImperfections, Faults
 from robot.simulation.renderer import NO_SURFACE, Float32Array, Renderer, Rendering
 from robot.simulation.textures import ImageArray
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, se3
 
 TARGET_MEAN = 112.0
 NOISE_SHIFT_PX = 211  # each frame takes another part of one noise picture
@@ -50,18 +50,22 @@ class SimulatedCamera:
     def exposure_s(self) -> float:
         return self._exposure_s
 
-    def expose(self, pose: PoseFunction, t_s: float, faults: Faults, covered: float = 0.0) -> Exposure:
+    def expose(
+        self, pose: PoseFunction, t_s: float, faults: Faults, covered: float = 0.0, R_cam_head: FloatArray | None = None
+    ) -> Exposure:
         """Take one picture.
 
         Args:
             pose: T_world_body at a time of the body's clock.
             t_s: mid-exposure of the first row, body's clock.
             covered: share of the lens behind a hand.
+            R_cam_head: (3, 3) turn of a pan-tilt head, None where it looks straight ahead.
         """
         i = self._imperfections
+        T_body_cam = self._T_body_cam if R_cam_head is None else self._T_body_cam @ se3(R_cam_head, np.zeros(3))
         readout_s = self._calibration.line_delay_s * (self._calibration.height - 1) if i.rolling_shutter else 0.0
         times = t_s + readout_s * np.linspace(0.0, 1.0, SHUTTER_POSES if readout_s > 0 else 1)
-        rendering = self._renderer.render(np.stack([pose(float(t)) @ self._T_body_cam for t in times]))
+        rendering = self._renderer.render(np.stack([pose(float(t)) @ T_body_cam for t in times]))
         image = rendering.image
         if faults.person:
             image = self._person.draw(image, t_s)
@@ -72,7 +76,7 @@ class SimulatedCamera:
         if i.motion_blur:
             middle = t_s + readout_s / 2
             half = self._exposure_s / 2
-            T_before, T_after = pose(middle - half) @ self._T_body_cam, pose(middle + half) @ self._T_body_cam
+            T_before, T_after = pose(middle - half) @ T_body_cam, pose(middle + half) @ T_body_cam
             image = self._blur(image, rendering, T_before, T_after)
         image = self._develop(image, rendering, faults)
         exposure_s = self._exposure_s

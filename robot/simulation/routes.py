@@ -20,7 +20,7 @@ CELL_M = 0.06
 MARGIN_M = 0.05  # beyond the robot's radius
 COMFORT_M = 0.30  # clearance beyond which more room is not worth a detour
 SPACING_M = 0.05  # between points of a finished route
-ROUTE_KINDS = ("mapping", "second", "tour", "triangle_a", "triangle_b", "triangle_c")
+ROUTE_KINDS = ("mapping", "second", "local", "tour", "triangle_a", "triangle_b", "triangle_c")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,8 +130,14 @@ class FreeSpace:
 _NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
-def plan_route(world: World, kind: str, seed: int = 0, radius_m: float = 0.21) -> Route:
+def plan_route(
+    world: World, kind: str, seed: int = 0, radius_m: float = 0.21, start: tuple[float, float] | None = None
+) -> Route:
     """Plan a route of a kind; another seed gives another route of the same kind.
+
+    `mapping`: a loop through every room and back. `second`: every room in another order and the other way round.
+    `local`: a loop in the room of the start. `tour`: each room both ways round. `triangle_a|b|c`: for the world `room`.
+    With a start (x, y) m the route begins there.
 
     Raises:
         ConfigError: unknown kind, or no way through the world.
@@ -141,10 +147,12 @@ def plan_route(world: World, kind: str, seed: int = 0, radius_m: float = 0.21) -
     space = FreeSpace(world, radius_m)
     rng = np.random.default_rng([world.seed, seed, sum(map(ord, kind))])
     if kind.startswith("triangle"):
-        return _triangle(space, kind)
-    order = _room_order(world, rng, is_reversed=kind == "second")
-    turn = {"mapping": 1, "second": -1, "tour": 1}[kind]
-    stops: list[FloatArray] = []
+        return _triangle(space, kind, start)
+    order = _room_order(world, rng, start, is_reversed=kind == "second")
+    if kind == "local":
+        order = order[:1]
+    turn = {"mapping": 1, "second": -1, "tour": 1, "local": -1}[kind]
+    stops: list[FloatArray] = [] if start is None else [np.array(start)]
     for k, room in enumerate(order):
         is_return = room in order[:k]
         scale = 0.55 if kind == "mapping" else float(rng.uniform(0.42, 0.6))
@@ -158,14 +166,17 @@ def plan_route(world: World, kind: str, seed: int = 0, radius_m: float = 0.21) -
     return _finish(space, kind, stops)
 
 
-def _room_order(world: World, rng: np.random.Generator, is_reversed: bool) -> list[int]:
+def _room_order(
+    world: World, rng: np.random.Generator, start: tuple[float, float] | None, is_reversed: bool
+) -> list[int]:
     """Rooms in the order of a walk through the doors, with the way back."""
     neighbours: dict[int, list[int]] = {i: [] for i in range(len(world.rooms))}
     for door in world.doors:
         neighbours[door.rooms[0]].append(door.rooms[1])
         neighbours[door.rooms[1]].append(door.rooms[0])
-    first = next((i for i, r in enumerate(world.rooms) if r.contains(*world.start[:2])), 0)
-    if is_reversed and len(world.rooms) > 1:
+    at = np.array(start or world.start[:2])
+    first = int(np.argmin([np.hypot(*(np.clip(at, (r.x0_m, r.y0_m), (r.x1_m, r.y1_m)) - at)) for r in world.rooms]))
+    if is_reversed and start is None:
         first = int(rng.integers(0, len(world.rooms)))
     walk: list[int] = []
     seen: set[int] = set()
@@ -196,7 +207,7 @@ def _ring(
     return [space.nearest_free(p) for p in ring]
 
 
-def _triangle(space: FreeSpace, kind: str) -> Route:
+def _triangle(space: FreeSpace, kind: str, start: tuple[float, float] | None) -> Route:
     """The thesis' taped triangles: b is a driven from another start and end, c crosses the room differently."""
     room = space.world.rooms[0]
     x, y = room.centre
@@ -209,7 +220,7 @@ def _triangle(space: FreeSpace, kind: str) -> Route:
     stops.append(stops[0])
     if kind == "triangle_b":
         stops.append((stops[0] + stops[1]) / 2)
-    return _finish(space, kind, stops)
+    return _finish(space, kind, stops if start is None else [np.array(start), *stops])
 
 
 def _finish(space: FreeSpace, kind: str, stops: list[FloatArray]) -> Route:

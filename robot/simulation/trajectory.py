@@ -36,6 +36,11 @@ class MotionHistory:
             i += 1
         return states[i], states[i + 1]
 
+    def between(self, low_s: float, high_s: float) -> list[MotionState]:
+        """The states around a span, one beyond each end where known."""
+        step_s = 1.0 / self._rate_hz
+        return [s for s in self._states if low_s - step_s <= s.t_s <= high_s + step_s]
+
     def pose(self, t_s: float) -> FloatArray:
         """T_world_body (4, 4) at an instant; beyond the ends the end pose."""
         if len(self._states) == 1:

@@ -1,0 +1,90 @@
+"""The simulated robot seen through each device's port."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
+from robot.devices.simulated.robot import SimulatedRobot
+
+MAX_HISTORY = 10_000
+
+
+class SimulatedCameraPort:
+    """Delivers the newest frame; its stamp is late by the calibration's time shift, as the real camera's is."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+
+    async def capture(self) -> CapturedFrame:
+        return (await self._robot.frame_mailbox.get())[-1]
+
+    async def close(self) -> None:
+        self._robot.close()
+
+
+class SimulatedImu:
+    """Delivers every sample."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+
+    async def read(self) -> list[ImuReading]:
+        return await self._robot.imu_mailbox.get()
+
+    async def close(self) -> None:
+        self._robot.close()
+
+
+class SimulatedMotors:
+    """Drives the simulated body and keeps what it was told."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+        self.history: deque[tuple[int, float, float]] = deque(maxlen=MAX_HISTORY)  # t_robot_ns, m/s, rad/s
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+        self.history.append((time.monotonic_ns(), linear_m_s, angular_rad_s))
+        self._robot.command(linear_m_s, angular_rad_s)
+
+    def stop(self) -> None:
+        self.history.append((time.monotonic_ns(), 0.0, 0.0))
+        self._robot.command(0.0, 0.0)
+
+    def close(self) -> None:
+        self.stop()
+
+
+class SimulatedPanTilt:
+    """Turns the simulated camera."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+
+    def point(self, pan_rad: float, tilt_rad: float) -> None:
+        self._robot.point_head(pan_rad, tilt_rad)
+
+    def close(self) -> None:
+        self._robot.point_head(0.0, 0.0)
+
+
+class SimulatedBattery:
+    """Drains slowly, faster while driving."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+
+    def read(self) -> BatteryState:
+        return self._robot.battery()
+
+
+class SimulatedHijack:
+    """Somebody's hands."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+
+    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        """Raises ValueError where the robot cannot stand."""
+        self._robot.hijack(x_m, y_m, yaw_rad)

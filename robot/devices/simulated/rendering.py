@@ -1,0 +1,123 @@
+"""The camera's process: renders and encodes, so that drawing never delays inertial samples or the event loop."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import signal
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import cast
+
+import cv2
+
+from robot.simulation.body import MotionState
+from robot.simulation.config import Faults, SimulationConfig
+from robot.simulation.imaging import SimulatedCamera
+from robot.simulation.recording import simulated_calibration
+from robot.simulation.renderer import Renderer
+from robot.simulation.trajectory import RecordedPath
+from robot.simulation.worlds import make_world
+from shared.errors import DeviceLost
+from shared.geometry import FloatArray
+
+READY_TIMEOUT_S = 120.0  # painting a large flat for the first time takes some seconds on a slow machine
+RENDER_TIMEOUT_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraJob:
+    """What the process must know once."""
+
+    world: str
+    seed: int
+    config: SimulationConfig
+    cache_dir: Path | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameRequest:
+    """One picture to take."""
+
+    t_s: float
+    states: list[MotionState]  # the motion around the exposure
+    faults: Faults
+    covered: float
+    R_cam_head: FloatArray  # (3, 3) turn of the pan-tilt head
+
+
+@dataclass(frozen=True, slots=True)
+class FrameAnswer:
+    """The picture."""
+
+    jpeg: bytes
+    exposure_s: float
+
+
+class CameraProcess:
+    """Handle of the rendering process; one request at a time."""
+
+    def __init__(self, job: CameraJob) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, child = context.Pipe()
+        self._process = context.Process(target=serve, args=(child, job), name="simulated-camera", daemon=True)
+        self._process.start()
+        child.close()
+
+    def wait_until_ready(self) -> None:
+        """Raises DeviceLost when the world cannot be drawn."""
+        self._receive(READY_TIMEOUT_S)
+
+    def take(self, request: FrameRequest) -> FrameAnswer:
+        """Render one picture. Raises DeviceLost when the process has died."""
+        try:
+            self._connection.send(request)
+        except OSError as exc:
+            raise DeviceLost("the simulated camera's process has ended; restart robot-server") from exc
+        return cast(FrameAnswer, self._receive(RENDER_TIMEOUT_S))
+
+    def close(self) -> None:
+        """End the process."""
+        with contextlib.suppress(OSError):
+            self._connection.close()
+        self._process.join(timeout=2.0)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(timeout=2.0)
+
+    def _receive(self, timeout_s: float) -> object:
+        try:
+            if not self._connection.poll(timeout_s):
+                raise DeviceLost(f"the simulated camera did not answer within {timeout_s:.0f} s")
+            answer = self._connection.recv()
+        except (OSError, EOFError) as exc:
+            raise DeviceLost("the simulated camera's process has ended; restart robot-server") from exc
+        if isinstance(answer, str):
+            raise DeviceLost(f"the simulated camera failed: {answer}")
+        return answer
+
+
+READY = b"ready"
+
+
+def serve(connection: Connection, job: CameraJob) -> None:
+    """Body of the process: answer requests until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
+    cv2.setNumThreads(1)
+    calibration = simulated_calibration(job.config).camera
+    assert calibration is not None
+    try:
+        world = make_world(job.world, job.seed, job.config)
+        renderer = Renderer(world, calibration, job.cache_dir)
+        camera = SimulatedCamera(renderer, calibration, job.config.camera, job.seed)
+    except Exception as exc:  # whatever it is, the parent must hear of it instead of waiting
+        connection.send(f"{type(exc).__name__}: {exc}")
+        return
+    with contextlib.suppress(OSError, EOFError):
+        connection.send(READY)
+        while True:
+            request = cast(FrameRequest, connection.recv())
+            path = RecordedPath(request.states)
+            exposure = camera.expose(path.pose, request.t_s, request.faults, request.covered, request.R_cam_head)
+            connection.send(FrameAnswer(exposure.jpeg, exposure.exposure_s))

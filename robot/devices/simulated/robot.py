@@ -1,0 +1,285 @@
+"""The simulated robot in real time: one thread moves it with the monotonic clock, one takes pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
+from robot.devices.simulated.mailbox import Mailbox
+from robot.devices.simulated.rendering import CameraJob, CameraProcess, FrameRequest
+from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
+from robot.simulation.config import Faults, SimulationConfig, config_from_table
+from robot.simulation.recording import simulated_calibration
+from robot.simulation.routes import FreeSpace, Route, plan_route
+from robot.simulation.sensors import ImuModel
+from robot.simulation.trajectory import MotionHistory
+from robot.simulation.world import World
+from robot.simulation.worlds import make_world
+from shared.errors import ConfigError, HardwareError
+from shared.geometry import FloatArray
+
+logger = logging.getLogger(__name__)
+
+PHYSICS_SLEEP_S = 0.004
+MAX_CATCH_UP_S = 5.0  # after a longer standstill of the process the lost samples are skipped, as a real FIFO would
+TRUTH_LOG_RATE_HZ = 45.0
+MAX_TRUTH_LOG = int(3600 * 4 * TRUTH_LOG_RATE_HZ)
+IMU_LIMIT = 225  # a second's worth, as the port says
+EXPOSURE_MARGIN_S = 0.025  # motion known beyond the last row before a picture is taken
+BATTERY_FULL_V, BATTERY_EMPTY_V = 8.4, 6.4
+BATTERY_LIFE_S, DRIVING_FACTOR = 4 * 3600.0, 3.0
+MAX_PAN_RAD, MAX_TILT_RAD, HEAD_SPEED_RAD_S = math.radians(80), math.radians(40), 3.0
+
+
+class Closable(Protocol):
+    """Something that ends with the robot."""
+
+    def close(self) -> None: ...
+
+
+class SimulatedRobot:
+    """World, body and sensors. Methods may be called from any thread; times are time.monotonic_ns()."""
+
+    def __init__(self, world: str, seed: int, config: SimulationConfig, cache_dir: Path | None) -> None:
+        self.world: World = make_world(world, seed, config)
+        self.config = config
+        self.calibration = simulated_calibration(config)
+        assert self.calibration.imu is not None and self.calibration.camera is not None
+        self._camera_calibration = self.calibration.camera
+        self._space = FreeSpace(self.world, config.body.radius_m)
+        start = plan_route(self.world, "mapping", 0, config.body.radius_m) if world != "checker" else None
+        pose = (
+            (float(start.points[0, 0]), float(start.points[0, 1]), start.start_yaw_rad) if start else self.world.start
+        )
+        self._body = Body(self.world, config.body, pose, seed)
+        self._imu = ImuModel(self.calibration.imu, config.imu, self.calibration.gravity, seed)
+        self._history = MotionHistory(keep_s=3.0)
+        self._dropout = np.random.default_rng([seed, 15])
+        self._job = CameraJob(world, seed, config, cache_dir)
+        self.imu_mailbox: Mailbox[ImuReading] = Mailbox(IMU_LIMIT)
+        self.frame_mailbox: Mailbox[CapturedFrame] = Mailbox(1)
+        self.frames_skipped = 0
+        self._faults = config.faults
+        self._head = _Head()
+        self._truth_log: deque[tuple[int, FloatArray]] = deque(maxlen=MAX_TRUTH_LOG)
+        self._state = self._body.state()
+        self._lock = threading.RLock()
+        self._stopped = threading.Event()
+        self._epoch_ns = time.monotonic_ns()
+        self._skipped_ticks = 0
+        self._drained = 0.0
+        self._controls: list[Closable] = []
+        self._threads: list[threading.Thread] = []
+
+    def start(self, *controls: Closable | None) -> None:
+        """Begin to live."""
+        self._controls = [c for c in controls if c is not None]
+        self._epoch_ns = time.monotonic_ns()
+        self._threads = [
+            threading.Thread(target=self._live, name="simulated-physics", daemon=True),
+            threading.Thread(target=self._take_pictures, name="simulated-camera", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop everything; safe to call twice."""
+        if self._stopped.is_set():
+            return
+        self._stopped.set()
+        for control in self._controls:
+            control.close()
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+
+    # --- what the devices need ------------------------------------------------------------------------------------
+
+    def command(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Tell the motors."""
+        with self._lock:
+            self._body.command(linear_m_s, angular_rad_s)
+
+    def point_head(self, pan_rad: float, tilt_rad: float) -> None:
+        """Where the camera shall look; it gets there at the servos' speed."""
+        with self._lock:
+            self._head.target = np.clip([pan_rad, tilt_rad], [-MAX_PAN_RAD, -MAX_TILT_RAD], [MAX_PAN_RAD, MAX_TILT_RAD])
+
+    def battery(self) -> BatteryState:
+        fraction = max(0.0, 1.0 - self._drained)
+        return BatteryState(BATTERY_EMPTY_V + fraction * (BATTERY_FULL_V - BATTERY_EMPTY_V), fraction)
+
+    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> float:
+        """Pick the robot up and put it down elsewhere; returns how long that takes (s). Raises ValueError."""
+        if not all(map(math.isfinite, (x_m, y_m, yaw_rad))):
+            raise ValueError("the position is not finite")
+        clearance = float(self._space.boxes.clearance(np.array([[x_m, y_m]]))[0])
+        x0, y0, x1, y1 = self.world.bounds()
+        if not (x0 <= x_m <= x1 and y0 <= y_m <= y1) or clearance < self.config.body.radius_m:
+            raise ValueError(f"({x_m:.2f}, {y_m:.2f}) m is not free floor of this world")
+        with self._lock:
+            return self._body.hijack(x_m, y_m, yaw_rad)
+
+    # --- what tests and judges may know ---------------------------------------------------------------------------
+
+    @property
+    def faults(self) -> Faults:
+        return self._faults
+
+    def set_faults(self, faults: Faults) -> None:
+        """Change what is wrong from the next sample and frame on."""
+        self._faults = faults
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether somebody holds the robot."""
+        return self._body.is_carried
+
+    def truth(self) -> tuple[int, MotionState]:
+        """Robot time and true motion now."""
+        with self._lock:
+            return self._ns(self._state.t_s), self._state
+
+    def truth_log(self) -> list[tuple[int, FloatArray]]:
+        """All times and T_world_body so far, at TRUTH_LOG_RATE_HZ."""
+        with self._lock:
+            return list(self._truth_log)
+
+    def plan(self, kind: str, seed: int) -> Route:
+        """A route from where the robot is."""
+        with self._lock:
+            x, y, _ = self._body.pose
+        return plan_route(self.world, kind, seed, self.config.body.radius_m, start=(x, y))
+
+    def random_spot(self, seed: int, room_name: str | None) -> tuple[float, float, float]:
+        """A free position with some room around it and a heading. Raises ValueError for an unknown room."""
+        rooms = [r for r in self.world.rooms if room_name in (None, r.name)]
+        if not rooms:
+            names = ", ".join(r.name for r in self.world.rooms)
+            raise ValueError(f"no room is called {room_name!r}; there are {names}")
+        rng = np.random.default_rng([seed, 16])
+        points = np.concatenate([self._space.free_points_in(r) for r in rooms])
+        roomy = points[self._space.boxes.clearance(points) > self.config.body.radius_m + 0.2]
+        points = roomy if len(roomy) else points
+        x, y = points[int(rng.integers(0, len(points)))]
+        return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
+
+    # --- threads --------------------------------------------------------------------------------------------------
+
+    def _ns(self, t_s: float) -> int:
+        """Robot time of an instant of the body's clock; both run together but for skipped ticks."""
+        return self._epoch_ns + round((t_s + self._skipped_ticks * TICK_S) * 1e9)
+
+    def _live(self) -> None:
+        ticks = 0
+        while not self._stopped.wait(PHYSICS_SLEEP_S):
+            due = int((time.monotonic_ns() - self._epoch_ns) * 1e-9 * TICK_RATE_HZ) - self._skipped_ticks
+            if due - ticks > MAX_CATCH_UP_S * TICK_RATE_HZ:
+                logger.warning("the simulator stood still for %.1f s; its samples are lost", (due - ticks) * TICK_S)
+                self._skipped_ticks += due - ticks - 1
+                due = ticks + 1
+            while ticks < due:
+                ticks += 1
+                self._tick(ticks)
+
+    def _tick(self, ticks: int) -> None:
+        with self._lock:
+            self._state = state = self._body.step()
+            self._history.append(state)
+            t_ns = self._ns(state.t_s)
+            if ticks % round(TICK_RATE_HZ / TRUTH_LOG_RATE_HZ) == 0:
+                self._truth_log.append((t_ns, self._history.pose(state.t_s)))
+            self._head.advance()
+        measurement = self._imu.measure(state)
+        is_moving = bool(np.hypot(*state.v_world[:2]) > 0.02)
+        self._drained += TICK_S / BATTERY_LIFE_S * (DRIVING_FACTOR if is_moving else 1.0)
+        if self._faults.imu_dropout > 0 and self._dropout.random() < self._faults.imu_dropout:
+            return
+        gyro, accel = measurement.gyro_imu, measurement.accel_imu
+        self.imu_mailbox.put(
+            ImuReading(
+                sequence=ticks + self._skipped_ticks,
+                t_robot_ns=t_ns,
+                gyro_imu=(float(gyro[0]), float(gyro[1]), float(gyro[2])),
+                accel_imu=(float(accel[0]), float(accel[1]), float(accel[2])),
+            )
+        )
+
+    def _take_pictures(self) -> None:
+        process = CameraProcess(self._job)
+        try:
+            process.wait_until_ready()
+            self._take_pictures_with(process)
+        except HardwareError as exc:
+            logger.error("%s", exc)
+            self.frame_mailbox.fail(exc)
+        finally:
+            process.close()
+
+    def _take_pictures_with(self, process: CameraProcess) -> None:
+        camera = self._camera_calibration
+        period_s = 1.0 / self.config.camera_rate_hz
+        readout_s = camera.line_delay_s * camera.height
+        number = 0
+        while not self._stopped.is_set():
+            with self._lock:
+                latest = self._history.latest_s
+            newest = int((latest - readout_s - EXPOSURE_MARGIN_S) / period_s) if math.isfinite(latest) else 0
+            if newest <= number:
+                self._stopped.wait(0.004)
+                continue
+            self.frames_skipped += newest - number - 1
+            number = newest
+            if self._faults.frozen_camera:
+                continue
+            t_s = number * period_s
+            with self._lock:
+                states = self._history.between(t_s - EXPOSURE_MARGIN_S, t_s + readout_s + EXPOSURE_MARGIN_S)
+                request = FrameRequest(t_s, states, self._faults, self._history.carried(t_s), self._head.rotation())
+                t_ns = self._ns(t_s)
+            answer = process.take(request)
+            self.frame_mailbox.put(
+                CapturedFrame(
+                    t_robot_ns=t_ns - round(camera.time_shift_s * 1e9),
+                    exposure_ns=round(answer.exposure_s * 1e9),
+                    width=camera.width,
+                    height=camera.height,
+                    jpeg=answer.jpeg,
+                )
+            )
+
+
+def parse_faults(current: Faults, changes: dict[str, object]) -> Faults:
+    """Faults with some values changed. Raises ConfigError for unknown names and wrong types."""
+    changed = config_from_table(current, changes, "faults.")
+    if not isinstance(changed, Faults) or not (0.0 <= changed.imu_dropout <= 1.0 and 0.0 <= changed.light <= 10.0):
+        raise ConfigError("faults.imu_dropout must lie in 0..1 and faults.light in 0..10")
+    return dataclasses.replace(changed)
+
+
+class _Head:
+    """Pan-tilt servos: turn the camera about its own centre."""
+
+    def __init__(self) -> None:
+        self.target = np.zeros(2)
+        self._angles = np.zeros(2)
+
+    def advance(self) -> None:
+        step = HEAD_SPEED_RAD_S * TICK_S
+        self._angles = self._angles + np.clip(self.target - self._angles, -step, step)
+
+    def rotation(self) -> FloatArray:
+        """R_cam_head (3, 3): axes of the turned camera in those of the straight one."""
+        pan, tilt = self._angles
+        cp, sp, ct, st = np.cos(-pan), np.sin(-pan), np.cos(tilt), np.sin(tilt)
+        about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+        about_x = np.array([[1.0, 0.0, 0.0], [0.0, ct, -st], [0.0, st, ct]])
+        return np.asarray(about_y @ about_x)
