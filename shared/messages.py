@@ -231,6 +231,9 @@ RobotMessage = Hello | Welcome | Refusal | HeartbeatReply | CameraFrame | ImuBat
 StationMessage = Join | Heartbeat | Drive | Stop | PanTilt | Hijack | ErrorNotice
 Message = RobotMessage | StationMessage
 
+# msgspec leaves broken UTF-8 a UnicodeDecodeError, which is a ValueError.
+UNDECODABLE = (msgspec.DecodeError, ValueError, OverflowError, RecursionError, RobotSystemError)
+
 _encoder = msgspec.msgpack.Encoder()
 _robot_decoder: msgspec.msgpack.Decoder[RobotMessage] = msgspec.msgpack.Decoder(RobotMessage)
 _station_decoder: msgspec.msgpack.Decoder[StationMessage] = msgspec.msgpack.Decoder(StationMessage)
@@ -254,7 +257,7 @@ def decode_robot_message(payload: bytes) -> RobotMessage:
     """A payload sent by a robot. Raises RemoteProtocolError when it is not a valid message."""
     try:
         return _robot_decoder.decode(payload)
-    except (msgspec.DecodeError, RobotSystemError, RecursionError) as exc:
+    except UNDECODABLE as exc:
         raise RemoteProtocolError(_explain("robot", payload, exc)) from exc
 
 
@@ -262,7 +265,7 @@ def decode_station_message(payload: bytes) -> StationMessage:
     """A payload sent by a station. Raises RemoteProtocolError when it is not a valid message."""
     try:
         return _station_decoder.decode(payload)
-    except (msgspec.DecodeError, RobotSystemError, RecursionError) as exc:
+    except UNDECODABLE as exc:
         raise RemoteProtocolError(_explain("station", payload, exc)) from exc
 
 
@@ -278,7 +281,7 @@ def _explain(peer: str, payload: bytes, exc: Exception) -> str:
     """Why a payload was refused; a first message of another version is recognised whatever else it holds."""
     try:
         theirs = _version_decoder.decode(payload).protocol
-    except (msgspec.DecodeError, RecursionError):
+    except UNDECODABLE:
         theirs = PROTOCOL_VERSION
     if theirs != PROTOCOL_VERSION:
         return version_mismatch(theirs, peer)

@@ -1,0 +1,187 @@
+"""Motors run only while fresh commands keep coming."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot.watchdog import MAX_TTL_NS, STANDSTILL, DriveGuard, MotorWatchdog, Velocity
+from shared.errors import DeviceLost
+
+MS = 1_000_000
+AHEAD = Velocity(0.3, 0.1)
+
+
+class FakeMotors:
+    """Keeps what they were told; can hang or fail."""
+
+    def __init__(self) -> None:
+        self.history: list[tuple[float, float]] = []
+        self.told = threading.Condition()
+        self.may_go_on = threading.Event()
+        self.may_go_on.set()
+        self.failure: Exception | None = None
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+        self._note(linear_m_s, angular_rad_s)
+        self.may_go_on.wait(10)
+        if self.failure is not None:
+            raise self.failure
+
+    def stop(self) -> None:
+        self._note(0.0, 0.0)
+
+    def close(self) -> None:
+        pass
+
+    def _note(self, linear: float, angular: float) -> None:
+        with self.told:
+            self.history.append((linear, angular))
+            self.told.notify_all()
+
+    def wait_for_last(self, linear: float, angular: float) -> bool:
+        with self.told:
+            return self.told.wait_for(lambda: bool(self.history) and self.history[-1] == (linear, angular), 10)
+
+
+def wait_until_rests(watchdog: MotorWatchdog) -> None:
+    while not watchdog.applied.is_zero:
+        time.sleep(0.001)
+
+
+@given(
+    commands=st.lists(
+        st.tuples(st.integers(0, 400 * MS), st.integers(-10, 10**12), st.sampled_from(["drive", "zero", "stop"])),
+        max_size=20,
+    ),
+    ask_after_ns=st.integers(0, 2000 * MS),
+)
+def test_nothing_ever_moves_longer_than_the_limit_after_the_last_command(
+    commands: list[tuple[int, int, str]], ask_after_ns: int
+) -> None:
+    guard, now_ns, last_drive_ns = DriveGuard(), 0, None
+    for wait_ns, ttl_ns, kind in commands:
+        now_ns += wait_ns
+        if kind == "stop":
+            guard.stop()
+            assert guard.velocity(now_ns) == STANDSTILL
+        else:
+            guard.command(AHEAD if kind == "drive" else STANDSTILL, ttl_ns, now_ns)
+            last_drive_ns = now_ns if kind == "drive" else last_drive_ns
+    now_ns += ask_after_ns
+    if last_drive_ns is None or now_ns - last_drive_ns >= MAX_TTL_NS:
+        assert guard.velocity(now_ns) == STANDSTILL
+
+
+def test_guard_starts_at_standstill_and_counts_what_silence_ended() -> None:
+    guard = DriveGuard()
+    assert guard.velocity(0) == STANDSTILL and guard.stops == 0
+    guard.command(AHEAD, 100 * MS, 0)
+    assert guard.velocity(99 * MS) == AHEAD
+    assert guard.velocity(100 * MS) == STANDSTILL and guard.stops == 1
+    guard.command(STANDSTILL, 100 * MS, 200 * MS)
+    assert guard.velocity(500 * MS) == STANDSTILL and guard.stops == 1
+
+
+def test_closed_guard_refuses_commands() -> None:
+    guard = DriveGuard()
+    guard.close()
+    assert not guard.command(AHEAD, 100 * MS, 0)
+    assert guard.velocity(1) == STANDSTILL
+
+
+def test_motors_are_stopped_when_taken_over() -> None:
+    motors = FakeMotors()
+    MotorWatchdog(motors).close()
+    assert motors.history[0] == (0.0, 0.0)
+
+
+def test_silence_stops_the_motors_without_anybodys_help() -> None:
+    motors = FakeMotors()
+    watchdog = MotorWatchdog(motors)
+    watchdog.command(AHEAD, 30)
+    assert motors.wait_for_last(0.3, 0.1)
+    assert motors.wait_for_last(0.0, 0.0)
+    assert watchdog.stops == 1
+    watchdog.close()
+
+
+def test_every_command_reaches_the_motors_also_an_unchanged_one() -> None:
+    motors = FakeMotors()
+    watchdog = MotorWatchdog(motors)
+    for count in range(1, 4):
+        watchdog.command(AHEAD, 250)
+        with motors.told:
+            assert motors.told.wait_for(lambda count=count: motors.history.count((0.3, 0.1)) == count, 10)
+    watchdog.close()
+
+
+def test_changes_are_reported_once_each() -> None:
+    motors, reported = FakeMotors(), []
+    watchdog = MotorWatchdog(motors, reported.append)
+    watchdog.command(AHEAD, 250)
+    assert motors.wait_for_last(0.3, 0.1)
+    watchdog.command(AHEAD, 20)
+    assert motors.wait_for_last(0.0, 0.0)
+    wait_until_rests(watchdog)
+    watchdog.close()
+    assert reported == [AHEAD, STANDSTILL]
+
+
+def test_stop_reaches_the_motors_while_the_thread_hangs_in_a_driver() -> None:
+    motors = FakeMotors()
+    motors.may_go_on.clear()
+    watchdog = MotorWatchdog(motors)
+    watchdog.command(AHEAD, 250)
+    assert motors.wait_for_last(0.3, 0.1)
+    watchdog.stop()
+    assert motors.history[-1] == (0.0, 0.0)
+    motors.may_go_on.set()
+    watchdog.close()
+    assert motors.history[-1] == (0.0, 0.0)
+
+
+def test_check_stops_what_a_hanging_thread_cannot() -> None:
+    motors, now_ns = FakeMotors(), [0]
+    watchdog = MotorWatchdog(motors, now_ns=lambda: now_ns[0])
+    watchdog.command(AHEAD, 250)
+    assert motors.wait_for_last(0.3, 0.1)
+    while watchdog.applied.is_zero:
+        time.sleep(0.001)
+    motors.may_go_on.clear()
+    watchdog.command(Velocity(0.2, 0.0), 250)
+    assert motors.wait_for_last(0.2, 0.0)  # the thread hangs now
+    now_ns[0] = 251 * MS
+    watchdog.check()
+    assert motors.history[-1] == (0.0, 0.0)
+    motors.may_go_on.set()
+    watchdog.close()
+
+
+def test_motors_that_fail_are_stopped_and_named() -> None:
+    motors = FakeMotors()
+    motors.failure = DeviceLost("the serial line is gone")
+    watchdog = MotorWatchdog(motors)
+    watchdog.command(AHEAD, 250)
+    with motors.told:
+        assert motors.told.wait_for(lambda: (0.3, 0.1) in motors.history and motors.history[-1] == (0.0, 0.0), 10)
+    while not watchdog.fault:
+        time.sleep(0.001)
+    assert "serial line is gone" in watchdog.fault
+    motors.failure = None
+    watchdog.command(AHEAD, 250)
+    while watchdog.fault:
+        time.sleep(0.001)
+    watchdog.close()
+
+
+def test_after_close_nothing_moves_any_more() -> None:
+    motors = FakeMotors()
+    watchdog = MotorWatchdog(motors)
+    watchdog.close()
+    watchdog.close()
+    assert not watchdog.command(AHEAD, 250)
+    assert set(motors.history) == {(0.0, 0.0)}
