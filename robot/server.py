@@ -133,11 +133,10 @@ class RobotServer:
 
     async def _serve_client(self, client: StationClient) -> None:
         try:
-            await client.run(self.hello(), self._handle)
+            await client.run(self.hello(), self._handle, lambda leaving: self.desk.leave(leaving.id))
         except Exception:
             logger.exception("connection %d failed", client.id)
         finally:
-            self.desk.leave(client.id)
             del self._clients[client.id]
             name = client.station_name or f"connection {client.id}"
             logger.info("%s left: %s", name, client.session.close_reason)

@@ -83,7 +83,12 @@ class StationClient:
             self.end(Event.TIMED_OUT, notice("silent", self.session.close_reason, fatal=True))
         return Tick.WENT_QUIET in duties
 
-    async def run(self, hello: Message, handle: Callable[[StationClient, Join | StationMessage], None]) -> None:
+    async def run(
+        self,
+        hello: Message,
+        handle: Callable[[StationClient, Join | StationMessage], None],
+        leave: Callable[[StationClient], None],
+    ) -> None:
         """Serve this station until it leaves, breaks the rules, falls silent or `end` is called."""
         self.put(hello)
         try:
@@ -96,6 +101,7 @@ class StationClient:
         except* OSError as group:
             self.session.close(Event.LOST, f"connection lost: {group.exceptions[0]}")
         finally:
+            leave(self)  # before the last word, which may take a while: motors must not wait for it
             await self._close()
 
     async def _read(self, handle: Callable[[StationClient, Join | StationMessage], None]) -> None:
