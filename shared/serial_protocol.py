@@ -29,11 +29,11 @@ class Type(IntEnum):
     IMU = 0x02
     STATUS = 0x03
     ACK = 0x04
-    PONG = 0x05
+    TIME = 0x05
     QUATERNION = 0x06
     DRIVE = 0x10
     STOP = 0x11
-    PING = 0x12
+    ASK_TIME = 0x12
     ASK_HELLO = 0x13
     CONFIG_IMU = 0x14
     CONFIG_MOTORS = 0x15
@@ -162,18 +162,18 @@ class Ack:
 
 
 @dataclass(frozen=True, slots=True)
-class Pong:
-    """Answer to a ping: the Mega's clock."""
+class MegaTime:
+    """Answer to `AskTime`: the Mega's clock."""
 
     LAYOUT: ClassVar = struct.Struct("<II")
-    TYPE: ClassVar = Type.PONG
+    TYPE: ClassVar = Type.TIME
 
     token: int
     t_us: int
 
 
-FirmwareMessage = Hello | ImuPacket | Status | Ack | Pong
-_FIRMWARE_MESSAGES: dict[int, type[FirmwareMessage]] = {m.TYPE: m for m in (Hello, ImuPacket, Status, Ack, Pong)}
+FirmwareMessage = Hello | ImuPacket | Status | Ack | MegaTime
+_FIRMWARE_MESSAGES: dict[int, type[FirmwareMessage]] = {m.TYPE: m for m in (Hello, ImuPacket, Status, Ack, MegaTime)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,13 +201,13 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True)
-class Ping:
+class AskTime:
     """Asks for the Mega's clock."""
 
     token: int
 
     def pack(self) -> bytes:
-        return struct.pack("<BI", Type.PING, self.token & 0xFFFFFFFF)
+        return struct.pack("<BI", Type.ASK_TIME, self.token & 0xFFFFFFFF)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +256,7 @@ class Servo:
         return struct.pack("<BHH", Type.SERVO, self.pan_us, self.tilt_us)
 
 
-Command = Drive | Stop | Ping | AskHello | ConfigImu | ConfigMotors | Servo
+Command = Drive | Stop | AskTime | AskHello | ConfigImu | ConfigMotors | Servo
 
 
 def crc16(data: bytes) -> int:

@@ -34,6 +34,7 @@ class Icm20948 {
 
   const ConfigImu& config() const { return config_; }
   bool running() const { return state_ == State::RUN; }
+  bool sample_waits() const { return pending_; }
   bool mag_present() const { return mag_present_; }
   uint8_t address() const { return running() ? address_ : 0; }
   uint8_t who() const { return who_; }

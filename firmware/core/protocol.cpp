@@ -60,8 +60,8 @@ uint8_t pack_ack(uint8_t asked, Result result, uint8_t* out) {
   return w.length();
 }
 
-uint8_t pack_pong(uint32_t token, uint32_t t_us, uint8_t* out) {
-  Writer w(out, Type::PONG);
+uint8_t pack_time(uint32_t token, uint32_t t_us, uint8_t* out) {
+  Writer w(out, Type::TIME);
   w.u32(token);
   w.u32(t_us);
   return w.length();
@@ -71,7 +71,7 @@ uint8_t pack_pong(uint32_t token, uint32_t t_us, uint8_t* out) {
 Result parse(const uint8_t* body, uint8_t length, Drive* m) {
   if (length != 12) return Result::BAD_LENGTH;
   for (uint8_t i = 0; i < 6; ++i) {
-    if (static_cast<uint8_t>(~body[i]) != body[i + 6]) return Result::BAD_VALUE;
+    if ((body[i] ^ body[i + 6]) != 0xFF) return Result::BAD_VALUE;
   }
   m->left = static_cast<int16_t>(read_u16(body));
   m->right = static_cast<int16_t>(read_u16(body + 2));

@@ -16,12 +16,12 @@ enum class Type : uint8_t {
   IMU = 0x02,
   STATUS = 0x03,
   ACK = 0x04,
-  PONG = 0x05,
+  TIME = 0x05,
   QUATERNION = 0x06,  // only with the vendor's DMP library (docs/firmware.md)
   // Pi to Mega
   DRIVE = 0x10,
   STOP = 0x11,
-  PING = 0x12,
+  ASK_TIME = 0x12,
   ASK_HELLO = 0x13,
   CONFIG_IMU = 0x14,
   CONFIG_MOTORS = 0x15,
@@ -127,7 +127,7 @@ uint8_t pack(const Hello& m, uint8_t* out);
 uint8_t pack(const ImuPacket& m, uint8_t* out);
 uint8_t pack(const Status& m, uint8_t* out);
 uint8_t pack_ack(uint8_t asked, Result result, uint8_t* out);
-uint8_t pack_pong(uint32_t token, uint32_t t_us, uint8_t* out);
+uint8_t pack_time(uint32_t token, uint32_t t_us, uint8_t* out);
 
 // Bodies (without type) of commands. DONE where the message was understood and every value is in range.
 Result parse(const uint8_t* body, uint8_t length, Drive* m);

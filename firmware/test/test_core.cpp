@@ -66,8 +66,8 @@ static Bytes packed(const std::string& name) {
     n = pack(Status{70000, 0x41, 99, 1, 2, 3, 4, 5, 6, 7, 8, 9, 7400, -1000, 1000, 120, 6000}, out);
   } else if (name == "ack") {
     n = pack_ack(0x14, Result::BAD_VALUE, out);
-  } else if (name == "pong") {
-    n = pack_pong(0xDEADBEEFu, 1, out);
+  } else if (name == "mega_time") {
+    n = pack_time(0xDEADBEEFu, 1, out);
   }
   return Bytes(out, out + n);
 }
@@ -78,7 +78,7 @@ static void test_crc_of_the_check_string() {
 
 static void test_packed_messages_equal_the_golden_bytes() {
   CHECK(golden.size() == 13);
-  for (const char* name : {"hello", "imu", "status", "ack", "pong"}) CHECK(packed(name) == golden[name].payload);
+  for (const char* name : {"hello", "imu", "status", "ack", "mega_time"}) CHECK(packed(name) == golden[name].payload);
 }
 
 static void test_frames_equal_the_golden_bytes_and_parse_back() {
@@ -129,7 +129,7 @@ static void test_damage_costs_one_frame_and_an_overlong_one_is_dropped() {
   Bytes noise(400, 0x55);
   stream.insert(stream.end(), noise.begin(), noise.end());
   stream.push_back(0);
-  stream.insert(stream.end(), golden["ping"].frame.begin(), golden["ping"].frame.end());
+  stream.insert(stream.end(), golden["ask_time"].frame.begin(), golden["ask_time"].frame.end());
   int whole = 0;
   for (uint8_t byte : stream) whole += parser.feed(byte);
   CHECK(whole == 1 && parser.bad() == 2 && parser.payload()[0] == 0x12);

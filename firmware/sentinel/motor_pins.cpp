@@ -1,0 +1,80 @@
+// The 1 kHz interrupt that owns the motors: time to live, ramps and pins, whatever the main loop does.
+#include <avr/interrupt.h>
+
+#include "board.h"
+#include "motor_pins.h"
+
+sentinel::MotorControl motors;
+extern volatile uint32_t clock_ticks_ms;
+
+namespace {
+
+const uint16_t PWM_TOP = 799;  // 16 MHz / 800 = 20 kHz: above hearing, below the DRV8833's 50 kHz
+const uint8_t TIMER_STANDS_3 = _BV(WGM33) | _BV(WGM32);  // fast PWM up to ICR (mode 14), no clock
+const uint8_t TIMER_STANDS_4 = _BV(WGM43) | _BV(WGM42);
+
+// High for `permille` of the time. 0 and full leave the timer: its narrowest pulse is one clock, not none.
+inline void put(uint16_t permille, volatile uint8_t& tccr_a, uint8_t com, volatile uint16_t& ocr, volatile uint8_t& port,
+                uint8_t bit) {
+  if (permille == 0 || permille >= sentinel::FULL) {
+    if (permille == 0) {
+      port &= static_cast<uint8_t>(~bit);
+    } else {
+      port |= bit;
+    }
+    tccr_a &= static_cast<uint8_t>(~com);
+  } else {
+    ocr = static_cast<uint16_t>(static_cast<uint32_t>(permille) * (PWM_TOP + 1) / 1000 - 1);
+    tccr_a |= com;
+  }
+}
+
+// Coasting, the driver sleeps and the timers stand: two more switches between battery and motor. It falls asleep before
+// its inputs change and wakes after, so that no order of the four inputs can jerk a motor.
+void apply() {
+  using sentinel::Bridge;
+  const bool awake = motors.bridge() != Bridge::COAST;
+  if (!awake) PORTG &= static_cast<uint8_t>(~_BV(5));
+  const sentinel::BridgeInputs l = sentinel::bridge_inputs(motors.bridge(), motors.left(), motors.slow_decay());
+  const sentinel::BridgeInputs r = sentinel::bridge_inputs(motors.bridge(), motors.right(), motors.slow_decay());
+  put(l.in1, TCCR4A, _BV(COM4A1), OCR4A, PORTH, _BV(3));
+  put(l.in2, TCCR4A, _BV(COM4B1), OCR4B, PORTH, _BV(4));
+  put(r.in1, TCCR3A, _BV(COM3A1), OCR3A, PORTE, _BV(3));
+  put(r.in2, TCCR3A, _BV(COM3C1), OCR3C, PORTE, _BV(5));
+  TCCR3B = awake ? TIMER_STANDS_3 | _BV(CS30) : TIMER_STANDS_3;
+  TCCR4B = awake ? TIMER_STANDS_4 | _BV(CS40) : TIMER_STANDS_4;
+  if (awake) PORTG |= _BV(5);
+}
+
+}  // namespace
+
+ISR(TIMER2_COMPA_vect) {
+  clock_ticks_ms = clock_ticks_ms + 1;
+  const sentinel::Bridge before = motors.bridge();
+  motors.tick();
+  if (before != sentinel::Bridge::COAST || motors.bridge() != sentinel::Bridge::COAST) apply();
+}
+
+void motors_begin() {
+  PORTH &= static_cast<uint8_t>(~(_BV(3) | _BV(4)));
+  PORTE &= static_cast<uint8_t>(~(_BV(3) | _BV(5)));
+  PORTG &= static_cast<uint8_t>(~_BV(5));
+  DDRH |= _BV(3) | _BV(4);
+  DDRE |= _BV(3) | _BV(5);
+  DDRG |= _BV(5);
+  DDRH &= static_cast<uint8_t>(~_BV(5));
+  PORTH |= _BV(5);  // pull-up: FLT is open drain
+  // Outputs off, timers without a clock until a motor runs.
+  ICR3 = ICR4 = PWM_TOP;
+  TCCR3A = _BV(WGM31);
+  TCCR4A = _BV(WGM41);
+  TCCR3B = TIMER_STANDS_3;
+  TCCR4B = TIMER_STANDS_4;
+  // 1 kHz: 16 MHz / 64 / 250, cleared on compare.
+  TCCR2A = _BV(WGM21);
+  TCCR2B = _BV(CS22);
+  OCR2A = 249;
+  TIMSK2 = _BV(OCIE2A);
+}
+
+bool motor_driver_fault() { return (PORTG & _BV(5)) != 0 && (PINH & _BV(5)) == 0; }

@@ -1,0 +1,214 @@
+// Firmware of the Sentinel robot for an Arduino Mega 2560: IMU at 225 Hz, motors with a watchdog, pan-tilt, battery.
+// docs/firmware.md tells the story; thinking is in ../core, pins and interrupts in the files beside this one.
+#include <avr/interrupt.h>
+#include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <util/atomic.h>
+
+#include "board.h"
+#include "imu.h"
+#include "motor_pins.h"
+#include "motors.h"
+#include "protocol.h"
+#include "stack.h"
+#include "twi_bus.h"
+#include "uart.h"
+
+using namespace sentinel;
+
+static const uint8_t FIRMWARE_MAJOR = 1, FIRMWARE_MINOR = 0;
+static const uint16_t STATUS_PERIOD_MS = 100;
+
+static Icm20948 imu;
+static FrameParser parser;
+static uint16_t tx_dropped = 0;
+static uint16_t loop_max_us = 0;
+static uint16_t battery_mv = 0;
+
+// Survives a reset: the start-up code leaves .noinit alone.
+static uint8_t reset_cause __attribute__((section(".noinit")));
+static uint16_t boot_id __attribute__((section(".noinit")));
+
+// Runs before main(): after a watchdog reset the watchdog is still on, at its shortest period.
+extern "C" void __attribute__((naked, used, section(".init3"))) keep_reset_cause() {
+  reset_cause = MCUSR;
+  MCUSR = 0;
+  wdt_disable();
+}
+
+// The sample's time is that of this interrupt's start: 2 to 20 us after the pin, when another interrupt ran.
+ISR(INT4_vect) { imu.data_ready(clock_us_in_isr()); }
+
+static void send(const uint8_t* payload, uint8_t length) {
+  uint8_t frame[MAX_FRAME];
+  if (!uart_send(frame, encode_frame(payload, length, frame))) ++tx_dropped;
+}
+
+static void send_hello() {
+  const ConfigImu& c = imu.config();
+  uint8_t payload[MAX_PAYLOAD];
+  send(payload, pack(Hello{PROTOCOL_VERSION, FIRMWARE_MAJOR, FIRMWARE_MINOR, reset_cause, imu.address(), imu.who(), c.gyro_scale,
+                           c.accel_scale, c.gyro_filter, c.accel_filter, c.divider, boot_id},
+                     payload));
+}
+
+static void send_ack(uint8_t asked, Result result) {
+  uint8_t payload[MAX_PAYLOAD];
+  send(payload, pack_ack(asked, result, payload));
+}
+
+static void send_status(uint32_t now_ms) {
+  Status s = Status();
+  s.uptime_ms = now_ms;
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    s.samples = imu.samples();
+    s.left = motors.left();
+    s.right = motors.right();
+    s.ttl_stops = motors.ttl_stops();
+    if (motors.driving()) s.flags |= FLAG_DRIVING;
+    if (motors.ttl_stop()) s.flags |= FLAG_TTL_STOP;
+    if (motors.low_battery()) s.flags |= FLAG_LOW_BATTERY;
+  }
+  if (!imu.running()) s.flags |= FLAG_IMU_MISSING;
+  if (imu.running() && !imu.mag_present()) s.flags |= FLAG_MAG_MISSING;
+  if (imu.errors() != 0 && now_ms - imu.last_error_ms() < 1000) s.flags |= FLAG_BUS_ERROR;
+  if (motor_driver_fault()) s.flags |= FLAG_DRIVER_FAULT;
+  // One sample may be on its way from the chip to the line.
+  const uint32_t open = s.samples - imu.sent();
+  s.samples_lost = open > 0 ? open - 1 : 0;
+  s.bus_errors = imu.errors();
+  s.bus_recoveries = bus_recoveries();
+  s.imu_starts = imu.starts();
+  s.rx_frames = parser.frames();
+  s.rx_bad = parser.bad();
+  s.rx_overruns = uart_overruns();
+  s.tx_dropped = tx_dropped;
+  s.battery_mv = battery_mv;
+  s.loop_max_us = loop_max_us;
+  s.stack_free = stack_free();
+  loop_max_us = 0;
+  uint8_t payload[MAX_PAYLOAD];
+  send(payload, pack(s, payload));
+}
+
+static void handle(const uint8_t* payload, uint8_t length) {
+  const uint8_t* body = payload + 1;
+  const uint8_t n = length - 1;
+  Result result = Result::DONE;
+  switch (static_cast<Type>(payload[0])) {
+    case Type::DRIVE: {
+      Drive drive;
+      result = parse(body, n, &drive);
+      if (result != Result::DONE) break;
+      ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motors.command(drive); }
+      return;  // twenty a second: not acknowledged, the status shows them
+    }
+    case Type::STOP:
+      ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motors.stop(); }
+      break;
+    case Type::ASK_TIME: {
+      if (n != 4) {
+        result = Result::BAD_LENGTH;
+        break;
+      }
+      uint8_t out[MAX_PAYLOAD];
+      send(out, pack_time(read_u32(body), clock_us(), out));
+      return;
+    }
+    case Type::ASK_HELLO:
+      send_hello();
+      return;
+    case Type::CONFIG_IMU: {
+      ConfigImu config;
+      result = parse(body, n, &config);
+      if (result == Result::DONE) imu.configure(config);
+      break;
+    }
+    case Type::CONFIG_MOTORS: {
+      ConfigMotors config;
+      result = parse(body, n, &config);
+      if (result != Result::DONE) break;
+      ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motors.configure(config); }
+      break;
+    }
+    case Type::SERVO: {
+      Servo servo;
+      result = parse(body, n, &servo);
+      if (result == Result::DONE) servos_set(servo.pan_us, servo.tilt_us);
+      break;
+    }
+    default:
+      result = Result::UNKNOWN_TYPE;
+      break;
+  }
+  send_ack(payload[0], result);
+}
+
+static void serve_imu(uint32_t now_ms, uint32_t now_us) {
+  bool ok;
+  if (bus_finished(now_us, &ok)) imu.done(now_ms, ok, bus_data());
+  BusOp op;
+  if (bus_idle() && imu.next(now_ms, &op)) bus_start(op, now_us);
+  ImuPacket packet;
+  if (imu.take(&packet)) {
+    uint8_t payload[MAX_PAYLOAD];
+    send(payload, pack(packet, payload));
+  }
+}
+
+void setup() {
+  ++boot_id;
+  motors_begin();
+  clock_begin();
+  uart_begin();
+  servos_begin();
+  adc_begin();
+  bus_begin();
+  EICRB |= _BV(ISC41) | _BV(ISC40);  // rising edge
+  EIMSK |= _BV(INT4);
+  wdt_enable(WDTO_120MS);
+  set_sleep_mode(SLEEP_MODE_IDLE);
+  send_hello();
+}
+
+void loop() {
+  static uint32_t last_tick = 0, last_status_ms = 0;
+  const uint32_t start_us = clock_us();
+  const uint32_t now_ms = clock_ms();
+
+  // Feeding depends on both: this loop running, and the motors' interrupt alive.
+  if (now_ms != last_tick) {
+    last_tick = now_ms;
+    wdt_reset();
+  }
+  // One frame per turn at most, so that a flood on the line cannot hold the IMU up.
+  uint8_t byte;
+  while (uart_read(&byte)) {
+    if (parser.feed(byte)) {
+      handle(parser.payload(), parser.length());
+      break;
+    }
+  }
+  serve_imu(now_ms, start_us);
+  if (adc_poll(&battery_mv)) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motors.battery(battery_mv); }
+  }
+  if (now_ms - last_status_ms >= STATUS_PERIOD_MS) {
+    last_status_ms = now_ms;
+    send_status(now_ms);
+  } else {
+    stack_free();
+  }
+  const uint16_t took_us = static_cast<uint16_t>(clock_us() - start_us);
+  if (took_us > loop_max_us) loop_max_us = took_us;
+
+  // Sleep until the next interrupt, unless one has left work since: on an AVR the instruction after sei() still runs first.
+  cli();
+  if (!uart_has_input() && !bus_has_result() && !imu.sample_waits() && clock_ms() == last_tick) {
+    sleep_enable();
+    sei();
+    sleep_cpu();
+    sleep_disable();
+  }
+  sei();
+}
