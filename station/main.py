@@ -7,7 +7,7 @@ import sys
 import typer
 
 from shared.errors import RobotSystemError
-from station.commands import doctor, register, slam
+from station.commands import doctor, experiment, register, slam
 
 app = typer.Typer(
     name="station",
@@ -22,7 +22,7 @@ def station() -> None:
     """Receives a robot's camera and IMU, maps places, and answers which place the robot is at."""
 
 
-for command in (doctor, register, slam):
+for command in (doctor, experiment, register, slam):
     command.register(app)
 
 

@@ -78,7 +78,7 @@ def load_navigation(folder: Path) -> Navigation:
         raise DataError(f"{report_path} is damaged ({exc}); make the navigation again") from exc
     calibration_path = folder / "calibration.json"
     try:
-        calibration = msgspec.convert(_read_json(calibration_path), Calibration)
+        calibration = msgspec.convert(_without_nulls(_read_json(calibration_path)), Calibration)
     except (msgspec.ValidationError, ConfigError) as exc:
         raise DataError(f"{calibration_path} is damaged ({exc}); make the navigation again") from exc
     keyframes, observations = _read_keyframes(folder / "keyframes")
@@ -178,6 +178,16 @@ def _write_landmarks(nav: Navigation, path: Path) -> None:
         name: landmarks.cov_world[:, i, j].astype(np.float32) for name, i, j in zip(COV_COLUMNS, *UPPER, strict=True)
     }
     write_ply(path, columns)
+
+
+def _without_nulls(content: Any) -> Any:
+    """JSON knows no infinity: a sensor range without limit was written as null; left out, it is that again."""
+    if not isinstance(content, dict):
+        return content
+    return {
+        name: {key: value for key, value in sensor.items() if value is not None} if isinstance(sensor, dict) else sensor
+        for name, sensor in content.items()
+    }
 
 
 def _read_json(path: Path) -> Any:

@@ -1,13 +1,16 @@
 """A navigation survives the disk exactly, and damage is named."""
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
 from shared.errors import DataError
 from shared.geometry import se3, so3_exp
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
@@ -49,6 +52,13 @@ def small_navigation(num_landmarks: int = 7) -> Navigation:
             "sfm", 5, 0.1, 1.0, 10.0, 1.0, num_landmarks, 0.0, "metric", True, 3, {"numpy": "2"}, {"a": 1}, ("fine",)
         ),
     )
+
+
+def test_a_sensor_range_without_limit_survives_the_disk(tmp_path: Path) -> None:
+    unlimited = msgspec.structs.replace(REFERENCE_IMU, gyro_range=math.inf, accel_range=math.inf)
+    calibration = msgspec.structs.replace(REFERENCE_ROBOT, imu=unlimited)
+    save_navigation(replace(small_navigation(), calibration=calibration), tmp_path / "nav")
+    assert load_navigation(tmp_path / "nav").calibration == calibration
 
 
 def test_navigation_survives_the_disk(tmp_path: Path) -> None:

@@ -1,0 +1,127 @@
+"""`station experiment`: two drives, matched and judged, with a report to look at."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from shared.errors import ConfigError
+from station.commands.slam import run_with_progress
+from station.datasets import Dataset
+from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
+from station.experiments.inputs import FrameRange, is_navigation, load_input
+from station.experiments.output import write_experiment
+from station.navigation import Navigation
+from station.navigation_files import save_navigation
+from station.places.config import PlacesConfig, PlacesMode, ThesisConfig
+from station.slam.backends import make_backend
+
+
+def register(app: typer.Typer) -> None:
+    app.command()(experiment)
+
+
+def experiment(
+    out: Annotated[Path, typer.Option("--out", help="Folder for results.json, report.html and figures.")],
+    navigation1: Annotated[
+        Path | None, typer.Option(help="First drive: a dataset, or a folder written by `station slam`.")
+    ] = None,
+    navigation2: Annotated[Path | None, typer.Option(help="Second drive, likewise.")] = None,
+    frames1: Annotated[str | None, typer.Option(help="Frames of the first dataset, such as 0-398.")] = None,
+    frames2: Annotated[str | None, typer.Option(help="Frames of the second dataset.")] = None,
+    truth1: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 1.")] = None,
+    truth2: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 2.")] = None,
+    backend: Annotated[str, typer.Option("--backend", help="SLAM backend for datasets: sfm, ukf.")] = "sfm",
+    mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
+    eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
+    min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
+    inlier_ratio: Annotated[float, typer.Option(help="Thesis mode: share of the closest pairs kept.")] = 0.75,
+    step: Annotated[int, typer.Option(help="Use every step-th frame of the datasets.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
+    title: Annotated[str, typer.Option(help="Heading of the report.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
+) -> None:
+    """Map one drive, find its places again in another, and judge the matches where true poses were recorded."""
+    if navigation1 is None or navigation2 is None:
+        raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders")
+    config = places_config(mode, eps, min_pts, inlier_ratio)
+    ranges = FrameRange.parse(frames1, "--frames1"), FrameRange.parse(frames2, "--frames2")
+
+    def reconstruct(data: Dataset) -> Navigation:
+        say(f"reconstructing {data.path.name}: {len(data.frame_times_ns)} frames")
+        return run_with_progress(
+            make_backend(backend, data.calibration, seed, threads, data.intrinsics_known), data
+        )  # fmt: skip
+
+    seconds = {}
+    loaded = []
+    for number, (path, frames, truth) in enumerate(
+        zip((navigation1, navigation2), ranges, (truth1, truth2), strict=True), start=1
+    ):
+        start = time.perf_counter()
+        navigation, true_poses = load_input(path, frames, truth, reconstruct, step=step)
+        if not is_navigation(path):
+            # Kept beside the report, so that other settings need no new reconstruction.
+            navigation = replace(navigation, id=f"{path.resolve().name}-{number}")
+            save_navigation(navigation, out / f"navigation{number}")
+        loaded.append((navigation, true_poses))
+        seconds[f"navigation{number}"] = time.perf_counter() - start
+    (first, first_truth), (second, second_truth) = loaded
+    done = run_experiment(
+        first,
+        second,
+        config,
+        truths=(first_truth, second_truth),
+        seed=seed,
+        story=Story(title=title or f"{first.id} against {second.id}"),
+        say=say,
+    )
+    done.seconds.update(seconds)
+    finish(done, out, as_json)
+
+
+def finish(done: Experiment, out: Path, as_json: bool) -> None:
+    """Write the files and say what came out."""
+    say("drawing the report")
+    write_experiment(done, out)
+    results = results_dict(done)
+    if as_json:
+        print(json.dumps(results, default=str))
+        return
+    print(f"{results['places']} places, {results['locations']} locations, {len(results['matches'])} matches")
+    if not results["registration"]["accepted"]:
+        print(f"registration refused: {'; '.join(results['registration']['reasons'])}")
+    if results["precision"] is not None:
+        print(f"precision {results['precision']:.3f} by the recorded poses")
+    if results["recall"] is not None:
+        print(f"recall {results['recall']:.3f} of {len(results['co_visible'])} co-visible places")
+    print(f"written to {out / 'report.html'}")
+
+
+def places_config(mode: str, eps: float, min_pts: int, inlier_ratio: float) -> PlacesConfig:
+    """Configuration from command-line options. Raises ConfigError naming the one that is wrong."""
+    return PlacesConfig(
+        mode=places_mode(mode), thesis=ThesisConfig(eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio)
+    )
+
+
+def places_mode(text: str) -> PlacesMode:
+    """The mode by name. Raises ConfigError for any other word."""
+    if text == "thesis":
+        return "thesis"
+    if text == "default":
+        return "default"
+    raise ConfigError(f'--mode is "{text}", must be "thesis" or "default"')
+
+
+def say(text: str) -> None:
+    """One line of progress, for people: stderr, and only on a terminal."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr)

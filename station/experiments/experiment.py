@@ -1,0 +1,123 @@
+"""One experiment: a map from Navigation1, Navigation2 matched with it, judged by truth where there is one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from station.datasets import Truth
+from station.evaluation.matches import MatchJudgement, judge_matches
+from station.maps.map import PlaceMap
+from station.navigation import Navigation
+from station.places.build import build_map
+from station.places.config import PlacesConfig
+from station.places.match import MatchResult, match_navigation
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """What a report says of an experiment beside its figures."""
+
+    title: str = "Experiment"
+    setting: tuple[str, ...] = ()  # sentences: what stands in for what
+    thesis: dict[str, str] = field(default_factory=dict)  # the thesis' figures by our names for them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """Everything that came out."""
+
+    story: Story
+    place_map: PlaceMap
+    navigation: Navigation
+    result: MatchResult
+    judgement: MatchJudgement | None  # None without truth
+    config: PlacesConfig
+    seed: int
+    seconds: dict[str, float]
+
+
+def run_experiment(
+    first: Navigation,
+    second: Navigation,
+    config: PlacesConfig,
+    *,
+    truths: tuple[Truth | None, Truth | None] = (None, None),
+    seed: int = 0,
+    story: Story | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Experiment:
+    """Build, match, judge. Truth is only shown to the judge."""
+    seconds: dict[str, float] = {}
+    say("clustering Navigation1 into places")
+    start = time.perf_counter()
+    place_map = build_map(first, config=config, name="Navigation1")
+    seconds["build_map"] = time.perf_counter() - start
+    say("matching Navigation2 with them")
+    start = time.perf_counter()
+    result = match_navigation(place_map, second, config, seed=seed)
+    seconds["match"] = time.perf_counter() - start
+    judgement = None
+    if truths[0] is not None and truths[1] is not None:
+        judgement = judge_matches(place_map, truths[0], second, truths[1], result)
+    return Experiment(story or Story(), place_map, second, result, judgement, config, seed, seconds)
+
+
+def results_dict(experiment: Experiment) -> dict[str, Any]:
+    """`results.json` (CONTRACT: Files written), with more beside it."""
+    place_map, result, judgement = experiment.place_map, experiment.result, experiment.judgement
+    correct = {j.match.place_id: j for j in judgement.judged} if judgement else {}
+    place_name = {p.id: p.name for p in place_map.places}
+    location_name = {p.id: p.name for p in result.locations}
+    registration = result.registration
+    return {
+        "places": len(place_map.places),
+        "locations": len(result.locations),
+        "registration": {
+            "accepted": registration.accepted,
+            "reasons": list(registration.reasons),
+            "T_target_source": None if registration.T_target_source is None else registration.T_target_source.tolist(),
+            "scale": registration.scale,
+            "rmse": _number(registration.rmse),
+            "inlier_ratio": registration.inlier_ratio,
+            "overlap": registration.overlap,
+            "backend": registration.backend,
+            "error_m": None if judgement is None else judgement.registration_error,
+        },
+        "matches": [
+            {
+                "place": place_name[match.place_id],
+                "location": location_name[match.location_id],
+                "distance": match.distance,
+                "correct": correct[match.place_id].correct if match.place_id in correct else None,
+                "support": match.support,
+                "true_distance_m": _number(correct[match.place_id].true_distance)
+                if match.place_id in correct
+                else None,
+                "half_extent_m": _number(correct[match.place_id].half_extent) if match.place_id in correct else None,
+            }
+            for match in result.matches
+        ],
+        "refused": [
+            {"place": place_name[m.place_id], "location": location_name[m.location_id], "reason": reason}
+            for m, reason in result.refused
+        ],
+        "precision": judgement.precision if judgement else None,
+        "recall": judgement.recall if judgement else None,
+        "truth": "groundtruth" if judgement else "none",
+        "co_visible": [place_name[i] for i in judgement.co_visible] if judgement else None,
+        "adjusted_rand_index": judgement.rand_index if judgement else None,
+        "duplicate_places": judgement.duplicates if judgement else None,
+        "mode": experiment.config.mode,
+        "seed": experiment.seed,
+        "seconds": experiment.seconds,
+        "config": place_map.config,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

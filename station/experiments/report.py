@@ -1,0 +1,117 @@
+"""`report.html`: one self-contained page with the verdict, the figures and every match."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from station.experiments.experiment import Experiment, results_dict
+
+FIGURES = (
+    ("clouds_before", "Point clouds before registration",
+     "Navigation1 in blue, Navigation2 in red (thesis: figs. 5.7 c, 5.10 c, A.1)."),
+    ("clouds_after", "Point clouds after registration", "Where they coincide, blue and red mix."),
+    ("clusters_above", "Clusters, from above", "One colour per cluster; grey landmarks belong to none (fig. A.2)."),
+    ("clusters_in_front", "Clusters, from the front", "(figs. A.4, A.6)"),
+    ("matches", "Matches", "Each location of Navigation2 and the place it was matched with (figs. 5.5, 5.8, 5.11)."),
+    ("trajectories", "Trajectories and place graph", "Where the robot was, and which place was nearest (fig. 5.4)."),
+)  # fmt: skip
+
+
+def write_report(experiment: Experiment, figures: Mapping[str, Path], path: Path) -> None:
+    """Write the page; images are inside it, so that it can be sent as one file."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    environment.filters["number"] = _number
+    page = environment.get_template("report.html.j2").render(**_content(experiment, figures))
+    path.write_text(page, encoding="utf-8")
+
+
+def _content(experiment: Experiment, figures: Mapping[str, Path]) -> dict[str, Any]:
+    results = results_dict(experiment)
+    first, second = experiment.place_map.navigation, experiment.navigation
+    evidence = {name: _data_uri(path) for name, path in figures.items() if name.startswith("match_")}
+    return {
+        "story": experiment.story,
+        "results": results,
+        "verdict": _verdict(results),
+        "navigations": [_navigation_row("Navigation1", first), _navigation_row("Navigation2", second)],
+        "figures": [
+            {"title": title, "caption": caption, "image": _data_uri(figures[name])}
+            for name, title, caption in FIGURES
+            if name in figures
+        ],
+        "matches": [
+            {**match, "image": evidence.get(f"match_{number:02d}")}
+            for number, match in enumerate(results["matches"], start=1)
+        ],
+        "places": experiment.place_map.places,
+        "edges": len(experiment.place_map.edges),
+        "comparison": _comparison(experiment, results),
+        "config": json.dumps(results["config"], indent=2, default=str),
+        "unit": "m" if first.is_metric else "map units",
+    }
+
+
+def _verdict(results: Mapping[str, Any]) -> tuple[str, str]:
+    """(good | bad | neutral, one sentence)."""
+    n = len(results["matches"])
+    if not results["registration"]["accepted"]:
+        return "neutral", "The clouds could not be registered with certainty, so no place was matched."
+    if not n:
+        return "neutral", "The clouds were registered, but no location was matched with a place."
+    if results["truth"] == "none":
+        return "neutral", f"{n} matches; without recorded poses nobody but you can judge them."
+    right = sum(bool(match["correct"]) for match in results["matches"])
+    kind = "good" if right == n else "bad"
+    return kind, f"{right} of {n} matches are right by the recorded poses."
+
+
+def _navigation_row(name: str, navigation: Any) -> dict[str, Any]:
+    report = navigation.report
+    return {
+        "name": name,
+        "id": navigation.id,
+        "backend": report.backend,
+        "frames": report.frames,
+        "keyframes": len(navigation.keyframes),
+        "landmarks": len(navigation.landmarks),
+        "scale": report.scale,
+        "gravity": "known" if report.gravity_aligned else "unknown",
+        "lost": report.tracking_lost_s,
+    }
+
+
+def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows (what, thesis, here); empty for an experiment that the thesis did not make."""
+    thesis = experiment.story.thesis
+    if not thesis:
+        return []
+    effective = results["config"].get("effective", {})
+    right = sum(bool(m["correct"]) for m in results["matches"]) if results["truth"] != "none" else None
+    here = {
+        "places / locations": f"{results['places']} / {results['locations']}",
+        "cluster lengths": ", ".join(f"{key} {_number(value)}" for key, value in effective.items()),
+        "inlier ratio": _number(results["registration"]["inlier_ratio"]),
+        "registration RMSE": _number(results["registration"]["rmse"]),
+        "matches": str(len(results["matches"])) + ("" if right is None else f", {right} right by truth"),
+    }
+    return [(what, thesis.get(what, "–"), here.get(what, "–")) for what in here]
+
+
+def _number(value: Any, digits: int = 3) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    return f"{value:,}" if isinstance(value, int) else f"{value:.{digits}g}"
+
+
+def _data_uri(path: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
