@@ -49,10 +49,15 @@ void apply() {
 }  // namespace
 
 ISR(TIMER2_COMPA_vect) {
+  static int16_t left = 0, right = 0;
+  static sentinel::Bridge bridge = sentinel::Bridge::COAST;
   clock_ticks_ms = clock_ticks_ms + 1;
-  const sentinel::Bridge before = motors.bridge();
   motors.tick();
-  if (before != sentinel::Bridge::COAST || motors.bridge() != sentinel::Bridge::COAST) apply();
+  if (motors.left() == left && motors.right() == right && motors.bridge() == bridge) return;
+  left = motors.left();
+  right = motors.right();
+  bridge = motors.bridge();
+  apply();
 }
 
 void motors_begin() {

@@ -13,7 +13,7 @@ from tests.emulator import board
 pytestmark = pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or "")
 
 FIRMWARE_BOUND_US = 500_000  # from the fault to zero duty at the pins
-DUTY_ERROR = 25  # permille: the emulator moves a PWM edge by up to 16 of a period's 800 cycles
+DUTY_ERROR = 8  # permille: the emulator moves a PWM edge by a few of a period's 800 cycles
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -142,7 +142,8 @@ def test_corrupted_bytes_cost_frames_but_never_give_wrong_ones(tmp_path: Path) -
     for packet in run.imu():
         x, y = packet.raw()[0:2]
         assert y & 0xFFFF == x * 2 & 0xFFFF
-    assert all(left <= 300 + DUTY_ERROR and right <= 300 + DUTY_ERROR for _, left, right in run.pins)
+    # While a ramp changes the compare registers every millisecond, the emulator lengthens pulses by up to 30 permille.
+    assert all(left <= 330 and right <= 330 for _, left, right in run.pins)
     after = [p.sequence for p in run.imu() if p.t_us > 3.1e6]
     assert after == list(range(after[0], after[0] + len(after)))
 
