@@ -91,6 +91,11 @@ class ImuCursor:
             cursor.lost = max(0, backlog.sequence_at(backlog.begin) - next_sequence) if backlog.begin else 0
         return cursor
 
+    @property
+    def is_at_end(self) -> bool:
+        """Whether the station has been sent all there is."""
+        return self._position >= self._backlog.end
+
     def next_batch(self) -> ImuBatch | None:
         """The next samples for this station; None when it has all."""
         if self._position < self._backlog.begin:
@@ -122,6 +127,11 @@ class FrameCursor:
         self._slot = slot
         self._sent = slot.count
         self.skipped = 0
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether the newest frame was taken."""
+        return self._slot.count == self._sent
 
     def next_frame(self) -> tuple[int, int, CapturedFrame] | None:
         """(sequence number, frames skipped before it, frame); None when there is no new one."""

@@ -189,7 +189,14 @@ class RobotServer:
                 interval_s = self._config.server.imu_batch_interval_ms * 1e-3
                 tasks.create_task(pump_imu(self._devices.imu, self._backlog, self.faults, self._wake_all, interval_s))
         if self._devices.camera is not None or self._devices.imu is not None:
+            await self._wait_until_sent()
             self.faults.set("recording", "the recording has ended; restart robot-server to play it again")
+
+    async def _wait_until_sent(self) -> None:
+        """Notices overtake data; the one that says that all has been played should not."""
+        deadline_ns = self._now_ns() + 2_000_000_000
+        while self._now_ns() < deadline_ns and not all(c.has_all for c in self._clients.values()):
+            await asyncio.sleep(0.01)
 
     def _wake_all(self) -> None:
         for client in self._clients.values():

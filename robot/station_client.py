@@ -55,6 +55,11 @@ class StationClient:
         """Whether it takes part: gets data, may command."""
         return self.session.state in (State.ACTIVE, State.QUIET)
 
+    @property
+    def has_all(self) -> bool:
+        """Whether all sensor data have been sent to it."""
+        return (self.imu is None or self.imu.is_at_end) and (self.frames is None or self.frames.is_at_end)
+
     def wake(self) -> None:
         """There may be something new to send."""
         self._wake.set()
