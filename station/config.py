@@ -1,0 +1,130 @@
+"""Settings of a running station: frozen, with defaults for a desk; one TOML file and command-line options override them."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from shared.errors import ConfigError
+from shared.messages import MAX_DRIVE_TTL_MS
+
+DEFAULT_ROBOT_PORT = 7400
+DEFAULT_DATA_DIR = Path("station-data")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotConfig:
+    """Where the robot-server listens."""
+
+    host: str = "127.0.0.1"
+    port: int = DEFAULT_ROBOT_PORT
+
+
+@dataclass(frozen=True, slots=True)
+class ApiConfig:
+    """Where the API and the page are served. Loopback only, unless a person decides otherwise."""
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+
+
+@dataclass(frozen=True, slots=True)
+class DriveConfig:
+    """Who may drive, and for how long without a word."""
+
+    lease_s: float = 1.0  # a driver silent for longer has let go of the wheel
+    repeat_ms: int = 100  # a command with a longer life than the protocol's is repeated to the robot this often
+
+    def __post_init__(self) -> None:
+        if not 0.2 <= self.lease_s <= 30:
+            raise ConfigError(f"drive.lease_s = {self.lease_s} is outside 0.2..30")
+        if not 20 <= self.repeat_ms < MAX_DRIVE_TTL_MS:
+            raise ConfigError(f"drive.repeat_ms = {self.repeat_ms} is outside 20..{MAX_DRIVE_TTL_MS - 1}")
+
+
+@dataclass(frozen=True, slots=True)
+class SlamConfig:
+    """The backend that follows a navigation while it is recorded."""
+
+    backend: str = "sfm"
+    seed: int = 1
+    frame_backlog: int = 90  # frames that wait for a busy worker; beyond, the oldest is skipped and counted
+    imu_backlog: int = 6000  # batches; beyond, the oldest is lost, counted and announced
+
+
+@dataclass(frozen=True, slots=True)
+class LocalizationConfig:
+    """How often the running picture is looked for in the active map."""
+
+    rate_hz: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.rate_hz <= 30:
+            raise ConfigError(f"localization.rate_hz = {self.rate_hz} is outside 0.1..30")
+
+
+@dataclass(frozen=True, slots=True)
+class StationConfig:
+    """Everything. Each part of the station gets only its own piece."""
+
+    data_dir: Path = DEFAULT_DATA_DIR
+    name: str = "station"
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    api: ApiConfig = field(default_factory=ApiConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
+    slam: SlamConfig = field(default_factory=SlamConfig)
+    localization: LocalizationConfig = field(default_factory=LocalizationConfig)
+
+    def __post_init__(self) -> None:
+        for key, port, least in (("robot.port", self.robot.port, 1), ("api.port", self.api.port, 0)):
+            if not least <= port <= 65535:
+                raise ConfigError(f"{key} = {port} is outside {least}..65535")
+
+
+def load_config(path: Path | None) -> StationConfig:
+    """The settings of a TOML file, checked; the defaults without one. Raises ConfigError naming file and key."""
+    if path is None:
+        return StationConfig()
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as exc:
+        raise ConfigError(f"{path} cannot be read ({exc}); give a TOML file") from exc
+    except tomllib.TOMLDecodeError as exc:
+        raise ConfigError(f"{path} is no TOML ({exc}); correct that line") from exc
+    _refuse_unknown(content, StationConfig, path, "")
+    try:
+        return msgspec.convert(content, StationConfig, dec_hook=_decode)
+    except msgspec.ValidationError as exc:
+        raise ConfigError(f"{path}: {exc}") from exc
+
+
+def parse_address(text: str, option: str) -> tuple[str, int]:
+    """`HOST:PORT`, `[V6]:PORT` or only a host. Raises ConfigError naming the option."""
+    host, colon, port = text.rpartition(":")
+    if not colon or text.endswith("]"):
+        host, port = text, str(DEFAULT_ROBOT_PORT)
+    host = host.removeprefix("[").removesuffix("]")
+    if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+        raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_ROBOT_PORT}")
+    return host, int(port)
+
+
+def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix: str) -> None:
+    known = {f.name: f for f in dataclasses.fields(kind)}
+    for key, value in content.items():
+        if key not in known:
+            raise ConfigError(f"{path}: unknown key {prefix}{key}; known are {', '.join(known)}")
+        default = known[key].default_factory
+        if isinstance(value, dict) and isinstance(default, type) and dataclasses.is_dataclass(default):
+            _refuse_unknown(value, default, path, f"{prefix}{key}.")
+
+
+def _decode(kind: type[Any], value: Any) -> Any:
+    if kind is Path and isinstance(value, str):
+        return Path(value).expanduser()
+    raise NotImplementedError

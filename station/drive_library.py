@@ -1,0 +1,114 @@
+"""The recorded drives on disk: `<root>/<id>/` with drive.json, recording.mcap and, when SLAM is done, navigation/."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from shared.errors import DataError
+from station.refusals import Unknown
+
+DriveState = Literal["recording", "finishing", "ready", "failed"]
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
+
+
+@dataclass(frozen=True, slots=True)
+class DriveRecord:
+    """One recorded drive and how far its SLAM is."""
+
+    id: str
+    name: str
+    state: DriveState
+    started_wall_s: float  # seconds since 1970
+    backend: str
+    message: str = ""  # in a sentence
+    robot_id: str = ""
+    duration_s: float = 0.0
+    frames: int = 0
+    frames_skipped: int = 0  # by a SLAM worker that was too slow; the recording has them
+    imu_samples: int = 0
+    imu_lost: int = 0
+    landmarks: int = 0
+    scale: Literal["metric", "arbitrary", ""] = ""
+
+
+class DriveLibrary:
+    """All drives in one folder. Small files only: safe to call on the event loop."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._drives: dict[str, DriveRecord] = {}
+
+    def open(self) -> list[DriveRecord]:
+        """Read what is there. A drive that was under way when the station ended is kept as failed; those are returned."""
+        interrupted = []
+        try:
+            self._root.mkdir(parents=True, exist_ok=True)
+            folders = sorted(p for p in self._root.iterdir() if (p / "drive.json").is_file())
+        except OSError as exc:
+            raise DataError(f"{self._root} cannot be used ({exc.strerror}); choose another folder with --data") from exc
+        for folder in folders:
+            try:
+                drive = msgspec.json.decode((folder / "drive.json").read_bytes(), type=DriveRecord)
+            except (OSError, msgspec.DecodeError):
+                continue  # half a drive of a killed station; its recording can still be opened by hand
+            if drive.state in ("recording", "finishing"):
+                drive = replace(drive, state="failed", message="the station ended before this drive was finished")
+                self.keep(drive)
+                interrupted.append(drive)
+            self._drives[drive.id] = drive
+        return interrupted
+
+    def list(self) -> list[DriveRecord]:
+        """Oldest first."""
+        return sorted(self._drives.values(), key=lambda d: (d.started_wall_s, d.id))
+
+    def get(self, drive_id: str) -> DriveRecord:
+        """Raises Unknown."""
+        if drive_id not in self._drives:
+            raise Unknown(f"there is no navigation {drive_id!r}; GET /navigations lists them")
+        return self._drives[drive_id]
+
+    def new_id(self) -> str:
+        """A name from the clock on the wall, unused so far."""
+        stem = time.strftime("nav-%Y%m%d-%H%M%S", time.localtime())
+        number, candidate = 1, stem
+        while candidate in self._drives or (self._root / candidate).exists():
+            number += 1
+            candidate = f"{stem}-{number}"
+        return candidate
+
+    def folder(self, drive_id: str) -> Path:
+        """Where a drive's files are."""
+        if not _ID.fullmatch(drive_id):
+            raise Unknown(f"there is no navigation {drive_id!r}; GET /navigations lists them")
+        return self._root / drive_id
+
+    def navigation_folder(self, drive_id: str) -> Path:
+        return self.folder(drive_id) / "navigation"
+
+    def keep(self, drive: DriveRecord) -> None:
+        """Write a drive's record, whole or not at all."""
+        folder = self.folder(drive.id)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            scratch = folder / ".drive.json"
+            scratch.write_text(json.dumps(msgspec.to_builtins(drive), indent=1) + "\n")
+            os.replace(scratch, folder / "drive.json")
+        except OSError as exc:
+            raise DataError(f"{folder} cannot be written ({exc.strerror}); free space or choose another") from exc
+        self._drives[drive.id] = drive
+
+    def delete(self, drive_id: str) -> None:
+        """Forget a drive and its files. Raises Unknown."""
+        self.get(drive_id)
+        del self._drives[drive_id]
+        shutil.rmtree(self.folder(drive_id), ignore_errors=True)

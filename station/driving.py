@@ -1,0 +1,208 @@
+"""Who drives, and the station's own timer that stops the robot when the driver goes silent."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
+from station.config import DriveConfig
+from station.refusals import NoRobot, NotCapable, NotDriver, OutOfRange
+
+MAX_TTL_MS = 1000  # how long one command of the API may hold; the joystick repeats its own every 50 ms
+MAX_DRIVER_NAME = 64
+
+
+class DriverLease:
+    """One driver at a time. A driver keeps the wheel by speaking; silence gives it back. Time is an argument."""
+
+    def __init__(self, lease_ns: int) -> None:
+        self._lease_ns = lease_ns
+        self._driver: str | None = None
+        self._heard_ns = 0
+
+    def driver(self, now_ns: int) -> str | None:
+        """Who drives now."""
+        return self._driver if self._driver is not None and now_ns - self._heard_ns < self._lease_ns else None
+
+    def claim(self, driver: str, now_ns: int) -> bool:
+        """Take or keep the wheel; False when another one has it."""
+        if self.driver(now_ns) not in (None, driver):
+            return False
+        self.take_over(driver, now_ns)
+        return True
+
+    def take_over(self, driver: str, now_ns: int) -> None:
+        """Take the wheel whoever has it."""
+        self._driver, self._heard_ns = driver, now_ns
+
+    def release(self, driver: str) -> None:
+        """Let go, if it is ours."""
+        if self._driver == driver:
+            self._driver = None
+
+
+class DriveLink(Protocol):
+    """What driving needs of the link to the robot."""
+
+    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool: ...
+
+    def stop(self) -> bool: ...
+
+    def point(self, pan: float, tilt: float) -> bool: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Command:
+    linear: float
+    angular: float
+    until_ns: int
+
+
+class Driving:
+    """Checks commands, keeps the lease, repeats a long command to the robot and stops it when its time is over."""
+
+    def __init__(
+        self,
+        link: DriveLink,
+        config: DriveConfig,
+        capabilities: Callable[[], Capabilities | None],
+        on_driver: Callable[[str | None], None],
+        on_silence: Callable[[str], None],
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._link = link
+        self._config = config
+        self._capabilities = capabilities
+        self._on_driver = on_driver
+        self._on_silence = on_silence
+        self._now_ns = now_ns
+        self._lease = DriverLease(round(config.lease_s * 1e9))
+        self._told: str | None = None
+        self._command: _Command | None = None
+        self._sent_ns = 0
+        self._changed = asyncio.Event()
+
+    @property
+    def driver(self) -> str | None:
+        """Who drives now."""
+        return self._lease.driver(self._now_ns())
+
+    @property
+    def is_moving(self) -> bool:
+        """A command other than standing still is held."""
+        return self._command is not None
+
+    def drive(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
+        """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
+
+        Raises:
+            NoRobot, NotCapable, NotDriver, OutOfRange: in words for a person.
+        """
+        able = self._require_drive()
+        _check("linear", linear, able.max_linear_m_s, "m/s")
+        _check("angular", angular, able.max_angular_rad_s, "rad/s")
+        if not 1 <= ttl_ms <= MAX_TTL_MS:
+            raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
+        self._claim(driver)
+        if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self._sent_ns = self._now_ns()
+        is_still = linear == 0.0 and angular == 0.0
+        self._command = None if is_still else _Command(linear, angular, self._now_ns() + ttl_ms * 1_000_000)
+        self._changed.set()
+
+    def stop(self) -> bool:
+        """Motors off now. Anyone may say it, also one who does not drive. False when no robot is connected."""
+        self._command = None
+        return self._link.stop()
+
+    def point(self, driver: str, pan: float, tilt: float) -> None:
+        """Point the camera head (rad). Needs the wheel, as driving does."""
+        able = self._capabilities()
+        if able is None:
+            raise NoRobot("no robot is connected")
+        if not able.pan_tilt:
+            raise NotCapable("this robot has no pan-tilt head")
+        _check("pan", pan, math.pi, "rad")
+        _check("tilt", tilt, math.pi, "rad")
+        self._claim(driver)
+        if not self._link.point(pan, tilt):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+
+    def take_over(self, driver: str) -> None:
+        """Become the driver, whoever drives. The robot is stopped first: nobody inherits a moving robot."""
+        if self.driver != driver:
+            self.stop()
+        self._lease.take_over(_named(driver), self._now_ns())
+        self._tell()
+
+    def release(self, driver: str) -> None:
+        """Let go of the wheel; stops the robot when it was ours."""
+        if self.driver == driver:
+            self.stop()
+        self._lease.release(driver)
+        self._tell()
+
+    async def run(self) -> None:
+        """The timer: repeats, and stops when silent. Runs until cancelled, and stops the robot then."""
+        try:
+            while True:
+                await self._step()
+        finally:
+            self._link.stop()
+
+    async def _step(self) -> None:
+        now_ns = self._now_ns()
+        self._tell()
+        command = self._command
+        if command is not None and now_ns >= command.until_ns:
+            self._command = None
+            self._link.stop()
+            self._on_silence("the driver went silent: stopped")
+            return
+        wait_ns = self._config.repeat_ms * 1_000_000
+        if command is not None:
+            left_ns = command.until_ns - now_ns
+            if now_ns - self._sent_ns >= wait_ns:
+                # One command may live longer than the protocol lets it: said again, until its time is over.
+                self._link.drive(command.linear, command.angular, min(-(-left_ns // 1_000_000), MAX_DRIVE_TTL_MS))
+                self._sent_ns = now_ns
+            wait_ns = min(wait_ns, left_ns)
+        self._changed.clear()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._changed.wait(), wait_ns / 1e9)
+
+    def _require_drive(self) -> Capabilities:
+        able = self._capabilities()
+        if able is None:
+            raise NoRobot("no robot is connected; start robot-server, or give its address with --robot")
+        if not able.drive:
+            raise NotCapable("this robot cannot drive (a recorded one only replays)")
+        return able
+
+    def _claim(self, driver: str) -> None:
+        if not self._lease.claim(_named(driver), self._now_ns()):
+            raise NotDriver(f"{self.driver} drives; take over with POST /drive/take-over")
+        self._tell()
+
+    def _tell(self) -> None:
+        if (driver := self.driver) != self._told:
+            self._told = driver
+            self._on_driver(driver)
+
+
+def _named(driver: str) -> str:
+    if not 0 < len(driver) <= MAX_DRIVER_NAME:
+        raise OutOfRange(f"a driver's name needs 1 to {MAX_DRIVER_NAME} characters, not {len(driver)}")
+    return driver
+
+
+def _check(name: str, value: float, limit: float, unit: str) -> None:
+    if not math.isfinite(value) or abs(value) > limit + 1e-9:
+        raise OutOfRange(f"{name} {value} is outside -{limit:g}..{limit:g} {unit}")

@@ -1,0 +1,286 @@
+"""Drives: recording what the robot sends, following it with SLAM, and finishing it, without holding up the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+from shared.errors import RobotSystemError
+from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
+from station.config import SlamConfig
+from station.drive_library import DriveLibrary, DriveRecord
+from station.events import Events
+from station.frames import DriveSample, ImageFrame
+from station.live import LiveSlam
+from station.navigation_files import load_navigation
+from station.refusals import Conflict
+from station.slam.backend import SlamUpdate
+from station.workers import Worker
+
+logger = logging.getLogger(__name__)
+POSE_EVENT_INTERVAL_S = 0.1
+
+
+class DriveRecorder(Protocol):
+    """Writes what the link delivers into a file of its own thread; calls return at once."""
+
+    def add_frame(self, frame: CameraFrame) -> None: ...
+
+    def add_imu(self, batch: ImuBatch) -> None: ...
+
+    def add_drive_applied(self, applied: DriveApplied) -> None: ...
+
+    def close(self) -> None: ...
+
+
+MakeRecorder = Callable[[Any, Hello], DriveRecorder | None]
+
+
+@dataclass(slots=True, eq=False)
+class _Running:
+    """The drive that is being recorded."""
+
+    drive: DriveRecord
+    worker: Worker
+    live: LiveSlam
+    recorder: DriveRecorder | None
+    hello: Hello
+    first_frame_ns: int | None = None
+    last_frame_ns: int = 0
+    num_frames: int = 0
+    num_imu: int = 0
+    imu_lost: int = 0
+    told_pose_s: float = 0.0
+    died: str = ""
+    lost_announced: set[str] = field(default_factory=set)
+
+
+class Drives:
+    """Starts, stops and lists drives; one is recorded at a time. Live SLAM state in `live`."""
+
+    def __init__(self, library: DriveLibrary, config: SlamConfig, events: Events, make_recorder: MakeRecorder) -> None:
+        self.library = library
+        self._config = config
+        self._events = events
+        self._make_recorder = make_recorder
+        self._running: _Running | None = None
+        self._finishing: dict[str, asyncio.Task[None]] = {}
+        self.live: LiveSlam | None = None
+
+    @property
+    def running(self) -> DriveRecord | None:
+        """The drive being recorded."""
+        return None if self._running is None else self._running.drive
+
+    async def start(self, hello: Hello, name: str) -> DriveRecord:
+        """Begin a drive. Raises Conflict when one is being recorded."""
+        if self._running is not None:
+            raise Conflict(f"{self._running.drive.id} is being recorded; stop it first")
+        drive_id = self.library.new_id()
+        drive = DriveRecord(
+            id=drive_id,
+            name=name or drive_id,
+            state="recording",
+            started_wall_s=time.time(),
+            backend=self._config.backend,
+            message="recording",
+            robot_id=hello.robot_id,
+        )
+        live = LiveSlam(drive_id)
+        worker = Worker(
+            f"SLAM {drive_id}",
+            "station.servants:SlamServant",
+            limits={"frame": self._config.frame_backlog, "imu": self._config.imu_backlog},
+            on_event=lambda update: self._on_update(drive_id, live, update),
+            on_death=lambda reason: self._on_death(drive_id, reason),
+        )
+        self.library.keep(drive)
+        recorder = self._make_recorder(self.library.folder(drive_id) / "recording.mcap", hello)
+        # Taken before the first wait, so that a second start at the same moment is refused.
+        self._running = running = _Running(drive, worker, live, recorder, hello)
+        self.live = live
+        self._tell(drive)
+        self._events.changed("landmarks")
+        try:
+            await worker.start()
+            await worker.call("begin", self._config.backend, hello.calibration)
+        except RobotSystemError as exc:
+            # The recording goes on: a drive without live SLAM is better than none.
+            running.died = str(exc)
+            live.message = f"SLAM does not run: {exc}"
+            self._events.say("slam", live.message, "error")
+        self._events.say("navigation", f"recording {drive.name}")
+        return self.library.get(drive_id)
+
+    def stop(self, drive_id: str) -> DriveRecord:
+        """End recording; SLAM finishes in the background. Raises Unknown, or Conflict when it is not being recorded."""
+        drive = self.library.get(drive_id)
+        running = self._running
+        if running is None or running.drive.id != drive_id:
+            raise Conflict(f"{drive_id} is not being recorded (it is {drive.state})")
+        self._running = None
+        drive = replace(self._counted(running), state="finishing", message="computing trajectory and landmarks")
+        self._keep(drive)
+        self._finishing[drive_id] = asyncio.create_task(self._finish(running, drive), name=f"finish {drive_id}")
+        return drive
+
+    async def delete(self, drive_id: str) -> None:
+        """Forget a drive. Raises Unknown; Conflict while it is being recorded or finished."""
+        drive = self.library.get(drive_id)
+        if drive.state in ("recording", "finishing"):
+            raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
+        await asyncio.to_thread(self.library.delete, drive_id)
+        self._events.forget("navigation", drive_id)
+        self._events.changed("navigation", None)
+
+    async def close(self) -> None:
+        """The station ends: the recording is closed, unfinished SLAM is given up and said so."""
+        if self._running is not None:
+            running, self._running = self._running, None
+            await self._close_recorder(running)
+            await running.worker.close()
+            self.library.keep(replace(self._counted(running), state="failed", message="the station was stopped"))
+        for task in self._finishing.values():
+            task.cancel()
+        await asyncio.gather(*self._finishing.values(), return_exceptions=True)
+
+    def on_frame(self, frame: CameraFrame) -> None:
+        running = self._running
+        if running is None:
+            return
+        if running.recorder is not None:
+            running.recorder.add_frame(frame)
+        if running.first_frame_ns is None:
+            running.first_frame_ns = frame.t_robot_ns
+        running.last_frame_ns = frame.t_robot_ns
+        image = ImageFrame(running.num_frames, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
+        running.num_frames += 1
+        running.worker.post("add_frame", image, kind="frame")
+
+    def on_imu(self, batch: ImuBatch) -> None:
+        running = self._running
+        if running is None:
+            return
+        if running.recorder is not None:
+            running.recorder.add_imu(batch)
+        running.num_imu += len(batch.samples)
+        kept = running.worker.post(
+            "add_imu",
+            [s.t_robot_ns for s in batch.samples],
+            [s.gyro_imu for s in batch.samples],
+            [s.accel_imu for s in batch.samples],
+            kind="imu",
+        )
+        if not kept and not running.died and "imu" not in running.lost_announced:
+            running.lost_announced.add("imu")
+            self._events.say("slam", "SLAM is too slow: inertial samples wait too long and are lost to it", "warning")
+
+    def on_gap(self, num_samples: int) -> None:
+        if self._running is not None:
+            self._running.imu_lost += num_samples
+
+    def on_drive_applied(self, applied: DriveApplied) -> None:
+        running = self._running
+        if running is None:
+            return
+        if running.recorder is not None:
+            running.recorder.add_drive_applied(applied)
+        running.worker.post("add_drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
+
+    def refresh(self) -> None:
+        """Once a second: the counts of the running drive."""
+        if self._running is not None:
+            self._running.drive = self._counted(self._running)
+            self._tell(self._running.drive)
+
+    def _on_update(self, drive_id: str, live: LiveSlam, update: SlamUpdate) -> None:
+        has_new_points = live.update(update)
+        if self.live is not live:
+            return
+        now_s = time.monotonic()
+        running = self._running
+        if running is not None and now_s - running.told_pose_s >= POSE_EVENT_INTERVAL_S:
+            running.told_pose_s = now_s
+            self._events.changed("pose")
+        if has_new_points:
+            self._events.changed("landmarks")
+
+    def _on_death(self, drive_id: str, reason: str) -> None:
+        running = self._running
+        if running is None or running.drive.id != drive_id:
+            return
+        running.died = reason
+        running.live.message = "SLAM was lost; the recording goes on"
+        self._events.say("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
+        asyncio.get_running_loop().create_task(self._restart(running), name="restart SLAM")
+
+    async def _restart(self, running: _Running) -> None:
+        """A new process for the same drive: it knows only what comes from now on."""
+        worker = Worker(
+            running.worker.name,
+            "station.servants:SlamServant",
+            limits={"frame": self._config.frame_backlog, "imu": self._config.imu_backlog},
+            on_event=lambda update: self._on_update(running.drive.id, running.live, update),
+        )
+        try:
+            await worker.start()
+            await worker.call("begin", self._config.backend, running.hello.calibration)
+        except RobotSystemError as exc:
+            self._events.say("worker", f"SLAM cannot be started again: {exc}", "error")
+            return
+        running.worker, running.died = worker, ""
+
+    async def _finish(self, running: _Running, drive: DriveRecord) -> None:
+        try:
+            await self._close_recorder(running)
+            folder = self.library.navigation_folder(drive.id)
+            report = await running.worker.call("finish", drive.id, folder)
+            navigation = await asyncio.to_thread(load_navigation, folder)
+            drive = replace(
+                drive,
+                state="ready",
+                landmarks=report.landmarks,
+                scale=report.scale,
+                message="; ".join(report.messages) or f"{report.landmarks} landmarks",
+            )
+            if self.live is running.live:
+                self.live = LiveSlam.of_finished(navigation, f"finished: {report.landmarks} landmarks")
+            self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
+        except RobotSystemError as exc:
+            drive = replace(drive, state="failed", message=running.died or str(exc))
+            running.live.message = drive.message
+            self._events.say("navigation", f"{drive.name}: {drive.message}", "error")
+        finally:
+            if drive.state == "finishing":
+                drive = replace(drive, state="failed", message="the station was stopped before this drive was finished")
+            await running.worker.close()
+            self._keep(drive)
+            self._finishing.pop(drive.id, None)
+            self._events.changed("pose")
+            self._events.changed("landmarks")
+
+    async def _close_recorder(self, running: _Running) -> None:
+        if running.recorder is not None:
+            await asyncio.to_thread(running.recorder.close)
+
+    def _counted(self, running: _Running) -> DriveRecord:
+        first_ns = running.first_frame_ns
+        return replace(
+            running.drive,
+            frames=running.num_frames,
+            frames_skipped=running.worker.dropped.get("frame", 0),
+            imu_samples=running.num_imu,
+            imu_lost=running.imu_lost,
+            duration_s=0.0 if first_ns is None else (running.last_frame_ns - first_ns) * 1e-9,
+        )
+
+    def _keep(self, drive: DriveRecord) -> None:
+        self.library.keep(drive)
+        self._tell(drive)
+
+    def _tell(self, drive: DriveRecord) -> None:
+        self._events.changed("navigation", drive, drive.id)

@@ -1,0 +1,29 @@
+"""Ordinary reasons why the station does not do what it was asked; the API turns each into one kind of problem document."""
+
+from __future__ import annotations
+
+from shared.errors import RobotSystemError
+
+
+class Unknown(RobotSystemError):
+    """There is no such thing (404)."""
+
+
+class Conflict(RobotSystemError):
+    """Not in the present state of things (409)."""
+
+
+class NotDriver(Conflict):
+    """Another one drives (409)."""
+
+
+class NotCapable(Conflict):
+    """This robot has no such part (409)."""
+
+
+class NoRobot(RobotSystemError):
+    """No robot is connected (503)."""
+
+
+class OutOfRange(RobotSystemError):
+    """A value is outside what is allowed (422)."""

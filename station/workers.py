@@ -1,0 +1,268 @@
+"""Spawned worker processes. Each owns one servant object; the station calls its methods by name over a pipe.
+
+The event loop only puts requests into a bounded outbox and gets answers back; two threads per worker move the bytes. An
+exception in the servant is raised at the caller. A process that dies fails what waits for it and is reported once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import logging
+import multiprocessing
+import pickle
+import signal
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+from shared.errors import RobotSystemError
+
+logger = logging.getLogger(__name__)
+
+END_TIMEOUT_S = 3.0
+_SPAWN = multiprocessing.get_context("spawn")  # fork would copy threads' locks and the event loop
+
+
+class WorkerDied(RobotSystemError):
+    """The worker process ended while it was needed."""
+
+
+class WorkerFailed(RobotSystemError):
+    """The worker raised something that is not one of our errors: a bug."""
+
+
+class Outbox:
+    """Requests on their way to a worker, oldest first. Of a limited kind, the oldest is dropped and counted when full."""
+
+    def __init__(self, limits: Mapping[str, int]) -> None:
+        self._limits = dict(limits)
+        self._items: deque[tuple[str, bytes | tuple[Any, ...]]] = deque()
+        self._waiting: Counter[str] = Counter()
+        self._changed = threading.Condition()
+        self._closed = False
+        self.dropped: Counter[str] = Counter()
+
+    def put(self, kind: str, item: tuple[Any, ...]) -> bool:
+        """Add an item; False when an older one of its kind had to go for it."""
+        with self._changed:
+            is_full = self._waiting[kind] >= self._limits.get(kind, 1 << 30)
+            if is_full:
+                oldest = next(i for i, (waiting, _) in enumerate(self._items) if waiting == kind)
+                del self._items[oldest]
+                self.dropped[kind] += 1
+            else:
+                self._waiting[kind] += 1
+            self._items.append((kind, item))
+            self._changed.notify()
+        return not is_full
+
+    def take(self) -> tuple[Any, ...] | None:
+        """Wait for the next item; None when the outbox is closed."""
+        with self._changed:
+            while not self._items and not self._closed:
+                self._changed.wait()
+            if self._closed:
+                return None
+            kind, item = self._items.popleft()
+            self._waiting[kind] -= 1
+            return item  # type: ignore[return-value]
+
+    def waiting(self, kind: str) -> int:
+        """How many items of a kind wait."""
+        return self._waiting[kind]
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+
+class Worker:
+    """One worker process and the way to talk to it. All methods belong on the event loop."""
+
+    def __init__(
+        self,
+        name: str,
+        servant: str,
+        arguments: tuple[Any, ...] = (),
+        *,
+        limits: Mapping[str, int] | None = None,
+        on_event: Callable[[Any], None] | None = None,
+        on_death: Callable[[str], None] | None = None,
+    ) -> None:
+        """`servant` is "package.module:Class"; its first argument is a function that sends an event here."""
+        self.name = name
+        self._servant = servant
+        self._arguments = arguments
+        self._outbox = Outbox(limits or {})
+        self._on_event = on_event
+        self._on_death = on_death
+        self._calls: dict[int, asyncio.Future[Any]] = {}
+        self._next_call = 0
+        self._process: Any = None
+        self._connection: Connection | None = None
+        self._closing = False
+        self._dead = ""
+
+    @property
+    def pid(self) -> int | None:
+        return None if self._process is None else self._process.pid
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """How many requests of each limited kind found the outbox full."""
+        return self._outbox.dropped
+
+    def waiting(self, kind: str) -> int:
+        """How many requests of a kind wait to be sent."""
+        return self._outbox.waiting(kind)
+
+    async def start(self) -> None:
+        """Start the process; requests may be posted from now on, it answers when it is up."""
+        loop = asyncio.get_running_loop()
+        await asyncio.to_thread(self._spawn)
+        for task in (self._write, self._read):
+            threading.Thread(target=task, args=(loop,), name=f"{self.name} {task.__name__}", daemon=True).start()
+
+    def post(self, method: str, *arguments: Any, kind: str = "") -> bool:
+        """Ask without waiting for an answer. False when an older request of this kind was dropped for it."""
+        if self._dead or self._closing:
+            return False
+        return self._outbox.put(kind or method, (None, method, arguments))
+
+    async def call(self, method: str, *arguments: Any) -> Any:
+        """Ask, and wait for the answer. Raises what the servant raised, or WorkerDied."""
+        if self._dead or self._closing:
+            raise WorkerDied(self._dead or f"the {self.name} worker is ending")
+        self._next_call += 1
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._calls[self._next_call] = future
+        self._outbox.put("call", (self._next_call, method, arguments))
+        try:
+            return await future
+        finally:
+            self._calls.pop(self._next_call, None)
+
+    def kill(self) -> None:
+        """End the process at once, whatever it computes."""
+        self._closing = True
+        self._outbox.close()
+        if self._process is not None and self._process.is_alive():
+            self._process.kill()
+        self._fail_calls(f"the {self.name} worker was stopped")
+
+    async def close(self) -> None:
+        """Let the process end after its present request; kill it when that takes long."""
+        self._closing = True
+        self._outbox.close()
+        if self._process is None:
+            return
+        self._process.terminate()
+        await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
+        if self._process.is_alive():
+            self._process.kill()
+            await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
+        self._fail_calls(f"the {self.name} worker was stopped")
+
+    def _spawn(self) -> None:
+        ours, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(
+            target=_serve, args=(theirs, self._servant, self._arguments), name=self.name, daemon=True
+        )
+        self._process.start()
+        theirs.close()  # so that reading ends when the process does
+        self._connection = ours
+
+    def _write(self, loop: asyncio.AbstractEventLoop) -> None:
+        assert self._connection is not None
+        while (item := self._outbox.take()) is not None:
+            try:
+                data = pickle.dumps(item, pickle.HIGHEST_PROTOCOL)
+                self._connection.send_bytes(data)
+            except (OSError, ValueError):
+                return  # the reader notices the end and reports it
+            except (pickle.PicklingError, TypeError, AttributeError) as exc:
+                _soon(loop, self._receive, (item[0], False, WorkerFailed(f"{item[1]} cannot be sent: {exc}")))
+
+    def _read(self, loop: asyncio.AbstractEventLoop) -> None:
+        assert self._connection is not None
+        while True:
+            try:
+                message = pickle.loads(self._connection.recv_bytes())  # noqa: S301 - from our own child
+            except (EOFError, OSError):
+                break
+            _soon(loop, self._receive, message)
+        self._process.join(END_TIMEOUT_S)
+        _soon(loop, self._end)
+
+    def _receive(self, message: tuple[int | None, bool, Any]) -> None:
+        call, is_ok, value = message
+        if call is None:
+            if not is_ok:
+                logger.error("%s worker: %s", self.name, value)
+            elif self._on_event is not None:
+                self._on_event(value)
+            return
+        future = self._calls.get(call)
+        if future is None or future.done():
+            return
+        if is_ok:
+            future.set_result(value)
+        else:
+            future.set_exception(value)
+
+    def _end(self) -> None:
+        if self._closing or self._dead:
+            return
+        code = self._process.exitcode
+        self._dead = f"the {self.name} worker ended unexpectedly (exit code {code})"
+        self._outbox.close()
+        logger.error("%s", self._dead)
+        self._fail_calls(self._dead)
+        if self._on_death is not None:
+            self._on_death(self._dead)
+
+    def _fail_calls(self, reason: str) -> None:
+        for future in self._calls.values():
+            if not future.done():
+                future.set_exception(WorkerDied(reason))
+
+
+def _soon(loop: asyncio.AbstractEventLoop, function: Callable[..., None], *arguments: Any) -> None:
+    try:
+        loop.call_soon_threadsafe(function, *arguments)
+    except RuntimeError:
+        logger.debug("the event loop is closed, a late answer is of no use")
+
+
+def resolve(path: str) -> Any:
+    """The object a "package.module:name" names."""
+    module, _, name = path.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _serve(connection: Connection, servant_path: str, arguments: tuple[Any, ...]) -> None:
+    """The worker process: requests in, answers and events out, until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    servant = resolve(servant_path)(lambda event: connection.send((None, True, event)), *arguments)
+    while True:
+        try:
+            call, method, values = pickle.loads(connection.recv_bytes())  # noqa: S301 - from our own parent
+        except (EOFError, OSError):
+            return
+        try:
+            answer = (call, True, getattr(servant, method)(*values))
+        except RobotSystemError as exc:
+            answer = (call, False, exc)
+        except Exception as exc:  # the one broad catch: a bug in one request must reach its caller, not end the worker
+            logger.exception("%s failed", method)
+            answer = (call, False, WorkerFailed(f"{method} failed: {type(exc).__name__}: {exc}"))
+        if call is not None or not answer[1]:
+            try:
+                connection.send(answer)
+            except OSError:
+                return
