@@ -37,7 +37,7 @@ class Job:
 class Jobs:
     """All jobs since the station started, newest last."""
 
-    def __init__(self, events: Events, servant: str = "station.servants:JobServant") -> None:
+    def __init__(self, events: Events, servant: str = "station.job_servant:JobServant") -> None:
         self._events = events
         self._servant = servant
         self._jobs: OrderedDict[str, Job] = OrderedDict()

@@ -7,14 +7,17 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Protocol
 
 from shared.errors import RobotSystemError
+from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import SlamConfig
 from station.drive_library import DriveLibrary, DriveRecord
 from station.events import Events
 from station.frames import DriveSample, ImageFrame
+from station.link import LinkListener
 from station.live import LiveSlam
 from station.navigation_files import load_navigation
 from station.refusals import Conflict
@@ -25,19 +28,13 @@ logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1
 
 
-class DriveRecorder(Protocol):
-    """Writes what the link delivers into a file of its own thread; calls return at once."""
+class DriveRecorder(LinkListener, Protocol):
+    """Writes what the link delivers into a file, in a thread of its own; calls return at once."""
 
-    def add_frame(self, frame: CameraFrame) -> None: ...
-
-    def add_imu(self, batch: ImuBatch) -> None: ...
-
-    def add_drive_applied(self, applied: DriveApplied) -> None: ...
-
-    def close(self) -> None: ...
+    def close(self) -> object: ...
 
 
-MakeRecorder = Callable[[Any, Hello], DriveRecorder | None]
+MakeRecorder = Callable[[Path], DriveRecorder | None]
 
 
 @dataclass(slots=True, eq=False)
@@ -62,11 +59,19 @@ class _Running:
 class Drives:
     """Starts, stops and lists drives; one is recorded at a time. Live SLAM state in `live`."""
 
-    def __init__(self, library: DriveLibrary, config: SlamConfig, events: Events, make_recorder: MakeRecorder) -> None:
+    def __init__(
+        self,
+        library: DriveLibrary,
+        config: SlamConfig,
+        events: Events,
+        make_recorder: MakeRecorder,
+        on_pose: Callable[[int, FloatArray, int], None],
+    ) -> None:
         self.library = library
         self._config = config
         self._events = events
         self._make_recorder = make_recorder
+        self._on_pose = on_pose
         self._running: _Running | None = None
         self._finishing: dict[str, asyncio.Task[None]] = {}
         self.live: LiveSlam | None = None
@@ -93,13 +98,15 @@ class Drives:
         live = LiveSlam(drive_id)
         worker = Worker(
             f"SLAM {drive_id}",
-            "station.servants:SlamServant",
+            "station.slam_servant:SlamServant",
             limits={"frame": self._config.frame_backlog, "imu": self._config.imu_backlog},
-            on_event=lambda update: self._on_update(drive_id, live, update),
+            on_event=lambda update: self._on_update(live, update),
             on_death=lambda reason: self._on_death(drive_id, reason),
         )
         self.library.keep(drive)
-        recorder = self._make_recorder(self.library.folder(drive_id) / "recording.mcap", hello)
+        recorder = self._make_recorder(self.library.folder(drive_id) / "recording.mcap")
+        if recorder is not None:
+            recorder.on_connected(hello)
         # Taken before the first wait, so that a second start at the same moment is refused.
         self._running = running = _Running(drive, worker, live, recorder, hello)
         self.live = live
@@ -107,7 +114,7 @@ class Drives:
         self._events.changed("landmarks")
         try:
             await worker.start()
-            await worker.call("begin", self._config.backend, hello.calibration)
+            await worker.call("begin", self._config.backend, hello.calibration, self._config.seed)
         except RobotSystemError as exc:
             # The recording goes on: a drive without live SLAM is better than none.
             running.died = str(exc)
@@ -148,12 +155,12 @@ class Drives:
             task.cancel()
         await asyncio.gather(*self._finishing.values(), return_exceptions=True)
 
-    def on_frame(self, frame: CameraFrame) -> None:
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
         running = self._running
         if running is None:
             return
         if running.recorder is not None:
-            running.recorder.add_frame(frame)
+            running.recorder.on_frame(frame, t_station_ns)
         if running.first_frame_ns is None:
             running.first_frame_ns = frame.t_robot_ns
         running.last_frame_ns = frame.t_robot_ns
@@ -166,7 +173,7 @@ class Drives:
         if running is None:
             return
         if running.recorder is not None:
-            running.recorder.add_imu(batch)
+            running.recorder.on_imu(batch)
         running.num_imu += len(batch.samples)
         kept = running.worker.post(
             "add_imu",
@@ -180,15 +187,18 @@ class Drives:
             self._events.say("slam", "SLAM is too slow: inertial samples wait too long and are lost to it", "warning")
 
     def on_gap(self, num_samples: int) -> None:
-        if self._running is not None:
-            self._running.imu_lost += num_samples
+        running = self._running
+        if running is not None:
+            running.imu_lost += num_samples
+            if running.recorder is not None:
+                running.recorder.on_gap(num_samples)
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         running = self._running
         if running is None:
             return
         if running.recorder is not None:
-            running.recorder.add_drive_applied(applied)
+            running.recorder.on_drive_applied(applied)
         running.worker.post("add_drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
 
     def refresh(self) -> None:
@@ -197,10 +207,12 @@ class Drives:
             self._running.drive = self._counted(self._running)
             self._tell(self._running.drive)
 
-    def _on_update(self, drive_id: str, live: LiveSlam, update: SlamUpdate) -> None:
+    def _on_update(self, live: LiveSlam, update: SlamUpdate) -> None:
         has_new_points = live.update(update)
         if self.live is not live:
             return
+        if update.T_world_body is not None:
+            self._on_pose(update.t_robot_ns, update.T_world_body, update.segment)
         now_s = time.monotonic()
         running = self._running
         if running is not None and now_s - running.told_pose_s >= POSE_EVENT_INTERVAL_S:
@@ -222,13 +234,13 @@ class Drives:
         """A new process for the same drive: it knows only what comes from now on."""
         worker = Worker(
             running.worker.name,
-            "station.servants:SlamServant",
+            "station.slam_servant:SlamServant",
             limits={"frame": self._config.frame_backlog, "imu": self._config.imu_backlog},
-            on_event=lambda update: self._on_update(running.drive.id, running.live, update),
+            on_event=lambda update: self._on_update(running.live, update),
         )
         try:
             await worker.start()
-            await worker.call("begin", self._config.backend, running.hello.calibration)
+            await worker.call("begin", self._config.backend, running.hello.calibration, self._config.seed)
         except RobotSystemError as exc:
             self._events.say("worker", f"SLAM cannot be started again: {exc}", "error")
             return

@@ -1,0 +1,210 @@
+"""The running station, wired: link → recorder, SLAM worker, localisation worker → answers. Start reading here.
+
+One object with plain methods; the API is a thin layer over it, and so is a test. Nothing here computes: frames go to
+worker processes, files to threads, and the event loop only carries messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.config import StationConfig
+from station.drive_library import DriveLibrary, DriveRecord
+from station.driving import Driving
+from station.events import Events
+from station.jobs import Job, Jobs
+from station.link import LinkState, RobotLink
+from station.locating import Locating
+from station.mailbox import Broadcast
+from station.map_library import Maps
+from station.maps.map import Place
+from station.recording import DriveRecorder, Drives
+from station.refusals import Conflict, NoRobot, NotCapable
+from station.workers import Worker
+
+logger = logging.getLogger(__name__)
+HIJACK_NOTICE = "the robot was picked up and put down elsewhere"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFrame:
+    """A camera image and when it came."""
+
+    frame: CameraFrame
+    t_station_ns: int  # arrival
+    t_captured_ns: int | None  # the capture in the station's clock; None before the clocks are known
+
+
+def no_recorder(path: Path) -> DriveRecorder | None:
+    """Where recordings are not wanted."""
+    return None
+
+
+class Station:
+    """Everything that runs, and what a person can ask of it. Implements LinkListener."""
+
+    def __init__(
+        self,
+        config: StationConfig,
+        make_recorder: Callable[[Path], DriveRecorder | None] | None = None,
+    ) -> None:
+        self.config = config
+        self.started_s = time.monotonic()
+        self.events = Events()
+        self.camera: Broadcast[SeenFrame] = Broadcast()
+        self.link = RobotLink(config.robot.host, config.robot.port, self, station_name=config.name)
+        self.driving = Driving(
+            self.link,
+            config.drive,
+            self._capabilities,
+            on_driver=lambda driver: self.events.changed("driver", driver),
+            on_silence=lambda text: self.events.say("drive", text, "warning"),
+        )
+        self.applied: DriveApplied | None = None
+        self.jobs = Jobs(self.events)
+        self.maps = Maps(config.data_dir / "maps", self.events)
+        self.locating = Locating(config.data_dir / "maps", config.localization, self.events)
+        self.drives = Drives(
+            DriveLibrary(config.data_dir / "navigations"),
+            config.slam,
+            self.events,
+            make_recorder or open_recorder,
+            on_pose=self.locating.odometry,
+        )
+
+    async def run(self, started: Callable[[], Any] = lambda: None) -> None:
+        """Run until cancelled. On the way out the motors are stopped first, then drives are closed."""
+        for drive in self.drives.library.open():
+            self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
+        await self.maps.open()
+        await self._look_in_active_map()
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self.driving.run(), name="drive timer")
+                tasks.create_task(self.link.run(), name="link")
+                tasks.create_task(self.locating.run(), name="localisation")
+                tasks.create_task(self._every_second(), name="second")
+                started()
+        finally:
+            self.link.stop()
+            await self.drives.close()
+            await self.jobs.close()
+            await self.locating.close()
+
+    # Robot
+
+    @property
+    def robot(self) -> LinkState:
+        return self.link.state
+
+    def hijack(self, x: float, y: float, yaw: float) -> None:
+        """Put a simulated robot down elsewhere. Raises NoRobot, or NotCapable for a real one."""
+        able = self._capabilities()
+        if able is None:
+            raise NoRobot("no robot is connected")
+        if not able.hijack:
+            raise NotCapable("this robot cannot be moved by a message; only a simulated one can")
+        self.driving.stop()
+        if not self.link.hijack(x, y, yaw):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self.events.say("hijack", HIJACK_NOTICE, "warning")
+
+    # Navigations and maps
+
+    async def start_drive(self, name: str) -> DriveRecord:
+        """Record from now on. Raises NoRobot, Conflict."""
+        state = self.link.state
+        if not state.connected or state.hello is None:
+            raise NoRobot("no robot is connected; there is nothing to record")
+        if not state.hello.capabilities.camera:
+            raise NotCapable("this robot has no camera; SLAM needs one")
+        return await self.drives.start(state.hello, name)
+
+    def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
+        """Places from finished drives, in the background. Raises Unknown, Conflict."""
+        drives = [self.drives.library.get(drive_id) for drive_id in drive_ids]
+        for drive in drives:
+            if drive.state != "ready":
+                raise Conflict(f"{drive.id} is {drive.state}, not ready: {drive.message}")
+        folders = [self.drives.library.navigation_folder(drive.id) for drive in drives]
+        title = f"map of {', '.join(drive.name for drive in drives)}"
+
+        async def work(worker: Worker) -> dict[str, Any]:
+            built = await worker.call("build_map", folders, self.maps.root, name or title, mode)
+            self.maps.changed()
+            if activate:
+                await self.use_map(built.map_id)
+            return {"map": built.map_id, "places": built.places}
+
+        return self.jobs.start("build map", title, work)
+
+    async def use_map(self, map_id: str | None) -> None:
+        """Look for the current place in this map. Raises Unknown, DataError."""
+        await self.maps.activate(map_id)
+        await self._look_in_active_map()
+
+    async def rename_place(self, place_id: str, name: str) -> Place:
+        """Raises Conflict, Unknown, DataError."""
+        place = await self.maps.rename_place(place_id, name)
+        await self.locating.rename(place_id, place.name)
+        return place
+
+    async def _look_in_active_map(self) -> None:
+        active = self.maps.active
+        await self.locating.use(None if active is None else active.place_map.id)
+
+    # LinkListener: called on the event loop, returns at once
+
+    def on_connected(self, hello: Hello) -> None:
+        self.events.say("link", f"connected to {hello.name}")
+        self.events.changed("robot")
+
+    def on_disconnected(self, reason: str) -> None:
+        self.events.say("link", f"robot lost: {reason}", "warning")
+        self.events.changed("robot")
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
+        self.drives.on_frame(frame, t_station_ns)
+        hello = self.link.state.hello
+        if hello is not None:
+            self.locating.offer(frame, hello.calibration)
+
+    def on_imu(self, batch: ImuBatch) -> None:
+        self.drives.on_imu(batch)
+
+    def on_gap(self, num_samples: int) -> None:
+        self.drives.on_gap(num_samples)
+        self.events.say("link", f"{num_samples} inertial samples were lost", "warning")
+
+    def on_drive_applied(self, applied: DriveApplied) -> None:
+        self.applied = applied
+        self.drives.on_drive_applied(applied)
+
+    def on_status(self, status: Status) -> None:
+        self.events.changed("robot")
+
+    def on_notice(self, notice: ErrorNotice) -> None:
+        self.events.say("robot", notice.message, "error" if notice.fatal else "warning")
+
+    def _capabilities(self) -> Capabilities | None:
+        state = self.link.state
+        return state.hello.capabilities if state.connected and state.hello is not None else None
+
+    async def _every_second(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            self.drives.refresh()
+            self.events.changed("robot")
+
+
+def open_recorder(path: Path) -> DriveRecorder | None:
+    """The MCAP recorder of a drive."""
+    return None

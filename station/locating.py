@@ -1,0 +1,167 @@
+"""The current place: offers the newest pictures to the localisation worker and keeps what it answers."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import OrderedDict, deque
+from dataclasses import dataclass
+from pathlib import Path
+
+from shared.calibration import Calibration
+from shared.errors import RobotSystemError
+from shared.geometry import FloatArray
+from shared.messages import CameraFrame
+from station.config import LocalizationConfig
+from station.events import Events
+from station.frames import ImageFrame
+from station.mailbox import Latest
+from station.place_report import PlaceReport
+from station.places.answer import PlaceAnswer
+from station.workers import Worker, WorkerDied
+
+logger = logging.getLogger(__name__)
+KEPT_QUERY_IMAGES = 32
+KEPT_VISITS = 200
+RESTART_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """A stretch of time with one answer, for the time line."""
+
+    state: str
+    place_id: str | None
+    place_name: str
+    start_wall_s: float
+    end_wall_s: float
+
+
+class Locating:
+    """One localisation worker, given the newest picture a few times a second while a map is active."""
+
+    def __init__(self, store_root: Path, config: LocalizationConfig, events: Events) -> None:
+        self._store_root = store_root
+        self._config = config
+        self._events = events
+        self._frames: Latest[tuple[CameraFrame, Calibration]] = Latest()
+        self._worker: Worker | None = None
+        self._map_id: str | None = None
+        self._wanted = asyncio.Event()
+        self._queries: OrderedDict[int, bytes] = OrderedDict()
+        self.report: PlaceReport | None = None
+        self.visits: deque[Visit] = deque(maxlen=KEPT_VISITS)
+        self.status = "no map is active"
+        self.answers = 0
+
+    @property
+    def pid(self) -> int | None:
+        return None if self._worker is None else self._worker.pid
+
+    async def use(self, map_id: str | None) -> None:
+        """Look in this map from now on. Also after one of its places was renamed."""
+        self._map_id = map_id
+        self.report = None
+        self.status = "no map is active" if map_id is None else "reading the map"
+        self._events.changed("place")
+        if self._worker is not None:
+            self._worker.kill()  # it may be in the middle of a map that nobody wants any more
+            await self._worker.close()
+            self._worker = None
+        self._wanted.set()
+
+    async def rename(self, place_id: str, name: str) -> None:
+        """Tell the worker of a new name, so that answers carry it at once."""
+        if self._worker is not None:
+            self.report = await self._worker.call("rename", place_id, name)
+            self._events.changed("place")
+
+    def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
+        """A pose of the running navigation; too many at once are thinned out, the newest stay."""
+        if self._worker is not None:
+            self._worker.post("odometry", t_robot_ns, T_nav_body, segment, kind="odometry")
+
+    def hijack(self, t_robot_ns: int, reason: str) -> None:
+        """The robot was picked up."""
+        if self._worker is not None:
+            self._worker.post("hijack", t_robot_ns, reason)
+
+    def offer(self, frame: CameraFrame, calibration: Calibration) -> None:
+        """A new picture; the worker gets the newest one when it is free."""
+        if self._map_id is not None:
+            self._frames.put((frame, calibration))
+
+    def query_image(self, t_robot_ns: int) -> bytes | None:
+        """The picture of an earlier answer, while it is kept."""
+        return self._queries.get(t_robot_ns)
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        while True:
+            map_id = self._map_id
+            if map_id is None:
+                self._wanted.clear()
+                await self._wanted.wait()
+                continue
+            try:
+                await self._serve(map_id)
+            except WorkerDied as exc:
+                if self._map_id == map_id:
+                    self.status = "localisation is started again"
+                    self._events.say("worker", f"{exc}; it is started again", "error")
+                    await asyncio.sleep(RESTART_S)
+            except RobotSystemError as exc:
+                if self._map_id == map_id:
+                    self.status = f"no localisation: {exc}"
+                    self._events.say("place", self.status, "error")
+                    self._map_id = None
+
+    async def close(self) -> None:
+        if self._worker is not None:
+            await self._worker.close()
+
+    async def _serve(self, map_id: str) -> None:
+        """One worker, one map, until it dies or another map is wanted."""
+        worker = Worker("localisation", "station.place_servant:PlaceServant", limits={"odometry": 300})
+        self._worker = worker
+        try:
+            await worker.start()
+            await worker.call("load", self._store_root, map_id)
+            self.status = "looking"
+            self._events.say("place", "localisation is ready")
+            interval_s = 1.0 / self._config.rate_hz
+            while self._map_id == map_id and self._worker is worker:
+                frame, calibration = await self._frames.get()
+                started_s = time.monotonic()
+                image = ImageFrame(frame.seq, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
+                report = await worker.call("answer", image, calibration)
+                if self._map_id == map_id:
+                    self._take(report, frame)
+                await asyncio.sleep(max(0.0, interval_s - (time.monotonic() - started_s)))
+        finally:
+            await worker.close()
+
+    def _take(self, report: PlaceReport, frame: CameraFrame) -> None:
+        self.answers += 1
+        self.report = report
+        if report.T_map_cam is not None:
+            self._queries[frame.t_robot_ns] = frame.jpeg
+            while len(self._queries) > KEPT_QUERY_IMAGES:
+                self._queries.popitem(last=False)
+        self._note_visit(report.answer)
+        self._events.changed("place")
+
+    def _note_visit(self, answer: PlaceAnswer) -> None:
+        now_s = time.time()
+        place_id = answer.place.id if answer.place else None
+        name = answer.place.name if answer.place else ""
+        last = self.visits[-1] if self.visits else None
+        if last is not None and (last.state, last.place_id) == (answer.state, place_id):
+            self.visits[-1] = Visit(last.state, place_id, name, last.start_wall_s, now_s)
+            return
+        self.visits.append(Visit(answer.state, place_id, name, now_s, now_s))
+        if answer.state == "known":
+            self._events.say("place", f"at {name} ({answer.place.probability:.0%})" if answer.place else "known")
+        elif last is not None:
+            self._events.say("place", answer.reason, "warning" if answer.state == "lost" else "info")

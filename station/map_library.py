@@ -1,0 +1,158 @@
+"""The maps of this station: which there are, which is active, and what the active one shows."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import DataError, RobotSystemError
+from station.events import Events
+from station.live import NO_PLACE
+from station.maps.map import Place, PlaceMap
+from station.maps.store import MapStore, MapSummary
+from station.places.evidence import gather_evidence
+from station.refusals import Conflict, Unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActiveMap:
+    """The map in use, and what is derived from it once."""
+
+    place_map: PlaceMap
+    place_of_point: npt.NDArray[np.uint8]  # (M,) index into places, NO_PLACE for none
+
+    def place(self, place_id: str) -> Place:
+        """Raises Unknown."""
+        for place in self.place_map.places:
+            if place.id == place_id:
+                return place
+        raise Unknown(f"the active map has no place {place_id!r}; GET /places lists them")
+
+
+class Maps:
+    """The store and the active map. Reading and writing maps happens in threads."""
+
+    def __init__(self, root: Path, events: Events) -> None:
+        self.root = root
+        self._store = MapStore(root)
+        self._events = events
+        self._active: ActiveMap | None = None
+        self._changing = asyncio.Lock()
+
+    @property
+    def active(self) -> ActiveMap | None:
+        return self._active
+
+    def require_active(self) -> ActiveMap:
+        """Raises Conflict in words when no map is active."""
+        if self._active is None:
+            raise Conflict("no map is active; build one with POST /maps and choose it with PUT /maps/active")
+        return self._active
+
+    async def list(self) -> tuple[MapSummary, ...]:
+        return await asyncio.to_thread(self._store.list)
+
+    async def open(self) -> None:
+        """Activate the map that was active when the station ended; says so when it cannot be read any more."""
+        try:
+            map_id = json.loads((self.root / "active.json").read_text())["id"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return
+        if map_id is None:
+            return
+        try:
+            await self.activate(map_id)
+        except RobotSystemError as exc:
+            self._events.say("map", f"the last map cannot be used: {exc}", "error")
+
+    async def activate(self, map_id: str | None) -> ActiveMap | None:
+        """Use a map, or none. Raises Unknown, or DataError when its files are damaged."""
+        async with self._changing:
+            if map_id is None:
+                self._active = None
+            else:
+                await self._require(map_id)
+                self._active = await asyncio.to_thread(_derive, self._store, map_id)
+            await asyncio.to_thread(_remember, self.root, map_id)
+        self._events.changed("map")
+        if self._active is not None:
+            self._events.say("map", f"using {self._active.place_map.name}")
+        return self._active
+
+    async def delete(self, map_id: str) -> None:
+        """Forget a map. Raises Unknown, or Conflict when it is in use."""
+        if self._active is not None and self._active.place_map.id == map_id:
+            raise Conflict(f"{map_id} is active; choose another map first")
+        await self._require(map_id)
+        await asyncio.to_thread(self._store.delete, map_id)
+        self._events.changed("map")
+
+    async def rename_place(self, place_id: str, name: str) -> Place:
+        """Raises Conflict, Unknown, or DataError for a name in use."""
+        async with self._changing:
+            active = self.require_active()
+            active.place(place_id)
+            place_map = await asyncio.to_thread(self._store.rename_place, active.place_map.id, place_id, name)
+            self._active = ActiveMap(place_map, active.place_of_point)
+            self._events.changed("map")
+            return self._active.place(place_id)
+
+    def changed(self) -> None:
+        """A map was added to the store."""
+        self._events.changed("map")
+
+    async def load(self, map_id: str) -> ActiveMap:
+        """Any map, for looking at. Raises Unknown or DataError."""
+        if self._active is not None and self._active.place_map.id == map_id:
+            return self._active
+        await self._require(map_id)
+        return await asyncio.to_thread(_derive, self._store, map_id)
+
+    async def _require(self, map_id: str) -> None:
+        known = {summary.id for summary in await self.list()}
+        if map_id not in known:
+            raise Unknown(f"there is no map {map_id!r}; GET /maps lists them")
+
+
+def mean_image(place_map: PlaceMap, place: Place) -> bytes:
+    """A place's mean image as JPEG (eq. 4.2). Raises Unknown when it has no images."""
+    evidence = gather_evidence(place_map.navigation.keyframes, {place.id: place.keyframe_index[:64]})[place.id]
+    if evidence.mean_bgr.size == 0:
+        raise Unknown(f"{place.name} has no readable images")
+    ok, encoded = cv2.imencode(".jpg", evidence.mean_bgr)
+    if not ok:
+        raise Unknown(f"{place.name} has no readable images")
+    return encoded.tobytes()
+
+
+def keyframe_image(place_map: PlaceMap, keyframe: int) -> bytes:
+    """A keyframe's image file. Raises Unknown."""
+    encoded = place_map.navigation.keyframes.encoded
+    if not 0 <= keyframe < len(encoded) or not encoded[keyframe]:
+        raise Unknown(f"map {place_map.id} has no image {keyframe}")
+    return encoded[keyframe]
+
+
+def _derive(store: MapStore, map_id: str) -> ActiveMap:
+    place_map = store.load(map_id)
+    place_of_point = np.full(len(place_map.navigation.landmarks), NO_PLACE, np.uint8)
+    for number, place in enumerate(place_map.places[:NO_PLACE]):
+        place_of_point[place.landmark_index] = number
+    return ActiveMap(place_map, place_of_point)
+
+
+def _remember(root: Path, map_id: str | None) -> None:
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        scratch = root / ".active.json"
+        scratch.write_text(json.dumps({"id": map_id}) + "\n")
+        os.replace(scratch, root / "active.json")
+    except OSError as exc:
+        raise DataError(f"{root} cannot be written ({exc.strerror}); free space or choose another folder") from exc

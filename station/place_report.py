@@ -1,0 +1,18 @@
+"""An answer of the localisation worker, with what belongs to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from shared.geometry import FloatArray
+from station.places.answer import PlaceAnswer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceReport:
+    """The current place, and how the last picture was found."""
+
+    map_id: str
+    answer: PlaceAnswer
+    T_map_cam: FloatArray | None  # (4, 4) of the picture the answer is about, when it was found in the map
+    attempt: str  # what speaks for the picture's pose, or why there is none, in a sentence

@@ -1,0 +1,82 @@
+"""What runs in the SLAM worker process: one backend, following one navigation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.errors import EstimationError
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.navigation import NavigationReport
+from station.navigation_files import save_navigation
+from station.sequencer import Sequencer
+from station.slam.backend import SlamBackend
+from station.slam.backends import make_backend
+from station.workers import resolve
+
+
+class SlamServant:
+    """Follows one navigation; sends a SlamUpdate for every frame."""
+
+    def __init__(self, emit: Callable[[Any], None]) -> None:
+        self._emit = emit
+        self._backend: SlamBackend | None = None
+        self._sequencer = Sequencer(0.0, has_imu=False)
+        self._started_s = 0.0
+
+    def begin(self, backend: str, calibration: Calibration, seed: int) -> None:
+        """Start a navigation with a backend by name, or by "package.module:factory"."""
+        camera = calibration.camera
+        if ":" in backend:
+            self._backend = resolve(backend)(calibration)
+        else:
+            self._backend = make_backend(backend, calibration, seed)
+        shift_s = camera.time_shift_s if camera else 0.0
+        self._sequencer = Sequencer(shift_s, has_imu=calibration.imu is not None)
+        self._started_s = time.monotonic()
+
+    def add_imu(self, t_robot_ns: list[int], gyro: list[Any], accel: list[Any]) -> None:
+        times = np.array(t_robot_ns, dtype=np.int64)
+        self._sequencer.add_imu(ImuBatch(times, np.array(gyro, dtype=np.float64), np.array(accel, dtype=np.float64)))
+        self._advance()
+
+    def add_drive(self, sample: DriveSample) -> None:
+        self._sequencer.add_drive(sample)
+
+    def add_frame(self, frame: ImageFrame) -> None:
+        self._sequencer.add_frame(frame)
+        self._advance()
+
+    def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
+        """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""
+        for item in self._sequencer.rest():
+            self._feed(item)
+        if self._backend is None:
+            raise EstimationError("the navigation ended before it began; record again")
+        navigation = replace(self._backend.finish(), id=navigation_id)
+        wall_s, cpu_s = time.monotonic() - self._started_s, time.process_time()
+        factor = navigation.report.duration_s / wall_s
+        report = replace(navigation.report, wall_s=wall_s, cpu_s=cpu_s, realtime_factor=factor)
+        navigation = replace(navigation, report=report)
+        save_navigation(navigation, folder)
+        return navigation.report
+
+    def _advance(self) -> None:
+        for item in self._sequencer.ready():
+            self._feed(item)
+
+    def _feed(self, item: ImuBatch | DriveSample | ImageFrame) -> None:
+        if self._backend is None:
+            return
+        if isinstance(item, ImuBatch):
+            self._backend.add_imu(item)
+        elif isinstance(item, DriveSample):
+            self._backend.add_drive(item)
+        else:
+            self._emit(self._backend.add_frame(item))
