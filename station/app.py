@@ -25,6 +25,7 @@ from station.locating import Locating
 from station.mailbox import Broadcast
 from station.map_library import Maps
 from station.maps.map import Place
+from station.recorder import Recorder
 from station.recording import DriveRecorder, Drives
 from station.refusals import Conflict, NoRobot, NotCapable
 from station.workers import Worker
@@ -40,11 +41,6 @@ class SeenFrame:
     frame: CameraFrame
     t_station_ns: int  # arrival
     t_captured_ns: int | None  # the capture in the station's clock; None before the clocks are known
-
-
-def no_recorder(path: Path) -> DriveRecorder | None:
-    """Where recordings are not wanted."""
-    return None
 
 
 class Station:
@@ -163,10 +159,12 @@ class Station:
     # LinkListener: called on the event loop, returns at once
 
     def on_connected(self, hello: Hello) -> None:
+        self.drives.on_connected(hello)
         self.events.say("link", f"connected to {hello.name}")
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:
+        self.drives.on_disconnected(reason)
         self.events.say("link", f"robot lost: {reason}", "warning")
         self.events.changed("robot")
 
@@ -189,9 +187,11 @@ class Station:
         self.drives.on_drive_applied(applied)
 
     def on_status(self, status: Status) -> None:
+        self.drives.on_status(status)
         self.events.changed("robot")
 
     def on_notice(self, notice: ErrorNotice) -> None:
+        self.drives.on_notice(notice)
         self.events.say("robot", notice.message, "error" if notice.fatal else "warning")
 
     def _capabilities(self) -> Capabilities | None:
@@ -206,5 +206,5 @@ class Station:
 
 
 def open_recorder(path: Path) -> DriveRecorder | None:
-    """The MCAP recorder of a drive."""
-    return None
+    """The MCAP recorder of a drive. Raises DataError when the file cannot be made."""
+    return Recorder(path)

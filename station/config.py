@@ -1,4 +1,4 @@
-"""Settings of a running station: frozen, with defaults for a desk; one TOML file and command-line options override them."""
+"""Settings of a running station: frozen, defaults for a desk; a TOML file and command-line options override them."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix
     for key, value in content.items():
         if key not in known:
             raise ConfigError(f"{path}: unknown key {prefix}{key}; known are {', '.join(known)}")
-        default = known[key].default_factory
+        default: Any = known[key].default_factory
         if isinstance(value, dict) and isinstance(default, type) and dataclasses.is_dataclass(default):
             _refuse_unknown(value, default, path, f"{prefix}{key}.")
 

@@ -48,7 +48,7 @@ class DriveLibrary:
         self._drives: dict[str, DriveRecord] = {}
 
     def open(self) -> list[DriveRecord]:
-        """Read what is there. A drive that was under way when the station ended is kept as failed; those are returned."""
+        """Read what is there. Drives that were under way when the station ended are kept as failed, and returned."""
         interrupted = []
         try:
             self._root.mkdir(parents=True, exist_ok=True)

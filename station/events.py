@@ -1,4 +1,4 @@
-"""What happens in the station, told to whoever listens (the page, tests): one hub, newest state per topic, a log of words."""
+"""What happens in the station, told to whoever listens: one hub, the newest state per topic, a log in words."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from station.events import Events
 from station.frames import ImageFrame
 from station.mailbox import Latest
 from station.place_report import PlaceReport
-from station.places.answer import PlaceAnswer
+from station.places.answer import PlaceAnswer, PlaceState
 from station.workers import Worker, WorkerDied
 
 logger = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ RESTART_S = 1.0
 class Visit:
     """A stretch of time with one answer, for the time line."""
 
-    state: str
+    state: PlaceState
     place_id: str | None
     place_name: str
     start_wall_s: float

@@ -62,7 +62,7 @@ class Broadcast(Generic[T]):
 
 
 class MessageReader(Generic[T]):
-    """Messages for one reader. Those with a topic replace an older one of it; the others wait in line, oldest lost first."""
+    """Messages for one reader. One with a topic replaces its older one; others wait in line, the oldest lost first."""
 
     def __init__(self) -> None:
         self._topics: OrderedDict[str, T] = OrderedDict()

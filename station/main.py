@@ -7,7 +7,13 @@ import sys
 import typer
 
 from shared.errors import RobotSystemError
-from station.commands import doctor, experiment, register, slam
+from station.commands import (
+    doctor,
+    experiment,
+    register,
+    serve,
+    slam,
+)
 
 app = typer.Typer(
     name="station",
@@ -22,7 +28,13 @@ def station() -> None:
     """Receives a robot's camera and IMU, maps places, and answers which place the robot is at."""
 
 
-for command in (doctor, experiment, register, slam):
+for command in (
+    doctor,
+    experiment,
+    register,
+    serve,
+    slam,
+):
     command.register(app)
 
 

@@ -88,12 +88,17 @@ def load_navigation(folder: Path) -> Navigation:
 
 def write_tum(trajectory: Trajectory, path: Path) -> None:
     """Poses as `t x y z qx qy qz qw`, t in s with all nanoseconds."""
+    path.write_text(format_tum(trajectory))
+
+
+def format_tum(trajectory: Trajectory) -> str:
+    """The text of a TUM file."""
     lines = []
     for t_ns, T in zip(trajectory.t_robot_ns.tolist(), trajectory.T_world_body, strict=True):
         w, x, y, z = quat_from_rotation(T[:3, :3])
         px, py, pz = T[:3, 3]
         lines.append(f"{format_seconds(t_ns)} {px:.9g} {py:.9g} {pz:.9g} {x:.12g} {y:.12g} {z:.12g} {w:.12g}\n")
-    path.write_text("".join(lines))
+    return "".join(lines)
 
 
 def format_seconds(t_ns: int) -> str:

@@ -45,6 +45,11 @@ Columns = dict[str, npt.NDArray[Any]]
 
 def write_ply(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
     """Write a cloud, binary little endian. Columns (N,) in order: x, y, z first, further ones under their names."""
+    path.write_bytes(encode_ply(columns))
+
+
+def encode_ply(columns: Mapping[str, npt.NDArray[Any]]) -> bytes:
+    """A cloud as the bytes of a PLY file, binary little endian."""
     count = len(next(iter(columns.values())))
     types = [(name, "<" + column.dtype.str[1:]) for name, column in columns.items()]
     table = np.empty(count, dtype=types)
@@ -52,7 +57,7 @@ def write_ply(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         table[name] = column
     properties = "".join(f"property {TYPE_NAMES[kind[1:]]} {name}\n" for name, kind in types)
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
-    path.write_bytes(header.encode("ascii") + table.tobytes())
+    return header.encode("ascii") + table.tobytes()
 
 
 def read_ply(path: Path) -> Columns:

@@ -1,4 +1,4 @@
-"""Drives: recording what the robot sends, following it with SLAM, and finishing it, without holding up the event loop."""
+"""Drives: recording what the robot sends, following it with SLAM, finishing it; the event loop is never held up."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Protocol
 
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
-from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import SlamConfig
 from station.drive_library import DriveLibrary, DriveRecord
 from station.events import Events
@@ -201,6 +201,22 @@ class Drives:
             running.recorder.on_drive_applied(applied)
         running.worker.post("add_drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
 
+    def on_connected(self, hello: Hello) -> None:
+        for recorder in self._recorders():
+            recorder.on_connected(hello)
+
+    def on_disconnected(self, reason: str) -> None:
+        for recorder in self._recorders():
+            recorder.on_disconnected(reason)
+
+    def on_status(self, status: Status) -> None:
+        for recorder in self._recorders():
+            recorder.on_status(status)
+
+    def on_notice(self, notice: ErrorNotice) -> None:
+        for recorder in self._recorders():
+            recorder.on_notice(notice)
+
     def refresh(self) -> None:
         """Once a second: the counts of the running drive."""
         if self._running is not None:
@@ -274,6 +290,11 @@ class Drives:
             self._finishing.pop(drive.id, None)
             self._events.changed("pose")
             self._events.changed("landmarks")
+
+    def _recorders(self) -> tuple[DriveRecorder, ...]:
+        """The open recorder, or none."""
+        running = self._running
+        return () if running is None or running.recorder is None else (running.recorder,)
 
     async def _close_recorder(self, running: _Running) -> None:
         if running.recorder is not None:

@@ -1,4 +1,4 @@
-"""Ordinary reasons why the station does not do what it was asked; the API turns each into one kind of problem document."""
+"""Ordinary reasons why the station does not do what it was asked; each becomes a kind of problem document."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Puts what the link delivers into sensor-time order, as SLAM needs it: inertial and drive samples before their frame."""
+"""Puts what the link delivers into sensor-time order, as SLAM needs it: inertial and drive samples, then the frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from itertools import count
 
 from station.frames import DriveSample, ImageFrame, ImuBatch
 
-HOLD_BACK_NS = 60_000_000  # drive reports come every 50 ms and IMU batches every 20: later ones than this are lost anyway
+HOLD_BACK_NS = (
+    60_000_000  # drive reports come every 50 ms and IMU batches every 20: later ones than this are lost anyway
+)
 MAX_HELD_FRAMES = 60  # frames that wait for an IMU that has gone silent: two seconds, then they go without it
 
 

@@ -35,11 +35,11 @@ class WorkerFailed(RobotSystemError):
 
 
 class Outbox:
-    """Requests on their way to a worker, oldest first. Of a limited kind, the oldest is dropped and counted when full."""
+    """Requests on their way to a worker, oldest first. When a kind is full its oldest is dropped and counted."""
 
     def __init__(self, limits: Mapping[str, int]) -> None:
         self._limits = dict(limits)
-        self._items: deque[tuple[str, bytes | tuple[Any, ...]]] = deque()
+        self._items: deque[tuple[str, tuple[Any, ...]]] = deque()
         self._waiting: Counter[str] = Counter()
         self._changed = threading.Condition()
         self._closed = False
@@ -68,7 +68,7 @@ class Outbox:
                 return None
             kind, item = self._items.popleft()
             self._waiting[kind] -= 1
-            return item  # type: ignore[return-value]
+            return item
 
     def waiting(self, kind: str) -> int:
         """How many items of a kind wait."""

@@ -1,0 +1,99 @@
+"""/ws/events and /log: what happens."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import cast
+
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+
+from station.api.deps import StationDep
+from station.api.messages import (
+    DriverMessage,
+    JobMessage,
+    LandmarksMessage,
+    LogMessage,
+    MapMessage,
+    NavigationMessage,
+    PlaceMessage,
+    PoseMessage,
+    RobotMessage,
+)
+from station.api.models import LogModel, Model
+from station.api.views import (
+    current_place,
+    job_model,
+    log_model,
+    navigation_model,
+    robot_model,
+    slam_model,
+    visit_model,
+)
+from station.app import Station
+from station.drive_library import DriveRecord
+from station.events import Event, LogLine
+from station.jobs import Job
+
+router = APIRouter(tags=["events"])
+
+
+@router.get("/log", summary="What happened lately, oldest first")
+async def log(station: StationDep) -> list[LogModel]:
+    return [log_model(line) for line in station.events.log]
+
+
+@router.websocket("/ws/events")
+async def events_socket(socket: WebSocket, station: StationDep) -> None:
+    """JSON messages (`EventMessage`): first the state of everything, then each change. Nothing is read."""
+    await socket.accept()
+    sending = asyncio.create_task(_send_events(socket, station))
+    try:
+        while True:
+            await socket.receive()
+            if socket.client_state.name == "DISCONNECTED":
+                return
+    except (WebSocketDisconnect, RuntimeError):
+        return
+    finally:
+        sending.cancel()
+        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            await sending
+
+
+async def _send_events(socket: WebSocket, station: Station) -> None:
+    """To one page. A slow one gets only the newest of each state, since its mailbox holds no more."""
+    with station.events.hub.subscribe() as messages:
+        while True:
+            await socket.send_text(to_message(station, await messages.get()).model_dump_json())
+
+
+def to_message(station: Station, event: Event) -> Model:
+    """What a page is told of an event."""
+    live = station.drives.live
+    active = station.maps.active
+    match event.kind:
+        case "robot":
+            return RobotMessage(robot=robot_model(station))
+        case "driver":
+            return DriverMessage(driver=station.driving.driver)
+        case "pose":
+            return PoseMessage(slam=slam_model(station))
+        case "landmarks":
+            total = len(live.points) if live else 0
+            return LandmarksMessage(navigation=live.navigation_id if live else None, total=total)
+        case "navigation":
+            drive = cast(DriveRecord | None, event.subject)
+            return NavigationMessage(navigation=None if drive is None else navigation_model(drive))
+        case "map":
+            return MapMessage(active=active.place_map.id if active else None)
+        case "job":
+            return JobMessage(job=job_model(cast(Job, event.subject)))
+        case "place":
+            visits = station.locating.visits
+            return PlaceMessage(
+                place=current_place(station),
+                visit=visit_model(visits[-1]) if visits and station.locating.report else None,
+            )
+        case "log":
+            return LogMessage(line=log_model(cast(LogLine, event.subject)))

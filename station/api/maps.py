@@ -1,0 +1,76 @@
+"""/maps: the map library."""
+
+from __future__ import annotations
+
+import asyncio
+
+from fastapi import APIRouter, Response
+
+from station.api.deps import StationDep
+from station.api.models import JobModel, MapChoice, MapModel, MapOrder
+from station.api.points import BINARY, points_response
+from station.api.problems import responses
+from station.api.views import job_model, map_model
+from station.live import pack_points
+from station.map_library import keyframe_image
+from station.refusals import Unknown
+
+router = APIRouter(tags=["maps"])
+
+
+@router.get("/maps", summary="All maps")
+async def maps(station: StationDep) -> list[MapModel]:
+    return [map_model(summary, station.maps.active) for summary in await station.maps.list()]
+
+
+@router.post("/maps", summary="Build a map from navigations", status_code=202, responses=responses(404, 409))
+async def build(order: MapOrder, station: StationDep) -> JobModel:
+    """Runs in the background: follow GET /jobs/{id}, whose result names the map; DELETE /jobs/{id} cancels."""
+    return job_model(station.build_map(order.navigations, order.name, order.mode, order.activate))
+
+
+@router.put("/maps/active", summary="Choose the map in use", responses=responses(404, 409))
+async def activate(choice: MapChoice, station: StationDep) -> MapModel | None:
+    await station.use_map(choice.id)
+    if choice.id is None:
+        return None
+    for summary in await station.maps.list():
+        if summary.id == choice.id:
+            return map_model(summary, station.maps.active)
+    raise Unknown(f"there is no map {choice.id!r}; GET /maps lists them")
+
+
+@router.delete("/maps/{map_id}", summary="Delete a map", status_code=204, responses=responses(404, 409))
+async def delete(map_id: str, station: StationDep) -> Response:
+    await station.maps.delete(map_id)
+    return Response(status_code=204)
+
+
+@router.get(
+    "/maps/{map_id}/landmarks",
+    summary="A map's cloud, with the number of each point's place",
+    response_class=Response,
+    responses={200: BINARY, **responses(404, 409)},
+)
+async def landmarks(map_id: str, station: StationDep) -> Response:
+    seen = await station.maps.load(map_id)
+    cloud = seen.place_map.navigation.landmarks
+    table = await asyncio.to_thread(pack_points, cloud.p_world, cloud.rgb, seen.place_of_point)
+    return points_response(table, 0, len(cloud), map_id)
+
+
+@router.get(
+    "/maps/{map_id}/images/{keyframe}.jpg",
+    summary="A picture the map was made of",
+    response_class=Response,
+    responses={200: {"content": {"image/jpeg": {}}, "description": "JPEG or PNG"}, **responses(404, 409)},
+)
+async def image(map_id: str, keyframe: int, station: StationDep) -> Response:
+    encoded = keyframe_image((await station.maps.load(map_id)).place_map, keyframe)
+    return image_response(encoded)
+
+
+def image_response(encoded: bytes) -> Response:
+    """A JPEG or PNG that never changes."""
+    kind = "image/png" if encoded.startswith(b"\x89PNG") else "image/jpeg"
+    return Response(encoded, media_type=kind, headers={"Cache-Control": "private, max-age=3600"})

@@ -1,0 +1,153 @@
+"""Messages of the WebSockets (docs/api.md). The page's TypeScript types are generated from these classes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
+
+from station.api.models import (
+    CurrentPlace,
+    JobModel,
+    LogModel,
+    Model,
+    NavigationModel,
+    Number,
+    RobotModel,
+    SlamModel,
+    VisitModel,
+)
+
+
+class RobotMessage(Model):
+    type: Literal["robot"] = "robot"
+    robot: RobotModel
+
+
+class DriverMessage(Model):
+    type: Literal["driver"] = "driver"
+    driver: str | None
+
+
+class PoseMessage(Model):
+    type: Literal["pose"] = "pose"
+    slam: SlamModel
+
+
+class LandmarksMessage(Model):
+    """There are new landmarks: fetch GET /landmarks?since=."""
+
+    type: Literal["landmarks"] = "landmarks"
+    navigation: str | None
+    total: int
+
+
+class NavigationMessage(Model):
+    """A navigation changed; null: one was deleted."""
+
+    type: Literal["navigation"] = "navigation"
+    navigation: NavigationModel | None
+
+
+class MapMessage(Model):
+    """The list of maps, the active one or a name in it changed."""
+
+    type: Literal["map"] = "map"
+    active: str | None
+
+
+class JobMessage(Model):
+    type: Literal["job"] = "job"
+    job: JobModel
+
+
+class PlaceMessage(Model):
+    type: Literal["place"] = "place"
+    place: CurrentPlace
+    visit: VisitModel | None
+
+
+class LogMessage(Model):
+    type: Literal["log"] = "log"
+    line: LogModel
+
+
+EventMessage = Annotated[
+    RobotMessage
+    | DriverMessage
+    | PoseMessage
+    | LandmarksMessage
+    | NavigationMessage
+    | MapMessage
+    | JobMessage
+    | PlaceMessage
+    | LogMessage,
+    Field(discriminator="type"),
+]
+
+
+# /ws/drive, page to station
+
+
+class DriveCommand(Model):
+    type: Literal["drive"] = "drive"
+    seq: int = Field(ge=0, le=2**53)
+    linear: Number
+    angular: Number
+    ttl_ms: int = Field(default=250, ge=1, le=1000)
+
+
+class StopCommand(Model):
+    """Motors off, and why: the log shows it."""
+
+    type: Literal["stop"] = "stop"
+    reason: str = Field(default="", max_length=100)
+
+
+class PanTiltCommand(Model):
+    type: Literal["pan_tilt"] = "pan_tilt"
+    pan: Number
+    tilt: Number
+
+
+class TakeOverCommand(Model):
+    type: Literal["take_over"] = "take_over"
+
+
+class ReleaseCommand(Model):
+    type: Literal["release"] = "release"
+
+
+DriveRequest = Annotated[
+    DriveCommand | StopCommand | PanTiltCommand | TakeOverCommand | ReleaseCommand, Field(discriminator="type")
+]
+drive_request: TypeAdapter[DriveRequest] = TypeAdapter(DriveRequest)
+
+
+# /ws/drive, station to page
+
+
+class DriveAccepted(Model):
+    """The newest command went to the robot."""
+
+    type: Literal["accepted"] = "accepted"
+    seq: int
+
+
+class DriveRefused(Model):
+    """It did not, and why."""
+
+    type: Literal["refused"] = "refused"
+    problem: str = Field(description="the kind of problem, as in problem documents", examples=["not-driver"])
+    text: str
+
+
+class DriveReply(Model):
+    """Who drives; sent at the start and at every change."""
+
+    type: Literal["driver"] = "driver"
+    driver: str | None
+    you_drive: bool
+
+
+DriveAnswer = Annotated[DriveAccepted | DriveRefused | DriveReply, Field(discriminator="type")]

@@ -1,0 +1,308 @@
+"""The API's answers and questions as JSON; the page's types are generated from these (docs/api.md)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Model(BaseModel):
+    """Base of all: questions with unknown fields are refused, so that a typing error is seen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Problem(BaseModel):
+    """What went wrong (RFC 9457)."""
+
+    type: str = Field(examples=["/problems/not-driver"])
+    title: str = Field(examples=["Another one drives"])
+    status: int = Field(examples=[409])
+    detail: str = Field(examples=["anna drives; take over with POST /drive/take-over"])
+    instance: str = Field(examples=["/drive"])
+
+
+# Place
+
+
+class PlaceName(Model):
+    id: str = Field(examples=["place-5a1c09"])
+    name: str = Field(examples=["Kitchen"])
+
+
+class PlaceProbability(PlaceName):
+    probability: float = Field(examples=[0.07])
+
+
+class Evidence(Model):
+    """Why: the running picture and the map's picture that shows the same landmarks."""
+
+    query_image: str | None = Field(examples=["/place/current/images/812345678901.jpg"])
+    map_image: str | None = Field(examples=["/maps/map-0a1b/images/17.jpg"])
+    inliers: int = Field(description="landmarks of the map found where they belong", examples=[84])
+    age_s: float | None = Field(description="since the picture that was recognised", examples=[0.4])
+
+
+class CurrentPlace(Model):
+    """Which place the robot is at. `place` is null unless the state is "known"."""
+
+    state: Literal["known", "unknown", "lost"]
+    place: PlaceName | None
+    probability: float = Field(description="of `place`; of the likeliest one while none is known", examples=[0.97])
+    distance_m: float | None = Field(description="robot to the place's centroid; null without a metric map")
+    position_map: list[float] | None = Field(description="x, y, z of the robot in the map", examples=[[1.2, 0.4, 0.1]])
+    age_s: float | None = Field(description="since the picture the answer is about was taken", examples=[0.2])
+    map: str | None = Field(description="id of the active map", examples=["map-0a1b"])
+    alternatives: list[PlaceProbability]
+    evidence: Evidence
+    reason: str = Field(description="in a sentence", examples=["84 landmarks of the map were recognised 0.2 s ago"])
+    t_robot_ns: int | None = Field(description="sensor time the answer is about, robot clock")
+    pose_map: list[float] | None = Field(description="T_map_cam of the newest recognised picture, row-major 4x4")
+
+
+class VisitModel(Model):
+    """A stretch of time with one answer."""
+
+    state: Literal["known", "unknown", "lost"]
+    place: PlaceName | None
+    start_unix_s: float
+    end_unix_s: float
+
+
+class PlaceModel(Model):
+    """A place of the active map."""
+
+    id: str
+    name: str
+    centroid_map: list[float]
+    radius: float = Field(description="RMS distance of its landmarks from the centroid, map units")
+    landmarks: int
+    images: int = Field(description="keyframes that saw it")
+    quality: float = Field(description="0..1, how repeatable the place is expected to be")
+    representative_image: str | None
+    mean_image: str | None
+    colour: int = Field(description="its number in GET /maps/{id}/landmarks")
+
+
+class PlaceChange(Model):
+    name: str = Field(min_length=1, max_length=80, examples=["Kitchen"])
+
+
+class EdgeModel(Model):
+    a: str
+    b: str
+    bearing_rad: float = Field(description="a to b in the ground plane, from +x towards +y")
+    distance: float = Field(description="between centroids, map units")
+    kind: Literal["seen together", "driven between", "nearest"]
+
+
+class GraphModel(Model):
+    """The topological map."""
+
+    map: str
+    nodes: list[PlaceModel]
+    edges: list[EdgeModel]
+
+
+# Maps, navigations, jobs
+
+
+class MapModel(Model):
+    id: str
+    name: str
+    places: int
+    active: bool
+    damaged: str = Field(description="a sentence, where the map cannot be read", examples=[""])
+
+
+class MapOrder(Model):
+    """What to build a map from."""
+
+    navigations: list[str] = Field(min_length=1, max_length=20, examples=[["nav-20260105-101500"]])
+    name: str = Field(default="", max_length=80, examples=["Flat"])
+    mode: Literal["default", "thesis"] | None = None
+    activate: bool = Field(default=True, description="use the map as soon as it is built")
+
+
+class MapChoice(Model):
+    id: str | None = Field(description="null: no map", examples=["map-0a1b"])
+
+
+class NavigationModel(Model):
+    """One recorded drive."""
+
+    id: str = Field(examples=["nav-20260105-101500"])
+    name: str
+    state: Literal["recording", "finishing", "ready", "failed"]
+    message: str
+    started_unix_s: float
+    duration_s: float
+    backend: str
+    frames: int
+    frames_skipped: int = Field(description="by live SLAM; the recording has them")
+    imu_samples: int
+    imu_lost: int
+    landmarks: int
+    scale: Literal["metric", "arbitrary", ""]
+    recording: str | None = Field(description="where to download the MCAP file")
+
+
+class NavigationStart(Model):
+    name: str = Field(default="", max_length=80, examples=["Tuesday, all rooms"])
+
+
+class JobModel(Model):
+    """Work in the background."""
+
+    id: str
+    kind: str
+    title: str
+    state: Literal["running", "done", "failed", "cancelled"]
+    progress: float = Field(description="0..1")
+    message: str
+    result: dict[str, str | int | float | None] | None
+
+
+# SLAM
+
+
+class SlamModel(Model):
+    """The running SLAM, or the last one."""
+
+    navigation: str | None
+    state: Literal["none", "initialising", "tracking", "lost", "finished"]
+    message: str = Field(examples=["not initialised yet: move the robot sideways"])
+    landmarks: int
+    frames: int
+    t_robot_ns: int | None
+    T_world_body: list[float] | None = Field(description="row-major 4x4; null while there is no pose")
+    segment: int
+
+
+class TrajectoryModel(Model):
+    """Poses so far, oldest first; thinned to `limit` poses."""
+
+    navigation: str | None
+    total: int
+    t_robot_ns: list[int]
+    p_world: list[list[float]] = Field(description="body positions, (N, 3)")
+
+
+# Robot
+
+
+class CapabilitiesModel(Model):
+    camera: bool
+    imu: bool
+    drive: bool
+    pan_tilt: bool
+    battery: bool
+    hijack: bool
+    max_linear_m_s: float
+    max_angular_rad_s: float
+
+
+class RatesModel(Model):
+    frames_hz: float
+    imu_hz: float
+    bytes_per_s: float
+
+
+class LossesModel(Model):
+    frames_skipped: int
+    imu_gaps: int
+    imu_lost: int
+    imu_lost_in_sensor: int
+
+
+class ClockModel(Model):
+    offset_s: float | None = Field(description="t_station - t_robot")
+    drift_ppm: float | None
+    rtt_ms: float | None
+
+
+class BatteryModel(Model):
+    voltage_v: float | None
+    fraction: float | None
+
+
+class AppliedModel(Model):
+    """What the motors were told."""
+
+    linear: float
+    angular: float
+
+
+class RobotModel(Model):
+    """Link, battery, rates, losses, clock, who drives."""
+
+    connected: bool
+    reason: str = Field(description="why not connected, in a sentence")
+    host: str
+    port: int
+    robot_id: str | None
+    name: str | None
+    capabilities: CapabilitiesModel | None
+    calibrated: bool
+    connections: int
+    rates: RatesModel
+    losses: LossesModel
+    clock: ClockModel
+    battery: BatteryModel | None
+    temperatures_c: dict[str, float]
+    cpu_percent: float | None = Field(description="of one core, robot-server")
+    driver: str | None = Field(description="who drives through this station")
+    robot_driver: str | None = Field(description="the station that drives, as the robot says")
+    applied: AppliedModel | None
+    faults: list[str]
+
+
+class DriveOrder(Model):
+    """Hold this velocity, then stop."""
+
+    linear: Number = Field(description="m/s, forward", examples=[0.2])
+    angular: Number = Field(description="rad/s, left", examples=[0.0])
+    ttl_ms: int = Field(default=250, ge=1, le=1000, description="stop after this, unless told again", examples=[250])
+
+
+class PanTiltOrder(Model):
+    pan: Number = Field(description="rad, left", examples=[0.3])
+    tilt: Number = Field(description="rad, up", examples=[0.0])
+
+
+class HijackOrder(Model):
+    x: Number = Field(description="m, the simulated world's frame", examples=[1.0])
+    y: Number = Field(examples=[2.0])
+    yaw: Number = Field(description="rad", examples=[0.0])
+
+
+class DriverModel(Model):
+    driver: str | None
+    you_drive: bool
+
+
+class Accepted(Model):
+    """Done."""
+
+    ok: Literal[True] = True
+
+
+class LogModel(Model):
+    """Something a person may want to know."""
+
+    number: int
+    unix_s: float
+    level: Literal["info", "warning", "error"]
+    topic: str
+    text: str
+
+
+class HealthModel(Model):
+    status: Literal["ok"]
+    version: str
+    uptime_s: float
+    robot_connected: bool
+    localisation: str = Field(description="in words")

@@ -1,0 +1,85 @@
+"""/navigations and /jobs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Response
+from fastapi.responses import FileResponse
+
+from station.api.deps import StationDep
+from station.api.models import JobModel, NavigationModel, NavigationStart
+from station.api.problems import responses
+from station.api.views import job_model, navigation_model
+from station.refusals import Conflict, Unknown
+
+router = APIRouter(tags=["navigations"])
+DOWNLOADS = {"trajectory.tum": "text/plain", "landmarks.ply": "application/octet-stream"}
+
+
+@router.get("/navigations", summary="Recorded drives, oldest first")
+async def navigations(station: StationDep) -> list[NavigationModel]:
+    return [navigation_model(drive) for drive in station.drives.library.list()]
+
+
+@router.post("/navigations", summary="Start recording, with SLAM", status_code=201, responses=responses(409, 503))
+async def start(station: StationDep, order: Annotated[NavigationStart | None, Body()] = None) -> NavigationModel:
+    return navigation_model(await station.start_drive(order.name if order else ""))
+
+
+@router.get("/navigations/{navigation_id}", summary="One drive", responses=responses(404))
+async def navigation(navigation_id: str, station: StationDep) -> NavigationModel:
+    return navigation_model(station.drives.library.get(navigation_id))
+
+
+@router.post("/navigations/{navigation_id}/stop", summary="End recording", responses=responses(404, 409))
+async def stop(navigation_id: str, station: StationDep) -> NavigationModel:
+    """SLAM finishes in the background: the state goes from "finishing" to "ready" or "failed"."""
+    return navigation_model(station.drives.stop(navigation_id))
+
+
+@router.delete(
+    "/navigations/{navigation_id}",
+    summary="Delete a drive and its files",
+    status_code=204,
+    responses=responses(404, 409),
+)
+async def delete(navigation_id: str, station: StationDep) -> Response:
+    await station.drives.delete(navigation_id)
+    return Response(status_code=204)
+
+
+@router.get(
+    "/navigations/{navigation_id}/{name}",
+    summary="Download recording.mcap, trajectory.tum or landmarks.ply",
+    response_class=FileResponse,
+    responses=responses(404, 409),
+)
+async def download(navigation_id: str, name: str, station: StationDep) -> FileResponse:
+    drive = station.drives.library.get(navigation_id)
+    folder = station.drives.library.folder(navigation_id)
+    if name == "recording.mcap":
+        path = folder / name
+    elif name in DOWNLOADS:
+        path = folder / "navigation" / name
+    else:
+        raise Unknown(f"there is no file {name!r}; recording.mcap, {' and '.join(DOWNLOADS)} can be downloaded")
+    if drive.state == "recording" or not path.is_file():
+        raise Conflict(f"{navigation_id} has no {name} now (it is {drive.state})")
+    kind = DOWNLOADS.get(name, "application/octet-stream")
+    return FileResponse(path, media_type=kind, filename=f"{navigation_id}-{name}")
+
+
+@router.get("/jobs", summary="Work in the background", tags=["jobs"])
+async def jobs(station: StationDep) -> list[JobModel]:
+    return [job_model(job) for job in station.jobs.list()]
+
+
+@router.get("/jobs/{job_id}", summary="One job", tags=["jobs"], responses=responses(404))
+async def job(job_id: str, station: StationDep) -> JobModel:
+    return job_model(station.jobs.get(job_id))
+
+
+@router.delete("/jobs/{job_id}", summary="Cancel a job", tags=["jobs"], responses=responses(404))
+async def cancel(job_id: str, station: StationDep) -> JobModel:
+    return job_model(await station.jobs.cancel(job_id))

@@ -1,0 +1,89 @@
+"""Every error of the API as a problem document (RFC 9457)."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from shared.errors import ConfigError, DataError, LocalProtocolError, RobotSystemError
+from station import refusals
+from station.api.models import Problem
+
+logger = logging.getLogger(__name__)
+MEDIA_TYPE = "application/problem+json"
+
+# What was raised -> slug, title, status; the first that fits.
+KINDS: tuple[tuple[type[RobotSystemError], str, str, int], ...] = (
+    (refusals.Unknown, "not-found", "Not found", 404),
+    (refusals.NotDriver, "not-driver", "Another one drives", 409),
+    (refusals.NotCapable, "not-capable", "This robot cannot do that", 409),
+    (refusals.Conflict, "conflict", "Not now", 409),
+    (refusals.NoRobot, "no-robot", "No robot is connected", 503),
+    (refusals.OutOfRange, "out-of-range", "A value is out of range", 422),
+    (LocalProtocolError, "out-of-range", "A value is out of range", 422),
+    (DataError, "data", "The data do not allow it", 409),
+    (ConfigError, "configuration", "The configuration does not allow it", 409),
+    (RobotSystemError, "failed", "It did not work", 500),
+)
+STATUS_TITLES = {404: "Not found", 405: "Method not allowed", 403: "Not allowed", 422: "The request is not valid"}
+
+
+def kind_of(error: RobotSystemError) -> tuple[str, str, int]:
+    """Slug, title, status of an error of ours."""
+    return next((slug, title, status) for kind, slug, title, status in KINDS if isinstance(error, kind))
+
+
+def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """OpenAPI entries of the problems a call may answer with."""
+    titles = {403: "foreign page", 404: "not found", 409: "not now", 422: "not valid", 503: "no robot is connected"}
+    schema = {"schema": {"$ref": "#/components/schemas/Problem"}}
+    return {status: {"description": titles[status], "content": {MEDIA_TYPE: schema}} for status in statuses}
+
+
+def problem(request: Request, status: int, slug: str, title: str, detail: str, **more: Any) -> JSONResponse:
+    """One problem document."""
+    document = Problem(
+        type=f"/problems/{slug}", title=title, status=status, detail=detail, instance=request.url.path
+    ).model_dump()
+    return JSONResponse(document | more, status_code=status, media_type=MEDIA_TYPE)
+
+
+def install(app: FastAPI) -> None:
+    """Give the app its error handlers."""
+
+    @app.exception_handler(RobotSystemError)
+    async def ours(request: Request, exc: RobotSystemError) -> JSONResponse:
+        slug, title, status = kind_of(exc)
+        if status >= 500 and slug == "failed":
+            logger.error("%s %s: %s", request.method, request.url.path, exc)
+        return problem(request, status, slug, title, str(exc))
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, exc: RequestValidationError) -> JSONResponse:
+        errors = [{"where": ".".join(map(str, e["loc"])), "what": e["msg"]} for e in exc.errors()]
+        detail = "; ".join(f"{e['where']}: {e['what']}" for e in errors[:5])
+        return problem(request, 422, "invalid", "The request is not valid", detail, errors=errors)
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, exc: HTTPException) -> JSONResponse:
+        title = STATUS_TITLES.get(exc.status_code, "The request failed")
+        detail = str(exc.detail)
+        if exc.status_code == 404 and detail == "Not Found":
+            detail = f"there is nothing at {request.url.path}; /docs lists all calls"
+        if exc.status_code == 405:
+            allowed = (exc.headers or {}).get("allow", "")
+            detail = f"{request.method} is not possible at {request.url.path}" + (f"; use {allowed}" if allowed else "")
+        answer = problem(request, exc.status_code, title.lower().replace(" ", "-"), title, detail)
+        for name, value in (exc.headers or {}).items():
+            answer.headers[name] = value
+        return answer
+
+    @app.exception_handler(Exception)
+    async def bug(request: Request, exc: Exception) -> JSONResponse:
+        logger.exception("%s %s", request.method, request.url.path, exc_info=exc)
+        return problem(request, 500, "bug", "An error of the station", "the station's log has the details")

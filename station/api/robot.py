@@ -1,0 +1,139 @@
+"""/robot, driving, pan-tilt."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from pydantic import ValidationError
+
+from shared.errors import RobotSystemError
+from station.api.deps import DriverDep, StationDep
+from station.api.messages import (
+    DriveAccepted,
+    DriveCommand,
+    DriveRefused,
+    DriveReply,
+    PanTiltCommand,
+    ReleaseCommand,
+    StopCommand,
+    TakeOverCommand,
+    drive_request,
+)
+from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel
+from station.api.problems import kind_of, responses
+from station.api.views import robot_model
+from station.app import Station
+from station.driving import MAX_DRIVER_NAME
+from station.events import Event
+from station.mailbox import MessageReader
+from station.refusals import NoRobot
+
+router = APIRouter(tags=["robot"])
+
+
+@router.get("/robot", summary="Link, battery, rates, losses, clock offset, who drives")
+async def robot(station: StationDep) -> RobotModel:
+    return robot_model(station)
+
+
+@router.post("/drive", summary="Hold a velocity for ttl_ms", responses=responses(409, 503))
+async def drive(order: DriveOrder, station: StationDep, driver: DriverDep) -> DriverModel:
+    """Takes the wheel when it is free; silence for a second gives it back. Repeat while the robot is to move."""
+    station.driving.drive(driver, order.linear, order.angular, order.ttl_ms)
+    return DriverModel(driver=driver, you_drive=True)
+
+
+@router.post("/drive/take-over", summary="Become the driver, whoever drives")
+async def take_over(station: StationDep, driver: DriverDep) -> DriverModel:
+    """The robot is stopped when another one drove."""
+    station.driving.take_over(driver)
+    return DriverModel(driver=station.driving.driver, you_drive=True)
+
+
+@router.post("/drive/release", summary="Let go of the wheel")
+async def release(station: StationDep, driver: DriverDep) -> DriverModel:
+    station.driving.release(driver)
+    return DriverModel(driver=station.driving.driver, you_drive=False)
+
+
+@router.post("/stop", summary="Motors off now", responses=responses(503))
+async def stop(station: StationDep) -> Accepted:
+    """Anyone may stop the robot, also one who does not drive."""
+    if not station.driving.stop():
+        raise NoRobot("no robot is connected; its own watchdog stops it when the link is lost")
+    return Accepted()
+
+
+@router.post("/pan-tilt", summary="Point the camera head", responses=responses(409, 503))
+async def pan_tilt(order: PanTiltOrder, station: StationDep, driver: DriverDep) -> Accepted:
+    station.driving.point(driver, order.pan, order.tilt)
+    return Accepted()
+
+
+@router.post("/robot/hijack", summary="Put a simulated robot down elsewhere", responses=responses(409, 503))
+async def hijack(order: HijackOrder, station: StationDep) -> Accepted:
+    """Only for robots with this capability: simulated ones."""
+    station.hijack(order.x, order.y, order.yaw)
+    return Accepted()
+
+
+@router.websocket("/ws/drive")
+async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "") -> None:
+    """The joystick: commands in (`DriveRequest`), answers out (`DriveAnswer`). `?driver=` names who drives.
+
+    When the socket closes, the robot stops if its driver drove.
+    """
+    await socket.accept()
+    name = driver[:MAX_DRIVER_NAME] or (f"page at {socket.client.host}" if socket.client else "page")
+    lost_socket = (WebSocketDisconnect, RuntimeError)
+    with station.events.hub.subscribe() as changes:
+        telling = asyncio.create_task(_tell_driver(socket, station, name, changes))
+        try:
+            while True:
+                await _obey(socket, station, name, await socket.receive_text())
+        except lost_socket:
+            pass
+        finally:
+            telling.cancel()
+            with contextlib.suppress(asyncio.CancelledError, *lost_socket):
+                await telling
+            if station.driving.driver == name:
+                station.driving.release(name)
+
+
+async def _obey(socket: WebSocket, station: Station, name: str, text: str) -> None:
+    try:
+        command = drive_request.validate_json(text)
+    except ValidationError as exc:
+        await socket.send_text(DriveRefused(problem="invalid", text=str(exc.errors()[0]["msg"])).model_dump_json())
+        return
+    try:
+        match command:
+            case DriveCommand():
+                station.driving.drive(name, command.linear, command.angular, command.ttl_ms)
+                await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
+            case StopCommand():
+                station.driving.stop()
+                if command.reason:
+                    station.events.say("drive", f"{name} stopped: {command.reason}")
+            case PanTiltCommand():
+                station.driving.point(name, command.pan, command.tilt)
+            case TakeOverCommand():
+                station.driving.take_over(name)
+            case ReleaseCommand():
+                station.driving.release(name)
+    except RobotSystemError as exc:
+        await socket.send_text(DriveRefused(problem=kind_of(exc)[0], text=str(exc)).model_dump_json())
+
+
+async def _tell_driver(socket: WebSocket, station: Station, name: str, changes: MessageReader[Event]) -> None:
+    told: tuple[str | None] | None = None
+    while True:
+        driver = station.driving.driver
+        if told != (driver,):
+            told = (driver,)
+            await socket.send_text(DriveReply(driver=driver, you_drive=driver == name).model_dump_json())
+        while (await changes.get()).kind != "driver":
+            pass

@@ -1,0 +1,82 @@
+"""/pose, /trajectory, /landmarks: the running SLAM."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter, Header, Query, Response
+
+from station.api.deps import StationDep
+from station.api.models import SlamModel, TrajectoryModel
+from station.api.points import BINARY, points_response
+from station.api.views import slam_model
+from station.live import LiveSlam, pack_points
+from station.navigation import Trajectory
+from station.navigation_files import format_tum
+from station.ply import encode_ply
+
+router = APIRouter(tags=["SLAM"])
+PLY_TYPES = ("application/x-ply", "application/ply", "model/ply", "text/ply")
+CLOUD = {**BINARY, "content": {**BINARY["content"], "application/x-ply": {}}}
+
+
+@router.get("/pose", summary="The newest pose, and how SLAM is")
+async def pose(station: StationDep) -> SlamModel:
+    return slam_model(station)
+
+
+@router.get("/trajectory", summary="The way so far", responses={200: {"content": {"text/plain": {}}}})
+async def trajectory(
+    station: StationDep,
+    limit: Annotated[int, Query(ge=2, le=20_000, description="thinned out evenly to this many")] = 2000,
+    format: Annotated[Literal["json", "tum"], Query()] = "json",
+) -> TrajectoryModel:
+    live = station.drives.live
+    poses = [] if live is None else list(live.poses)
+    if format == "tum":
+        times = np.array([p.t_robot_ns for p in poses], dtype=np.int64)
+        matrices = np.array([p.T_world_body for p in poses]).reshape(-1, 4, 4)
+        text = await asyncio.to_thread(format_tum, Trajectory(times, matrices))
+        return Response(text, media_type="text/plain")  # type: ignore[return-value]
+    chosen: list[int] = (
+        np.unique(np.linspace(0, len(poses) - 1, min(limit, len(poses))).round().astype(int)).tolist() if poses else []
+    )
+    return TrajectoryModel(
+        navigation=live.navigation_id if live else None,
+        total=len(poses),
+        t_robot_ns=[poses[i].t_robot_ns for i in chosen],
+        p_world=[[round(float(x), 4) for x in poses[i].T_world_body[:3, 3]] for i in chosen],
+    )
+
+
+@router.get(
+    "/landmarks",
+    summary="Landmarks so far, binary or PLY",
+    response_class=Response,
+    responses={200: CLOUD},
+)
+async def landmarks(
+    station: StationDep,
+    since: Annotated[int, Query(ge=0, description="number of the first one wanted: the total of the last answer")] = 0,
+    navigation: Annotated[str, Query(description="the navigation `since` belongs to; of another one all come")] = "",
+    format: Annotated[Literal["binary", "ply"] | None, Query()] = None,
+    accept: Annotated[str, Header(include_in_schema=False)] = "",
+) -> Response:
+    live = station.drives.live
+    is_ply = format == "ply" or (format is None and any(kind in accept for kind in PLY_TYPES))
+    if live is None:
+        live = LiveSlam("")
+    first = 0 if navigation and navigation != live.navigation_id else min(since, len(live.points))
+    p, rgb = live.points.since(first)
+    total = first + len(p)
+    if not is_ply:
+        return points_response(await asyncio.to_thread(pack_points, p, rgb), first, total, live.navigation_id)
+    columns = {axis: p[:, i] for i, axis in enumerate("xyz")}
+    colours = {name: rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
+    return Response(
+        await asyncio.to_thread(encode_ply, columns | colours),
+        media_type="application/x-ply",
+        headers={"Content-Disposition": 'attachment; filename="landmarks.ply"', "X-Source": live.navigation_id},
+    )

@@ -1,0 +1,255 @@
+"""The station's objects as the API's models."""
+
+from __future__ import annotations
+
+import time
+
+from station.api.models import (
+    AppliedModel,
+    BatteryModel,
+    CapabilitiesModel,
+    ClockModel,
+    CurrentPlace,
+    EdgeModel,
+    Evidence,
+    JobModel,
+    LogModel,
+    LossesModel,
+    MapModel,
+    NavigationModel,
+    PlaceModel,
+    PlaceName,
+    PlaceProbability,
+    RatesModel,
+    RobotModel,
+    SlamModel,
+    VisitModel,
+)
+from station.app import Station
+from station.drive_library import DriveRecord
+from station.events import LogLine
+from station.jobs import Job
+from station.locating import Visit
+from station.map_library import ActiveMap
+from station.maps.map import Place, PlaceEdge
+from station.maps.store import MapSummary
+
+
+def robot_model(station: Station) -> RobotModel:
+    state = station.robot
+    hello, status = state.hello, state.status
+    able = hello.capabilities if hello else None
+    applied = station.applied
+    return RobotModel(
+        connected=state.connected,
+        reason=state.reason,
+        host=state.host,
+        port=state.port,
+        robot_id=hello.robot_id if hello else None,
+        name=hello.name if hello else None,
+        capabilities=CapabilitiesModel(
+            camera=able.camera,
+            imu=able.imu,
+            drive=able.drive,
+            pan_tilt=able.pan_tilt,
+            battery=able.battery,
+            hijack=able.hijack,
+            max_linear_m_s=able.max_linear_m_s,
+            max_angular_rad_s=able.max_angular_rad_s,
+        )
+        if able
+        else None,
+        calibrated=hello is not None and hello.calibration.camera is not None,
+        connections=state.connections,
+        rates=RatesModel(
+            frames_hz=round(state.frame_rate_hz, 1),
+            imu_hz=round(state.imu_rate_hz, 1),
+            bytes_per_s=round(state.received_bytes_per_s),
+        ),
+        losses=LossesModel(
+            frames_skipped=state.frames_skipped,
+            imu_gaps=state.imu_gaps,
+            imu_lost=state.imu_lost,
+            imu_lost_in_sensor=status.imu_lost_in_sensor if status else 0,
+        ),
+        clock=ClockModel(
+            offset_s=None if state.clock_offset_ns is None else state.clock_offset_ns * 1e-9,
+            drift_ppm=state.clock_drift_ppm,
+            rtt_ms=state.rtt_ms,
+        ),
+        battery=BatteryModel(voltage_v=status.battery_v, fraction=status.battery_fraction)
+        if status and status.battery_v is not None
+        else None,
+        temperatures_c=dict(status.temperatures_c) if status else {},
+        cpu_percent=status.cpu_percent if status else None,
+        driver=station.driving.driver,
+        robot_driver=status.driver if status else None,
+        applied=AppliedModel(linear=applied.linear, angular=applied.angular) if applied and state.connected else None,
+        faults=list(status.faults) if status else [],
+    )
+
+
+def current_place(station: Station) -> CurrentPlace:
+    """The answer to the question all this is for."""
+    report = station.locating.report
+    active = station.maps.active
+    map_id = active.place_map.id if active else None
+    if report is None or active is None or report.map_id != map_id:
+        return CurrentPlace(
+            state="unknown",
+            place=None,
+            probability=0.0,
+            distance_m=None,
+            position_map=None,
+            age_s=None,
+            map=map_id,
+            alternatives=[],
+            evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
+            reason=_no_answer_yet(station),
+            t_robot_ns=None,
+            pose_map=None,
+        )
+    answer = report.answer
+    likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
+    is_metric = active.place_map.navigation.is_metric
+    evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
+    has_query = evidence_ns is not None and station.locating.query_image(evidence_ns) is not None
+    return CurrentPlace(
+        state=answer.state,
+        place=PlaceName(id=answer.place.id, name=answer.place.name) if answer.place else None,
+        probability=_probability(likeliest.probability if likeliest else 0.0),
+        distance_m=answer.distance if is_metric else None,
+        position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
+        age_s=_age_s(station, answer.t_robot_ns),
+        map=map_id,
+        alternatives=[
+            PlaceProbability(id=c.id, name=c.name, probability=_probability(c.probability)) for c in answer.alternatives
+        ],
+        evidence=Evidence(
+            query_image=f"/place/current/images/{evidence_ns}.jpg" if has_query else None,
+            map_image=None if keyframe is None else f"/maps/{map_id}/images/{keyframe}.jpg",
+            inliers=answer.inliers,
+            age_s=None if evidence_ns is None else _age_s(station, evidence_ns),
+        ),
+        reason=answer.reason,
+        t_robot_ns=answer.t_robot_ns,
+        pose_map=None if report.T_map_cam is None else [float(x) for x in report.T_map_cam.ravel()],
+    )
+
+
+def _no_answer_yet(station: Station) -> str:
+    if station.maps.active is None:
+        return "no map is active; record a navigation, build a map from it and choose it"
+    if not station.robot.connected:
+        return "no robot is connected"
+    return f"no picture was looked at yet ({station.locating.status})"
+
+
+def _probability(p: float) -> float:
+    return min(1.0, max(0.0, p))
+
+
+def _age_s(station: Station, t_robot_ns: int) -> float | None:
+    t_station_ns = station.link.to_station_ns(t_robot_ns)
+    return None if t_station_ns is None else max(0.0, (time.monotonic_ns() - t_station_ns) * 1e-9)
+
+
+def visit_model(visit: Visit) -> VisitModel:
+    return VisitModel(
+        state=visit.state,
+        place=None if visit.place_id is None else PlaceName(id=visit.place_id, name=visit.place_name),
+        start_unix_s=visit.start_wall_s,
+        end_unix_s=visit.end_wall_s,
+    )
+
+
+def place_model(active: ActiveMap, place: Place) -> PlaceModel:
+    has_images = place.representative_keyframe >= 0
+    return PlaceModel(
+        id=place.id,
+        name=place.name,
+        centroid_map=[float(x) for x in place.centroid_map],
+        radius=place.radius,
+        landmarks=len(place.landmark_index),
+        images=len(place.keyframe_index),
+        quality=place.quality,
+        representative_image=f"/places/{place.id}/images/representative" if has_images else None,
+        mean_image=f"/places/{place.id}/images/mean" if has_images else None,
+        colour=[p.id for p in active.place_map.places].index(place.id),
+    )
+
+
+def edge_model(edge: PlaceEdge) -> EdgeModel:
+    return EdgeModel(a=edge.a, b=edge.b, bearing_rad=edge.bearing_rad, distance=edge.distance, kind=edge.kind)
+
+
+def map_model(summary: MapSummary, active: ActiveMap | None) -> MapModel:
+    return MapModel(
+        id=summary.id,
+        name=summary.name,
+        places=summary.places,
+        active=active is not None and active.place_map.id == summary.id,
+        damaged=summary.damaged,
+    )
+
+
+def navigation_model(drive: DriveRecord) -> NavigationModel:
+    return NavigationModel(
+        id=drive.id,
+        name=drive.name,
+        state=drive.state,
+        message=drive.message,
+        started_unix_s=drive.started_wall_s,
+        duration_s=drive.duration_s,
+        backend=drive.backend,
+        frames=drive.frames,
+        frames_skipped=drive.frames_skipped,
+        imu_samples=drive.imu_samples,
+        imu_lost=drive.imu_lost,
+        landmarks=drive.landmarks,
+        scale=drive.scale,
+        recording=None if drive.state == "recording" else f"/navigations/{drive.id}/recording.mcap",
+    )
+
+
+def job_model(job: Job) -> JobModel:
+    return JobModel(
+        id=job.id,
+        kind=job.kind,
+        title=job.title,
+        state=job.state,
+        progress=job.progress,
+        message=job.message,
+        result=job.result,
+    )
+
+
+def slam_model(station: Station) -> SlamModel:
+    live = station.drives.live
+    if live is None:
+        return SlamModel(
+            navigation=None,
+            state="none",
+            message="SLAM does not run: record a navigation",
+            landmarks=0,
+            frames=0,
+            t_robot_ns=None,
+            T_world_body=None,
+            segment=0,
+        )
+    pose = live.pose
+    is_running = station.drives.running is not None and station.drives.running.id == live.navigation_id
+    return SlamModel(
+        navigation=live.navigation_id,
+        state=(live.state or "initialising") if is_running else "finished",
+        message=live.message,
+        landmarks=live.num_landmarks,
+        frames=live.frames,
+        t_robot_ns=pose.t_robot_ns if pose else None,
+        T_world_body=[float(x) for x in pose.T_world_body.ravel()] if pose else None,
+        segment=pose.segment if pose else 0,
+    )
+
+
+def log_model(line: LogLine) -> LogModel:
+    return LogModel(number=line.number, unix_s=line.t_wall_s, level=line.level, topic=line.topic, text=line.text)

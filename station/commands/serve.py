@@ -1,0 +1,74 @@
+"""`station serve`: the running station with its API and page."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from station.config import ApiConfig, RobotConfig, StationConfig, load_config, parse_address
+
+
+def register(app: typer.Typer) -> None:
+    app.command()(serve)
+
+
+def serve(
+    robot: Annotated[str | None, typer.Option(help="HOST:PORT of robot-server.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to serve on; 0 takes a free one.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder for navigations and maps.")] = None,
+    backend: Annotated[str | None, typer.Option(help="SLAM while recording: sfm, ukf.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
+) -> None:
+    """Serve the page and the API: drive, map, and ask which place the robot is at."""
+    from station.app import Station  # the web and estimation libraries load only for this command
+    from station.serving import bind, serve_until_signal
+
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING, format="station: %(levelname)s: %(message)s"
+    )
+    settings = _settings(load_config(config), robot, host, port, data, backend)
+    listener = bind(settings.api)
+    with listener:
+        name, number = listener.getsockname()[:2]
+        address = f"http://{f'[{name}]' if ':' in name else name}:{number}"
+
+        async def run() -> None:
+            await serve_until_signal(
+                Station(settings), listener, lambda: print(f"station: page and API at {address}", flush=True)
+            )
+
+        with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+            runner.run(run())
+
+
+def _settings(
+    settings: StationConfig,
+    robot: str | None,
+    host: str | None,
+    port: int | None,
+    data: Path | None,
+    backend: str | None,
+) -> StationConfig:
+    """The file's settings with the options over them."""
+    api = ApiConfig(host or settings.api.host, settings.api.port if port is None else port)
+    link = RobotConfig(*parse_address(robot, "--robot")) if robot else settings.robot
+    slam = dataclasses.replace(settings.slam, backend=backend or settings.slam.backend)
+    return dataclasses.replace(settings, api=api, robot=link, slam=slam, data_dir=data or settings.data_dir)
+
+
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    """uvloop where it is installed."""
+    try:
+        import uvloop
+    except ImportError:
+        return None
+    factory: Callable[[], asyncio.AbstractEventLoop] = uvloop.new_event_loop
+    return factory

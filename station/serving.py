@@ -1,0 +1,90 @@
+"""Runs a station and its API together, on a socket that is taken first."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+import socket
+from collections.abc import Callable, Iterator
+
+import uvicorn
+
+from shared.errors import ConfigError
+from station.api.server import make_api
+from station.app import Station
+from station.config import ApiConfig
+
+logger = logging.getLogger(__name__)
+END_WITHIN_S = 2  # open video streams never end by themselves
+
+
+class _Server(uvicorn.Server):
+    """Signals are the caller's: the motors must stop first."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+
+def bind(config: ApiConfig) -> socket.socket:
+    """A listening socket. Raises ConfigError in one sentence when the address cannot be used."""
+    try:
+        family, *_, address = socket.getaddrinfo(config.host, config.port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, socket.SOCK_STREAM)
+    except OSError as exc:
+        raise ConfigError(f"--host {config.host} cannot be used ({exc}); give an address of this machine") from exc
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(128)
+    except OSError as exc:
+        listener.close()
+        raise ConfigError(
+            f"cannot serve on {config.host}:{config.port} ({exc.strerror});"
+            " stop the program that uses the port or choose another with --port"
+        ) from exc
+    return listener
+
+
+async def serve(station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None) -> None:
+    """Run until cancelled."""
+    api = make_api(station)
+    settings = uvicorn.Config(
+        api,
+        log_level="warning",
+        access_log=False,
+        lifespan="off",
+        timeout_graceful_shutdown=END_WITHIN_S,
+        ws_max_size=65536,  # pages only send small commands
+        ws_per_message_deflate=False,  # JPEG does not get smaller, and compressing costs the event loop
+        server_header=False,
+    )
+    server = _Server(settings)
+    running = asyncio.create_task(station.run(), name="station")
+    serving = asyncio.create_task(server.serve(sockets=[listener]), name="API")
+    try:
+        while not server.started and not serving.done() and not running.done():
+            await asyncio.sleep(0.01)
+        started()
+        await asyncio.wait({running, serving}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        station.driving.stop()
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
+        server.should_exit = True
+        await serving
+
+
+async def serve_until_signal(
+    station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None
+) -> None:
+    """Run until SIGINT or SIGTERM."""
+    loop = asyncio.get_running_loop()
+    serving = asyncio.ensure_future(serve(station, listener, started))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, serving.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await serving
