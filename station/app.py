@@ -114,14 +114,14 @@ class Station:
 
     # Navigations and maps
 
-    async def start_drive(self, name: str) -> DriveRecord:
+    def start_drive(self, name: str) -> DriveRecord:
         """Record from now on. Raises NoRobot, Conflict."""
         state = self.link.state
         if not state.connected or state.hello is None:
             raise NoRobot("no robot is connected; there is nothing to record")
         if not state.hello.capabilities.camera:
             raise NotCapable("this robot has no camera; SLAM needs one")
-        return await self.drives.start(state.hello, name)
+        return self.drives.start(state.hello, name)
 
     def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
         """Places from finished drives, in the background. Raises Unknown, Conflict."""

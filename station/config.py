@@ -53,7 +53,7 @@ class SlamConfig:
 
     backend: str = "sfm"
     seed: int = 1
-    frame_backlog: int = 90  # frames that wait for a busy worker; beyond, the oldest is skipped and counted
+    frame_backlog: int = 200  # frames that wait for a worker (some seconds to start); then the oldest is skipped
     imu_backlog: int = 6000  # batches; beyond, the oldest is lost, counted and announced
 
 

@@ -53,6 +53,7 @@ class _Running:
     imu_lost: int = 0
     told_pose_s: float = 0.0
     died: str = ""
+    beginning: asyncio.Task[None] | None = None
     lost_announced: set[str] = field(default_factory=set)
 
 
@@ -81,7 +82,7 @@ class Drives:
         """The drive being recorded."""
         return None if self._running is None else self._running.drive
 
-    async def start(self, hello: Hello, name: str) -> DriveRecord:
+    def start(self, hello: Hello, name: str) -> DriveRecord:
         """Begin a drive. Raises Conflict when one is being recorded."""
         if self._running is not None:
             raise Conflict(f"{self._running.drive.id} is being recorded; stop it first")
@@ -107,21 +108,15 @@ class Drives:
         recorder = self._make_recorder(self.library.folder(drive_id) / "recording.mcap")
         if recorder is not None:
             recorder.on_connected(hello)
-        # Taken before the first wait, so that a second start at the same moment is refused.
         self._running = running = _Running(drive, worker, live, recorder, hello)
         self.live = live
         self._tell(drive)
         self._events.changed("landmarks")
-        try:
-            await worker.start()
-            await worker.call("begin", self._config.backend, hello.calibration, self._config.seed)
-        except RobotSystemError as exc:
-            # The recording goes on: a drive without live SLAM is better than none.
-            running.died = str(exc)
-            live.message = f"SLAM does not run: {exc}"
-            self._events.say("slam", live.message, "error")
+        # Asked before the first frame can come; what arrives until SLAM is up waits behind it.
+        begun = worker.ask("begin", self._config.backend, hello.calibration, self._config.seed)
+        running.beginning = asyncio.create_task(self._begin(running, begun), name=f"begin {drive_id}")
         self._events.say("navigation", f"recording {drive.name}")
-        return self.library.get(drive_id)
+        return drive
 
     def stop(self, drive_id: str) -> DriveRecord:
         """End recording; SLAM finishes in the background. Raises Unknown, or Conflict when it is not being recorded."""
@@ -246,6 +241,16 @@ class Drives:
         self._events.say("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
         asyncio.get_running_loop().create_task(self._restart(running), name="restart SLAM")
 
+    async def _begin(self, running: _Running, begun: asyncio.Future[None]) -> None:
+        try:
+            await running.worker.start()
+            await begun
+        except RobotSystemError as exc:
+            # The recording goes on: a drive without live SLAM is better than none.
+            running.died = str(exc)
+            running.live.message = f"SLAM does not run: {exc}"
+            self._events.say("slam", running.live.message, "error")
+
     async def _restart(self, running: _Running) -> None:
         """A new process for the same drive: it knows only what comes from now on."""
         worker = Worker(
@@ -265,6 +270,8 @@ class Drives:
     async def _finish(self, running: _Running, drive: DriveRecord) -> None:
         try:
             await self._close_recorder(running)
+            if running.beginning is not None:
+                await running.beginning
             folder = self.library.navigation_folder(drive.id)
             report = await running.worker.call("finish", drive.id, folder)
             navigation = await asyncio.to_thread(load_navigation, folder)

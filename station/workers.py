@@ -22,7 +22,8 @@ from shared.errors import RobotSystemError
 
 logger = logging.getLogger(__name__)
 
-END_TIMEOUT_S = 3.0
+END_TIMEOUT_S = 1.5
+END = "<end>"  # the request that ends a worker
 _SPAWN = multiprocessing.get_context("spawn")  # fork would copy threads' locks and the event loop
 
 
@@ -135,16 +136,20 @@ class Worker:
 
     async def call(self, method: str, *arguments: Any) -> Any:
         """Ask, and wait for the answer. Raises what the servant raised, or WorkerDied."""
-        if self._dead or self._closing:
-            raise WorkerDied(self._dead or f"the {self.name} worker is ending")
-        self._next_call += 1
+        return await self.ask(method, *arguments)
+
+    def ask(self, method: str, *arguments: Any) -> asyncio.Future[Any]:
+        """As `call`, and the request stands in line already when this returns: what is posted later comes later."""
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        self._calls[self._next_call] = future
-        self._outbox.put("call", (self._next_call, method, arguments))
-        try:
-            return await future
-        finally:
-            self._calls.pop(self._next_call, None)
+        if self._dead or self._closing:
+            future.set_exception(WorkerDied(self._dead or f"the {self.name} worker is ending"))
+            return future
+        self._next_call += 1
+        number = self._next_call
+        self._calls[number] = future
+        future.add_done_callback(lambda _: self._calls.pop(number, None))
+        self._outbox.put("call", (number, method, arguments))
+        return future
 
     def kill(self) -> None:
         """End the process at once, whatever it computes."""
@@ -156,15 +161,17 @@ class Worker:
 
     async def close(self) -> None:
         """Let the process end after its present request; kill it when that takes long."""
+        if not self._closing and not self._dead:
+            # No SIGTERM: libraries in there install handlers that print stack traces.
+            self._outbox.put("end", (None, END, ()))
         self._closing = True
-        self._outbox.close()
         if self._process is None:
             return
-        self._process.terminate()
         await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
         if self._process.is_alive():
             self._process.kill()
             await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
+        self._outbox.close()
         self._fail_calls(f"the {self.name} worker was stopped")
 
     def _spawn(self) -> None:
@@ -226,7 +233,7 @@ class Worker:
             self._on_death(self._dead)
 
     def _fail_calls(self, reason: str) -> None:
-        for future in self._calls.values():
+        for future in list(self._calls.values()):
             if not future.done():
                 future.set_exception(WorkerDied(reason))
 
@@ -253,6 +260,8 @@ def _serve(connection: Connection, servant_path: str, arguments: tuple[Any, ...]
         try:
             call, method, values = pickle.loads(connection.recv_bytes())  # noqa: S301 - from our own parent
         except (EOFError, OSError):
+            return
+        if method == END:
             return
         try:
             answer = (call, True, getattr(servant, method)(*values))

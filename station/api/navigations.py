@@ -24,7 +24,7 @@ async def navigations(station: StationDep) -> list[NavigationModel]:
 
 @router.post("/navigations", summary="Start recording, with SLAM", status_code=201, responses=responses(409, 503))
 async def start(station: StationDep, order: Annotated[NavigationStart | None, Body()] = None) -> NavigationModel:
-    return navigation_model(await station.start_drive(order.name if order else ""))
+    return navigation_model(station.start_drive(order.name if order else ""))
 
 
 @router.get("/navigations/{navigation_id}", summary="One drive", responses=responses(404))

@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 
 from shared.errors import ConfigError, DataError, LocalProtocolError, RobotSystemError
@@ -76,7 +77,7 @@ def install(app: FastAPI) -> None:
         if exc.status_code == 404 and detail == "Not Found":
             detail = f"there is nothing at {request.url.path}; /docs lists all calls"
         if exc.status_code == 405:
-            allowed = (exc.headers or {}).get("allow", "")
+            allowed = Headers(exc.headers or {}).get("allow", "")
             detail = f"{request.method} is not possible at {request.url.path}" + (f"; use {allowed}" if allowed else "")
         answer = problem(request, exc.status_code, title.lower().replace(" ", "-"), title, detail)
         for name, value in (exc.headers or {}).items():
