@@ -62,7 +62,7 @@ class Body:
         self._command = (0.0, 0.0)
         spread = parameters.yaw_efficiency_spread
         self._yaw_efficiency = parameters.yaw_efficiency + (spread * rng.standard_normal() if parameters.slip else 0.0)
-        self._yaw_efficiency = float(np.clip(self._yaw_efficiency, 0.2, 0.5)) if parameters.slip else 1.0
+        self._yaw_efficiency = float(np.clip(self._yaw_efficiency, 0.24, 0.4)) if parameters.slip else 1.0
         self._slip_phase = rng.uniform(0, 2 * np.pi, 3)
         self._bumps = _Bumps(parameters, rng)
         self._carry: _Carry | None = None
@@ -146,7 +146,7 @@ class Body:
             return linear, angular
         s = self._plane.s
         waves = math.sin(1.3 * s + self._slip_phase[0]) + math.sin(2.9 * s + self._slip_phase[1])
-        yaw_efficiency = self._yaw_efficiency * (1.0 + 0.12 * waves)
+        yaw_efficiency = self._yaw_efficiency * (1.0 + 0.08 * waves)
         return linear * self._parameters.linear_efficiency, angular * yaw_efficiency
 
     def _slope(self, y: tuple[float, ...], targets: tuple[float, float]) -> tuple[float, ...]:
@@ -288,6 +288,9 @@ class _Carry:
         )
 
 
+_CHUNK = 1024  # points per pass: keeps the arrays in the cache
+
+
 class CollisionBoxes:
     """All solid boxes as arrays, for quick tests against a disc."""
 
@@ -302,16 +305,15 @@ class CollisionBoxes:
         """Distance (N,) m of points (N, 2) to the nearest box; negative inside."""
         if len(self._centre) == 0:
             return np.full(len(p), math.inf)
-        d = p[:, None, :] - self._centre
-        local = np.abs(
-            np.stack(
-                [self._cos * d[..., 0] + self._sin * d[..., 1], -self._sin * d[..., 0] + self._cos * d[..., 1]], -1
-            )
-        )
-        beyond = local - self._half
-        outside = np.hypot(*np.moveaxis(np.maximum(beyond, 0.0), -1, 0))
-        inside = np.minimum(beyond.max(-1), 0.0)
-        return np.asarray((outside + inside).min(1))
+        nearest = np.empty(len(p))
+        for first in range(0, len(p), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            dx, dy = p[part, 0, None] - self._centre[:, 0], p[part, 1, None] - self._centre[:, 1]
+            beyond_x = np.abs(self._cos * dx + self._sin * dy) - self._half[:, 0]
+            beyond_y = np.abs(self._cos * dy - self._sin * dx) - self._half[:, 1]
+            outside = np.sqrt(np.maximum(beyond_x, 0.0) ** 2 + np.maximum(beyond_y, 0.0) ** 2)
+            nearest[part] = (outside + np.minimum(np.maximum(beyond_x, beyond_y), 0.0)).min(1)
+        return nearest
 
     def push_out(self, x: float, y: float, radius: float) -> FloatArray | None:
         """Shift (2,) m that frees a disc from the boxes it overlaps, None where it overlaps none."""

@@ -13,7 +13,7 @@ from shared.errors import RobotSystemError
 
 app = typer.Typer(name="robot-sim", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 
-WorldOption = Annotated[str, typer.Option(help="home, lookalike, room, vicon or checker")]
+WorldOption = Annotated[str, typer.Option(help="home, small, lookalike, room, vicon or checker")]
 SeedOption = Annotated[int, typer.Option(help="which world of that kind")]
 ConfigOption = Annotated[Path | None, typer.Option(help="TOML file with imperfections and faults")]
 IdealOption = Annotated[bool, typer.Option(help="switch every imperfection of sensors and floor off")]
@@ -47,7 +47,9 @@ def dataset(
     out: Annotated[Path, typer.Option(help="folder to write, must not exist")],
     world: WorldOption = "home",
     seed: SeedOption = 0,
-    route: Annotated[str, typer.Option(help="mapping, second, tour, triangle_a, triangle_b or triangle_c")] = "mapping",
+    route: Annotated[
+        str, typer.Option(help="mapping, second, local, tour, triangle_a, triangle_b or triangle_c")
+    ] = "mapping",
     drive_seed: Annotated[int, typer.Option(help="noise, slip and small differences of this drive")] = 0,
     fps: Annotated[float | None, typer.Option(help="frames per second")] = None,
     config: ConfigOption = None,
@@ -103,6 +105,39 @@ def along(
     request = AlongRequest(states, camera, imu, out, start, duration)
     frames = render_along(make_world(world, seed, settings), request, settings, seed, default_cache_dir(), Progress())
     print(f"{out}: {frames} frames")
+
+
+@app.command()
+def drive(
+    station: Annotated[str, typer.Option(help="address of the station, http://HOST:PORT")],
+    sim_port: Annotated[int, typer.Option(help="the simulator's control port (robot-server --sim-port)")],
+    route: Annotated[str, typer.Option(help="mapping, second, local, tour or triangle_a|b|c")] = "mapping",
+    seed: Annotated[int, typer.Option(help="another route of the same kind")] = 0,
+    driver: Annotated[str, typer.Option(help="name under which to hold the driver lease")] = "scripted",
+    max_duration: Annotated[float, typer.Option(help="give up after this many seconds")] = 600.0,
+) -> None:
+    """Drive a running simulated robot along a route through the station's drive commands."""
+    from robot.simulation.remote_driver import drive_route
+
+    report = drive_route(station, sim_port, route, seed, driver, max_duration)
+    print(f"{route}: {report.length_m:.1f} m in {report.duration_s:.1f} s, {report.refused} commands refused")
+
+
+@app.command()
+def view(
+    out: Annotated[Path, typer.Option(help="PNG file to write")],
+    world: WorldOption = "home",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+) -> None:
+    """Write a contact sheet: the floor plan with the mapping route, and what the camera sees in each room."""
+    from robot.simulation.atlas import default_cache_dir
+    from robot.simulation.contact_sheet import draw_contact_sheet
+    from robot.simulation.worlds import make_world
+
+    settings = effective_config(config, False)
+    draw_contact_sheet(make_world(world, seed, settings), settings, out, default_cache_dir())
+    print(out)
 
 
 def main() -> None:

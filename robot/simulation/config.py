@@ -18,8 +18,8 @@ class CameraImperfections:
     rolling_shutter: bool = True  # rows are exposed one after the other (CameraCalibration.line_delay_s)
     motion_blur: bool = True
     auto_exposure: bool = True
-    exposure_ms: float = 8.0  # of the normally lit flat; auto-exposure moves it
-    max_exposure_ms: float = 16.0
+    exposure_ms: float = 6.0  # of the normally lit flat; auto-exposure moves it
+    max_exposure_ms: float = 14.0
     lens_blur_px: float = 0.55  # standard deviation of the lens' and sensor's point spread
     vignetting: float = 0.3  # share of light lost in the corners
     noise: float = 1.5  # grey levels of read noise at gain 1; shot noise is added in proportion; 0 switches both off

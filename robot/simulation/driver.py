@@ -9,10 +9,12 @@ import numpy as np
 
 from robot.simulation.routes import Route
 
-LOOKAHEAD_M = 0.35
+LOOKAHEAD_M = 0.28
 WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
 GOAL_M = 0.12
 MAX_COMMAND_RAD_S = 2.4  # robot-server refuses more than 2.5
+STUCK_M, STUCK_COMMANDS = 0.05, 18  # a bit more than a second without getting on
+BACKING_COMMANDS = 12
 PIVOT_RAD = 1.2  # turn in place first when the route points further aside than this
 
 
@@ -31,13 +33,26 @@ class RouteDriver:
         self._route = route
         self._index = 0
         self._efficiency = expected_yaw_efficiency
-        self._last_yaw_rate = 0.0
+        self._last_yaw_rate = self._last_linear = 0.0
+        self._anchor, self._idle, self._backing = (math.inf, math.inf), 0, 0
         self.is_done = False
 
     @property
     def progress(self) -> float:
         """Share of the route driven, 0..1."""
         return 1.0 if self.is_done else self._index / max(1, len(self._route.points) - 1)
+
+    def _is_stuck(self, x_m: float, y_m: float) -> bool:
+        """Whether the robot has been told to go but did not; then it backs off for a moment."""
+        if self._backing > 0:
+            self._backing -= 1
+            return True
+        if math.hypot(x_m - self._anchor[0], y_m - self._anchor[1]) > STUCK_M or self._last_linear < 0.06:
+            self._anchor, self._idle = (x_m, y_m), 0
+        self._idle += 1
+        if self._idle > STUCK_COMMANDS:
+            self._idle, self._backing = 0, BACKING_COMMANDS
+        return False
 
     def command(self, x_m: float, y_m: float, yaw_rad: float, yaw_rate_rad_s: float) -> DriveCommand:
         """The command for the present pose and achieved yaw rate."""
@@ -61,6 +76,9 @@ class RouteDriver:
             curvature = 2 * math.sin(bearing) / reach
             linear = min(speed, limit / max(abs(curvature), 1e-6))
             yaw_rate = linear * curvature
+        if self._is_stuck(x_m, y_m):
+            linear = -0.15
+        self._last_linear = linear
         self._learn_efficiency(yaw_rate_rad_s)
         self._last_yaw_rate = float(np.clip(yaw_rate / self._efficiency, -MAX_COMMAND_RAD_S, MAX_COMMAND_RAD_S))
         return DriveCommand(linear, self._last_yaw_rate)

@@ -32,6 +32,7 @@ class FlatOptions:
     """How this visit to the flat differs from others."""
 
     rooms: tuple[int, int] = (3, 5)
+    room_area_m2: tuple[float, float] = (10.5, 13.0)
     lookalike_rooms: bool = False  # two rooms get the same furniture in the same places
     moved_chairs_seed: int | None = None  # chairs, boxes and baskets stand elsewhere
     light_seed: int | None = None  # rooms are lit differently
@@ -117,14 +118,14 @@ def _plan(rng: np.random.Generator, options: FlatOptions) -> tuple[list[Cell], l
     weights = np.array([0.5, 0.3, 0.2, 0.1, 0.1][: high - low + 1])
     count = low + int(rng.choice(len(weights), p=weights / weights.sum()))
     while True:
-        cells = _split_area(rng, count)
+        cells = _split_area(rng, count, options.room_area_m2)
         doors = _place_doors(rng, cells) if cells else None
         if cells and doors is not None:
             return cells, doors
 
 
-def _split_area(rng: np.random.Generator, count: int) -> list[Cell] | None:
-    area = count * rng.uniform(10.5, 13.0)
+def _split_area(rng: np.random.Generator, count: int, room_area_m2: tuple[float, float]) -> list[Cell] | None:
+    area = count * rng.uniform(*room_area_m2)
     aspect = rng.uniform(0.65, 1.0)
     width, depth = math.sqrt(area / aspect), math.sqrt(area * aspect)
     cells: list[Cell] = [(0.0, 0.0, width, depth)]

@@ -17,8 +17,8 @@ from shared.errors import ConfigError
 from shared.geometry import FloatArray
 
 CELL_M = 0.06
-MARGIN_M = 0.05  # beyond the robot's radius
-COMFORT_M = 0.30  # clearance beyond which more room is not worth a detour
+MARGIN_M = 0.06  # beyond the robot's radius
+COMFORT_M = 0.35  # clearance beyond which more room is not worth a detour
 SPACING_M = 0.05  # between points of a finished route
 ROUTE_KINDS = ("mapping", "second", "local", "tour", "triangle_a", "triangle_b", "triangle_c")
 
@@ -30,8 +30,8 @@ class Route:
     kind: str
     points: FloatArray  # (N, 2) m, world
     start_yaw_rad: float
-    max_speed_m_s: float = 0.4
-    max_yaw_rate_rad_s: float = 0.5
+    max_speed_m_s: float = 0.42
+    max_yaw_rate_rad_s: float = 0.6
 
     @property
     def length_m(self) -> float:
@@ -52,7 +52,7 @@ class FreeSpace:
         self.clearance = self.boxes.clearance(grid.reshape(-1, 2)).reshape(grid.shape[:2])
         self.is_free = self.clearance >= self.keep_m
         lack = np.clip((COMFORT_M + radius_m - self.clearance) / COMFORT_M, 0.0, 1.0)
-        self._cost = 1.0 + 3.0 * lack**2
+        self._cost = 1.0 + 6.0 * lack**2
         self._keep_connected()
 
     def _keep_connected(self) -> None:
@@ -262,9 +262,12 @@ def _resample(points: FloatArray) -> FloatArray:
 
 def _smooth(space: FreeSpace, points: FloatArray) -> FloatArray:
     """Round the corners by local averaging, point by point, where the robot still fits."""
+    clearance = space.boxes.clearance(points)
     for _ in range(60):
         moved = points.copy()
         moved[2:-2] = (points[:-4] + 4 * points[1:-3] + 6 * points[2:-2] + 4 * points[3:-1] + points[4:]) / 16
-        fits = space.boxes.clearance(moved) >= np.minimum(space.keep_m, space.boxes.clearance(points) + 1e-9)
+        moved_clearance = space.boxes.clearance(moved)
+        fits = moved_clearance >= np.minimum(space.keep_m + 0.05, clearance)
         points = np.where(fits[:, None], moved, points)
+        clearance = np.where(fits, moved_clearance, clearance)
     return _resample(points)

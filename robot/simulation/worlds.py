@@ -13,20 +13,24 @@ from robot.simulation.textures import TextureSpec
 from robot.simulation.world import Room, World
 from shared.errors import ConfigError
 
-WORLD_NAMES = ("home", "lookalike", "room", "vicon", "checker")
+WORLD_NAMES = ("home", "small", "lookalike", "room", "vicon", "checker")
 
 
 def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> World:
     """Build a world by name: the same name, seed and options give the same world.
 
-    `home`: a flat of 3-5 rooms. `lookalike`: the same with two rooms alike. `room`: one room for the triangle routes.
+    `home`: a flat of 3-5 rooms. `small`: 3 rooms, mapped in about a minute. `lookalike`: a home with two
+    rooms alike. `room`: one room for the triangle routes.
     `vicon`: an 8x8x4 m hall around EuRoC's V1 paths. `checker`: a box of checkerboards, for geometry tests.
     """
     config = config or SimulationConfig()
     moved, light = config.moved_chairs_seed, config.light_seed
     if name in ("home", "lookalike"):
         twins = name == "lookalike" or config.lookalike_rooms
-        return make_flat(name, seed, FlatOptions((3, 5), twins, moved, light))
+        options = FlatOptions(lookalike_rooms=twins, moved_chairs_seed=moved, light_seed=light)
+        return make_flat(name, seed, options)
+    if name == "small":
+        return make_flat(name, seed, FlatOptions((3, 3), (8.4, 9.6), config.lookalike_rooms, moved, light))
     if name == "room":
         return _single_room(seed, moved, light)
     if name == "vicon":

@@ -35,13 +35,14 @@ class Mailbox(Generic[T]):
             self._failure = failure
             self._wake()
 
-    async def get(self) -> list[T]:
-        """Wait for at least one value and take all."""
+    async def get(self, at_most: int | None = None) -> list[T]:
+        """Wait for at least one value and take the oldest `at_most`, or all."""
         while True:
             loop = asyncio.get_running_loop()
             with self._lock:
                 if self._values:
-                    values, self._values = self._values, []
+                    count = len(self._values) if at_most is None else at_most
+                    values, self._values = self._values[:count], self._values[count:]
                     return values
                 if self._failure is not None:
                     raise self._failure

@@ -9,6 +9,7 @@ from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
 from robot.devices.simulated.robot import SimulatedRobot
 
 MAX_HISTORY = 10_000
+MAX_READINGS = 225  # a second's worth, as the port says
 
 
 class SimulatedCameraPort:
@@ -31,7 +32,7 @@ class SimulatedImu:
         self._robot = robot
 
     async def read(self) -> list[ImuReading]:
-        return await self._robot.imu_mailbox.get()
+        return await self._robot.imu_mailbox.get(MAX_READINGS)
 
     async def close(self) -> None:
         self._robot.close()

@@ -1,0 +1,162 @@
+"""Drives a robot through the station's HTTP like a person at the page, steering by the simulator's truth."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import math
+import socket
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from robot.simulation.driver import RouteDriver
+from robot.simulation.routes import Route
+from shared.errors import ConfigError, DeviceLost
+
+COMMAND_PERIOD_S = 1 / 15
+COMMAND_TTL_MS = 300
+TIMEOUT_S = 10.0
+RETRIES = 20  # of refused commands in a row: the station may still be connecting to the robot
+RETRY_WAIT_S = 0.25
+
+
+class ControlLink:
+    """The simulator's control port (see robot/devices/simulated/control.py)."""
+
+    def __init__(self, port: int) -> None:
+        try:
+            self._socket = socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S)
+        except (OSError, OverflowError) as exc:
+            raise ConfigError(
+                f"no simulator answers on 127.0.0.1:{port} ({exc}); start robot-server with --sim-port {port}"
+            ) from exc
+        self._lines = self._socket.makefile("rwb")
+
+    def ask(self, **question: Any) -> dict[str, Any]:
+        """One question, one answer. Raises ConfigError with the simulator's sentence."""
+        try:
+            self._lines.write(json.dumps(question).encode() + b"\n")
+            self._lines.flush()
+            line = self._lines.readline()
+        except OSError as exc:
+            raise DeviceLost(f"the simulator stopped answering ({exc})") from exc
+        if not line:
+            raise DeviceLost("the simulator closed its control port")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise ConfigError(f"simulator: {answer['error']}")
+        return answer
+
+    def close(self) -> None:
+        self._lines.close()
+        self._socket.close()
+
+
+class StationHttp:
+    """Sends drive commands over one kept connection."""
+
+    def __init__(self, address: str, driver_name: str) -> None:
+        parts = urlsplit(address if "//" in address else f"http://{address}")
+        if parts.scheme != "http" or not parts.hostname:
+            raise ConfigError(f"--station {address!r} must look like http://HOST:PORT")
+        self._connection = http.client.HTTPConnection(parts.hostname, parts.port or 80, timeout=TIMEOUT_S)
+        self._headers = {"Content-Type": "application/json", "X-Driver": driver_name}
+        self._address = address
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> str:
+        """Send one command; "" when accepted, else the station's reason. Raises DeviceLost."""
+        body = {"linear": linear_m_s, "angular": angular_rad_s, "ttl_ms": COMMAND_TTL_MS}
+        return self._post("/drive", body)
+
+    def stop(self) -> str:
+        """Motors off."""
+        return self._post("/stop", {})
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _post(self, path: str, body: dict[str, Any]) -> str:
+        for attempt in (1, 2):  # a kept connection may have been closed by the other side
+            try:
+                self._connection.request("POST", path, json.dumps(body), self._headers)
+                answer = self._connection.getresponse()
+                text = answer.read()
+                return "" if answer.status < 300 else _reason(answer.status, text)
+            except (OSError, http.client.HTTPException) as exc:
+                self._connection.close()
+                if attempt == 2:
+                    raise DeviceLost(f"the station at {self._address} does not answer ({exc})") from exc
+        raise AssertionError("unreachable")
+
+
+def _reason(status: int, text: bytes) -> str:
+    try:
+        document = json.loads(text)
+        return str(document.get("detail") or document.get("title") or status)
+    except (ValueError, AttributeError):
+        return f"status {status}"
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReport:
+    """How a scripted drive went."""
+
+    duration_s: float
+    length_m: float
+    refused: int
+
+
+def drive_route(
+    station: str, sim_port: int, kind: str, seed: int, driver_name: str = "scripted", max_duration_s: float = 600.0
+) -> DriveReport:
+    """Drive a route from where the robot is, to its end.
+
+    Raises:
+        ConfigError: no simulator, unknown route.
+        DeviceLost: the station is gone, refuses to drive for long, or the route takes too long.
+    """
+    control = ControlLink(sim_port)
+    http_link = StationHttp(station, driver_name)
+    try:
+        return _follow(control, http_link, _route(control.ask(cmd="route", kind=kind, seed=seed)), max_duration_s)
+    finally:
+        http_link.close()
+        control.close()
+
+
+def _follow(control: ControlLink, station: StationHttp, route: Route, max_duration_s: float) -> DriveReport:
+    driver = RouteDriver(route)
+    began = next_s = time.monotonic()
+    refused = in_a_row = shown = 0
+    while not driver.is_done:
+        truth = control.ask(cmd="truth")
+        T = truth["T_world_body"]
+        command = driver.command(T[0][3], T[1][3], math.atan2(T[1][0], T[0][0]), truth["omega_body"][2])
+        reason = station.drive(command.linear_m_s, command.angular_rad_s)
+        in_a_row = in_a_row + 1 if reason else 0
+        refused += bool(reason)
+        if in_a_row > RETRIES:
+            raise DeviceLost(f"the station refuses to drive: {reason}")
+        if reason:
+            time.sleep(RETRY_WAIT_S)
+        if time.monotonic() - began > max_duration_s:
+            station.stop()
+            raise DeviceLost(f"the route took longer than {max_duration_s:.0f} s; {driver.progress:.0%} is driven")
+        if int(10 * driver.progress) > shown:
+            shown = int(10 * driver.progress)
+            print(f"{10 * shown} % of the route, in {truth['room'] or 'a doorway'}", file=sys.stderr, flush=True)
+        next_s = max(next_s + COMMAND_PERIOD_S, time.monotonic())
+        time.sleep(max(0.0, next_s - time.monotonic()))
+    station.stop()
+    return DriveReport(time.monotonic() - began, route.length_m, refused)
+
+
+def _route(answer: dict[str, Any]) -> Route:
+    return Route(
+        answer["kind"], np.array(answer["points"]), answer["start_yaw"], answer["max_speed"], answer["max_yaw_rate"]
+    )

@@ -1,0 +1,121 @@
+"""The simulated robot in real time, seen through its control port."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot.devices.ports import DeviceSet
+from robot.devices.simulated import SimulatedRobot, open_simulated
+from robot.devices.simulated.control import ControlDesk, ControlServer
+from robot.simulation.config import SimulationConfig
+from shared.errors import ConfigError, DeviceUnavailable
+
+WAIT_S = 60.0
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[SimulatedRobot]:
+    simulated = SimulatedRobot("room", 1, SimulationConfig(), tmp_path)
+    simulated.start()
+    yield simulated
+    simulated.close()
+
+
+def ask(robot: SimulatedRobot, **question: Any) -> dict[str, Any]:
+    return ControlDesk(robot).answer(json.dumps(question).encode())
+
+
+def wait_for(condition: Any) -> None:
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+def test_driving_moves_the_true_robot_and_silence_of_the_motors_stops_it(robot: SimulatedRobot) -> None:
+    start = ask(robot, cmd="truth")
+    robot.command(0.3, 0.0)
+    wait_for(lambda: abs(ask(robot, cmd="truth")["T_world_body"][0][3] - start["T_world_body"][0][3]) > 0.05)
+    robot.command(0.0, 0.0)
+    wait_for(lambda: max(map(abs, ask(robot, cmd="truth")["v_world"])) < 0.01)
+
+
+def test_a_hijack_puts_the_robot_where_asked_and_logs_the_truth_on_the_way(robot: SimulatedRobot) -> None:
+    answer = ask(robot, cmd="hijack", seed=4)
+    assert "error" not in answer
+    wait_for(
+        lambda: not ask(robot, cmd="truth")["carried"] and ask(robot, cmd="truth")["t_robot_ns"] > answer["t_end_ns"]
+    )
+    T = ask(robot, cmd="truth")["T_world_body"]
+    assert (T[0][3], T[1][3]) == pytest.approx((answer["x"], answer["y"]), abs=1e-3)
+    log = ask(robot, cmd="truth_log")
+    assert len(log["t_robot_ns"]) == len(log["T_world_body"])
+    assert max(T[2][3] for T in log["T_world_body"]) > 0.5
+
+
+def test_a_hijack_into_furniture_or_an_unknown_room_is_refused_in_words(robot: SimulatedRobot) -> None:
+    box = next(o for o in robot.world.obstacles if o.name != "wall")
+    assert "not free floor" in ask(robot, cmd="hijack", x=box.x_m, y=box.y_m, yaw=0.0)["error"]
+    assert "no room is called" in ask(robot, cmd="hijack", seed=1, room="ballroom")["error"]
+    assert "not finite" in ask(robot, cmd="hijack", x=float("nan"), y=0.0, yaw=0.0)["error"]
+
+
+def test_questions_it_does_not_understand_get_an_error_not_a_crash(robot: SimulatedRobot) -> None:
+    desk = ControlDesk(robot)
+    for line in (
+        b"",
+        b"{",
+        b"[]",
+        b'{"cmd": "fly"}',
+        b'{"cmd": "route", "kind": "spiral"}',
+        b'{"cmd": "faults", "x": 1}',
+    ):
+        assert "error" in desk.answer(line)
+    assert ask(robot, cmd="faults", light=0.5)["light"] == 0.5
+    assert "error" in ask(robot, cmd="faults", light="dark")
+    assert ask(robot, cmd="flat")["rooms"][0]["name"] == "living room"
+    assert len(ask(robot, cmd="route", kind="local")["points"]) > 20
+
+
+def test_control_port_answers_on_loopback_and_a_taken_port_is_named(robot: SimulatedRobot) -> None:
+    server = ControlServer(robot, 0)
+    try:
+        with (
+            socket.create_connection(("127.0.0.1", server.port), timeout=WAIT_S) as link,
+            link.makefile("rwb") as lines,
+        ):
+            lines.write(b'{"cmd": "truth"}\n')
+            lines.flush()
+            assert json.loads(lines.readline())["room"] == "living room"
+        with pytest.raises(DeviceUnavailable, match=f"{server.port}"):
+            ControlServer(robot, server.port)
+    finally:
+        server.close()
+
+
+async def test_lost_samples_leave_a_hole_in_the_sequence() -> None:
+    devices: DeviceSet = open_simulated("room", 1, config=SimulationConfig())
+    assert devices.imu is not None
+    robot = devices.imu._robot  # type: ignore[attr-defined]
+    robot.set_faults(type(robot.faults)(imu_dropout=0.5))
+    try:
+        await asyncio.wait_for(devices.imu.read(), WAIT_S)
+        readings = []
+        while len(readings) < 60:
+            readings += await asyncio.wait_for(devices.imu.read(), WAIT_S)
+        assert readings[-1].sequence - readings[0].sequence > len(readings) + 10
+    finally:
+        await devices.imu.close()
+
+
+def test_an_unknown_world_is_refused() -> None:
+    with pytest.raises(ConfigError, match="castle"):
+        open_simulated("castle", 1)
