@@ -8,6 +8,7 @@ import typer
 
 from shared.errors import RobotSystemError
 from station.commands import (
+    demo,
     doctor,
     experiment,
     register,
@@ -29,6 +30,7 @@ def station() -> None:
 
 
 for command in (
+    demo,
     doctor,
     experiment,
     register,

@@ -55,10 +55,10 @@ class Programs:
         )
         self._running[name] = (process, log)
 
-    def check(self) -> None:
-        """Raise when a program that should run has ended."""
+    def check(self, except_for: str = "") -> None:
+        """Raise when a program that should run has ended (`except_for` one that may)."""
         for name, (process, _) in self._running.items():
-            if process.poll() is not None:
+            if process.poll() is not None and name != except_for:
                 raise RobotSystemError(f"{name} ended with code {process.returncode}: {self.last_words(name)}")
 
     def wait(self, name: str, timeout_s: float) -> int:
@@ -74,9 +74,9 @@ class Programs:
             raise RobotSystemError(f"{name} ended with code {code}: {self.last_words(name)}")
         return code
 
-    def is_running(self, name: str) -> bool:
-        entry = self._running.get(name)
-        return entry is not None and entry[0].poll() is None
+    def is_known(self, name: str) -> bool:
+        """Whether the program was started and neither waited for nor ended."""
+        return name in self._running
 
     def end(self, name: str) -> None:
         """Ask a program to end; kill it when it does not."""

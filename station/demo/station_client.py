@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 import urllib.error
 import urllib.request
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 from shared.errors import RobotSystemError
 
 CALL_TIMEOUT_S = 30.0
-POLL_S = 0.1
 
 
 class StationClient:
@@ -40,18 +38,13 @@ class StationClient:
     def get(self, path: str) -> Any:
         return self.call("GET", path)
 
-    def wait_until_up(self, timeout_s: float) -> None:
-        """Wait until the station serves."""
-        end = time.monotonic() + timeout_s
-        while True:
-            try:
-                self.get("/healthz")
-            except RobotSystemError:
-                if time.monotonic() > end:
-                    raise
-                time.sleep(POLL_S)
-            else:
-                return
+    def is_up(self) -> bool:
+        """Whether the station serves."""
+        try:
+            self.get("/healthz")
+        except RobotSystemError:
+            return False
+        return True
 
 
 def _problem(text: bytes) -> str:

@@ -1,0 +1,39 @@
+"""`station demo`: the whole system in one command, with a simulated robot."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    app.command()(demo)
+
+
+def demo(
+    once: Annotated[bool, typer.Option("--once", help="End by itself; exit code 0 when the place was right.")] = False,
+    seed: Annotated[int, typer.Option(help="Which flat.")] = 1,
+    port: Annotated[int, typer.Option(help="Port of the page and the API.")] = 8080,
+    world: Annotated[str, typer.Option(help="Simulated world.")] = "home",
+    backend: Annotated[str | None, typer.Option(help="SLAM: ukf or sfm; without it the station's default.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for results.json, logs and data.")] = Path("demo"),
+) -> None:
+    """Simulated robot, robot-server and station: map, hijack, drive again, and name the place."""
+    from station.demo.demo import DemoOptions, run_demo
+
+    begin = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"[{time.monotonic() - begin:5.1f} s] {text}", flush=True)
+
+    try:
+        passed = run_demo(DemoOptions(seed, once, port, world, backend, out), say)
+    except KeyboardInterrupt:
+        say("interrupted; everything is stopped")
+        sys.exit(130)
+    if once and not passed:
+        sys.exit(1)

@@ -1,0 +1,284 @@
+"""The demo on one page: start the programs, map, hijack, drive again, ask for the place, judge by the truth."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shared.errors import RobotSystemError
+from shared.geometry import FloatArray
+from station.demo.judge import Sample, Verdict, judge
+from station.demo.processes import Programs, free_port
+from station.demo.simulator_client import SimulatorClient
+from station.demo.station_client import StationClient
+from station.navigation_files import load_navigation
+
+START_TIMEOUT_S = 90.0  # the first start of a flat bakes its textures
+DRIVE_TIMEOUT_S = 240.0
+SLAM_TIMEOUT_S = 300.0
+MAP_TIMEOUT_S = 120.0
+SECOND_DRIVE_S = 20.0  # Navigation2 lasts this long after the robot was put down
+MAX_SPOTS = 20  # hijack targets tried until one lies in a room that Navigation1 visited
+ASK_EVERY_S = 0.5
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class DemoOptions:
+    """What the command line chooses."""
+
+    seed: int
+    once: bool
+    port: int
+    world: str
+    backend: str | None
+    out: Path
+
+
+@dataclass(slots=True)
+class Timings:
+    """Wall seconds of each step."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        begin = time.monotonic()
+        yield
+        self.seconds[name] = round(time.monotonic() - begin, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """Everything the steps share."""
+
+    options: DemoOptions
+    programs: Programs
+    station: StationClient
+    simulator: SimulatorClient
+    sim_port: int
+    say: Say
+
+
+def run_demo(options: DemoOptions, say: Say) -> bool:
+    """Run the demo; True when the current place was answered correctly. Without `once` it then serves until Ctrl-C."""
+    data = fresh_folder(options.out)
+    timings = Timings()
+    with Programs(options.out / "logs") as programs:
+        with timings.step("start"):
+            demo = start_programs(options, programs, data, say)
+        try:
+            with timings.step("navigation1"):
+                navigation1 = record_drive(demo, "Navigation1", "mapping")
+            with timings.step("slam"):
+                wait_for_slam(demo, navigation1)
+            with timings.step("map"):
+                places = build_map(demo, navigation1)
+            with timings.step("navigation2"):
+                put_down_ns, samples = hijack_and_drive_again(demo)
+            trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
+            centroids: dict[str, FloatArray] = {p["id"]: np.array(p["centroid_map"]) for p in places}
+            verdict = judge(trajectory, centroids, demo.simulator.truth_log(), samples, put_down_ns)
+            write_results(options, verdict, timings, places, samples)
+            say(describe(verdict))
+            if not options.once:
+                serve_until_interrupted(demo)
+        finally:
+            demo.simulator.close()
+    return verdict.passed
+
+
+def fresh_folder(out: Path) -> Path:
+    """The demo's data folder, empty; the run before is kept beside it as `previous`."""
+    data, previous = out / "data", out / "previous"
+    if data.exists():
+        shutil.rmtree(previous, ignore_errors=True)
+        data.rename(previous)
+    data.mkdir(parents=True)
+    return data
+
+
+def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
+    """robot-server with simulated devices, and the station; wait until pictures arrive."""
+    say(f"simulated robot in {options.world} number {options.seed}; logs in {options.out / 'logs'}")
+    robot_port, sim_port = free_port(), free_port()
+    programs.start(
+        "robot-server",
+        "robot.main",
+        *("--devices", "simulated", "--world", options.world, "--seed", str(options.seed)),
+        *("--port", str(robot_port), "--sim-port", str(sim_port)),
+    )
+    serve = ["serve", "--robot", f"127.0.0.1:{robot_port}", "--port", str(options.port), "--data", str(data)]
+    programs.start("station", "station.main", *serve, *(("--backend", options.backend) if options.backend else ()))
+    station = StationClient(f"http://127.0.0.1:{options.port}")
+    wait_for(programs, "the station", lambda: station.is_up(), START_TIMEOUT_S)
+    wait_for(programs, "the robot", lambda: station.get("/robot")["rates"]["frames_hz"] > 1, START_TIMEOUT_S)
+    say(f"page, live video and API: {station.address}")
+    return Demo(options, programs, station, SimulatorClient(sim_port), sim_port, say)
+
+
+def record_drive(demo: Demo, name: str, route: str) -> str:
+    """Record one navigation while the scripted driver follows a route; its id."""
+    navigation: str = demo.station.call("POST", "/navigations", {"name": name})["id"]
+    demo.say(f"{name}: driving the {route} route")
+    start_driver(demo, route)
+    demo.programs.wait("driver", DRIVE_TIMEOUT_S)
+    demo.station.call("POST", f"/navigations/{navigation}/stop")
+    return navigation
+
+
+def start_driver(demo: Demo, route: str) -> None:
+    """The scripted driver: real drive commands through the station, as a person with a joystick gives them."""
+    demo.programs.start(
+        "driver",
+        "robot.simulation.cli",
+        *("drive", "--station", demo.station.address, "--sim-port", str(demo.sim_port)),
+        *("--route", route, "--seed", str(demo.options.seed)),
+    )
+
+
+def wait_for_slam(demo: Demo, navigation: str) -> None:
+    """Wait until SLAM has made trajectory and landmarks of the drive."""
+
+    def is_finished() -> bool:
+        drive = demo.station.get(f"/navigations/{navigation}")
+        if drive["state"] == "failed":
+            raise RobotSystemError(f"SLAM failed: {drive['message']}")
+        return bool(drive["state"] == "ready")
+
+    wait_for(demo.programs, "SLAM", is_finished, SLAM_TIMEOUT_S)
+    drive = demo.station.get(f"/navigations/{navigation}")
+    demo.say(
+        f"Navigation1: {drive['duration_s']:.0f} s, {drive['frames']} frames, {drive['imu_samples']} IMU samples "
+        f"({drive['imu_lost']} lost) → {drive['landmarks']} landmarks ({drive['backend']}, {drive['scale']} scale)"
+    )
+
+
+def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
+    """Cluster the landmarks into places and use the map."""
+    job = demo.station.call("POST", "/maps", {"navigations": [navigation], "name": "Demo flat"})["id"]
+
+    def is_finished() -> bool:
+        state = demo.station.get(f"/jobs/{job}")
+        if state["state"] in ("failed", "cancelled"):
+            raise RobotSystemError(f"building the map failed: {state['message']}")
+        return bool(state["state"] == "done")
+
+    wait_for(demo.programs, "the map", is_finished, MAP_TIMEOUT_S)
+    wait_for(demo.programs, "the map to be active", lambda: bool(demo.station.get("/places")), MAP_TIMEOUT_S)
+    places: list[dict[str, Any]] = demo.station.get("/places")
+    demo.say(f"map with {len(places)} places:")
+    for place in places:
+        x, y, _ = place["centroid_map"]
+        demo.say(f"    {place['name']:12s} {place['landmarks']:5d} landmarks at ({x:+.1f}, {y:+.1f}) m")
+    return places
+
+
+def hijack_and_drive_again(demo: Demo) -> tuple[int, list[Sample]]:
+    """Pick the robot up, put it down elsewhere, drive again and ask; (robot time it was put down, the answers)."""
+    put_down_ns = hijack(demo)
+    demo.station.call("POST", "/navigations", {"name": "Navigation2"})
+    demo.say("Navigation2: driving another route and asking GET /place/current")
+    start_driver(demo, "second")
+    samples: list[Sample] = []
+    told = ""
+    end_ns = put_down_ns + round(SECOND_DRIVE_S * 1e9)
+    while demo.simulator.ask(cmd="truth")["t_robot_ns"] < end_ns:
+        demo.programs.check(except_for="driver")
+        sample, told = ask(demo, told)
+        if sample is not None:
+            samples.append(sample)
+        time.sleep(ASK_EVERY_S)
+    if demo.programs.is_known("driver"):
+        demo.programs.end("driver")
+    demo.station.call("POST", "/stop")
+    return put_down_ns, samples
+
+
+def hijack(demo: Demo) -> int:
+    """Move the robot to a random spot in a room it has mapped; the robot time it stands there."""
+    log = demo.simulator.truth_log()
+    driven = log.T_world_body[:, :2, 3]
+    for attempt in range(MAX_SPOTS):
+        spot = demo.simulator.ask(cmd="spot", seed=1000 * demo.options.seed + attempt)
+        if np.min(np.linalg.norm(driven - (spot["x"], spot["y"]), axis=1)) < 1.0:
+            break
+    answer = demo.simulator.ask(cmd="hijack", x=spot["x"], y=spot["y"], yaw=spot["yaw"])
+    demo.say(f"hijack: the robot is picked up and put down in the {answer['room']}")
+    while demo.simulator.ask(cmd="truth")["t_robot_ns"] < answer["t_end_ns"]:
+        time.sleep(0.1)
+    return int(answer["t_end_ns"])
+
+
+def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
+    """One question for the current place; says it when the answer changed."""
+    answer = demo.station.get("/place/current")
+    place = answer["place"]
+    words = f"at {place['name']}" if place else answer["state"]
+    if words != told:
+        demo.say(f"    current place: {words} ({answer['probability']:.0%}): {answer['reason']}")
+    if answer["t_robot_ns"] is None:
+        return None, words
+    return Sample(answer["t_robot_ns"], answer["state"], place["id"] if place else None, answer["probability"]), words
+
+
+def serve_until_interrupted(demo: Demo) -> None:
+    """Keep everything running: now the person drives."""
+    demo.say(f"your turn: open {demo.station.address}, drive, hijack, ask. Ctrl-C ends.")
+    told = ""
+    try:
+        while True:
+            demo.programs.check(except_for="driver")
+            _, told = ask(demo, told)
+            time.sleep(ASK_EVERY_S)
+    except KeyboardInterrupt:
+        demo.say("ending")
+
+
+def wait_for(programs: Programs, what: str, is_ready: Callable[[], bool], timeout_s: float) -> None:
+    """Wait for a condition while the programs live."""
+    end = time.monotonic() + timeout_s
+    while not is_ready():
+        programs.check()
+        if time.monotonic() > end:
+            raise RobotSystemError(f"{what} was not ready within {timeout_s:.0f} s; see the demo's logs")
+        time.sleep(0.2)
+
+
+def write_results(
+    options: DemoOptions, verdict: Verdict, timings: Timings, places: list[dict[str, Any]], samples: list[Sample]
+) -> None:
+    """`results.json`: for scripts, and for the table in docs/results.md."""
+    results = {
+        "passed": verdict.passed,
+        "seed": options.seed,
+        "world": options.world,
+        "places": len(places),
+        **asdict(verdict),
+        "seconds": timings.seconds | {"total": round(sum(timings.seconds.values()), 1)},
+        "answers": [asdict(sample) for sample in samples],
+    }
+    path = options.out / "results.json"
+    draft = path.with_suffix(".tmp")
+    draft.write_text(json.dumps(results, indent=1) + "\n")
+    draft.replace(path)
+
+
+def describe(verdict: Verdict) -> str:
+    """The verdict in a sentence."""
+    known = verdict.right + verdict.wrong
+    when = "never" if verdict.seconds_to_first_known is None else f"after {verdict.seconds_to_first_known:.1f} s"
+    return (
+        f"judged by the simulator's truth: {verdict.right} of {known} known answers right, "
+        f"{verdict.not_known} not known, "
+        f"first known {when}; map error {verdict.map_error_m:.2f} m, scale {verdict.map_scale:.3f}: "
+        + ("PASSED" if verdict.passed else "FAILED")
+    )
