@@ -71,7 +71,7 @@ def judge_matches(
         co_visible=co_visible,
         precision=float(np.mean([j.correct for j in judged])) if judged else None,
         recall=len(right & set(co_visible)) / len(co_visible) if co_visible else None,
-        rand_index=shared_rand_index(p_map, place_map.places, p_nav, result.locations),
+        rand_index=shared_rand_index(p_map, place_map.places, p_nav, result.clusters.label),
         registration_error=_registration_error(place_map.navigation, p_map, navigation, p_nav, result),
         duplicates=count_duplicates(place_map.places, p_map),
     )
@@ -118,14 +118,17 @@ def truth_at(truth: Truth, t_robot_ns: IntArray) -> FloatArray:
 
 
 def shared_rand_index(
-    p_map: FloatArray, places: Sequence[Place], p_nav: FloatArray, locations: Sequence[Place]
+    p_map: FloatArray, places: Sequence[Place], p_nav: FloatArray, label_nav: IntArray
 ) -> float | None:
-    """Adjusted Rand index of two clusterings on the landmarks that lie beside one of the other navigation."""
-    if not places or not locations:
+    """Adjusted Rand index of two clusterings on the landmarks that lie beside one of the other navigation.
+
+    `label_nav` are the second navigation's own clusters: not cut and joined with the map's help.
+    """
+    if not places or not (label_nav >= 0).any():
         return None
     from sklearn.metrics import adjusted_rand_score
 
-    a, b = labels_of(places, len(p_map)), labels_of(locations, len(p_nav))
+    a, b = labels_of(places, len(p_map)), label_nav
     reach = SHARED_SHARE * float(np.median([_size(place, p_map) for place in places]))
     indices = []
     for p, label, q, other in ((p_nav, b, p_map, a), (p_map, a, p_nav, b)):

@@ -118,7 +118,7 @@ def _two_clouds(clouds: Sequence[FloatArray], title: str, unit: str) -> Figure:
             ax.scatter(p[:, i], p[:, j], s=2.5, c=colour, alpha=0.55, linewidths=0, label=f"{name} ({len(p):,})")
         _frame(ax, limits, (i, j), unit)
         ax.set_title(f"{title}, from {view}" if view == "above" else f"{title}, from the front")
-    axes[0].legend(markerscale=4, loc="upper right", handletextpad=0.1)
+    _legend_below(figure, axes[0], markerscale=4)
     return figure
 
 
@@ -174,7 +174,7 @@ def draw_matches(scene: Scene) -> Figure | None:
             label="match: place (number) to location (diamond)")  # fmt: skip
     if scene.correct:
         ax.plot([], [], c=WRONG, lw=2.5, label="wrong by the recorded poses")
-    ax.legend(loc="upper right")
+    _legend_below(figure, ax)
     return figure
 
 
@@ -208,7 +208,7 @@ def draw_trajectories(scene: Scene) -> Figure | None:
         ax.plot([], [], c="#6B7280", lw=0.9, ls=style, label=f"edge: {name}")
     _frame(ax, _limits(extent), (0, 1), scene.unit)
     ax.set_title("place graph and trajectories, from above")
-    ax.legend(loc="upper right", fontsize=8)
+    _legend_below(figure, ax)
     return figure
 
 
@@ -288,6 +288,11 @@ def _frame(ax: Axes, limits: tuple[FloatArray, FloatArray], axes: tuple[int, int
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlabel(f"{'xyz'[i]} ({unit})")
     ax.set_ylabel(f"{'xyz'[j]} ({unit})")
+
+
+def _legend_below(figure: Figure, ax: Axes, markerscale: float = 1.0) -> None:
+    figure.legend(*ax.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=3,
+                  markerscale=markerscale, columnspacing=1.6)  # fmt: skip
 
 
 def _label(ax: Axes, at: FloatArray, text: str, colour: str) -> None:

@@ -21,9 +21,10 @@ MIN_LANDMARKS = 10  # fewer points have no centroid worth naming
 MIN_SHARE = 0.25  # of the median hill: crumbs at the edge of the view come and go from drive to drive
 CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only bounds the work in dense clouds
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
-SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
+SMOOTHING_SHARE = 0.1  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
 SAMPLE = 16  # points that a kernel needs to tell a hill from chance: sparse clouds are smoothed more
 MIN_PROMINENCE = 0.2  # a hill rises so much of its height above the saddle to its neighbour, or it is a part of it
+MAX_SPAN = 0.5  # of the viewing distance: peaks farther apart are two places, however even the wall between them
 MIN_SIGNIFICANCE = 2.0  # and so many standard deviations: what chance makes in one drive of 20
 
 
@@ -118,7 +119,14 @@ def cluster_default(navigation: Navigation, config: PlacesConfig, lengths: Lengt
     reach = smoothing * config.eps_factor
     cells = voxelise(p, smallest=CELL_SHARE * unit, max_cells=config.voxelise_above)
     density = smooth_density(cells.p, equalising_weights(cells, EQUAL_SHARE * unit), smoothing)
-    modes = climb(cells.p, density, reach, MIN_PROMINENCE, MIN_SIGNIFICANCE)
+    modes = climb(
+        cells.p,
+        density,
+        reach=reach,
+        min_prominence=MIN_PROMINENCE,
+        min_significance=MIN_SIGNIFICANCE,
+        max_span=config.size_factor * MAX_SPAN * unit,
+    )
     hill = modes.label[cells.cell_of_point]
     size = np.bincount(hill, minlength=len(modes.peak))
     kept = np.flatnonzero(size >= max(MIN_LANDMARKS, MIN_SHARE * np.median(size)))
@@ -130,6 +138,7 @@ def cluster_default(navigation: Navigation, config: PlacesConfig, lengths: Lengt
         "smoothing": smoothing,
         "reach": reach,
         "cell": cells.size,
+        "max_span": config.size_factor * MAX_SPAN * unit,
         "min_prominence": MIN_PROMINENCE,
         "usable_landmarks": len(usable),
     }

@@ -12,13 +12,14 @@ from station.maps.map import Place, PlaceMap
 from station.navigation import Navigation
 from station.places.align import align_navigation
 from station.places.build import describe_clusters
-from station.places.clusters import NOISE, Clusters, Lengths, cluster_landmarks
+from station.places.clusters import MIN_LANDMARKS, NOISE, Clusters, Lengths, cluster_landmarks
 from station.places.config import PlacesConfig
 from station.places.extent import half_extent
 from station.places.registration import Registration
 
 MAX_DISTANCE_SHARE = 0.8  # of the place's half extent: a farther centroid is another place, or a part of this one
 MIN_SUPPORT = 0.5  # share of a location's landmarks that lie in the place
+MIN_PART = 0.2  # of a location's landmarks in one place: less is its blurred edge
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,8 @@ class MatchResult:
     """What a second navigation has in common with the map."""
 
     registration: Registration
-    locations: tuple[Place, ...]  # in the navigation's own frame
+    clusters: Clusters  # of the navigation alone, before the map had a say
+    locations: tuple[Place, ...]  # in the navigation's own frame; in the default mode cut and joined like the places
     matches: tuple[PlaceMatch, ...]  # one-to-one, closest first
     refused: tuple[tuple[PlaceMatch, str], ...]  # pairs that a stricter look turned down, with the reason
     position_map: FloatArray  # (F, 3) the robot's camera at every keyframe; (0, 3) without a registration
@@ -53,17 +55,18 @@ def match_navigation(
     config = config or PlacesConfig()
     registration = align_navigation(place_map, navigation, config, seed=seed)
     T_map_nav = registration.T_target_source if registration.accepted else None
-    clusters = cluster_landmarks(navigation, config, lengths=_lengths_of(place_map, registration))
+    clusters = own = cluster_landmarks(navigation, config, lengths=_lengths_of(place_map, registration))
     if T_map_nav is not None and config.mode == "default":
-        clusters = _join_parts(place_map, navigation, clusters, T_map_nav)
+        clusters = _regroup(place_map, navigation, clusters, T_map_nav)
     locations = describe_clusters(navigation, clusters, config, prefix="Location ")
     if T_map_nav is None:
-        return MatchResult(registration, locations, (), (), np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
+        return MatchResult(registration, own, locations, (), (), np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
     pairs = _one_to_one(place_map, navigation, locations, T_map_nav)
     judged = [(pair, "" if config.mode == "thesis" else _objection(place_map, pair)) for pair in pairs]
     position_map = transform(T_map_nav, navigation.keyframes.T_world_cam[:, :3, 3])
     return MatchResult(
         registration=registration,
+        clusters=own,
         locations=locations,
         matches=tuple(pair for pair, reason in judged if not reason),
         refused=tuple((pair, reason) for pair, reason in judged if reason),
@@ -115,27 +118,35 @@ def _objection(place_map: PlaceMap, match: PlaceMatch) -> str:
     return ""
 
 
-def _join_parts(place_map: PlaceMap, navigation: Navigation, clusters: Clusters, T_map_nav: FloatArray) -> Clusters:
-    """Locations that are parts of one place become one: a drive that sees less of it may see it in two pieces."""
-    if not place_map.places or clusters.count < 2:
+def _regroup(place_map: PlaceMap, navigation: Navigation, clusters: Clusters, T_map_nav: FloatArray) -> Clusters:
+    """Locations cut where the map's places meet, and joined where they are parts of one place.
+
+    Two drives rarely cut one wall at the same spot. Where the clouds lie on each other, the map already says where
+    its places end; a location takes part with the landmarks that it saw itself, or keeps its own shape where the map
+    has nothing.
+    """
+    if not place_map.places or not clusters.count:
         return clusters
     territory = _Territory(place_map)
     p_map = transform(T_map_nav, navigation.landmarks.p_world)
-    owner: dict[int, int] = {}
-    target = list(range(clusters.count))
+    label = np.full(len(clusters.label), NOISE, dtype=np.int64)
+    quality: list[float] = []
+    group_of_place: dict[int, int] = {}
     for k in range(clusters.count):
-        place = territory.place_of(p_map[clusters.members(k)])
+        members = clusters.members(k)
+        place = territory.place_of(p_map[members])
         counts = np.bincount(place[place >= 0], minlength=len(place_map.places))
-        i = int(counts.argmax())
-        if counts[i] >= PART_SUPPORT * len(place):
-            target[k] = owner.setdefault(i, k)
-    kept, new = np.unique(target, return_inverse=True)
-    label = np.where(clusters.label == NOISE, NOISE, new[np.maximum(clusters.label, 0)])
-    quality = np.array([clusters.quality[[k for k, t in enumerate(target) if t == g]].mean() for g in kept])
-    return replace(clusters, label=label.astype(np.int64), quality=quality)
-
-
-PART_SUPPORT = 0.8  # share of a location's landmarks in one place that makes it a part of it
+        parts = np.flatnonzero((counts >= MIN_LANDMARKS) & (counts >= MIN_PART * len(members)))
+        if not len(parts) or counts[parts].sum() < MIN_SUPPORT * len(members):
+            label[members] = len(quality)
+            quality.append(float(clusters.quality[k]))
+            continue
+        for i in parts.tolist():
+            if i not in group_of_place:
+                group_of_place[i] = len(quality)
+                quality.append(float(clusters.quality[k]))
+            label[members[place == i]] = group_of_place[i]
+    return replace(clusters, label=label, quality=np.array(quality))
 
 
 class _Territory:

@@ -61,13 +61,23 @@ def smooth_density(p: FloatArray, weight: FloatArray, bandwidth: float) -> Densi
     return Density(value, np.sqrt(variance))
 
 
-def climb(p: FloatArray, density: Density, reach: float, min_prominence: float, min_significance: float) -> Modes:
+def climb(
+    p: FloatArray,
+    density: Density,
+    *,
+    reach: float,
+    min_prominence: float,
+    min_significance: float,
+    max_span: float = np.inf,
+) -> Modes:
     """Hills of the density on the graph of cells closer than `reach`.
 
     Cells join from the highest down. Where two hills meet, the lower one becomes part of the other when it rises
     less than `min_prominence` of its own height, or less than `min_significance` of its standard deviations, above
-    the saddle: another drive would not see it. Source: Chazal et al., "Persistence-based clustering in Riemannian
-    manifolds" (ToMATo), JACM 60(6), 2013, algorithm 1; the relative threshold and the significance are ours.
+    the saddle: another drive would not see it. Peaks farther apart than `max_span` stay two hills, so that an evenly
+    covered wall does not become one. Source: Chazal et al., "Persistence-based clustering in Riemannian
+    manifolds" (ToMATo), JACM 60(6), 2013, algorithm 1; the relative threshold, the significance and
+    the span are ours.
     """
     value = density.value
     rise = np.maximum(min_prominence * value, min_significance * density.sigma)
@@ -97,7 +107,8 @@ def climb(p: FloatArray, density: Density, reach: float, min_prominence: float, 
                 if a == b:
                     continue
                 low, high = (a, b) if rank[a] > rank[b] else (b, a)
-                if value[low] - value[i] < rise[low]:
+                near_enough = np.linalg.norm(p[low] - p[high]) <= max_span
+                if value[low] - value[i] < rise[low] and near_enough:
                     parent[low] = high
                 else:
                     for top in (low, high):

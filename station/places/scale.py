@@ -7,6 +7,8 @@ import numpy as np
 from shared.geometry import FloatArray
 from station.navigation import Navigation
 
+UP_PRIOR = 0.02  # weight of the cameras' mean up against their lack of roll
+
 
 def viewing_distance(navigation: Navigation) -> float | None:
     """Median distance between cameras and the landmarks they see, in map units; None without a finite landmark.
@@ -44,16 +46,18 @@ def observation_distances(navigation: Navigation) -> FloatArray:
 def ground_rotation(navigation: Navigation) -> FloatArray:
     """Rotation R_ground_map (3, 3) to axes whose z is up.
 
-    Identity where gravity is known. Elsewhere up is the mean of the cameras' up (-y): people and robots hold cameras
-    level on the whole; good enough to draw and to give bearings, never used to estimate.
+    Identity where gravity is known. Elsewhere up is what the cameras' horizontal axes are most perpendicular to:
+    people and robots hold cameras without roll on the whole, but look down. Good enough to draw and to give
+    bearings, never used to estimate.
     """
     T = navigation.keyframes.T_world_cam
     if navigation.is_gravity_aligned or not len(T):
         return np.eye(3)
-    up = -T[:, :3, 1].mean(axis=0)
-    if np.linalg.norm(up) < 1e-6:
-        return np.eye(3)
-    z = up / np.linalg.norm(up)
+    right, mean_up = T[:, :3, 0], -T[:, :3, 1].mean(axis=0)
+    # A drive that never turned leaves a circle of directions open: the mean of the cameras' up decides among them.
+    M = right.T @ right / len(T) - UP_PRIOR * np.outer(mean_up, mean_up)
+    z = np.linalg.eigh(M)[1][:, 0]
+    z = z if z @ mean_up >= 0 else -z
     x = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = x - z * (x @ z)
     x /= np.linalg.norm(x)

@@ -1,0 +1,85 @@
+"""`station map`: places, their graph and their names from one or more navigations."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from shared.errors import DataError
+from station.commands.experiment import places_config
+from station.maps.folder import load_map_folder, save_map_folder
+from station.navigation_files import load_navigation
+from station.places.build import build_map, carry_names
+from station.places.graph import shortest_route, to_graphml, to_json_dict
+
+
+def register(app: typer.Typer) -> None:
+    maps = typer.Typer(no_args_is_help=True, help="Places, their graph and their names.")
+    maps.command("build")(build)
+    maps.command("show")(show)
+    maps.command("route")(route)
+    app.add_typer(maps, name="map")
+
+
+def build(
+    navigations: Annotated[
+        list[Path], typer.Argument(help="Folders written by `station slam`; the longest is mapped.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the map.")],
+    name: Annotated[str, typer.Option(help="Name of the map.")] = "",
+    mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
+    eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
+    min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
+    names_from: Annotated[Path | None, typer.Option(help="A map of the same navigation whose names are kept.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
+) -> None:
+    """Cluster a navigation's landmarks into named places and write the map, with its graph as GraphML beside it."""
+    config = places_config(mode, eps, min_pts, 0.75)
+    loaded = [load_navigation(path) for path in navigations]
+    if len(loaded) > 1:
+        raise DataError(f"{len(loaded)} navigations were given; a map is built from one: give the most complete")
+    place_map = build_map(loaded[0], config=config, name=name)
+    if names_from is not None:
+        old = load_map_folder(names_from)
+        if old.navigation.id != loaded[0].id:
+            raise DataError(f"{names_from} was made from {old.navigation.id}, not {loaded[0].id}; give its own map")
+        place_map = carry_names(old, place_map)
+    save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
+    if as_json:
+        print(json.dumps(to_json_dict(place_map)))
+        return
+    for place in place_map.places:
+        print(f"{place.name}: {len(place.landmark_index)} landmarks, quality {place.quality:.2f}")
+    print(f"{len(place_map.places)} places, {len(place_map.edges)} edges, written to {out}")
+
+
+def show(
+    path: Annotated[Path, typer.Argument(metavar="MAP", help="Folder written by `station map build`.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
+) -> None:
+    """List a map's places and edges."""
+    place_map = load_map_folder(path)
+    if as_json:
+        print(json.dumps(to_json_dict(place_map)))
+        return
+    print(f"{place_map.name} ({place_map.id})")
+    for place in place_map.places:
+        print(f"  {place.name}: {len(place.landmark_index)} landmarks, {len(place.keyframe_index)} images")
+    name = {place.id: place.name for place in place_map.places}
+    for edge in place_map.edges:
+        print(f"  {name[edge.a]} - {name[edge.b]}: {edge.distance:.2f}, {edge.kind}")
+
+
+def route(
+    path: Annotated[Path, typer.Argument(metavar="MAP", help="Folder written by `station map build`.")],
+    start: Annotated[str, typer.Argument(help="Name or id of a place.")],
+    goal: Annotated[str, typer.Argument(help="Name or id of a place.")],
+) -> None:
+    """The shortest way between two places."""
+    found = shortest_route(load_map_folder(path), start, goal)
+    if found is None:
+        raise DataError(f"no edges lead from {start} to {goal}")
+    print(f"{' > '.join(found.names)} ({found.length:.2f})")

@@ -1,0 +1,45 @@
+"""`station match`: a navigation's locations against a map's places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from station.commands.experiment import finish, places_config
+from station.datasets import open_dataset
+from station.evaluation.matches import judge_matches
+from station.experiments.experiment import Experiment, Story
+from station.maps.folder import load_map_folder
+from station.navigation_files import load_navigation
+from station.places.match import match_navigation
+
+
+def register(app: typer.Typer) -> None:
+    app.command()(match)
+
+
+def match(
+    path: Annotated[Path, typer.Argument(metavar="MAP", help="Folder written by `station map build`.")],
+    navigation: Annotated[Path, typer.Argument(help="Folder written by `station slam`.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for results.json, report.html and figures.")],
+    mode: Annotated[str, typer.Option(help="thesis or default; as the map was built.")] = "default",
+    eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
+    min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
+    inlier_ratio: Annotated[float, typer.Option(help="Thesis mode: share of the closest pairs kept.")] = 0.75,
+    truth1: Annotated[Path | None, typer.Option(help="Dataset with true poses of the map's drive.")] = None,
+    truth2: Annotated[Path | None, typer.Option(help="Dataset with true poses of the navigation's drive.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
+) -> None:
+    """Register a navigation to a map, match its locations with the places, and write a report."""
+    place_map, second = load_map_folder(path), load_navigation(navigation)
+    config = places_config(mode, eps, min_pts, inlier_ratio)
+    result = match_navigation(place_map, second, config, seed=seed)
+    truths = [open_dataset(truth).truth() if truth is not None else None for truth in (truth1, truth2)]
+    judgement = None
+    if truths[0] is not None and truths[1] is not None:
+        judgement = judge_matches(place_map, truths[0], second, truths[1], result)
+    story = Story(title=f"{navigation.name} in {place_map.name}")
+    finish(Experiment(story, place_map, second, result, judgement, config, seed, {}), out, as_json)
