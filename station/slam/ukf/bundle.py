@@ -1,0 +1,267 @@
+"""Visual-inertial least squares over a window of poses (docs/slam.md, sec. 7; thesis eqs. 2.10-2.13).
+
+Unknown per pose: (phi, v, x, b_omega, b_a) with R = exp(phi) R_mean and the rest added. Points are solved for given the
+poses in every iteration and projected out of the Jacobian (variable projection), so that only poses remain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from shared.calibration import ImuNoise
+from shared.errors import DegenerateGeometry
+from shared.geometry import FloatArray
+from station.slam.frontend.lens import BoolArray
+from station.slam.ukf import lie
+from station.slam.ukf.measurement import CameraModel, jacobians, observation_pose, pose_jacobian
+from station.slam.ukf.preintegration import Preintegration
+from station.slam.ukf.state import ErrorKind
+from station.slam.ukf.triangulation import Triangulation, triangulate
+
+N = 15  # unknowns per pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowStates:
+    """K poses with velocities and biases."""
+
+    R: FloatArray  # (K, 3, 3)
+    v: FloatArray  # (K, 3)
+    x: FloatArray  # (K, 3)
+    bias: FloatArray  # (K, 6) gyro, accel
+    omega: FloatArray  # (K, 3) rad/s body, for rolling shutter only
+
+    def moved(self, dx: FloatArray) -> WindowStates:
+        d = dx.reshape(-1, N)
+        return replace(
+            self,
+            R=lie.so3_exp(d[:, :3]) @ self.R,
+            v=self.v + d[:, 3:6],
+            x=self.x + d[:, 6:9],
+            bias=self.bias + d[:, 9:],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """What is known beforehand; the first pose's position and yaw fix the frame."""
+
+    bias_gyro: FloatArray  # (3,)
+    bias_accel: FloatArray  # (3,)
+    sigma_bias_gyro: float
+    sigma_bias_accel: float
+    sigma_frame: float = 1e-4  # rad and m
+    v_first: FloatArray | None = None  # (3,) world
+    sigma_v: float = 1.0
+    phi_first: FloatArray | None = None  # (3, 3) rotation that the first pose is known to have
+    sigma_phi: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowSolution:
+    states: WindowStates
+    covariance: FloatArray  # (15 K, 15 K)
+    points: Triangulation
+    used: BoolArray  # (F, K) observations that count
+    rms: float  # whitened reprojection error of those
+    has_converged: bool
+
+
+def solve_window(
+    camera: CameraModel,
+    noise: ImuNoise,
+    gravity: float,
+    states: WindowStates,
+    links: list[Preintegration],
+    uv_px: FloatArray,
+    xy: FloatArray,
+    seen: BoolArray,
+    prior: Prior,
+    iterations: int = 8,
+    huber: float = 2.0,
+) -> WindowSolution:
+    """Most likely poses, velocities, biases given IMU links (K - 1) and tracks (F, K, 2).
+
+    Raises:
+        DegenerateGeometry: fewer than 8 usable tracks, or the normal equations are singular.
+    """
+    K = len(states.x)
+    damping, cost, has_converged = 1e-6, np.inf, False
+    best = states
+    step = np.zeros(N * K)
+    for _ in range(iterations):
+        trial = best.moved(step)
+        H, g, trial_cost, points, used, rms = _normal_equations(
+            camera, noise, gravity, trial, links, uv_px, xy, seen, prior, huber
+        )
+        if trial_cost <= cost * (1.0 + 1e-9):
+            has_converged = cost - trial_cost < 1e-3 * max(1.0, trial_cost)
+            best, cost, kept = trial, trial_cost, (H, g, points, used, rms)
+            damping = max(damping * 0.1, 1e-9)
+            if has_converged:
+                break
+        else:
+            damping = max(damping * 30.0, 1e-4)
+        H, g = kept[0].copy(), kept[1]
+        H[np.diag_indices_from(H)] *= 1.0 + damping
+        try:
+            step = cho_solve(cho_factor(H, lower=True, check_finite=False), g, check_finite=False)
+        except np.linalg.LinAlgError as exc:
+            raise DegenerateGeometry("the window's motion leaves its poses open") from exc
+        size = float(np.abs(step).max())
+        if not np.isfinite(size):
+            raise DegenerateGeometry("the window's equations are singular")
+    H, _, points, used, rms = kept
+    try:
+        covariance = np.linalg.inv(H)
+    except np.linalg.LinAlgError as exc:
+        raise DegenerateGeometry("the window's motion leaves its poses open") from exc
+    return WindowSolution(best, 0.5 * (covariance + covariance.T), points, used, rms, has_converged)
+
+
+def _normal_equations(
+    camera: CameraModel,
+    noise: ImuNoise,
+    gravity: float,
+    states: WindowStates,
+    links: list[Preintegration],
+    uv_px: FloatArray,
+    xy: FloatArray,
+    seen: BoolArray,
+    prior: Prior,
+    huber: float,
+) -> tuple[FloatArray, FloatArray, float, Triangulation, BoolArray, float]:
+    """H (15 K, 15 K), g = J^T r (to be solved as H dx = g), robust cost, points, observations used, their rms."""
+    K = len(states.x)
+    H, g = np.zeros((N * K, N * K)), np.zeros(N * K)
+    cost = _add_prior(H, g, states, prior)
+    for i, link in enumerate(links):
+        r, J = _inertial_residual(states, i, link, gravity)
+        r, J = link.sqrt_information @ r, link.sqrt_information @ J
+        at = slice(N * i, N * i + 2 * N)
+        H[at, at] += J.T @ J
+        g[at] -= J.T @ r
+        cost += float(r @ r)
+        sigma = np.repeat([noise.gyro_walk, noise.accel_walk], 3) * np.sqrt(link.duration_s)
+        d = (states.bias[i + 1] - states.bias[i]) / sigma
+        a, b = np.arange(N * i + 9, N * i + 15), np.arange(N * i + 24, N * i + 30)
+        w = 1.0 / sigma**2
+        H[a, a] += w
+        H[b, b] += w
+        H[a, b] -= w
+        H[b, a] -= w
+        g[a] += d / sigma
+        g[b] -= d / sigma
+        cost += float(d @ d)
+    visual_cost, points, used, rms = _add_tracks(H, g, camera, states, uv_px, xy, seen, huber)
+    return H, g, cost + visual_cost, points, used, rms
+
+
+def _inertial_residual(
+    states: WindowStates, i: int, link: Preintegration, gravity: float
+) -> tuple[FloatArray, FloatArray]:
+    """Thesis eq. 2.11 and its derivative (9, 30) by poses i and i + 1."""
+    dR, dv, dp = link.at(states.bias[i])
+    Ri, Rj = states.R[i], states.R[i + 1]
+    T = link.duration_s
+    fall = np.array([0.0, 0.0, -gravity])
+    w_v = states.v[i + 1] - states.v[i] - fall * T
+    w_x = states.x[i + 1] - states.x[i] - states.v[i] * T - 0.5 * fall * T * T
+    r = np.concatenate([lie.so3_log(dR.T @ Ri.T @ Rj), Ri.T @ w_v - dv, Ri.T @ w_x - dp])
+    J = np.zeros((9, 2 * N))
+    Jr_inverse = lie.so3_left_jacobian_inverse(-r[:3])
+    J[:3, :3] = -Jr_inverse @ Rj.T
+    J[:3, N : N + 3] = -J[:3, :3]
+    J[:3, 9:12] = -lie.so3_left_jacobian_inverse(r[:3]) @ link.dR_by_bias
+    J[3:6, :3] = Ri.T @ lie.skew(w_v)
+    J[3:6, 3:6] = -Ri.T
+    J[3:6, N + 3 : N + 6] = Ri.T
+    J[3:6, 9:15] = -link.dv_by_bias
+    J[6:, :3] = Ri.T @ lie.skew(w_x)
+    J[6:, 3:6] = -T * Ri.T
+    J[6:, 6:9] = -Ri.T
+    J[6:, N + 6 : N + 9] = Ri.T
+    J[6:, 9:15] = -link.dp_by_bias
+    return r, J
+
+
+def _add_prior(H: FloatArray, g: FloatArray, states: WindowStates, prior: Prior) -> float:
+    """Bias priors on the first pose, and the frame: its position and yaw stay where they are."""
+    sigma = np.repeat([prior.sigma_bias_gyro, prior.sigma_bias_accel], 3)
+    r = (np.concatenate([prior.bias_gyro, prior.bias_accel]) - states.bias[0]) / sigma
+    at = np.arange(9, 15)
+    H[at, at] += 1.0 / sigma**2
+    g[at] += r / sigma
+    cost = float(r @ r)
+    held = np.array([2, 6, 7, 8])
+    H[held, held] += 1.0 / prior.sigma_frame**2
+    if prior.v_first is not None:
+        r = (prior.v_first - states.v[0]) / prior.sigma_v
+        at = np.arange(3, 6)
+        H[at, at] += 1.0 / prior.sigma_v**2
+        g[at] += r / prior.sigma_v
+        cost += float(r @ r)
+    if prior.phi_first is not None:
+        r = lie.so3_log(prior.phi_first @ states.R[0].T) / prior.sigma_phi
+        at = np.arange(3)
+        H[at, at] += 1.0 / prior.sigma_phi**2
+        g[at] += r / prior.sigma_phi
+        cost += float(r @ r)
+    return cost
+
+
+def _add_tracks(
+    H: FloatArray,
+    g: FloatArray,
+    camera: CameraModel,
+    states: WindowStates,
+    uv_px: FloatArray,
+    xy: FloatArray,
+    seen: BoolArray,
+    huber: float,
+) -> tuple[float, Triangulation, BoolArray, float]:
+    F, K = seen.shape
+    if camera.line_delay_s:
+        R, x = observation_pose(
+            states.R, states.x, states.v, states.omega, camera.row_delay_s(uv_px[..., 1])
+        )  # fmt: skip
+    else:
+        R, x = np.broadcast_to(states.R, (F, K, 3, 3)), np.broadcast_to(states.x, (F, K, 3))
+    points = triangulate(camera, R, x, xy, seen, 6)
+    good = points.is_good & (points.rms < 10.0)
+    if good.sum() < 8:
+        raise DegenerateGeometry("fewer than 8 tracks can be triangulated over the window")
+    used = seen & good[:, None]
+    p = np.where(good[:, None], points.p, 0.0)
+    spread = np.broadcast_to(p[:, None], (F, K, 3))
+    predicted, D, in_front, _ = jacobians(camera, R, x, spread)
+    used = used & in_front
+    W = camera.lens.whitening(xy, camera.sigma_px)
+    r = (W @ (xy - predicted)[..., None])[..., 0] * used[..., None]
+    size = np.linalg.norm(r, axis=-1)
+    weight = np.sqrt(np.minimum(1.0, huber / np.maximum(size, 1e-9))) * used
+    cost = float(np.where(size < huber, size**2, 2.0 * huber * size - huber**2).sum())
+    WD = W @ D * weight[..., None, None]
+    r = r * weight[..., None]
+    A = WD @ pose_jacobian(ErrorKind.PLAIN, R, x, spread)  # (F, K, 2, 6)
+    J_p = (WD @ np.swapaxes(R, 2, 3)).reshape(F, 2 * K, 3)
+    scale = np.maximum(np.linalg.norm(J_p, axis=1, keepdims=True), 1e-12)
+    Q = np.linalg.qr(J_p / scale)[0]
+    # H = sum_f A^T (I - Q Q^T) A, with A block-diagonal over the poses
+    At = A.reshape(F, K, 2, 6)
+    QA = np.einsum("fkdi,fkdj->fikj", Q.reshape(F, K, 2, 3), At).reshape(F, 3, 6 * K)
+    Qr = np.einsum("fki,fk->fi", Q, r.reshape(F, 2 * K))
+    full = -np.einsum("fia,fib->ab", QA, QA, optimize=True)
+    diagonal = np.einsum("fkdi,fkdj->kij", At, At)
+    for k in range(K):
+        at = slice(6 * k, 6 * k + 6)
+        full[at, at] += diagonal[k]
+    gradient = np.einsum("fkdi,fkd->ki", At, r).ravel() - np.einsum("fia,fi->a", QA, Qr)
+    index = (np.arange(K)[:, None] * N + np.array([0, 1, 2, 6, 7, 8])[None]).ravel()
+    H[np.ix_(index, index)] += full
+    g[index] += gradient
+    rms = float(np.sqrt((size[used] ** 2).mean() / 2.0)) if used.any() else np.inf
+    return cost, points, used, rms

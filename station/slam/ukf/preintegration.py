@@ -1,0 +1,97 @@
+"""Inertial readings between two poses as one measurement (docs/slam.md, sec. 7).
+
+Source: Forster et al., IEEE T-RO 33(1), 2017; thesis eq. 2.11.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.calibration import ImuNoise
+from shared.geometry import FloatArray
+from station.slam.ukf import lie
+from station.slam.ukf.propagation import ImuSegment, integrate
+
+BIAS_STEP = 1e-5  # rad/s and m/s^2, for derivatives by central differences
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preintegration:
+    """Motion in the first pose's body frame, without gravity, at the bias it was integrated with."""
+
+    duration_s: float
+    dR: FloatArray  # (3, 3)
+    dv: FloatArray  # (3,)
+    dp: FloatArray  # (3,)
+    dR_by_bias: FloatArray  # (3, 3) rotation vector (right side) by gyro bias
+    dv_by_bias: FloatArray  # (3, 6) by gyro and accel bias
+    dp_by_bias: FloatArray  # (3, 6)
+    sqrt_information: FloatArray  # (9, 9) upper triangular, of (phi, v, p)
+    bias: FloatArray  # (6,) gyro, accel
+
+    def at(self, bias: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """dR, dv, dp at a nearby bias, to first order."""
+        d = bias - self.bias
+        return (
+            self.dR @ lie.so3_exp(self.dR_by_bias @ d[:3]),
+            self.dv + self.dv_by_bias @ d,
+            self.dp + self.dp_by_bias @ d,
+        )
+
+
+def preintegrate(imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> Preintegration:
+    """Integrate a segment from identity, with derivatives by the bias and covariance."""
+    steps = np.concatenate([np.zeros((1, 6)), np.eye(6) * BIAS_STEP, -np.eye(6) * BIAS_STEP])
+    biases = bias + steps
+    zero = np.zeros((13, 3))
+    identity = np.broadcast_to(np.eye(3), (13, 3, 3))
+    Rs, vs, ps = integrate(identity, zero, zero, biases[:, :3], biases[:, 3:], imu, 0.0)
+    turn = lie.so3_log(Rs[-1, 0].T @ Rs[-1, 1:])
+    cov = _covariance(Rs[:, 0], imu, bias, noise)
+    return Preintegration(
+        duration_s=float(imu.dt_s.sum()),
+        dR=Rs[-1, 0],
+        dv=vs[-1, 0],
+        dp=ps[-1, 0],
+        dR_by_bias=((turn[:3] - turn[6:9]) / (2.0 * BIAS_STEP)).T,
+        dv_by_bias=((vs[-1, 1:7] - vs[-1, 7:]) / (2.0 * BIAS_STEP)).T,
+        dp_by_bias=((ps[-1, 1:7] - ps[-1, 7:]) / (2.0 * BIAS_STEP)).T,
+        sqrt_information=np.linalg.inv(np.linalg.cholesky(cov)),
+        bias=bias,
+    )
+
+
+def _covariance(Rs: FloatArray, imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> FloatArray:
+    """(9, 9) of (phi on the right, v, p). Forster et al., eq. A.9."""
+    P = np.zeros((9, 9))
+    turn = (imu.gyro - bias[:3]) * imu.dt_s[:, None]
+    back = np.swapaxes(lie.so3_exp(turn), 1, 2)
+    Jr = lie.so3_left_jacobian(-turn)
+    force = lie.skew(imu.accel - bias[3:])
+    for k, dt in enumerate(imu.dt_s):
+        A = np.eye(9)
+        A[:3, :3] = back[k]
+        A[3:6, :3] = -dt * Rs[k] @ force[k]
+        A[6:, :3] = 0.5 * dt * A[3:6, :3]
+        A[6:, 3:6] = dt * np.eye(3)
+        B = np.zeros((9, 6))
+        B[:3, :3] = Jr[k]
+        B[3:6, 3:] = Rs[k]
+        B[6:, 3:] = 0.5 * dt * Rs[k]
+        q = np.repeat([noise.gyro_density**2, noise.accel_density**2], 3) * dt * imu.noise_scale[k] ** 2
+        P = A @ P @ A.T + (B * q) @ B.T
+    P[6:, 6:] += np.eye(3) * 1e-12
+    return P + np.eye(9) * 1e-14
+
+
+def compose(parts: list[Preintegration]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Motion from the first pose to each of the N + 1 poses: R (N + 1, 3, 3), v, p (N + 1, 3), times (N + 1,)."""
+    R, v, p, t = [np.eye(3)], [np.zeros(3)], [np.zeros(3)], [0.0]
+    for part in parts:
+        p.append(p[-1] + v[-1] * part.duration_s + R[-1] @ part.dp)
+        v.append(v[-1] + R[-1] @ part.dv)
+        R.append(R[-1] @ part.dR)
+        t.append(t[-1] + part.duration_s)
+    return np.array(R), np.array(v), np.array(p), np.array(t)
