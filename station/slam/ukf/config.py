@@ -17,7 +17,7 @@ class FilterConfig:
     use_sigma_points: bool = True  # False with RIGHT: the invariant EKF
     spread: float = 1.0  # sigma points lie that many standard deviations out
     num_landmarks: int = 30  # p, at most
-    num_clones: int = 12
+    num_clones: int = 18
     keyframe_parallax_px: float = 8.0  # the newest clone replaces its predecessor until the image moved that much
     sigma_px: float = 1.0
     gate_probability: float = 0.95
@@ -25,7 +25,7 @@ class FilterConfig:
     window_gate_slack: float = 1.0
     huber: float = 1.5
     min_track_observations: int = 4
-    min_landmark_observations: int = 6
+    min_landmark_observations: int = 12  # earlier, depth is far from Gaussian
     max_track_rms: float = 3.0  # whitened; a triangulation that fits worse is an outlier
     max_window_tracks: int = 30  # per frame, longest first: bounds the time per frame
     max_new_landmarks: int = 5  # per frame

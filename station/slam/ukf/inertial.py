@@ -13,6 +13,8 @@ from station.slam.ukf.propagation import ImuSegment
 
 MAX_ACCEL = 1000.0  # m/s^2; no IMU of ours reads more, but a broken file may
 MAX_GYRO = 100.0  # rad/s
+VIBRATION_SHARE = 0.1
+VIBRATION_WINDOW_NS = 250_000_000
 
 
 @dataclass(slots=True)
@@ -87,13 +89,13 @@ class ImuBuffer:
         gyro = np.vstack([self._at(start_ns, self._gyro), self._gyro[inside], self._at(end_ns, self._gyro)])
         accel = np.vstack([self._at(start_ns, self._accel), self._accel[inside], self._at(end_ns, self._accel)])
         dt = np.diff(t) * 1e-9
-        scale = np.ones(len(dt))
+        scale = np.broadcast_to(self._vibration(start_ns, end_ns), (len(dt), 2)).copy()
         gap = dt > 2.5 * self._expected_dt_s
         if gap.any():
             self.counts.gaps += int(gap.sum())
             self.counts.longest_gap_s = max(self.counts.longest_gap_s, float(dt.max()))
             # Motion between the ends is unknown: about 1 m/s^2 and 1 rad/s^2 of change, far above the white noise.
-            scale[gap] = 1.0 + 100.0 * dt[gap] / self._expected_dt_s
+            scale[gap] += 100.0 * dt[gap, None] / self._expected_dt_s
         limit = 0.999 * np.repeat([self._noise.gyro_range, self._noise.accel_range], 3)
         at_range = np.asarray((np.abs(np.hstack([gyro, accel])) >= limit).any(axis=1))
         if at_range.any():
@@ -109,6 +111,22 @@ class ImuBuffer:
             end_gyro=gyro[-1],
             noise_scale=scale,
         )
+
+    def _vibration(self, start_ns: int, end_ns: int) -> FloatArray:
+        """How much larger (2,) gyro and accel noise are than on a resting sensor, from the data alone.
+
+        The third difference of neighbouring samples removes motion and keeps what alternates from sample to sample:
+        noise, and vibration that sampling has folded down. Of the latter, VIBRATION_SHARE does not average out.
+        """
+        a, b = np.searchsorted(self._t, [start_ns - VIBRATION_WINDOW_NS, end_ns + 1])
+        if b - a < 8:
+            return np.ones(2)
+        values = np.hstack([self._gyro[a:b], self._accel[a:b]])
+        third = values[3:] - 3.0 * values[2:-1] + 3.0 * values[1:-2] - values[:-3]
+        power = (third * third).mean(axis=0) / 20.0  # 1 + 9 + 9 + 1
+        measured = np.sqrt(power.reshape(2, 3).mean(axis=1))
+        at_rest = np.array([self._noise.gyro_density, self._noise.accel_density]) / np.sqrt(self._expected_dt_s)
+        return np.sqrt(1.0 + (VIBRATION_SHARE * measured / at_rest) ** 2)
 
     def _at(self, t_ns: int, values: FloatArray) -> FloatArray:
         """Value (3,) at a time, linear between samples, held beyond them; zero without any."""

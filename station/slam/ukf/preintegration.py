@@ -66,6 +66,7 @@ def preintegrate(imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> Preinteg
 def _covariance(Rs: FloatArray, imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> FloatArray:
     """(9, 9) of (phi on the right, v, p). Forster et al., eq. A.9."""
     P = np.zeros((9, 9))
+    density = np.array([noise.gyro_density, noise.accel_density])
     turn = (imu.gyro - bias[:3]) * imu.dt_s[:, None]
     back = np.swapaxes(lie.so3_exp(turn), 1, 2)
     Jr = lie.so3_left_jacobian(-turn)
@@ -80,7 +81,7 @@ def _covariance(Rs: FloatArray, imu: ImuSegment, bias: FloatArray, noise: ImuNoi
         B[:3, :3] = Jr[k]
         B[3:6, 3:] = Rs[k]
         B[6:, 3:] = 0.5 * dt * Rs[k]
-        q = np.repeat([noise.gyro_density**2, noise.accel_density**2], 3) * dt * imu.noise_scale[k] ** 2
+        q = np.repeat(np.square(density * imu.noise_scale[k]), 3) * dt
         P = A @ P @ A.T + (B * q) @ B.T
     P[6:, 6:] += np.eye(3) * 1e-12
     return P + np.eye(9) * 1e-14

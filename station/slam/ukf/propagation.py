@@ -40,7 +40,7 @@ class ImuSegment:
     accel: FloatArray  # (N, 3) m/s^2, with bias
     end_t_ns: int
     end_gyro: FloatArray  # (3,) reading at the end
-    noise_scale: FloatArray  # (N,) >= 1: standard deviations are this much larger (gaps, saturation)
+    noise_scale: FloatArray  # (N, 2) >= 1: gyro and accel noise are this much larger (vibration, gaps, saturation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,9 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
     # Sigma points: the mean, then +- spread times each active column.
     steps = np.concatenate([L[:, :active], -L[:, :active]], axis=1).T * spread  # (2 active, n)
     rows_p = state.first_landmark_row
-    xi = np.concatenate([steps[:, XI_V], steps[:, XI_X], steps[:, rows_p:]], axis=1).reshape(2 * active, -1, 3)
+    xi = np.concatenate([steps[:, XI_V], steps[:, XI_X], steps[:, rows_p:]], axis=1).reshape(
+        2 * active, 2 + state.num_landmarks, 3
+    )
     R_pts, X_pts = retract_group(config.error, state.R, state.X, steps[:, PHI], xi)
     b_pts = biases + steps[:, :6]
     R_all = np.concatenate([state.R[None], R_pts])
@@ -113,7 +115,9 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
     if active:
         X_pts_end = np.concatenate([vs[-1, 1:, None], xs[-1, 1:, None], X_pts[:, 2:]], axis=1)
         phi_end, xi_end = difference_group(config.error, R_end, X_end, Rs[-1, 1:], X_pts_end)
-        ends = np.concatenate([phi_end[:, None], xi_end], axis=1).reshape(2 * active, -1)  # phi, v, x, landmarks
+        ends = np.concatenate([phi_end[:, None], xi_end], axis=1).reshape(
+            2 * active, 9 + 3 * state.num_landmarks
+        )  # phi, v, x, landmarks
         odd = (ends[:active] - ends[active:]).T / (2.0 * spread)
         even = (ends[:active] + ends[active:]).T / (2.0 * spread)
         new[core, :active], new[rows_p:, :active] = odd[:9], odd[9:]
@@ -130,7 +134,7 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
     elif config.error is ErrorKind.LEFT:
         turn_back = R_end.T @ state.R
         tail = new[rows_p:, active:]
-        new[rows_p:, active:] = (turn_back @ tail.reshape(-1, 3, tail.shape[1])).reshape(tail.shape)
+        new[rows_p:, active:] = (turn_back @ tail.reshape(state.num_landmarks, 3, tail.shape[1])).reshape(tail.shape)
 
     driven = np.zeros((len(L), 9 + 6))
     driven[core, :9] = noise_map
@@ -153,7 +157,7 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
 
 def _landmark_rows(p: FloatArray, phi_columns: FloatArray) -> FloatArray:
     """Right-invariant landmark errors (3p, c) that keep landmarks still while the rotation error moves by (3, c)."""
-    return (lie.skew(p) @ phi_columns).reshape(-1, phi_columns.shape[1])
+    return (lie.skew(p) @ phi_columns).reshape(3 * len(p), phi_columns.shape[1])
 
 
 def _linear_maps(
@@ -178,7 +182,7 @@ def _linear_maps(
     B[:, 6:, 3:] = Rs[:-1] * (0.5 * dt)[:, None, None]
     B = _transition(left_s, gravity) @ B
     density = np.concatenate([np.full(3, noise.gyro_density), np.full(3, noise.accel_density)])
-    scaled = B * (density * np.sqrt(dt)[:, None] * imu.noise_scale[:, None])[:, None, :]
+    scaled = B * (density * np.sqrt(dt)[:, None] * np.repeat(imu.noise_scale, 3, axis=1))[:, None, :]
     noise_map = triangular(np.swapaxes(scaled, 0, 1).reshape(9, -1)) if N > 1 else _square(scaled[0])
     bias_map = -np.einsum("nij,n->ij", B, dt)
     return noise_map, bias_map, _transition(np.array([dt.sum()]), gravity)[0]
