@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 from robot.devices.ports import CapturedFrame, ImuReading
-from shared.messages import MAX_IMU_SAMPLES_PER_BATCH, ImuBatch, ImuSample
+from shared.messages import (
+    MAX_FRAMES_IN_FLIGHT,
+    MAX_IMU_IN_FLIGHT,
+    MAX_IMU_SAMPLES_PER_BATCH,
+    ImuBatch,
+    ImuSample,
+)
 
 
 class ImuBacklog:
@@ -81,6 +88,8 @@ class ImuCursor:
     def __init__(self, backlog: ImuBacklog, position: int) -> None:
         self._backlog = backlog
         self._position = position
+        self._in_flight: deque[tuple[int, int]] = deque()  # (next sequence, samples) of batches not confirmed yet
+        self._num_in_flight = 0
         self.lost = 0
 
     @classmethod
@@ -97,7 +106,9 @@ class ImuCursor:
         return self._position >= self._backlog.end
 
     def next_batch(self) -> ImuBatch | None:
-        """The next samples for this station; None when it has all."""
+        """The next samples for this station; None when it has all, or has not confirmed enough of them."""
+        if self._num_in_flight >= MAX_IMU_IN_FLIGHT:
+            return None
         if self._position < self._backlog.begin:
             self.lost += self._backlog.begin - self._position
             self._position = self._backlog.begin
@@ -105,7 +116,14 @@ class ImuCursor:
         if found is None:
             return None
         batch, self._position = found
+        self._in_flight.append((batch.next_sequence, len(batch.samples)))
+        self._num_in_flight += len(batch.samples)
         return batch
+
+    def confirm(self, next_sequence: int) -> None:
+        """The station has everything before this number."""
+        while self._in_flight and self._in_flight[0][0] <= next_sequence:
+            self._num_in_flight -= self._in_flight.popleft()[1]
 
 
 @dataclass
@@ -126,6 +144,7 @@ class FrameCursor:
     def __init__(self, slot: FrameSlot) -> None:
         self._slot = slot
         self._sent = slot.count
+        self._in_flight: deque[int] = deque()  # numbers of frames not confirmed yet
         self.skipped = 0
 
     @property
@@ -134,11 +153,17 @@ class FrameCursor:
         return self._slot.count == self._sent
 
     def next_frame(self) -> tuple[int, int, CapturedFrame] | None:
-        """(sequence number, frames skipped before it, frame); None when there is no new one."""
+        """(sequence number, frames skipped before it, frame); None when there is no new one, or enough on the way."""
         frame = self._slot.newest
-        if frame is None or self._slot.count == self._sent:
+        if frame is None or self.is_at_end or len(self._in_flight) >= MAX_FRAMES_IN_FLIGHT:
             return None
         skipped = self._slot.count - self._sent - 1
         self._sent = self._slot.count
         self.skipped += skipped
+        self._in_flight.append(self._slot.count - 1)
         return self._slot.count - 1, skipped, frame
+
+    def confirm(self, seq: int) -> None:
+        """The station has this frame and all before it."""
+        while self._in_flight and self._in_flight[0] <= seq:
+            self._in_flight.popleft()

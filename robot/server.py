@@ -25,6 +25,7 @@ from shared.messages import (
     Heartbeat,
     Hello,
     Join,
+    Received,
     Refusal,
     StationMessage,
     Status,
@@ -36,7 +37,6 @@ logger = logging.getLogger(__name__)
 
 TICK_S = 0.05  # also the interval of drive reports: 20 Hz
 TICKS_PER_STATUS = 20
-SEND_BUFFER_BYTES = 128 * 1024  # what the kernel holds is stale when it arrives: keep it to a few frames
 
 
 class RobotServer:
@@ -116,7 +116,6 @@ class RobotServer:
 
     def _take_in(self, tasks: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         connection = writer.get_extra_info("socket")
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client = StationClient(self._next_client_id, reader, writer, self._now_ns)
         self._next_client_id += 1
@@ -144,6 +143,9 @@ class RobotServer:
     def _handle(self, client: StationClient, message: Join | StationMessage) -> None:
         if isinstance(message, Join):
             self._welcome(client, message)
+            return
+        if isinstance(message, Received):
+            client.confirm(message)
             return
         if isinstance(message, Heartbeat):
             t_robot_ns = self._devices.clock()

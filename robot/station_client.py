@@ -10,7 +10,7 @@ from collections.abc import Callable
 from robot.commands import notice
 from robot.outbox import FrameCursor, ImuCursor
 from shared.errors import RemoteProtocolError
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Join, Message, Refusal, StationMessage
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Join, Message, Received, Refusal, StationMessage
 from shared.session import Event, Session, State, Tick
 
 logger = logging.getLogger(__name__)
@@ -59,6 +59,13 @@ class StationClient:
     def has_all(self) -> bool:
         """Whether all sensor data have been sent to it."""
         return (self.imu is None or self.imu.is_at_end) and (self.frames is None or self.frames.is_at_end)
+
+    def confirm(self, received: Received) -> None:
+        """The station has taken something in: there is room for more on the way."""
+        if self.imu is not None and self.frames is not None:
+            self.imu.confirm(received.next_imu_sequence)
+            self.frames.confirm(received.frame_seq)
+            self._wake.set()
 
     def wake(self) -> None:
         """There may be something new to send."""

@@ -17,6 +17,8 @@ PROTOCOL_VERSION = 1
 MAX_NAME_LENGTH = 64
 MAX_SENTENCE_LENGTH = 1000
 MAX_IMU_SAMPLES_PER_BATCH = 256
+MAX_FRAMES_IN_FLIGHT = 3  # 30 fps as long as the round trip stays below 100 ms
+MAX_IMU_IN_FLIGHT = 1024  # samples: 4.5 s at 225 Hz
 MAX_IMAGE_SIDE_PX = 8192
 MAX_LIST_LENGTH = 32
 MAX_LINEAR_M_S = 3.0  # a robot in a home is slower; its own limits travel in the hello
@@ -101,6 +103,17 @@ class HeartbeatReply(_Message, frozen=True, kw_only=True, tag="heartbeat_reply")
     t_station_ns: int  # as received
     t_robot_received_ns: int
     t_robot_sent_ns: int
+
+
+class Received(_Message, frozen=True, kw_only=True, tag="received"):
+    """What the station has taken in, after each frame and with each heartbeat.
+
+    The robot lets only MAX_FRAMES_IN_FLIGHT and MAX_IMU_IN_FLIGHT be on the way: a stalled station or network must not
+    fill the kernels' buffers with the past.
+    """
+
+    frame_seq: int  # of the newest frame; -1: none yet
+    next_imu_sequence: int  # the first sample not yet received; -1: none yet
 
 
 class CameraFrame(_Message, frozen=True, kw_only=True, tag="frame"):
@@ -228,7 +241,7 @@ class ErrorNotice(_Message, frozen=True, kw_only=True, tag="error"):
 
 
 RobotMessage = Hello | Welcome | Refusal | HeartbeatReply | CameraFrame | ImuBatch | DriveApplied | Status | ErrorNotice
-StationMessage = Join | Heartbeat | Drive | Stop | PanTilt | Hijack | ErrorNotice
+StationMessage = Join | Heartbeat | Received | Drive | Stop | PanTilt | Hijack | ErrorNotice
 Message = RobotMessage | StationMessage
 
 # msgspec leaves broken UTF-8 a UnicodeDecodeError, which is a ValueError.

@@ -25,6 +25,7 @@ from shared.messages import (
     Join,
     Message,
     PanTilt,
+    Received,
     Refusal,
     StationMessage,
     Status,
@@ -41,10 +42,9 @@ logger = logging.getLogger(__name__)
 RETRY_S = 0.25  # a robot that just started is found well within two seconds
 CONNECT_WITHIN_S = 1.5
 TICK_S = 0.025
-RECEIVE_BUFFER_BYTES = 256 * 1024  # frames waiting in the kernel grow stale: keep room for a few only
 READ_BYTES = 256 * 1024
 # What is sent first when several things are due. Each kind has room for one: the newest wins.
-SENDING_ORDER: tuple[type, ...] = (Join, Stop, Hijack, Drive, PanTilt, Heartbeat)
+SENDING_ORDER: tuple[type, ...] = (Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
 
 
 class LinkListener(Protocol):
@@ -98,6 +98,7 @@ class RobotLink:
         self._reason = "not connected yet"
         self._hello: Hello | None = None
         self._next_imu_sequence = -1
+        self._newest_frame = -1
         self._clock = LinkClock()
         self._rates = RateMeter()
         self._connections = 0
@@ -236,7 +237,6 @@ class RobotLink:
             connection = socket.socket(family, kind, protocol)
             try:
                 connection.setblocking(False)
-                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 await loop.sock_connect(connection, address)
                 return await asyncio.open_connection(sock=connection, limit=READ_BYTES)
@@ -279,6 +279,7 @@ class RobotLink:
             for duty in session.tick(now_ns):
                 if duty is Tick.SEND_HEARTBEAT:
                     self._put(Heartbeat(seq=self._count(), t_station_ns=now_ns))
+                    self._confirm()
                 elif duty is Tick.CLOSE:
                     raise _Ended
             self._rates.sample(now_ns, self._frames, self._imu_samples, self._bytes)
@@ -291,6 +292,8 @@ class RobotLink:
             case CameraFrame():
                 self._frames += 1
                 self._frames_skipped += message.skipped
+                self._newest_frame = message.seq
+                self._confirm()
                 self._listener.on_frame(message, now_ns)
             case ImuBatch():
                 self._take_imu(message)
@@ -316,10 +319,14 @@ class RobotLink:
             case _:
                 pass
 
+    def _confirm(self) -> None:
+        self._put(Received(frame_seq=self._newest_frame, next_imu_sequence=self._next_imu_sequence))
+
     def _take_hello(self, hello: Hello) -> None:
         is_same_run = self._hello is not None and self._hello.session_id == hello.session_id
         if not is_same_run:  # another count of samples, and perhaps another clock
             self._next_imu_sequence = -1
+            self._newest_frame = -1
             self._clock = LinkClock()
         self._hello = hello
         self._put(

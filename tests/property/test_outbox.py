@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from robot.devices.ports import CapturedFrame, ImuReading
 from robot.outbox import FrameCursor, FrameSlot, ImuBacklog, ImuCursor
-from shared.messages import MAX_IMU_SAMPLES_PER_BATCH
+from shared.messages import MAX_FRAMES_IN_FLIGHT, MAX_IMU_IN_FLIGHT, MAX_IMU_SAMPLES_PER_BATCH
 
 
 def reading(sequence: int) -> ImuReading:
@@ -19,6 +19,7 @@ def drain(cursor: ImuCursor) -> list[int]:
     while (batch := cursor.next_batch()) is not None:
         assert 1 <= len(batch.samples) <= MAX_IMU_SAMPLES_PER_BATCH
         received += range(batch.first_sequence, batch.next_sequence)
+        cursor.confirm(batch.next_sequence)
         assert [s.gyro_imu[2] for s in batch.samples] == list(range(batch.first_sequence, batch.next_sequence))
     return received
 
@@ -89,7 +90,31 @@ def test_frames_sent_and_skipped_are_all_there_are(counts: list[int]) -> None:
             slot.put(CapturedFrame(number, 0, 1, 1, str(number).encode()))
         if (found := cursor.next_frame()) is not None:
             seq, skips, frame = found
+            cursor.confirm(seq)
             assert seq == frame.t_robot_ns == number
             sent, skipped = sent + 1, skipped + skips
         assert cursor.next_frame() is None
     assert sent + skipped == number and cursor.skipped == skipped
+
+
+def test_a_station_that_confirms_nothing_gets_little() -> None:
+    backlog, slot = ImuBacklog(5000), FrameSlot()
+    imu, frames = ImuCursor(backlog, 0), FrameCursor(slot)
+    sent = 0
+    for n in range(3000):
+        backlog.append(reading(n))
+    while (batch := imu.next_batch()) is not None:
+        sent += len(batch.samples)
+    assert MAX_IMU_IN_FLIGHT <= sent < MAX_IMU_IN_FLIGHT + MAX_IMU_SAMPLES_PER_BATCH
+    seqs = []
+    for n in range(10):
+        slot.put(CapturedFrame(n, 0, 1, 1, b""))
+        if (found := frames.next_frame()) is not None:
+            seqs.append(found[0])
+    assert seqs == list(range(MAX_FRAMES_IN_FLIGHT))
+    frames.confirm(0)
+    found = frames.next_frame()
+    assert found is not None and found[:2] == (9, 10 - MAX_FRAMES_IN_FLIGHT - 1)
+    imu.confirm(sent)
+    batch = imu.next_batch()
+    assert batch is not None and batch.first_sequence == sent
