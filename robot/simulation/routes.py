@@ -31,7 +31,7 @@ class Route:
     points: FloatArray  # (N, 2) m, world
     start_yaw_rad: float
     max_speed_m_s: float = 0.42
-    max_yaw_rate_rad_s: float = 0.6
+    max_yaw_rate_rad_s: float = 0.5
 
     @property
     def length_m(self) -> float:

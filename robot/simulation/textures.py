@@ -122,6 +122,54 @@ def draw_shapes(image: ImageArray, rng: np.random.Generator, count: int, size_px
             cv2.line(image, start_px, end_px, colour, max(1, int(radius * 0.15)), cv2.LINE_AA)
 
 
+def scatter_marks(
+    image: ImageArray, rng: np.random.Generator, texels_per_m: float, per_m2: float, size_mm: tuple[float, float]
+) -> None:
+    """Small sharp marks, darker or lighter than what they lie on: specks, chips, strokes, prints, grain."""
+    height, width = image.shape[:2]
+    count = int(per_m2 * width * height / texels_per_m**2)
+    xs, ys = rng.uniform(0, width, count).astype(int), rng.uniform(0, height, count).astype(int)
+    sizes = np.exp(rng.uniform(np.log(size_mm[0]), np.log(size_mm[1]), count)) * 1e-3 * texels_per_m / 2
+    tones = np.where(rng.random(count) < 0.6, rng.uniform(0.35, 0.75, count), rng.uniform(1.25, 1.7, count))
+    tints = rng.uniform(0.85, 1.15, (count, 3))
+    colours = np.clip(image[ys, xs] * tones[:, None] * tints, 0, 255).astype(int).tolist()
+    angles, kinds = rng.uniform(0, np.pi, count), rng.integers(0, 3, count)
+    for x, y, size, colour, angle, kind in zip(xs, ys, sizes, colours, angles, kinds, strict=True):
+        r = max(1, round(float(size)))
+        if kind == 0:
+            cv2.ellipse(image, (int(x), int(y)), (r, max(1, r // 2)), float(np.degrees(angle)), 0, 360, colour, -1)
+        elif kind == 1:
+            dx, dy = round(1.6 * r * float(np.cos(angle))), round(1.6 * r * float(np.sin(angle)))
+            cv2.line(image, (int(x) - dx, int(y) - dy), (int(x) + dx, int(y) + dy), colour, max(1, r // 2))
+        else:
+            cv2.rectangle(image, (int(x) - r, int(y) - max(1, r // 2)), (int(x) + r, int(y) + r), colour, -1)
+
+
+def draw_grain(image: ImageArray, rng: np.random.Generator, texels_per_m: float, per_m2: float) -> None:
+    """Thin dark and light lines along u, as veneer and planks have them."""
+    height, width = image.shape[:2]
+    for _ in range(int(per_m2 * width * height / texels_per_m**2)):
+        x, y = int(rng.uniform(0, width)), int(rng.uniform(0, height))
+        length = int(rng.uniform(0.01, 0.12) * texels_per_m)
+        tone = float(rng.uniform(0.45, 0.75) if rng.random() < 0.65 else rng.uniform(1.15, 1.4))
+        b, g, r = (int(c) for c in image[y, x])
+        end = (x + length, y + int(rng.normal(0, 0.03) * length))
+        cv2.line(image, (x, y), end, scaled((b, g, r), tone), max(1, int(rng.uniform(0.0008, 0.003) * texels_per_m)))
+
+
+def draw_paragraph(image: ImageArray, rng: np.random.Generator, texels_per_m: float) -> None:
+    """A block of small print."""
+    height, width = image.shape[:2]
+    line = int(rng.uniform(0.012, 0.03) * texels_per_m)
+    w, rows = int(rng.uniform(0.3, 0.8) * width), int(rng.integers(2, 6))
+    x, y = int(rng.uniform(0, max(1, width - w))), int(rng.uniform(0, max(1, height - rows * line)))
+    colour = random_colour(rng, 0, 255)
+    for k in range(rows):
+        part = int(w * rng.uniform(0.15, 0.3))
+        for column in range(0, w - part, part + line):
+            draw_letters(image, rng, (x + column, y + k * line, part, int(0.75 * line)), colour)
+
+
 def frame_edge(image: ImageArray, colour: Colour, width_px: int) -> None:
     height, width = image.shape[:2]
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), colour, max(1, width_px) * 2)
@@ -144,7 +192,7 @@ def paint_wallpaper(rng: np.random.Generator, width: int, height: int, texels_pe
         fill(width, height, base), rng, (0.5 * texels_per_m, 0.08 * texels_per_m, 0.02 * texels_per_m), 0.05
     )
     style = rng.integers(0, 4)
-    ink = scaled(base, float(rng.uniform(0.55, 0.85)))
+    ink = scaled(base, float(rng.uniform(0.35, 0.7)))
     if style == 0:  # uneven stripes
         x = 0.0
         while x < width:
@@ -152,10 +200,10 @@ def paint_wallpaper(rng: np.random.Generator, width: int, height: int, texels_pe
             if rng.random() < 0.5:
                 cv2.rectangle(image, (int(x), 0), (int(x + stripe), height), muted_colour(rng, 140, 225), -1)
             x += stripe
-    count = int(width * height / (0.11 * texels_per_m) ** 2 * rng.uniform(0.35, 0.8))
+    count = int(width * height / (0.06 * texels_per_m) ** 2 * rng.uniform(0.5, 0.9))
     for _ in range(count):
         x, y = rng.uniform(0, width), rng.uniform(0, height)
-        size = texels_per_m * rng.uniform(0.008, 0.035)
+        size = texels_per_m * rng.uniform(0.006, 0.028)
         colour = ink if rng.random() < 0.6 else muted_colour(rng, 90, 200)
         if style in (0, 1):  # leaves
             axes = (max(1, int(size)), max(1, int(size * 0.4)))
@@ -167,6 +215,7 @@ def paint_wallpaper(rng: np.random.Generator, width: int, height: int, texels_pe
             for _ in range(3):
                 end = (int(x + rng.normal(0, size * 1.6)), int(y + rng.normal(0, size * 1.6)))
                 cv2.line(image, (int(x), int(y)), end, colour, max(1, int(size * 0.25)), cv2.LINE_AA)
+    scatter_marks(image, rng, texels_per_m, 260, (4, 14))
     image = speckle(image, rng, (2.0, 0.03 * texels_per_m), 0.05)
     return add_skirting(image, rng, texels_per_m)
 
@@ -177,7 +226,8 @@ def paint_plaster_wall(rng: np.random.Generator, width: int, height: int, texels
     image = speckle(
         fill(width, height, base), rng, (0.9 * texels_per_m, 0.2 * texels_per_m, 0.04 * texels_per_m, 3.0), 0.07
     )
-    for _ in range(int(width * height / texels_per_m**2 * 26)):
+    scatter_marks(image, rng, texels_per_m, 420, (4, 16))
+    for _ in range(int(width * height / texels_per_m**2 * 60)):
         x, y = int(rng.uniform(0, width)), int(rng.uniform(0.2 * height, height))
         dark = tuple(int(c * rng.uniform(0.55, 0.9)) for c in base)
         if rng.random() < 0.5:
@@ -212,7 +262,8 @@ def paint_brick_wall(rng: np.random.Generator, width: int, height: int, texels_p
             top_left = (int(x + 1), int(row * brick_h + 1))
             cv2.rectangle(image, top_left, (int(x + length - 3), int((row + 1) * brick_h - 3)), colour, -1)
             x += length
-    return add_skirting(speckle(image, rng, (2.0, 6.0, 0.05 * texels_per_m), 0.12), rng, texels_per_m)
+    scatter_marks(image, rng, texels_per_m, 420, (4, 14))
+    return add_skirting(speckle(image, rng, (2.0, 6.0, 0.05 * texels_per_m), 0.10), rng, texels_per_m)
 
 
 def paint_tiled_wall(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
@@ -227,10 +278,11 @@ def paint_tiled_wall(rng: np.random.Generator, width: int, height: int, texels_p
             colour = tuple(int(np.clip(c * tone, 0, 255)) for c in (accent if rng.random() < 0.12 else base))
             x, y = int(i * tile), int(j * tile)
             cv2.rectangle(image, (x + 1, y + 1), (int(x + tile - 2), int(y + tile - 2)), colour, -1)
-            if rng.random() < 0.3:
+            if rng.random() < 0.45:
                 patch = image[y + 3 : int(y + tile - 3), x + 3 : int(x + tile - 3)]
                 if patch.size:
-                    draw_shapes(patch, rng, int(rng.integers(2, 6)), (0.01 * texels_per_m, 0.04 * texels_per_m))
+                    draw_shapes(patch, rng, int(rng.integers(4, 9)), (0.006 * texels_per_m, 0.03 * texels_per_m))
+    scatter_marks(image, rng, texels_per_m, 300, (3, 10))
     return add_skirting(speckle(image, rng, (2.0, 0.1 * texels_per_m), 0.04), rng, texels_per_m)
 
 
@@ -260,7 +312,9 @@ def paint_planks(rng: np.random.Generator, width: int, height: int, texels_per_m
             x += length
         cv2.line(image, (0, int(row * plank_h)), (width, int(row * plank_h)), (30, 40, 50), 1)
     image = speckle(image, rng, (1.5, 0.012 * texels_per_m, 0.05 * texels_per_m), 0.10, aspect=9.0)
-    for _ in range(int(width * height / texels_per_m**2 * 14)):  # knots, crumbs and scratches
+    draw_grain(image, rng, texels_per_m, 160)
+    scatter_marks(image, rng, texels_per_m, 160, (5, 18))
+    for _ in range(int(width * height / texels_per_m**2 * 14)):  # knots
         x, y = int(rng.uniform(0, width)), int(rng.uniform(0, height))
         size = max(1, int(texels_per_m * rng.uniform(0.004, 0.016)))
         dark = tuple(int(c) for c in base * rng.uniform(0.25, 0.6))
@@ -282,6 +336,7 @@ def paint_floor_tiles(rng: np.random.Generator, width: int, height: int, texels_
                 points = np.cumsum(rng.normal(0, tile * 0.12, (6, 2)), axis=0) + rng.uniform(0, tile, 2) + [x, y]
                 tone = tuple(int(c) for c in np.clip(base * rng.uniform(0.5, 1.3), 0, 255))
                 cv2.polylines(image, [points.astype(np.int32)], False, tone, 1, cv2.LINE_AA)
+    scatter_marks(image, rng, texels_per_m, 450, (5, 20))  # terrazzo
     return speckle(image, rng, (2.0, 0.02 * texels_per_m, 0.15 * texels_per_m), 0.08)
 
 
@@ -314,7 +369,9 @@ def paint_wood(rng: np.random.Generator, width: int, height: int, texels_per_m: 
     """Veneer: grain along u."""
     base = [(70, 115, 165), (45, 65, 95), (120, 160, 195), (200, 205, 208), (60, 60, 62)][rng.integers(0, 5)]
     image = speckle(fill(width, height, base), rng, (1.5, 0.012 * texels_per_m, 0.06 * texels_per_m), 0.10, aspect=10.0)
-    for _ in range(int(width * height / texels_per_m**2 * 12)):
+    draw_grain(image, rng, texels_per_m, 420)
+    scatter_marks(image, rng, texels_per_m, 180, (3, 10))
+    for _ in range(int(width * height / texels_per_m**2 * 25)):
         x, y = int(rng.uniform(0, width)), int(rng.uniform(0, height))
         size = max(1, int(texels_per_m * rng.uniform(0.003, 0.012)))
         dark = tuple(int(c * rng.uniform(0.3, 0.7)) for c in base)
@@ -422,7 +479,8 @@ def paint_fabric(rng: np.random.Generator, width: int, height: int, texels_per_m
         end = (int(x + rng.normal(0, 0.08 * texels_per_m)), int(y + rng.normal(0, 0.08 * texels_per_m)))
         dark = tuple(int(c * 0.55) for c in base)
         cv2.line(image, (x, y), end, dark, max(1, int(0.003 * texels_per_m)), cv2.LINE_AA)
-    return speckle(image, rng, (1.3, 0.012 * texels_per_m, 0.2 * texels_per_m), 0.09)
+    scatter_marks(image, rng, texels_per_m, 650, (4, 15))
+    return speckle(image, rng, (1.3, 0.012 * texels_per_m, 0.2 * texels_per_m), 0.07)
 
 
 def paint_box_print(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
@@ -436,6 +494,9 @@ def paint_box_print(rng: np.random.Generator, width: int, height: int, texels_pe
         w, h = int(rng.uniform(0.25, 0.8) * width), int(rng.uniform(0.06, 0.2) * height)
         x, y = int(rng.uniform(0, max(1, width - w))), int(rng.uniform(0, max(1, height - h)))
         draw_letters(image, rng, (x, y, w, h), random_colour(rng, 0, 255))
+    for _ in range(3):
+        draw_paragraph(image, rng, texels_per_m)
+    scatter_marks(image, rng, texels_per_m, 250, (3, 10))
     x, y, bar = int(0.7 * width), int(0.8 * height), max(1, width // 60)
     for k in range(9):  # a bar code
         if rng.random() < 0.6:
@@ -457,11 +518,15 @@ def paint_poster(rng: np.random.Generator, width: int, height: int, texels_per_m
             ys = height * (0.35 + 0.15 * layer) + rng.normal(0, 0.06 * height, 12)
             outline = np.concatenate([np.stack([xs, ys], 1), [[width, height], [0, height]]]).astype(np.int32)
             cv2.fillPoly(image, [outline], tone, cv2.LINE_AA)
-        draw_shapes(image, rng, 16, (0.02 * width, 0.12 * width))
+        draw_shapes(image, rng, 60, (0.01 * width, 0.1 * width))
     elif style == 1:
-        draw_shapes(image, rng, 38, (0.03 * width, 0.3 * width))
+        draw_shapes(image, rng, 30, (0.05 * width, 0.3 * width))
+        draw_shapes(image, rng, 70, (0.01 * width, 0.07 * width))
     else:
         draw_shapes(image, rng, 9, (0.05 * width, 0.35 * width))
+        draw_shapes(image, rng, 40, (0.01 * width, 0.06 * width))
+        for _ in range(3):
+            draw_paragraph(image, rng, texels_per_m)
         for k in range(int(rng.integers(3, 8))):
             box = (int(0.08 * width), int((0.05 + 0.12 * k) * height), int(0.8 * width), int(0.08 * height))
             draw_letters(image, rng, box, random_colour(rng, 0, 255))
@@ -479,14 +544,15 @@ def paint_appliance(rng: np.random.Generator, width: int, height: int, texels_pe
         centre, radius = (width // 2, int(0.6 * height)), int(0.28 * min(width, height))
         for r, colour in ((radius, (120, 120, 122)), (int(radius * 0.85), (45, 45, 48)), (radius // 2, (75, 70, 66))):
             cv2.circle(image, centre, r, colour, -1, cv2.LINE_AA)
-    for _ in range(int(rng.integers(10, 20))):
-        w, h = (int(v * texels_per_m) for v in rng.uniform(0.03, 0.13, 2))
+    for _ in range(int(rng.integers(28, 45))):
+        w, h = (int(v * texels_per_m) for v in rng.uniform(0.025, 0.12, 2))
         x, y = int(rng.uniform(0, max(1, width - w))), int(rng.uniform(0, max(1, height - h)))
         note = image[y : y + h, x : x + w]
         if min(note.shape[:2]) > 4:
             note[:] = random_colour(rng, 130, 250)
-            draw_shapes(note, rng, 3, (0.1 * w, 0.4 * w))
+            draw_shapes(note, rng, 5, (0.06 * w, 0.3 * w))
             draw_letters(note, rng, (1, 1, w - 2, h // 3), (20, 20, 20))
+    scatter_marks(image, rng, texels_per_m, 60, (3, 9))
     frame_edge(image, (90, 90, 92), 2)
     return image
 
