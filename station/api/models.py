@@ -179,6 +179,7 @@ class SlamModel(Model):
     frames: int
     t_robot_ns: int | None
     T_world_body: list[float] | None = Field(description="row-major 4x4; null while there is no pose")
+    T_world_cam: list[float] | None = Field(description="the same for the camera")
     segment: int
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
+
 from station.api.models import (
     AppliedModel,
     BatteryModel,
@@ -235,9 +237,13 @@ def slam_model(station: Station) -> SlamModel:
             frames=0,
             t_robot_ns=None,
             T_world_body=None,
+            T_world_cam=None,
             segment=0,
         )
     pose = live.pose
+    hello = station.robot.hello
+    camera = hello.calibration.camera if hello else None
+    T_body_cam = camera.T_body_cam_matrix if camera else np.eye(4)
     is_running = station.drives.running is not None and station.drives.running.id == live.navigation_id
     return SlamModel(
         navigation=live.navigation_id,
@@ -247,6 +253,7 @@ def slam_model(station: Station) -> SlamModel:
         frames=live.frames,
         t_robot_ns=pose.t_robot_ns if pose else None,
         T_world_body=[float(x) for x in pose.T_world_body.ravel()] if pose else None,
+        T_world_cam=[float(x) for x in (pose.T_world_body @ T_body_cam).ravel()] if pose else None,
         segment=pose.segment if pose else 0,
     )
 

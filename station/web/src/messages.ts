@@ -1,0 +1,427 @@
+// Made by `python -m station.web.generate_types` from station/api/models.py and messages.py. Do not edit.
+
+/** Done. */
+export interface Accepted {
+  ok: true;
+}
+
+/** What the motors were told. */
+export interface AppliedModel {
+  linear: number;
+  angular: number;
+}
+
+export interface BatteryModel {
+  voltage_v: number | null;
+  fraction: number | null;
+}
+
+export interface CapabilitiesModel {
+  camera: boolean;
+  imu: boolean;
+  drive: boolean;
+  pan_tilt: boolean;
+  battery: boolean;
+  hijack: boolean;
+  max_linear_m_s: number;
+  max_angular_rad_s: number;
+}
+
+export interface ClockModel {
+  /** t_station - t_robot */
+  offset_s: number | null;
+  drift_ppm: number | null;
+  rtt_ms: number | null;
+}
+
+/** Which place the robot is at. `place` is null unless the state is "known". */
+export interface CurrentPlace {
+  state: "known" | "unknown" | "lost";
+  place: PlaceName | null;
+  /** of `place`; of the likeliest one while none is known */
+  probability: number;
+  /** robot to the place's centroid; null without a metric map */
+  distance_m: number | null;
+  /** x, y, z of the robot in the map */
+  position_map: number[] | null;
+  /** since the picture the answer is about was taken */
+  age_s: number | null;
+  /** id of the active map */
+  map: string | null;
+  alternatives: PlaceProbability[];
+  evidence: Evidence;
+  /** in a sentence */
+  reason: string;
+  /** sensor time the answer is about, robot clock */
+  t_robot_ns: number | null;
+  /** T_map_cam of the newest recognised picture, row-major 4x4 */
+  pose_map: number[] | null;
+}
+
+/** The newest command went to the robot. */
+export interface DriveAccepted {
+  type: "accepted";
+  seq: number;
+}
+
+export interface DriveCommand {
+  type: "drive";
+  seq: number;
+  linear: number;
+  angular: number;
+  ttl_ms: number;
+}
+
+/** Hold this velocity, then stop. */
+export interface DriveOrder {
+  /** m/s, forward */
+  linear: number;
+  /** rad/s, left */
+  angular: number;
+  /** stop after this, unless told again */
+  ttl_ms: number;
+}
+
+/** It did not, and why. */
+export interface DriveRefused {
+  type: "refused";
+  /** the kind of problem, as in problem documents */
+  problem: string;
+  text: string;
+}
+
+/** Who drives; sent at the start and at every change. */
+export interface DriveReply {
+  type: "driver";
+  driver: string | null;
+  you_drive: boolean;
+}
+
+export interface DriverMessage {
+  type: "driver";
+  driver: string | null;
+}
+
+export interface DriverModel {
+  driver: string | null;
+  you_drive: boolean;
+}
+
+export interface EdgeModel {
+  a: string;
+  b: string;
+  /** a to b in the ground plane, from +x towards +y */
+  bearing_rad: number;
+  /** between centroids, map units */
+  distance: number;
+  kind: "seen together" | "driven between" | "nearest";
+}
+
+/** Why: the running picture and the map's picture that shows the same landmarks. */
+export interface Evidence {
+  query_image: string | null;
+  map_image: string | null;
+  /** landmarks of the map found where they belong */
+  inliers: number;
+  /** since the picture that was recognised */
+  age_s: number | null;
+}
+
+/** The topological map. */
+export interface GraphModel {
+  map: string;
+  nodes: PlaceModel[];
+  edges: EdgeModel[];
+}
+
+export interface HealthModel {
+  status: "ok";
+  version: string;
+  uptime_s: number;
+  robot_connected: boolean;
+  /** in words */
+  localisation: string;
+}
+
+export interface HijackOrder {
+  /** m, the simulated world's frame */
+  x: number;
+  y: number;
+  /** rad */
+  yaw: number;
+}
+
+export interface JobMessage {
+  type: "job";
+  job: JobModel;
+}
+
+/** Work in the background. */
+export interface JobModel {
+  id: string;
+  kind: string;
+  title: string;
+  state: "running" | "done" | "failed" | "cancelled";
+  /** 0..1 */
+  progress: number;
+  message: string;
+  result: Record<string, string | number | null> | null;
+}
+
+/** There are new landmarks: fetch GET /landmarks?since=. */
+export interface LandmarksMessage {
+  type: "landmarks";
+  navigation: string | null;
+  total: number;
+}
+
+export interface LogMessage {
+  type: "log";
+  line: LogModel;
+}
+
+/** Something a person may want to know. */
+export interface LogModel {
+  number: number;
+  unix_s: number;
+  level: "info" | "warning" | "error";
+  topic: string;
+  text: string;
+}
+
+export interface LossesModel {
+  frames_skipped: number;
+  imu_gaps: number;
+  imu_lost: number;
+  imu_lost_in_sensor: number;
+}
+
+export interface MapChoice {
+  /** null: no map */
+  id: string | null;
+}
+
+/** The list of maps, the active one or a name in it changed. */
+export interface MapMessage {
+  type: "map";
+  active: string | null;
+}
+
+export interface MapModel {
+  id: string;
+  name: string;
+  places: number;
+  active: boolean;
+  /** a sentence, where the map cannot be read */
+  damaged: string;
+}
+
+/** What to build a map from. */
+export interface MapOrder {
+  navigations: string[];
+  name: string;
+  mode: "default" | "thesis" | null;
+  /** use the map as soon as it is built */
+  activate: boolean;
+}
+
+/** A navigation changed; null: one was deleted. */
+export interface NavigationMessage {
+  type: "navigation";
+  navigation: NavigationModel | null;
+}
+
+/** One recorded drive. */
+export interface NavigationModel {
+  id: string;
+  name: string;
+  state: "recording" | "finishing" | "ready" | "failed";
+  message: string;
+  started_unix_s: number;
+  duration_s: number;
+  backend: string;
+  frames: number;
+  /** by live SLAM; the recording has them */
+  frames_skipped: number;
+  imu_samples: number;
+  imu_lost: number;
+  landmarks: number;
+  scale: "metric" | "arbitrary" | "";
+  /** where to download the MCAP file */
+  recording: string | null;
+}
+
+export interface NavigationStart {
+  name: string;
+}
+
+export interface PanTiltCommand {
+  type: "pan_tilt";
+  pan: number;
+  tilt: number;
+}
+
+export interface PanTiltOrder {
+  /** rad, left */
+  pan: number;
+  /** rad, up */
+  tilt: number;
+}
+
+export interface PlaceChange {
+  name: string;
+}
+
+export interface PlaceMessage {
+  type: "place";
+  place: CurrentPlace;
+  visit: VisitModel | null;
+}
+
+/** A place of the active map. */
+export interface PlaceModel {
+  id: string;
+  name: string;
+  centroid_map: number[];
+  /** RMS distance of its landmarks from the centroid, map units */
+  radius: number;
+  landmarks: number;
+  /** keyframes that saw it */
+  images: number;
+  /** 0..1, how repeatable the place is expected to be */
+  quality: number;
+  representative_image: string | null;
+  mean_image: string | null;
+  /** its number in GET /maps/{id}/landmarks */
+  colour: number;
+}
+
+export interface PlaceName {
+  id: string;
+  name: string;
+}
+
+export interface PlaceProbability {
+  id: string;
+  name: string;
+  probability: number;
+}
+
+export interface PoseMessage {
+  type: "pose";
+  slam: SlamModel;
+}
+
+/** What went wrong (RFC 9457). */
+export interface Problem {
+  type: string;
+  title: string;
+  status: number;
+  detail: string;
+  instance: string;
+}
+
+export interface RatesModel {
+  frames_hz: number;
+  imu_hz: number;
+  bytes_per_s: number;
+}
+
+export interface ReleaseCommand {
+  type: "release";
+}
+
+export interface RobotMessage {
+  type: "robot";
+  robot: RobotModel;
+}
+
+/** Link, battery, rates, losses, clock, who drives. */
+export interface RobotModel {
+  connected: boolean;
+  /** why not connected, in a sentence */
+  reason: string;
+  host: string;
+  port: number;
+  robot_id: string | null;
+  name: string | null;
+  capabilities: CapabilitiesModel | null;
+  calibrated: boolean;
+  connections: number;
+  rates: RatesModel;
+  losses: LossesModel;
+  clock: ClockModel;
+  battery: BatteryModel | null;
+  temperatures_c: Record<string, number>;
+  /** of one core, robot-server */
+  cpu_percent: number | null;
+  /** who drives through this station */
+  driver: string | null;
+  /** the station that drives, as the robot says */
+  robot_driver: string | null;
+  applied: AppliedModel | null;
+  faults: string[];
+}
+
+/** The running SLAM, or the last one. */
+export interface SlamModel {
+  navigation: string | null;
+  state: "none" | "initialising" | "tracking" | "lost" | "finished";
+  message: string;
+  landmarks: number;
+  frames: number;
+  t_robot_ns: number | null;
+  /** row-major 4x4; null while there is no pose */
+  T_world_body: number[] | null;
+  segment: number;
+}
+
+/** Motors off, and why: the log shows it. */
+export interface StopCommand {
+  type: "stop";
+  reason: string;
+}
+
+export interface TakeOverCommand {
+  type: "take_over";
+}
+
+/** Poses so far, oldest first; thinned to `limit` poses. */
+export interface TrajectoryModel {
+  navigation: string | null;
+  total: number;
+  t_robot_ns: number[];
+  /** body positions, (N, 3) */
+  p_world: number[][];
+}
+
+/** A stretch of time with one answer. */
+export interface VisitModel {
+  state: "known" | "unknown" | "lost";
+  place: PlaceName | null;
+  start_unix_s: number;
+  end_unix_s: number;
+}
+
+export type EventMessage =
+  | RobotMessage
+  | DriverMessage
+  | PoseMessage
+  | LandmarksMessage
+  | NavigationMessage
+  | MapMessage
+  | JobMessage
+  | PlaceMessage
+  | LogMessage;
+
+export type DriveRequest =
+  | DriveCommand
+  | StopCommand
+  | PanTiltCommand
+  | TakeOverCommand
+  | ReleaseCommand;
+
+export type DriveAnswer =
+  | DriveAccepted
+  | DriveRefused
+  | DriveReply;

@@ -1,0 +1,112 @@
+// The current place in large letters, why, and where the robot was before.
+import { call } from "./api";
+import { PALETTE } from "./cloud";
+import { ask, attempt, by, clock, duration, make, percent, setText, show } from "./dom";
+import type { CurrentPlace, GraphModel, PlaceModel, VisitModel } from "./messages";
+
+const TIMELINE_S = 180;
+
+export class PlaceView {
+  private visits: VisitModel[] = [];
+  private colours = new Map<string, number>();
+
+  async start(): Promise<void> {
+    this.visits = await call<VisitModel[]>("GET", "/place/timeline");
+    this.drawTimeline();
+    setInterval(() => this.drawTimeline(), 1000);
+  }
+
+  setGraph(graph: GraphModel | null): void {
+    this.colours = new Map(graph?.nodes.map((n) => [n.id, n.colour]) ?? []);
+  }
+
+  show(place: CurrentPlace, visit: VisitModel | null): void {
+    const card = by("place");
+    card.dataset["state"] = place.map === null ? "none" : place.state;
+    const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
+    setText(by("place-name"), place.place?.name ?? (place.map === null ? "No map yet" : words[place.state]));
+    setText(by("place-probability"), place.place ? percent(place.probability) : "");
+    setText(by("place-kicker"), place.place && place.distance_m !== null
+      ? `Current place · ${place.distance_m.toFixed(1)} m away` : "Current place");
+    setText(by("place-reason"), place.reason);
+    const colour = place.place ? this.colours.get(place.place.id) : undefined;
+    card.style.setProperty("--own", colour === undefined ? "transparent" : PALETTE[colour % PALETTE.length]!);
+    by("alternatives").replaceChildren(
+      ...place.alternatives
+        .filter((a) => a.probability >= 0.01)
+        .slice(0, 3)
+        .map((a) => {
+          const bar = make("span", { class: "meter" });
+          bar.style.setProperty("--share", String(a.probability));
+          return make("li", {}, a.name, bar, make("span", { class: "number" }, percent(a.probability)));
+        }),
+    );
+    this.showEvidence(place);
+    if (visit) {
+      const last = this.visits.at(-1);
+      if (last && last.start_unix_s === visit.start_unix_s) this.visits[this.visits.length - 1] = visit;
+      else this.visits.push(visit);
+    }
+  }
+
+  private showEvidence(place: CurrentPlace): void {
+    const { query_image, map_image, inliers, age_s } = place.evidence;
+    setImage(by<HTMLImageElement>("query"), query_image);
+    setImage(by<HTMLImageElement>("match"), map_image);
+    show(by("evidence"), Boolean(query_image && map_image));
+    setText(
+      by("evidence-text"),
+      map_image
+        ? `${inliers} landmarks of the map seen where they belong` + (age_s === null ? "" : `, ${duration(age_s)} ago`)
+        : "No picture was recognised yet.",
+    );
+  }
+
+  private drawTimeline(): void {
+    const now = Date.now() / 1000;
+    const from = now - TIMELINE_S;
+    const line = by("timeline");
+    const recent = this.visits.filter((v) => v.end_unix_s > from);
+    line.setAttribute("aria-label", `Places visited: ${recent.map((v) => v.place?.name ?? v.state).join(", ") || "none"}`);
+    line.replaceChildren(
+      ...recent.map((v) => {
+        const left = Math.max(0, (v.start_unix_s - from) / TIMELINE_S);
+        const width = Math.max(0.004, (Math.min(v.end_unix_s, now) - Math.max(v.start_unix_s, from)) / TIMELINE_S);
+        const name = v.place?.name ?? v.state;
+        const piece = make("span", { class: v.state, title: `${name}, since ${clock(v.start_unix_s)}` }, width > 0.05 ? name : "");
+        piece.style.left = `${left * 100}%`;
+        piece.style.width = `${width * 100}%`;
+        const colour = v.place ? this.colours.get(v.place.id) : undefined;
+        if (colour !== undefined) piece.style.setProperty("--own", PALETTE[colour % PALETTE.length]!);
+        return piece;
+      }),
+    );
+    show(line, recent.length > 0);
+  }
+}
+
+function setImage(image: HTMLImageElement, path: string | null): void {
+  show(image, path !== null);
+  if (path !== null && image.getAttribute("src") !== path) image.src = path;
+}
+
+/** Everything known of one place, and its name to change. */
+export function openPlace(place: PlaceModel): void {
+  const dialog = by<HTMLDialogElement>("place-dialog");
+  const picture = (path: string | null, text: string) =>
+    path && make("figure", {}, make("img", { src: path, alt: `${text} picture of ${place.name}` }), make("figcaption", {}, text));
+  const rename = async () => {
+    dialog.close();
+    const name = await ask("Name this place", "Save", { label: "Name", value: place.name });
+    if (name) await call("PATCH", `/places/${place.id}`, { name });
+  };
+  const close = make("button", { type: "button", class: "quiet", onclick: () => dialog.close() }, "Close");
+  const change = make("button", { type: "button", class: "primary", onclick: () => attempt(rename) }, "Rename");
+  dialog.replaceChildren(
+    make("h2", {}, place.name),
+    make("div", { class: "evidence" }, picture(place.representative_image, "representative"), picture(place.mean_image, "mean")),
+    make("p", { class: "note" }, `${place.landmarks} landmarks · seen in ${place.images} pictures · quality ${percent(place.quality)}`),
+    make("div", { class: "row end" }, close, change),
+  );
+  dialog.showModal();
+}
