@@ -28,9 +28,14 @@ def generate() -> str:
         definitions |= schema["$defs"]
         aliases.append(f"export type {name} =\n" + "".join(f"  | {_type(option)}\n" for option in schema["oneOf"])[:-1])
     for model in vars(models).values():
-        if isinstance(model, type) and issubclass(model, models.BaseModel) and model not in (
-            models.Model,
-            models.BaseModel,
+        if (
+            isinstance(model, type)
+            and issubclass(model, models.BaseModel)
+            and model
+            not in (
+                models.Model,
+                models.BaseModel,
+            )
         ):
             schema = model.model_json_schema(mode="serialization")
             definitions |= schema.pop("$defs", {})

@@ -5,7 +5,7 @@ export function by<T extends HTMLElement = HTMLElement>(id: string): T {
   return found as T;
 }
 
-type Child = Node | string | null | false;
+type Child = Node | string | null | undefined | false;
 
 export function make<K extends keyof HTMLElementTagNameMap>(
   tag: K,
@@ -18,7 +18,7 @@ export function make<K extends keyof HTMLElementTagNameMap>(
     else if (typeof value === "boolean") node.toggleAttribute(name, value);
     else node.setAttribute(name, value);
   }
-  node.append(...children.filter((c): c is Node | string => c !== null && c !== false));
+  node.append(...children.filter((c): c is Node | string => c !== null && c !== undefined && c !== false));
   return node;
 }
 

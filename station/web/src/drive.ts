@@ -27,7 +27,6 @@ export class DriveControl {
   private seq = 0;
   private isDriving = false;
   private youDrive = false;
-  private driver: string | null = null;
   private able: CapabilitiesModel | null = null;
   private connected = false;
   private whyTimer = 0;
@@ -62,7 +61,6 @@ export class DriveControl {
   }
 
   showDriver(driver: string | null): void {
-    this.driver = driver;
     this.youDrive = driver === driverName;
     const other = driver !== null && !this.youDrive;
     setText(by("driver"), this.youDrive ? "You drive" : other ? `${driver} drives` : "Hold to drive");

@@ -373,6 +373,8 @@ export interface SlamModel {
   t_robot_ns: number | null;
   /** row-major 4x4; null while there is no pose */
   T_world_body: number[] | null;
+  /** the same for the camera */
+  T_world_cam: number[] | null;
   segment: number;
 }
 
