@@ -34,11 +34,21 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
             runner.run(serve_until_signal(server, listener))
 
 
+def check(kind: DeviceKind, config: RobotConfig) -> bool:
+    """Test each part in turn and print a sentence on each. True when all work."""
+    from robot.check import check_devices, check_pi
+
+    if kind == "pi":
+        return check_pi(config.pi)
+    return asyncio.run(check_devices(open_devices(kind, config)))
+
+
 def open_devices(kind: DeviceKind, config: RobotConfig) -> DeviceSet:
     """The devices asked for; never others in their place. Imported only then: each kind needs other packages."""
     if kind == "simulated":
         simulated = config.simulated
-        return _adapter("simulated", "open_simulated")(simulated.world, simulated.seed, simulated.sim_port)
+        devices = _adapter("simulated", "open_simulated")(simulated.world, simulated.seed, simulated.sim_port)
+        return _adapter("emulated", "open_emulated")(devices) if simulated.imu == "emulated" else devices
     if kind == "recorded":
         recorded = config.recorded
         if not recorded.dataset:

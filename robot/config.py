@@ -54,6 +54,8 @@ class SimulatedConfig(_Section, frozen=True, kw_only=True):
 
     world: str = "home"
     seed: int = 1
+    # emulated: IMU and motors go through the real firmware in an emulated Mega (docs/firmware.md)
+    imu: Literal["simulated", "emulated"] = "simulated"
     sim_port: Annotated[int, Meta(ge=0, le=65535)] | None = None  # where tests and the demo ask for the truth
 
 
@@ -66,9 +68,40 @@ class RecordedConfig(_Section, frozen=True, kw_only=True):
 
 
 class PiConfig(_Section, frozen=True, kw_only=True):
-    """Wiring of the real robot."""
+    """Parts and wiring of the real robot (docs/robot.md)."""
 
-    serial_port: str = "/dev/ttyACM0"  # the Arduino Mega
+    serial_port: str = "/dev/sentinel-mega"  # the Arduino Mega; robot/install.sh gives it this name
+    camera: bool = True
+    imu: bool = True
+    motors: Literal["mega", "gpio", "none"] = "mega"  # where the DRV8833 is wired to
+    pan_tilt: Literal["mega", "gpio", "none"] = "mega"
+    battery: Literal["mega", "ina219", "none"] = "mega"
+    calibration: str = ""  # folder with camera.yaml of this robot; empty: the reference robot's numbers
+
+    width: Annotated[int, Meta(ge=64, le=4096)] = 640
+    height: Annotated[int, Meta(ge=64, le=4096)] = 480
+    rate_hz: Annotated[float, Meta(ge=1, le=120)] = 30.0
+    jpeg_quality: Annotated[int, Meta(ge=10, le=100)] = 80
+    max_exposure_ms: Annotated[float, Meta(ge=0.1, le=100)] = 10.0  # longer smears while turning
+    max_gain: Annotated[float, Meta(ge=1, le=64)] = 8.0
+
+    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = 500
+    accel_range_g: Literal[2, 4, 8, 16] = 4
+
+    full_speed_m_s: Positive = 0.6  # one side at full duty
+    track_m: Positive = 0.25  # effective: skid-steering slips
+    deadband: Annotated[float, Meta(ge=0, lt=0.9)] = 0.15
+    invert_left: bool = False
+    invert_right: bool = False
+    slow_decay: bool = True
+    ramp_ms: Annotated[int, Meta(ge=4, le=1000)] = 250  # from rest to full duty
+
+    battery_empty_v: Positive = 6.4  # two lithium cells; the Mega holds the motors off below
+    battery_full_v: Positive = 8.4
+    ina219_bus: Annotated[int, Meta(ge=0, le=20)] = 1
+    ina219_address: Annotated[int, Meta(ge=0x40, le=0x4F)] = 0x40
+    # BCM numbers: left IN1 IN2, right IN1 IN2, pan, tilt
+    gpio_pins: tuple[int, int, int, int, int, int] = (17, 27, 23, 24, 12, 13)
 
 
 class RobotConfig(_Section, frozen=True, kw_only=True):

@@ -25,6 +25,13 @@ class Devices(str, Enum):  # noqa: UP042  # typer shows the values of a str enum
     pi = "pi"
 
 
+class ImuKind(str, Enum):  # noqa: UP042
+    """Where a simulated robot's IMU and motors are."""
+
+    simulated = "simulated"
+    emulated = "emulated"
+
+
 class AtEnd(str, Enum):  # noqa: UP042
     """What happens when a recording is over."""
 
@@ -38,12 +45,14 @@ def serve(
     world: Annotated[str | None, typer.Option(help="Simulated world.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the simulated world.")] = None,
     sim_port: Annotated[int | None, typer.Option(help="Port of the simulator's truth, for tests and the demo.")] = None,
+    imu: Annotated[ImuKind | None, typer.Option(help="emulated: the real firmware in an emulated Mega.")] = None,
     dataset: Annotated[Path | None, typer.Option(help="Recorded drive: ASL folder or folder of images.")] = None,
     speed: Annotated[float | None, typer.Option(help="Play a recording so many times as fast.")] = None,
     at_end: Annotated[AtEnd | None, typer.Option(help="When the recording is over.")] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 lets the network in.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Test each part in turn, say what is wrong, and end.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
 ) -> None:
     """Serve this robot's camera, IMU and motors to stations."""
@@ -54,7 +63,7 @@ def serve(
         config,
         {
             "server": {"host": host, "port": port},
-            "simulated": {"world": world, "seed": seed, "sim_port": sim_port},
+            "simulated": {"world": world, "seed": seed, "sim_port": sim_port, "imu": imu.value if imu else None},
             "recorded": {
                 "dataset": None if dataset is None else str(dataset),
                 "speed": speed,
@@ -62,6 +71,8 @@ def serve(
             },
         },
     )
+    if check:
+        raise typer.Exit(0 if app.check(devices.value, settings) else 1)
     app.run(devices.value, settings)
 
 

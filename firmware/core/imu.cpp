@@ -74,6 +74,10 @@ uint8_t Icm20948::value_of(uint8_t step) const {
 }
 
 void Icm20948::configure(const ConfigImu& config) {
+  const bool same = config.gyro_scale == config_.gyro_scale && config.accel_scale == config_.accel_scale &&
+                    config.gyro_filter == config_.gyro_filter && config.accel_filter == config_.accel_filter &&
+                    config.divider == config_.divider;
+  if (same) return;  // a Pi that joins must not interrupt the stream
   config_ = config;
   restart(0);
   wait_until_ms_ = last_sample_ms_;

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 import pytest_asyncio
 
+from robot.config import PiConfig
+from robot.devices.emulated import EmulatedBoard, open_emulated
+from robot.devices.pi import open_pi
 from robot.devices.ports import Camera, CapturedFrame, DeviceSet, Imu, ImuReading
 from robot.devices.recorded import open_recorded
 from robot.devices.simulated import open_simulated
@@ -17,32 +21,67 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.recording import record_drive
 from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
+from tests import pi_stubs
+from tests.emulator import board
 
 WAIT_S = 60.0  # generous: a loaded machine must not fail a test
 
 
-def simulated(_tmp_path: Path) -> DeviceSet:
+def simulated(_tmp_path: Path, _undo: ExitStack) -> DeviceSet:
     return open_simulated("room", 1)
 
 
-def recorded(tmp_path: Path) -> DeviceSet:
+def emulated(_tmp_path: Path, _undo: ExitStack) -> DeviceSet:
+    """IMU, motors and battery through the real firmware in an emulated Mega."""
+    if (reason := board.missing_reason()) is not None:
+        pytest.skip(reason)
+    board.build()
+    return open_emulated()
+
+
+def pi_stubbed(_tmp_path: Path, undo: ExitStack) -> DeviceSet:
+    """The real robot's adapters: emulated Mega, stand-ins for the vendors' Python modules."""
+    if (reason := board.missing_reason()) is not None:
+        pytest.skip(reason)
+    board.build()
+    mega = EmulatedBoard()
+    undo.callback(mega.close)
+    mega.command("sample 0 0 9.81 0 0 0")
+    pi_stubs.install()
+    undo.callback(pi_stubs.uninstall)
+    return open_pi(PiConfig(serial_port=str(mega.port)))
+
+
+def pi_real(_tmp_path: Path, _undo: ExitStack) -> DeviceSet:
+    return open_pi(PiConfig())
+
+
+def recorded(tmp_path: Path, _undo: ExitStack) -> DeviceSet:
     world = make_world("room", 1)
     record_drive(world, plan_route(world, "triangle_a"), SimulationConfig(), 0, tmp_path / "drive", max_duration_s=2.0)
     return open_recorded(tmp_path / "drive", at_end="loop")
 
 
-ADAPTERS: dict[str, Callable[[Path], DeviceSet]] = {"simulated": simulated, "recorded": recorded}
+ADAPTERS: dict[str, Callable[[Path, ExitStack], DeviceSet]] = {
+    "simulated": simulated,
+    "recorded": recorded,
+    "emulated": emulated,
+    "pi_stubbed": pi_stubbed,
+    "pi": pi_real,
+}
+PARAMETERS = [pytest.param(name, marks=[pytest.mark.hardware] if name == "pi" else []) for name in ADAPTERS]
 
 
-@pytest_asyncio.fixture(params=ADAPTERS)
+@pytest_asyncio.fixture(params=PARAMETERS)
 async def devices(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[DeviceSet]:
-    opened = ADAPTERS[request.param](tmp_path)
-    yield opened
-    if opened.motors is not None:
-        opened.motors.close()
-    for part in (opened.camera, opened.imu):
-        if part is not None:
-            await part.close()
+    with ExitStack() as undo:
+        opened = ADAPTERS[request.param](tmp_path, undo)
+        yield opened
+        if opened.motors is not None:
+            opened.motors.close()
+        for part in (opened.camera, opened.imu):
+            if part is not None:
+                await part.close()
 
 
 async def take_frames(camera: Camera, count: int) -> list[CapturedFrame]:

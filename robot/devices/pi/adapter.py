@@ -1,0 +1,148 @@
+"""Opens the real robot's parts as the configuration names them. Each is imported only when it is used."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import msgspec
+
+from robot.config import PiConfig
+from robot.devices.pi.kinematics import DriveGeometry
+from robot.devices.pi.mega import Mega
+from robot.devices.pi.mega_parts import MegaBattery, MegaImu, MegaMotors, MegaPanTilt
+from robot.devices.ports import Battery, Camera, DeviceSet, Motors, PanTilt
+from shared.calibration import REFERENCE_ROBOT, Calibration
+from shared.errors import ConfigError
+from shared.serial_protocol import ACCEL_RANGES_G, GYRO_RANGES_DEG_S, ConfigImu, ConfigMotors
+
+
+def open_pi(config: PiConfig) -> DeviceSet:
+    """Open the real robot.
+
+    Raises:
+        DeviceUnavailable: a part that the configuration names does not answer; says which and what to do.
+    """
+    check(config)
+    with contextlib.ExitStack() as undo:
+        mega = open_mega(config) if uses_mega(config) else None
+        if mega is not None:
+            undo.callback(mega.close)
+        motors, pan_tilt = _open_motion(config, mega, undo)
+        devices = DeviceSet(
+            calibration=load_calibration(config),
+            camera=open_camera(config) if config.camera else None,
+            imu=MegaImu(mega) if mega is not None and config.imu else None,
+            motors=motors,
+            pan_tilt=pan_tilt,
+            battery=_open_battery(config, mega),
+        )
+        undo.pop_all()  # all parts are there: they stay open
+    return devices
+
+
+def check(config: PiConfig) -> None:
+    """Raises ConfigError where settings contradict each other."""
+    if config.battery_empty_v >= config.battery_full_v:
+        raise ConfigError(
+            f"pi.battery_empty_v {config.battery_empty_v} must be below pi.battery_full_v {config.battery_full_v}"
+        )
+    if len(set(config.gpio_pins)) != len(config.gpio_pins):
+        raise ConfigError(f"pi.gpio_pins {config.gpio_pins} names a pin twice")
+
+
+def uses_mega(config: PiConfig) -> bool:
+    """Whether any part is wired to the Mega."""
+    return config.imu or "mega" in (config.motors, config.pan_tilt, config.battery)
+
+
+def geometry_of(config: PiConfig) -> DriveGeometry:
+    """How this robot turns duty into motion."""
+    return DriveGeometry(
+        config.full_speed_m_s, config.track_m, config.deadband, config.invert_left, config.invert_right
+    )
+
+
+def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
+    """What the firmware is told at its start."""
+    imu = ConfigImu(
+        gyro_scale=GYRO_RANGES_DEG_S.index(config.gyro_range_deg_s),
+        accel_scale=ACCEL_RANGES_G.index(config.accel_range_g),
+    )
+    motors = ConfigMotors(
+        slow_decay=config.slow_decay,
+        ramp_up=max(1, round(1000 / config.ramp_ms)),
+        ramp_down=10,  # 100 ms from full to rest: faster than any ramp up, slower than tipping over
+        cutoff_mv=round(1000 * config.battery_empty_v) if config.battery == "mega" else 0,
+    )
+    return imu, motors
+
+
+def open_mega(config: PiConfig) -> Mega:
+    """The Mega at its serial port."""
+    from robot.devices.pi.serial_line import PySerialLine
+
+    return Mega(lambda: PySerialLine(config.serial_port), *mega_settings(config))
+
+
+def load_calibration(config: PiConfig) -> Calibration:
+    """The robot's own calibration, or the reference robot's; the picture size must fit."""
+    calibration = REFERENCE_ROBOT
+    if config.calibration:
+        from shared.sensor_yaml import read_camera
+
+        camera = read_camera(Path(config.calibration) / "camera.yaml")
+        calibration = msgspec.structs.replace(calibration, camera=camera)
+    if calibration.camera is not None and config.camera:
+        size = (calibration.camera.width, calibration.camera.height)
+        if size != (config.width, config.height):
+            raise ConfigError(
+                f"pi.width, pi.height {config.width}x{config.height} differ from the calibration's {size[0]}x{size[1]};"
+                " calibrate at that size or set the calibrated one"
+            )
+    return calibration
+
+
+def _open_motion(
+    config: PiConfig, mega: Mega | None, undo: contextlib.ExitStack
+) -> tuple[Motors | None, PanTilt | None]:
+    geometry = geometry_of(config)
+    motors: Motors | None = None
+    pan_tilt: PanTilt | None = None
+    if mega is not None:
+        motors = MegaMotors(mega, geometry) if config.motors == "mega" else None
+        pan_tilt = MegaPanTilt(mega) if config.pan_tilt == "mega" else None
+    if "gpio" in (config.motors, config.pan_tilt):
+        from robot.devices.pi.gpio_parts import GpioMotors, GpioPanTilt, GpioProcess
+
+        process = GpioProcess(config.gpio_pins)
+        undo.callback(process.close)
+        motors = GpioMotors(process, geometry) if config.motors == "gpio" else motors
+        pan_tilt = GpioPanTilt(process) if config.pan_tilt == "gpio" else pan_tilt
+    return motors, pan_tilt
+
+
+def open_camera(config: PiConfig) -> Camera:
+    """The Pi's camera."""
+    from robot.devices.pi.camera import CameraSettings, PiCamera
+
+    return PiCamera(
+        CameraSettings(
+            width=config.width,
+            height=config.height,
+            rate_hz=config.rate_hz,
+            jpeg_quality=config.jpeg_quality,
+            max_exposure_us=round(1000 * config.max_exposure_ms),
+            max_gain=config.max_gain,
+        )
+    )
+
+
+def _open_battery(config: PiConfig, mega: Mega | None) -> Battery | None:
+    if config.battery == "mega" and mega is not None:
+        return MegaBattery(mega, config.battery_empty_v, config.battery_full_v)
+    if config.battery == "ina219":
+        from robot.devices.pi.ina219 import Ina219Battery
+
+        return Ina219Battery(config.ina219_bus, config.ina219_address, config.battery_empty_v, config.battery_full_v)
+    return None

@@ -1,0 +1,178 @@
+"""The Pi's camera through picamera2 (Debian's python3-picamera2). The only file that imports it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robot.devices.pi.exposure import Exposure, ExposureControl
+from robot.devices.ports import CapturedFrame
+from shared.errors import DeviceLost, DeviceUnavailable
+
+logger = logging.getLogger(__name__)
+
+SILENCE_S = 2.0
+EXPOSURE_PERIOD_FRAMES = 6  # a change takes the sensor three frames to show
+WHITE_BALANCE_FRAMES = 45  # let it find the light of the room, then hold it
+BRIGHTNESS_STEP = 8  # every 8th pixel is enough
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """What SLAM wants of a picture: short exposure, nothing that changes by itself."""
+
+    width: int = 640
+    height: int = 480
+    rate_hz: float = 30.0
+    jpeg_quality: int = 80
+    max_exposure_us: int = 10_000  # 10 ms: at 1 rad/s a pixel smears over 11 px at most
+    max_gain: float = 8.0
+    lens_position: float = 0.5  # dioptres, for cameras with a focus motor; the reference camera is turned by hand
+
+
+class PiCamera:
+    """Frames with sensor time stamps. A thread of its own captures and compresses; the newest frame wins."""
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._frame: CapturedFrame | None = None
+        self._waiter: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
+        self._failure = ""
+        self._dark = False
+        self._closed = threading.Event()
+        self._camera = self._open()
+        self._thread = self._start()
+
+    async def capture(self) -> CapturedFrame:
+        """The next frame. Raises DeviceLost on silence and while the picture is black."""
+        if not self._thread.is_alive():
+            self._reopen()
+        event = asyncio.Event()
+        self._waiter = (asyncio.get_running_loop(), event)
+        try:
+            while (frame := self._take()) is None:
+                await asyncio.wait_for(event.wait(), SILENCE_S)
+                event.clear()
+        except TimeoutError:
+            raise DeviceLost(self._why_silent()) from None
+        finally:
+            self._waiter = None
+        return frame
+
+    async def close(self) -> None:
+        """Release the camera. Safe to call twice."""
+        self._closed.set()
+        await asyncio.to_thread(self._thread.join, SILENCE_S)
+        self._camera.close()
+
+    def _why_silent(self) -> str:
+        if self._dark:
+            return "the camera sees only black; take the lens cap off or switch a light on"
+        return self._failure or f"the camera gave no frame for {SILENCE_S:.0f} s; check its ribbon cable"
+
+    def _take(self) -> CapturedFrame | None:
+        with self._lock:
+            frame, self._frame = self._frame, None
+        return frame
+
+    def _open(self) -> Any:
+        try:
+            from picamera2 import Picamera2
+        except ImportError as exc:
+            raise DeviceUnavailable(
+                "the camera needs python3-picamera2 and a venv that sees it; run robot/install.sh on the Pi"
+            ) from exc
+        s = self._settings
+        try:
+            camera = Picamera2()
+            period_us = round(1e6 / s.rate_hz)
+            controls: dict[str, Any] = {"FrameDurationLimits": (period_us, period_us), "AeEnable": False}
+            controls |= {"ExposureTime": s.max_exposure_us, "AnalogueGain": 2.0}
+            if "LensPosition" in camera.camera_controls:
+                controls |= {"AfMode": 0, "LensPosition": s.lens_position}  # 0: manual
+            # "RGB888" is blue first in memory, as OpenCV has it.
+            camera.configure(
+                camera.create_video_configuration(
+                    main={"size": (s.width, s.height), "format": "RGB888"}, buffer_count=4, controls=controls
+                )
+            )
+            camera.start()
+        except (IndexError, RuntimeError, OSError) as exc:  # picamera2 raises IndexError where it finds no camera
+            raise DeviceUnavailable(
+                f"the camera cannot be opened ({exc}); check its ribbon cable and `rpicam-hello --list-cameras`"
+            ) from exc
+        return camera
+
+    def _start(self) -> threading.Thread:
+        thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        thread.start()
+        return thread
+
+    def _reopen(self) -> None:
+        self._camera.close()
+        try:
+            self._camera = self._open()
+        except DeviceUnavailable as exc:
+            raise DeviceLost(str(exc)) from exc
+        self._failure = ""
+        self._thread = self._start()
+
+    def _run(self) -> None:
+        control = ExposureControl(self._settings.max_exposure_us, self._settings.max_gain)
+        count = 0
+        try:
+            while not self._closed.is_set():
+                request = self._camera.capture_request()
+                try:
+                    image, metadata = request.make_array("main"), request.get_metadata()
+                finally:
+                    request.release()
+                if count == WHITE_BALANCE_FRAMES:
+                    self._camera.set_controls({"AwbEnable": False, "ColourGains": metadata["ColourGains"]})
+                brightness = float(np.mean(image[::BRIGHTNESS_STEP, ::BRIGHTNESS_STEP]))
+                now = Exposure(int(metadata["ExposureTime"]), float(metadata["AnalogueGain"]))
+                self._dark = control.is_black(now, brightness)
+                if count % EXPOSURE_PERIOD_FRAMES == 0 and (wanted := control.next(now, brightness)) is not None:
+                    self._camera.set_controls({"ExposureTime": wanted.time_us, "AnalogueGain": wanted.gain})
+                count += 1
+                if not self._dark:
+                    self._publish(image, metadata)
+        except Exception as exc:  # whatever the camera stack throws ends this thread; capture() says so and reopens
+            self._failure = f"the camera failed ({exc}); trying to open it again"
+            logger.warning("%s", self._failure)
+
+    def _publish(self, image: Any, metadata: dict[str, Any]) -> None:
+        import simplejpeg
+
+        exposure_ns = int(metadata["ExposureTime"]) * 1000
+        # SensorTimestamp: the first row's end of exposure, on CLOCK_BOOTTIME as libcamera has it.
+        t_end_ns = int(metadata["SensorTimestamp"]) + boot_to_monotonic_ns()
+        frame = CapturedFrame(
+            t_robot_ns=t_end_ns - exposure_ns // 2,
+            exposure_ns=exposure_ns,
+            width=image.shape[1],
+            height=image.shape[0],
+            jpeg=simplejpeg.encode_jpeg(image, quality=self._settings.jpeg_quality, colorspace="BGR"),
+        )
+        with self._lock:
+            self._frame = frame
+        waiter = self._waiter
+        if waiter is not None:
+            try:
+                waiter[0].call_soon_threadsafe(waiter[1].set)
+            except RuntimeError:
+                logger.debug("frame after the event loop's end")
+
+
+def boot_to_monotonic_ns() -> int:
+    """monotonic - boottime: zero on a Pi that never slept."""
+    if not hasattr(time, "CLOCK_BOOTTIME"):
+        return 0
+    return time.monotonic_ns() - time.clock_gettime_ns(time.CLOCK_BOOTTIME)

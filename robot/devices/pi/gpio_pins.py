@@ -1,0 +1,106 @@
+"""DRV8833 and servos on the Pi's own pins, through gpiozero. The only file that imports it.
+
+Runs as a process of its own (`python -m robot.devices.pi.gpio_pins`), because these motors have no firmware watchdog:
+it stops them when commands stop coming, also when robot-server was stopped or killed. Lines on stdin:
+`drive LEFT RIGHT TTL_MS` (permille), `stop`, `servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+from typing import Any
+
+
+class GpioPins:
+    """The pins, by gpiozero's names."""
+
+    def __init__(self, left: tuple[int, int], right: tuple[int, int], servos: tuple[int, int]) -> None:
+        from gpiozero import Motor, Servo
+
+        self._motors: list[Any] = [Motor(*left, pwm=True), Motor(*right, pwm=True)]
+        limits = {"min_pulse_width": 0.0005, "max_pulse_width": 0.0025, "initial_value": None}
+        self._servos: list[Any] = [Servo(pin, **limits) for pin in servos]
+
+    def drive(self, left: int, right: int) -> None:
+        """Permille, positive forward."""
+        for motor, duty in zip(self._motors, (left, right), strict=True):
+            motor.value = max(-1.0, min(1.0, duty / 1000.0))
+
+    def stop(self) -> None:
+        for motor in self._motors:
+            motor.stop()
+
+    def servo(self, pan_us: int, tilt_us: int) -> None:
+        for servo, us in zip(self._servos, (pan_us, tilt_us), strict=True):
+            servo.value = None if us == 0 else max(-1.0, min(1.0, (us - 1500) / 1000.0))
+
+
+class Guard:
+    """Motion lasts as long as its time to live. Pure: time is an argument."""
+
+    def __init__(self, pins: GpioPins) -> None:
+        self._pins = pins
+        self._until_s: float | None = None
+
+    def line(self, text: str, now_s: float) -> None:
+        """One command. What cannot be understood stops the motors."""
+        words = text.split()
+        try:
+            numbers = [int(w) for w in words[1:]]
+            if words[0] == "drive" and len(numbers) == 3:
+                self._pins.drive(numbers[0], numbers[1])
+                self._until_s = now_s + min(numbers[2], 400) / 1000.0
+            elif words[0] == "servo" and len(numbers) == 2:
+                self._pins.servo(*numbers)
+            else:
+                self.stop()
+        except (ValueError, IndexError):
+            self.stop()
+
+    def stop(self) -> None:
+        self._pins.stop()
+        self._until_s = None
+
+    def tick(self, now_s: float) -> float | None:
+        """Stop when the time is up. Returns how long it may still take, None at rest."""
+        if self._until_s is None:
+            return None
+        if now_s >= self._until_s:
+            self.stop()
+            return None
+        return self._until_s - now_s
+
+
+def serve(guard: Guard, fd: int) -> None:
+    """Obey lines from a file descriptor until it ends."""
+    buffer = b""
+    try:
+        while True:
+            readable, _, _ = select.select([fd], [], [], guard.tick(time.monotonic()))
+            if not readable:
+                continue
+            data = os.read(fd, 4096)
+            if not data:
+                return
+            *lines, buffer = (buffer + data).split(b"\n")
+            for text in lines:
+                guard.line(text.decode("ascii", "replace"), time.monotonic())
+            buffer = buffer[-200:]
+    finally:
+        guard.stop()
+
+
+def main() -> None:
+    """Arguments: six pins (left in1 in2, right in1 in2, pan, tilt)."""
+    pins = [int(a) for a in sys.argv[1:7]]
+    guard = Guard(GpioPins((pins[0], pins[1]), (pins[2], pins[3]), (pins[4], pins[5])))
+    guard.stop()
+    print("ready", flush=True)
+    serve(guard, sys.stdin.fileno())
+
+
+if __name__ == "__main__":
+    main()

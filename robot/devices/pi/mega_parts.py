@@ -1,0 +1,99 @@
+"""IMU, motors, pan-tilt and battery as the Mega has them, behind the device ports."""
+
+from __future__ import annotations
+
+import logging
+import math
+
+from robot.devices.pi.kinematics import DriveGeometry
+from robot.devices.pi.mega import Mega
+from robot.devices.ports import BatteryState, ImuReading
+from shared.errors import DeviceLost, HardwareError
+from shared.serial_protocol import Drive, Flag, Servo, Stop
+
+logger = logging.getLogger(__name__)
+
+# What the firmware lets a motor run without another command. The server repeats commands at least four times a second
+# and stops by itself after 250 ms; this is for its own death.
+FIRMWARE_TTL_MS = 300
+
+
+class MegaImu:
+    """Every sample of the Mega's IMU."""
+
+    def __init__(self, mega: Mega) -> None:
+        self._mega = mega
+
+    async def read(self) -> list[ImuReading]:
+        return await self._mega.wait_readings()
+
+    async def close(self) -> None:
+        self._mega.close()
+
+
+class MegaMotors:
+    """Motors on the Mega's DRV8833. The firmware stops them when commands stop coming."""
+
+    def __init__(self, mega: Mega, geometry: DriveGeometry) -> None:
+        self._mega = mega
+        self._geometry = geometry
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Raises DeviceLost when the Mega is away or holds the motors off."""
+        left, right = self._geometry.duties(linear_m_s, angular_rad_s)
+        self._mega.send(Drive(left, right, FIRMWARE_TTL_MS))
+        status = self._mega.status
+        if status is not None and status.flags & Flag.LOW_BATTERY:
+            raise DeviceLost(f"the motors' battery is low ({status.battery_mv / 1000:.1f} V); charge it")
+
+    def stop(self) -> None:
+        try:
+            self._mega.send(Stop())
+        except HardwareError as exc:
+            logger.debug("stop not sent (%s); the firmware stops by itself", exc)
+
+    def close(self) -> None:
+        self.stop()
+
+
+class MegaPanTilt:
+    """Two hobby servos: 1500 us is straight ahead."""
+
+    US_PER_RAD = 2000.0 / math.pi  # 90 degrees are 1000 us
+
+    def __init__(self, mega: Mega, invert_pan: bool = False, invert_tilt: bool = False) -> None:
+        self._mega = mega
+        self._signs = (-1.0 if invert_pan else 1.0, -1.0 if invert_tilt else 1.0)
+
+    def point(self, pan_rad: float, tilt_rad: float) -> None:
+        pan, tilt = (
+            round(min(2500.0, max(500.0, 1500.0 + sign * angle * self.US_PER_RAD)))
+            for sign, angle in zip(self._signs, (pan_rad, tilt_rad), strict=True)
+        )
+        self._mega.send(Servo(pan, tilt))
+
+    def close(self) -> None:
+        try:
+            self._mega.send(Servo(0, 0))
+        except HardwareError as exc:
+            logger.debug("servos not released: %s", exc)
+
+
+class MegaBattery:
+    """The divider on the Mega's A0."""
+
+    def __init__(self, mega: Mega, empty_v: float, full_v: float) -> None:
+        self._mega = mega
+        self._empty_v, self._full_v = empty_v, full_v
+
+    def read(self) -> BatteryState:
+        status = self._mega.status
+        if status is None or self._mega.lost:
+            raise DeviceLost(self._mega.lost or "the Mega has not reported its battery yet")
+        return battery_state(status.battery_mv / 1000.0, self._empty_v, self._full_v)
+
+
+def battery_state(voltage_v: float, empty_v: float, full_v: float) -> BatteryState:
+    """Charge by a straight line between empty and full: a hint, not a gauge."""
+    fraction = (voltage_v - empty_v) / (full_v - empty_v)
+    return BatteryState(voltage_v=voltage_v, fraction=min(1.0, max(0.0, fraction)))
