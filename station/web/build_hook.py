@@ -88,7 +88,7 @@ def _major(node: str) -> int:
 
 def _run(command: list[str], timeout_s: float, failure: str) -> None:
     try:
-        done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=timeout_s)  # noqa: S603
+        done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=timeout_s)
     except (OSError, subprocess.TimeoutExpired) as exc:
         raise PageNotBuilt(f"{failure} ({exc})") from exc
     if done.returncode != 0:
@@ -102,7 +102,7 @@ except ImportError:  # run by hand
     pass
 else:
 
-    class PageBuildHook(BuildHookInterface):  # type: ignore[type-arg,misc]
+    class PageBuildHook(BuildHookInterface[Any]):  # type: ignore[misc, unused-ignore]
         """Called by hatchling before a wheel is made, editable or not."""
 
         PLUGIN_NAME = "custom"

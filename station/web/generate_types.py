@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter
+from pydantic import BaseModel, TypeAdapter
 
 from station.api import messages, models
 
@@ -20,8 +20,11 @@ HEAD = "// Made by `python -m station.web.generate_types` from station/api/model
 def generate() -> str:
     """The TypeScript text."""
     definitions: dict[str, Any] = {}
-    unions = {"EventMessage": messages.EventMessage, "DriveRequest": messages.DriveRequest}
-    unions["DriveAnswer"] = messages.DriveAnswer
+    unions: dict[str, Any] = {
+        "EventMessage": messages.EventMessage,
+        "DriveRequest": messages.DriveRequest,
+        "DriveAnswer": messages.DriveAnswer,
+    }
     aliases = []
     for name, union in unions.items():
         schema = TypeAdapter(union).json_schema(mode="serialization")
@@ -30,11 +33,11 @@ def generate() -> str:
     for model in vars(models).values():
         if (
             isinstance(model, type)
-            and issubclass(model, models.BaseModel)
+            and issubclass(model, BaseModel)
             and model
             not in (
                 models.Model,
-                models.BaseModel,
+                BaseModel,
             )
         ):
             schema = model.model_json_schema(mode="serialization")
