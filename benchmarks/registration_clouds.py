@@ -144,9 +144,14 @@ def _room(rng: np.random.Generator, x0: float, x1: float, y0: float, y1: float, 
 
 
 def see(
-    flat: Flat, rng: np.random.Generator, region: FloatArray, count: int, noise_m: float, outliers: float
+    flat: Flat,
+    rng: np.random.Generator,
+    region: FloatArray,
+    count: int,
+    noise_m: float,
+    outliers: float,
 ) -> FloatArray:
-    """One drive's cloud: `count` landmarks of the part of the flat where `region` is true, with noise and outliers."""
+    """One drive's cloud: `count` landmarks of the part of the flat where `region` is positive, noise and outliers."""
     num_patches = int(flat.patch.max()) + 1
     visible = rng.random(num_patches) < 0.85
     contrast = rng.lognormal(0, 0.5, num_patches)  # light and distance differ between drives
@@ -182,12 +187,20 @@ def make_pair(
     outliers: tuple[float, float] = (0.05, 0.30),
     noise_m: float = 0.02,
     same_flat: bool = True,
+    shared_landmarks: bool = True,
 ) -> CloudPair:
-    """A random pair; yaw anywhere, translation up to 3 m per axis (1 m vertically), scale within 1 ± scale_range."""
+    """A random pair; yaw anywhere, translation up to 3 m per axis (1 m vertically), scale within 1 ± scale_range.
+
+    `shared_landmarks` False: the drives share surfaces but not one landmark (two detectors, other light).
+    """
     rng = np.random.default_rng([seed, 7])
     flat = make_flat(1000 + seed)
     wanted = float(rng.uniform(*overlap))
     region_target, region_source = _regions(flat, rng, wanted)
+    if not shared_landmarks:
+        mine = rng.random(len(flat.points)) < 0.5
+        region_target = region_target * mine
+        region_source = region_source * ~mine
     counts = np.exp(rng.uniform(np.log(points[0]), np.log(points[1]), 2)).astype(int)
     target = see(flat, rng, region_target, counts[0], noise_m, rng.uniform(*outliers))
     if same_flat:

@@ -100,12 +100,12 @@ class CurrentPlaceEstimator:
         self._hypotheses = [grown(h, distance, turn, seconds, self.config) for h in self._hypotheses]
         self._carry(t_robot_ns)
 
-    def on_localization(self, localization: Localization) -> None:
-        """A verified pose of an image."""
+    def on_localization(self, localization: Localization, t_robot_ns: int | None = None) -> None:
+        """A verified pose of an image; `t_robot_ns`: its time in the odometry's clock, where that differs."""
         index = self._index.get(localization.map_id)
         if index is None:
             return
-        t = localization.t_robot_ns
+        t = localization.t_robot_ns if t_robot_ns is None else t_robot_ns
         self._advance(t)
         T_measured = localization.T_map_cam @ self._T_cam_body
         T_nav_body = self._nav_body_at(t)

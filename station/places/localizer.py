@@ -53,7 +53,7 @@ class _Keyframe:
     T_map_cam: FloatArray  # (4, 4)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
     """What one image gave, also when it was no answer."""
 
@@ -62,6 +62,7 @@ class Attempt:
     num_features: int
     best_inliers: int
     similarity: float  # of the best keyframe's appearance, 0..1
+    features: Features | None = None  # of the image
 
 
 class Localizer:
@@ -92,10 +93,12 @@ class Localizer:
         features = self._extractor.extract(frame.grey())
         n = len(features)
         if n < self.config.min_inliers:
-            return Attempt(None, f"only {n} features in the image: dark, covered, blurred or featureless", n, 0, 0.0)
+            return Attempt(
+                None, f"only {n} features in the image: dark, covered, blurred or featureless", n, 0, 0.0, features
+            )
         images, similarity = self.index.query(features.descriptors, self.config.num_proposals)
         if not len(images):
-            return Attempt(None, "nothing in the map resembles the image", n, 0, 0.0)
+            return Attempt(None, "nothing in the map resembles the image", n, 0, 0.0, features)
         rays = to_rays(camera, features.uv_px)
         poses = []
         for group in self._groups(images):
@@ -104,17 +107,20 @@ class Localizer:
                 poses.append(pose)
         best_similarity = float(similarity[0])
         if not poses:
-            return Attempt(None, "no keyframe that resembles the image agrees with it in space", n, 0, best_similarity)
+            return Attempt(
+                None, "no keyframe that resembles the image agrees with it in space", n, 0, best_similarity, features
+            )
         poses.sort(key=lambda p: -p.pose.num_inliers)
         against = self._objection(poses, features, camera)
         if against is not None:
-            return Attempt(None, against, n, poses[0].pose.num_inliers, best_similarity)
+            return Attempt(None, against, n, poses[0].pose.num_inliers, best_similarity, features)
         return Attempt(
             self._answer(poses[0], frame),
             f"{poses[0].pose.num_inliers} landmarks of the map found where they belong",
             n,
             poses[0].pose.num_inliers,
             best_similarity,
+            features,
         )
 
     def _groups(self, images: IntArray) -> list[list[int]]:

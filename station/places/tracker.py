@@ -1,0 +1,114 @@
+"""Which place, from raw data: localiser, odometry, hijack detector and estimator wired together.
+
+Main path of the live answer: `on_imu`, `on_drive` as they come, `on_frame` for as many images as there is time for
+(two a second suffice), `answer` at any moment. Pure: no clock, no thread.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.geometry import FloatArray
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.maps.map import PlaceMap
+from station.places.answer import PlaceAnswer
+from station.places.coverage import units_per_metre
+from station.places.current import CurrentPlaceEstimator
+from station.places.dead_reckoning import DeadReckoning
+from station.places.hijack import HijackDetector, HijackEvent
+from station.places.localizer import Attempt, Localizer
+
+ODOMETRY_EVERY_NS = 50_000_000
+SLAM_SILENCE_NS = 1_000_000_000  # without a SLAM pose for this long, dead reckoning takes over
+HISTORY = 400
+
+
+class PlaceTracker:
+    """Everything between sensor data and `PlaceAnswer`. Not thread-safe: one per worker."""
+
+    def __init__(
+        self, maps: PlaceMap | Sequence[PlaceMap], calibration: Calibration, localizer: Localizer | None = None
+    ) -> None:
+        """`localizer`: one that was made for these maps, to save describing their keyframes again."""
+        given = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
+        self._calibration = calibration
+        self._units = {m.id: units_per_metre(m) for m in given}
+        self.localizer = localizer or Localizer(given)
+        self.estimator = CurrentPlaceEstimator(given, calibration)
+        self.hijacks = HijackDetector()
+        self._reckoning = DeadReckoning()
+        self._segment = 0
+        self._slam_t_ns: int | None = None
+        self._slam_segment: tuple[str, int] | None = None
+        self._poses: deque[tuple[int, FloatArray, int]] = deque(maxlen=HISTORY)
+        self._events: list[HijackEvent] = []
+        self.last_attempt: Attempt | None = None
+        camera = calibration.camera
+        self._shift_ns = round(camera.time_shift_s * 1e9) if camera else 0
+        self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
+
+    def on_imu(self, imu: ImuBatch) -> None:
+        self._note(self.hijacks.on_imu(imu))
+        self._reckoning.add_imu(imu)
+        t = self._reckoning.t_robot_ns
+        slam_is_silent = self._slam_t_ns is None or (t is not None and t - self._slam_t_ns > SLAM_SILENCE_NS)
+        due = not self._poses or (t is not None and t - self._poses[-1][0] >= ODOMETRY_EVERY_NS)
+        if t is not None and slam_is_silent and due:
+            self._odometry(t, self._reckoning.T_nav_body, ("dead reckoning", 0))
+
+    def on_drive(self, drive: DriveSample) -> None:
+        self.hijacks.on_drive(drive)
+        self._reckoning.add_drive(drive)
+
+    def on_odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int = 0) -> None:
+        """A pose of a running SLAM in metres: better than dead reckoning while it comes."""
+        self._slam_t_ns = t_robot_ns
+        self._odometry(t_robot_ns, T_nav_body, ("slam", segment))
+
+    def on_frame(self, frame: ImageFrame) -> Attempt | None:
+        """Localise one image; None while the robot is carried. Raises DataError for an undecodable image."""
+        t = frame.t_robot_ns + self._shift_ns
+        if self.hijacks.is_carried:
+            return None
+        attempt = self.localizer.attempt(frame, self._calibration)
+        self.last_attempt = attempt
+        if attempt.features is not None:
+            self._note(self.hijacks.on_view(t, attempt.features))
+        if attempt.localization is None:
+            self.estimator.on_failure(t, attempt.num_features)
+            return attempt
+        z = attempt.localization
+        T_map_body = z.T_map_cam @ self._T_cam_body
+        self._note(self.hijacks.on_localization(z, T_map_body, self._pose_at(t), self._units[z.map_id]))
+        self.estimator.on_localization(z, t)
+        return attempt
+
+    def answer(self, t_robot_ns: int) -> PlaceAnswer:
+        """The current place at this time (robot clock)."""
+        return self.estimator.answer(t_robot_ns)
+
+    def take_events(self) -> list[HijackEvent]:
+        """Hijacks noticed since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _note(self, event: HijackEvent | None) -> None:
+        if event is not None:
+            self._events.append(event)
+            self.estimator.on_hijack(event.t_robot_ns, event.reason, event.confidence)
+
+    def _odometry(self, t: int, T_nav_body: FloatArray, segment: tuple[str, int]) -> None:
+        if segment != self._slam_segment:  # another frame: SLAM began, ended, or lost its track
+            self._slam_segment = segment
+            self._segment += 1
+        self._poses.append((t, T_nav_body, self._segment))
+        self.estimator.on_odometry(t, T_nav_body, self._segment)
+
+    def _pose_at(self, t_robot_ns: int) -> FloatArray | None:
+        """Odometry of the present frame nearest to a time."""
+        mine = [(abs(t - t_robot_ns), k) for k, (t, _, segment) in enumerate(self._poses) if segment == self._segment]
+        return self._poses[min(mine)[1]][1] if mine else None

@@ -1,0 +1,149 @@
+"""Hijack detection: what people do to a robot, and what floors, motors and lenses do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shared.geometry import FloatArray, se3, yaw_rotation
+from station.frames import DriveSample, ImuBatch
+from station.places.answer import Localization
+from station.places.dead_reckoning import DeadReckoning
+from station.places.features import Features, to_bytes
+from station.places.hijack import HijackDetector, HijackEvent
+
+RATE = 225.0
+SECOND = 1_000_000_000
+
+
+def imu(gyro: FloatArray, accel: FloatArray, start_s: float = 0.0, seed: int = 0) -> list[ImuBatch]:
+    """Batches of ten samples with the noise of driving; gyro (N, 3) and accel (N, 3) without gravity."""
+    rng = np.random.default_rng(seed)
+    n = len(gyro)
+    t = ((start_s + np.arange(n) / RATE) * SECOND).astype(np.int64)
+    g = gyro + 0.01 + rng.normal(0, 0.012, (n, 3))
+    a = accel + np.array([0.1, -0.05, 9.81 + 0.1]) + rng.normal(0, 0.3, (n, 3))
+    return [ImuBatch(t[k : k + 10], g[k : k + 10], a[k : k + 10]) for k in range(0, n, 10)]
+
+
+def seconds(s: float) -> FloatArray:
+    return np.zeros((int(s * RATE), 3))
+
+
+def feed(detector: HijackDetector, batches: list[ImuBatch]) -> list[HijackEvent]:
+    return [event for batch in batches if (event := detector.on_imu(batch)) is not None]
+
+
+def lift() -> FloatArray:
+    """0.4 m up within 0.8 s: a sine of acceleration."""
+    f = np.linspace(0, 1, int(0.8 * RATE))
+    out = np.zeros((len(f), 3))
+    out[:, 2] = 0.4 * 2 * np.pi / 0.8**2 * np.sin(2 * np.pi * f)
+    return out
+
+
+def test_being_lifted_is_noticed_once_and_ends_when_put_down() -> None:
+    detector = HijackDetector()
+    assert not feed(detector, imu(seconds(3), seconds(3)))
+    events = feed(detector, imu(seconds(0.8), lift(), 3.0, 1))
+    assert len(events) == 1
+    assert events[0].cue == "imu" and "lifted" in events[0].reason
+    assert detector.is_carried
+    assert not feed(detector, imu(seconds(2), seconds(2), 3.8, 2))
+    assert not detector.is_carried
+
+
+def test_being_tilted_is_noticed() -> None:
+    detector = HijackDetector()
+    feed(detector, imu(seconds(3), seconds(3)))
+    roll = seconds(0.5)
+    roll[:, 0] = 0.6
+    events = feed(detector, imu(roll, seconds(0.5), 3.0))
+    assert len(events) == 1 and "tilted" in events[0].reason
+
+
+def test_turning_counts_only_while_the_motors_rest() -> None:
+    turning = seconds(2)
+    turning[:, 2] = 0.8
+    resting, driving = HijackDetector(), HijackDetector()
+    feed(resting, imu(seconds(3), seconds(3)))
+    feed(driving, imu(seconds(3), seconds(3)))
+    assert any("turned" in e.reason for e in feed(resting, imu(turning, seconds(2), 3.0)))
+    for k, batch in enumerate(imu(turning, seconds(2), 3.0)):
+        if k % 2 == 0:
+            driving.on_drive(DriveSample(int(batch.t_robot_ns[0]), 0.0, 2.0))
+        assert driving.on_imu(batch) is None
+
+
+def test_a_collision_and_hard_braking_are_no_hijack() -> None:
+    jolt = seconds(4)
+    jolt[200, 0] = -60.0
+    jolt[300:340, 0] = -3.0
+    assert not feed(HijackDetector(), imu(seconds(4), jolt))
+
+
+def features(rng: np.random.Generator, n: int = 150) -> Features:
+    return Features(rng.uniform(0, 480, (n, 2)), to_bytes((rng.random((n, 128)) ** 6).astype(np.float32)))
+
+
+def test_a_view_that_changes_at_once_and_stays_is_a_hijack() -> None:
+    rng = np.random.default_rng(0)
+    detector, a, b = HijackDetector(), features(rng), features(rng)
+    views = [a, a, b, b]
+    events = [detector.on_view(k * SECOND // 2, view) for k, view in enumerate(views)]
+    assert events[:3] == [None, None, None]
+    assert events[3] is not None and events[3].cue == "vision"
+
+
+def test_a_covered_lens_and_a_passing_person_are_no_hijack() -> None:
+    rng = np.random.default_rng(1)
+    detector, room, dark = HijackDetector(), features(rng), features(rng, 3)
+    person = features(rng)
+    views = [room, dark, dark, room, person, room, room]
+    assert all(detector.on_view(k * SECOND // 3, view) is None for k, view in enumerate(views))
+
+
+def found(t_s: float, x: float, inliers: int = 60) -> tuple[Localization, FloatArray]:
+    T = se3(np.eye(3), np.array([x, 0.0, 0.0]))
+    return Localization(int(t_s * SECOND), T, inliers, 0.5, 0.02, 0, "map"), T
+
+
+def test_two_images_far_from_where_the_robot_can_be_are_a_hijack_and_one_is_not() -> None:
+    detector, still = HijackDetector(), np.eye(4)
+    assert detector.on_localization(*found(0, 0.0), still) is None
+    assert detector.on_localization(*found(1, 5.0), still) is None
+    assert detector.on_localization(*found(2, 0.1), still) is None
+    assert detector.on_localization(*found(3, 5.0), still) is None
+    event = detector.on_localization(*found(4, 5.0), still)
+    assert event is not None and event.cue == "position" and "4.9 m" in event.reason
+
+
+def test_driving_explains_a_new_position() -> None:
+    detector = HijackDetector()
+    for k in range(6):
+        z, T = found(k, 0.8 * k)
+        assert detector.on_localization(z, T, se3(np.eye(3), np.array([0.85 * k, 0.0, 0.0]))) is None
+
+
+def test_dead_reckoning_follows_gyro_and_commands() -> None:
+    reckoning = DeadReckoning()
+    for batch in imu(seconds(2), seconds(2)):
+        reckoning.add_imu(batch)
+    turning = seconds(4)
+    turning[:, 2] = np.pi / 8
+    for batch in imu(turning, seconds(4), 2.0):
+        reckoning.add_drive(DriveSample(int(batch.t_robot_ns[0]), 0.2, 1.0))
+        reckoning.add_imu(batch)
+    # A quarter circle of length 0.8 m.
+    radius = 0.2 / (np.pi / 8)
+    T = reckoning.T_nav_body
+    assert np.allclose(T[:3, :3], yaw_rotation(np.pi / 2), atol=0.05)
+    assert np.allclose(T[:2, 3], [radius, radius], atol=0.06)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.02, -0.03])
+def test_dead_reckoning_does_not_turn_at_rest(bias: float) -> None:
+    reckoning = DeadReckoning()
+    for batch in imu(seconds(20) + bias, seconds(20)):
+        reckoning.add_imu(batch)
+    assert np.allclose(reckoning.T_nav_body, np.eye(4), atol=0.03)
