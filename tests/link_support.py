@@ -120,7 +120,8 @@ class FakeBattery:
 class Bench:
     """One robot-server with fake devices."""
 
-    def __init__(self, **server: int) -> None:
+    def __init__(self, clock_rate: float = 1.0, **server: int) -> None:
+        self._clock_rate = clock_rate
         self.camera, self.imu, self.motors, self.head = FakeCamera(), FakeImu(), FakeMotors(), FakeHead()
         self.config = RobotConfig(server=ServerConfig(port=0, **server))
         self.port = 0
@@ -136,7 +137,12 @@ class Bench:
             pan_tilt=self.head,
             battery=FakeBattery(),
             hijack=self.head,
+            clock=self.clock,
         )
+
+    def clock(self) -> int:
+        """The robot's time; it may run fast or slow."""
+        return round(time.monotonic_ns() * self._clock_rate)
 
     async def start(self) -> None:
         """Start, or start again on the same port."""
@@ -153,8 +159,8 @@ class Bench:
 
 
 @asynccontextmanager
-async def running_robot(**server: int) -> AsyncIterator[Bench]:
-    bench = Bench(**server)
+async def running_robot(clock_rate: float = 1.0, **server: int) -> AsyncIterator[Bench]:
+    bench = Bench(clock_rate, **server)
     await bench.start()
     try:
         yield bench

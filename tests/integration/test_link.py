@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import time
 
 import pytest
 
 from shared.errors import DeviceLost, LocalProtocolError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
-from tests.link_support import Proxy, linked, running_robot, until
+from tests.link_support import Bench, Proxy, linked, running_robot, until
 
 
 async def test_frames_imu_and_reports_arrive_as_the_devices_made_them() -> None:
@@ -228,3 +229,26 @@ async def test_shutdown_stops_motors_first_and_closes_devices() -> None:
         assert bench.camera.is_closed and bench.imu.is_closed
         await until(lambda: notes.notices)
         assert notes.notices[0].code == "shutdown"
+
+
+async def test_an_error_inside_robot_server_stops_the_motors_and_ends_it() -> None:
+    bench = Bench()
+    await bench.start()
+    assert bench.task is not None
+    async with linked(bench.port) as (link, notes):
+        await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+        bench.camera.frames.put_nowait(ZeroDivisionError("a bug in a device's adapter"))
+        with pytest.raises(ExceptionGroup):
+            await bench.task
+        assert bench.motors.are_off
+        assert bench.camera.is_closed
+        await until(lambda: notes.reasons)
+
+
+async def test_the_robots_own_clock_is_found_although_it_drifts() -> None:
+    async with running_robot(clock_rate=1.005) as bench, linked(bench.port) as (link, _):
+        await until(lambda: (link.state.clock_drift_ppm or 0.0) > 4000)
+        offset_ns = link.state.clock_offset_ns
+        assert offset_ns is not None
+        now_ns = time.monotonic_ns()
+        assert link.to_station_ns(bench.clock()) == pytest.approx(now_ns, abs=200_000_000)
