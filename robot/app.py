@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from robot.announce import Announcement, announced_addresses
 from robot.config import RobotConfig, ServerConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
@@ -29,9 +30,16 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
         server = RobotServer(open_devices(kind, config), config, starts_with_first_station=kind == "recorded")
         atexit.register(server.stop_motors)
         host, port = listener.getsockname()[:2]
+        addresses = announced_addresses(host)
+        announcement = Announcement(server.hello().robot_id, port, addresses) if addresses else None
         print(f"robot-server: {kind} devices on {host}:{port}", flush=True)
-        with asyncio.Runner(loop_factory=_loop_factory()) as runner:
-            runner.run(serve_until_signal(server, listener))
+        try:
+            with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+                runner.run(serve_until_signal(server, listener))
+        finally:
+            server.stop_motors()
+            if announcement is not None:
+                announcement.close()
 
 
 def check(kind: DeviceKind, config: RobotConfig) -> bool:

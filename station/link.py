@@ -42,6 +42,11 @@ logger = logging.getLogger(__name__)
 RETRY_S = 0.25  # a robot that just started is found well within two seconds
 CONNECT_WITHIN_S = 1.5
 TICK_S = 0.025
+AUTO = "auto"  # as host: look for a robot
+FIND_WITHIN_S = 2.0
+NO_ROBOT_FOUND = (
+    "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
+)
 READ_BYTES = 256 * 1024
 # What is sent first when several things are due. Each kind has room for one: the newest wins.
 SENDING_ORDER: tuple[type, ...] = (Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
@@ -74,7 +79,10 @@ class LinkListener(Protocol):
 
 
 class RobotLink:
-    """Connection to the robot-server at host:port. All methods belong on the event loop that runs `run()`."""
+    """Connection to the robot-server at host:port. All methods belong on the event loop that runs `run()`.
+
+    Host "auto" looks for a robot in the local network first, whenever there is no connection.
+    """
 
     def __init__(
         self,
@@ -84,7 +92,9 @@ class RobotLink:
         *,
         station_name: str = "station",
         now_ns: Callable[[], int] = time.monotonic_ns,
+        find: Callable[[float], tuple[str, int] | None] | None = None,
     ) -> None:
+        self._find = find if find is not None or host != AUTO else _find_in_network
         self._host = host
         self._port = port
         self._listener = listener
@@ -204,6 +214,11 @@ class RobotLink:
 
     async def _connect_once(self) -> str:
         """Connect and stay connected; returns the sentence why not any longer."""
+        if self._find is not None:
+            found = await asyncio.to_thread(self._find, FIND_WITHIN_S)
+            if found is None:
+                return NO_ROBOT_FOUND
+            self._host, self._port = found
         address = f"{self._host}:{self._port}"
         try:
             async with asyncio.timeout(CONNECT_WITHIN_S):
@@ -354,6 +369,13 @@ class RobotLink:
         if notice.fatal:
             self._session.close_reason = f"the robot closed the connection: {notice.message}"
         self._listener.on_notice(notice)
+
+
+def _find_in_network(seconds: float) -> tuple[str, int] | None:
+    # Imported only here: zeroconf opens sockets of its own, and who gives an address does not need it.
+    from station.discovery import find_robot
+
+    return find_robot(seconds)
 
 
 class _Ended(Exception):

@@ -19,7 +19,9 @@ def register(app: typer.Typer) -> None:
 
 
 def serve(
-    robot: Annotated[str | None, typer.Option(help="HOST:PORT of robot-server.")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="HOST:PORT of robot-server; auto looks for one in the network.")
+    ] = None,
     host: Annotated[str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to serve on; 0 takes a free one.")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder for navigations and maps.")] = None,
