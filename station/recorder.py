@@ -124,6 +124,11 @@ class Recorder:
         self._thread.start()
 
     @property
+    def error(self) -> str:
+        """Why the recording ended by itself, in a sentence; empty while it works."""
+        return self._error
+
+    @property
     def report(self) -> RecordingReport:
         """How it stands now; `error` is set as soon as the recording ended by itself."""
         size = self.path.stat().st_size if self.path.is_file() else 0

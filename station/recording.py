@@ -31,6 +31,11 @@ POSE_EVENT_INTERVAL_S = 0.1
 class DriveRecorder(LinkListener, Protocol):
     """Writes what the link delivers into a file, in a thread of its own; calls return at once."""
 
+    @property
+    def error(self) -> str:
+        """Why it ended by itself, in a sentence; empty while it works."""
+        ...
+
     def close(self) -> object: ...
 
 
@@ -217,6 +222,13 @@ class Drives:
         if self._running is not None:
             self._running.drive = self._counted(self._running)
             self._tell(self._running.drive)
+            self._tell_recorder_error(self._running)
+
+    def _tell_recorder_error(self, running: _Running) -> None:
+        error = "" if running.recorder is None else running.recorder.error
+        if error and "recorder" not in running.lost_announced:
+            running.lost_announced.add("recorder")
+            self._events.say("navigation", error, "error")
 
     def _on_update(self, live: LiveSlam, update: SlamUpdate) -> None:
         has_new_points = live.update(update)
@@ -306,6 +318,7 @@ class Drives:
     async def _close_recorder(self, running: _Running) -> None:
         if running.recorder is not None:
             await asyncio.to_thread(running.recorder.close)
+            self._tell_recorder_error(running)
 
     def _counted(self, running: _Running) -> DriveRecord:
         first_ns = running.first_frame_ns
