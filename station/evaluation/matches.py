@@ -175,7 +175,9 @@ def _co_visible(places: Sequence[Place], p_map: FloatArray, p_nav: FloatArray) -
     if not len(seen) or not places:
         return ()
     tree = cKDTree(seen)
-    reach = SHARED_SHARE * float(np.median([_size(place, p_map) for place in places]))
+    # A sparse cloud has no point right beside each of the map's, also where it saw the same surface.
+    spacing = float(np.median(tree.query(seen, k=min(5, len(seen)))[0][:, -1])) if len(seen) > 1 else 0.0
+    reach = max(SHARED_SHARE * float(np.median([_size(place, p_map) for place in places])), spacing)
     ids = []
     for place in places:
         p = p_map[place.landmark_index]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from shared.geometry import FloatArray
 from station.maps.map import PlaceMap
 from station.navigation import Navigation
+from station.places.appearance_alignment import AppearanceAlignment, align_by_appearance
 from station.places.config import PlacesConfig
 from station.places.outliers import usable_landmarks
 from station.places.registration import Rays, Registration, register_clouds
@@ -15,6 +18,8 @@ from station.places.scale import viewing_distance
 from station.places.thesis_registration import register_as_thesis
 
 FREE_SCALE = 1.67  # two drives of one home differ in viewing distance by less than this factor
+NEAR_SCALE = 1.05  # images leave a scale open by less
+MIN_OVERLAP = 0.15  # images that agree outweigh clouds that see little of each other, but not clouds apart
 
 
 def align_navigation(
@@ -30,27 +35,71 @@ def align_navigation(
             config.thesis,
             normalise=not (target.is_metric and source.is_metric) if normalise is None else normalise,
         )
-    return _align_by_geometry(target, source, seed=seed)
-
-
-def _align_by_geometry(target: Navigation, source: Navigation, *, seed: int) -> Registration:
     units = viewing_distance(target), viewing_distance(source)
     if units[0] is None or units[1] is None:
         return refused("a cloud without a finite landmark cannot be registered", "small_gicp")
-    p_target, rays_target = _cloud(target, units[0])
-    p_source, rays_source = _cloud(source, units[1])
-    both_upright = target.is_gravity_aligned and source.is_gravity_aligned
-    ratio = units[0] / units[1]
-    return register_clouds(
-        p_target,
-        p_source,
-        scale="known" if target.is_metric and source.is_metric else "free",
-        gravity="known" if both_upright else "unknown",
-        seed=seed,
-        target_rays=rays_target,
-        source_rays=rays_source,
-        scale_range=None if target.is_metric and source.is_metric else (ratio / FREE_SCALE, ratio * FREE_SCALE),
+    clouds = _Clouds(target, source, (units[0], units[1]))
+    if config.align_by != "geometry":
+        found = align_by_appearance(
+            place_map, navigation, viewing_distance=units[0], fixed_scale=target.is_metric and source.is_metric
+        )
+        if found is not None:
+            return _check_by_geometry(found, clouds, seed)
+        if config.align_by == "appearance":
+            return refused("too few of the navigation's images were found in the map, or they disagree", "appearance")
+    return clouds.register(seed)
+
+
+def _check_by_geometry(found: AppearanceAlignment, clouds: _Clouds, seed: int) -> Registration:
+    """The motion the images agree on, unless the clouds have nothing to do with each other there.
+
+    Clouds refined from there give the figures but not the motion: images fix scale and position several times
+    better than sparse landmarks do (docs/places.md has the table).
+    """
+    by_clouds = clouds.register(seed, around=found.T_map_nav)
+    told = f"{found.agreeing} of {found.found} images that were found in the map agree ({found.asked} were asked)"
+    accepted = by_clouds.overlap >= MIN_OVERLAP
+    reason = (
+        "" if accepted else f"only {by_clouds.overlap:.0%} of the landmarks have a neighbour in the other cloud there"
     )
+    return replace(
+        by_clouds,
+        accepted=accepted,
+        reasons=(told,) if accepted else (told, reason),
+        T_target_source=found.T_map_nav,
+        scale=float(np.cbrt(np.linalg.det(found.T_map_nav[:3, :3]))),
+        covariance=None,
+        backend="appearance + small_gicp",
+    )
+
+
+class _Clouds:
+    """Both clouds, ready to be registered."""
+
+    def __init__(self, target: Navigation, source: Navigation, units: tuple[float, float]) -> None:
+        self._target, self._target_rays = _cloud(target, units[0])
+        self._source, self._source_rays = _cloud(source, units[1])
+        self._upright = target.is_gravity_aligned and source.is_gravity_aligned
+        self._metric = target.is_metric and source.is_metric
+        self._ratio = units[0] / units[1]
+
+    def register(self, seed: int, around: FloatArray | None = None) -> Registration:
+        """By global search, or refined `around` a known motion (4, 4)."""
+        scale, spread = self._ratio, FREE_SCALE
+        if around is not None:
+            scale, spread = float(np.cbrt(np.linalg.det(around[:3, :3]))), NEAR_SCALE
+        return register_clouds(
+            self._target,
+            self._source,
+            scale="known" if self._metric else "free",
+            gravity="known" if self._upright else "unknown",
+            seed=seed,
+            target_rays=self._target_rays,
+            source_rays=self._source_rays,
+            scale_range=None if self._metric else (scale / spread, scale * spread),
+            start=() if around is None else (around,),
+            search=around is None,
+        )
 
 
 def _cloud(navigation: Navigation, unit: float) -> tuple[FloatArray, Rays]:

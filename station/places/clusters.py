@@ -18,7 +18,8 @@ from station.places.voxels import voxelise
 
 NOISE = -1
 MIN_LANDMARKS = 10  # fewer points have no centroid worth naming
-MIN_SHARE = 0.25  # of the median hill: crumbs at the edge of the view come and go from drive to drive
+FEW_LANDMARKS = 25  # a hill of so many is half as trustworthy as its prominence says
+MIN_SHARE = 0.05  # of the hill that a landmark typically lies on: crumbs come and go from drive to drive
 CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only bounds the work in dense clouds
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
 SMOOTHING_SHARE = 0.1  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
@@ -129,7 +130,7 @@ def cluster_default(navigation: Navigation, config: PlacesConfig, lengths: Lengt
     )
     hill = modes.label[cells.cell_of_point]
     size = np.bincount(hill, minlength=len(modes.peak))
-    kept = np.flatnonzero(size >= max(MIN_LANDMARKS, MIN_SHARE * np.median(size)))
+    kept = np.flatnonzero(size >= max(MIN_LANDMARKS, MIN_SHARE * (size**2).sum() / size.sum()))
     new_label = np.full(len(size), NOISE, dtype=np.int64)
     new_label[kept] = np.arange(len(kept))
     label[usable] = new_label[hill]
@@ -142,7 +143,9 @@ def cluster_default(navigation: Navigation, config: PlacesConfig, lengths: Lengt
         "min_prominence": MIN_PROMINENCE,
         "usable_landmarks": len(usable),
     }
-    return Clusters(label=label, quality=modes.prominence[kept], parameters=parameters)
+    return Clusters(
+        label=label, quality=modes.prominence[kept] * size[kept] / (size[kept] + FEW_LANDMARKS), parameters=parameters
+    )
 
 
 def sampling_distance(p: FloatArray) -> float:

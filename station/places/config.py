@@ -8,6 +8,7 @@ from typing import Literal
 from shared.errors import ConfigError
 
 PlacesMode = Literal["thesis", "default"]
+AlignBy = Literal["both", "geometry", "appearance"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,7 @@ class PlacesConfig:
 
     mode: PlacesMode = "default"
     thesis: ThesisConfig = field(default_factory=ThesisConfig)
+    align_by: AlignBy = "both"  # default mode: images find the map first, clouds otherwise; or only one of the two
     # The two factors exist for sensitivity studies (docs/results.md); nobody needs to set them.
     eps_factor: float = 1.0  # on the neighbourhood that the cloud's density asks for
     size_factor: float = 1.0  # on the size of a place that the viewing distance asks for
@@ -42,6 +44,8 @@ class PlacesConfig:
     def __post_init__(self) -> None:
         if self.mode not in ("thesis", "default"):
             raise ConfigError(f'mode is "{self.mode}", must be "thesis" or "default"')
+        if self.align_by not in ("both", "geometry", "appearance"):
+            raise ConfigError(f'align_by is "{self.align_by}", must be "both", "geometry" or "appearance"')
         for name in ("eps_factor", "size_factor"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} is {getattr(self, name)}, must be above 0")

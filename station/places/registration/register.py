@@ -45,6 +45,7 @@ def register_clouds(
     source_rays: Rays | None = None,
     scale_range: tuple[float, float] | None = None,
     start: tuple[FloatArray, ...] = (),
+    search: bool = True,
 ) -> Registration:
     """Find how the source cloud lies in the target's frame, without a guess, or say why not.
 
@@ -59,6 +60,7 @@ def register_clouds(
         scale_range: allowed scale when free; by default 0.78..1.28, or about the ratio of the clouds' sizes when that
             shows different units.
         start: guesses (4, 4) to refine beside those of the global search.
+        search: False refines the guesses only: something else than geometry has found them.
     Returns:
         Registration; `accepted` False with reasons when it found nothing it can stand for.
     Raises:
@@ -74,7 +76,8 @@ def register_clouds(
     rng = np.random.default_rng(seed)
     A, B = prepare_cloud(p_target, rng), prepare_cloud(p_source, rng)
     voxel = float(np.max(np.ptp(np.percentile(A.points, [1, 99], axis=0), axis=0)[:2])) / SearchConfig().cells
-    candidates = _global_start(A, B, ranges, gravity, voxel, rng) + [Candidate(T, 0.0) for T in start]
+    candidates = _global_start(A, B, ranges, gravity, voxel, rng) if search else []
+    candidates += [Candidate(T, 0.0) for T in start]
     ranked = _refine_and_rank(A, B, candidates, gravity, scale, voxel, rng)
     if not ranked:
         return refused("no alignment has enough points in common", backend)

@@ -1,0 +1,122 @@
+"""A registration from images: keyframes of the navigation, found in the map, say together how its frame lies there."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.errors import RobotSystemError
+from shared.geometry import FloatArray, IntArray, orthonormal
+from station.frames import ImageFrame
+from station.maps.map import PlaceMap
+from station.navigation import Navigation
+from station.places.localizer import Localizer
+
+MAX_QUERIES = 24  # keyframes asked for, evenly spread
+MIN_AGREEING = 4  # independent images that must tell the same story
+MIN_AGREEING_SHARE = 0.6  # of those that were found at all
+MAX_POSITION_SHARE = 0.1  # of the viewing distance: agreement in position
+MAX_ANGLE_RAD = 0.1  # agreement in rotation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AppearanceAlignment:
+    """Where the navigation lies by its images alone."""
+
+    T_map_nav: FloatArray  # (4, 4) with scale
+    found: int  # keyframes found in the map
+    asked: int
+    agreeing: int  # of those found, how many fit T_map_nav
+
+
+def align_by_appearance(
+    place_map: PlaceMap, navigation: Navigation, *, viewing_distance: float, fixed_scale: bool
+) -> AppearanceAlignment | None:
+    """Localise keyframes of the navigation in the map and find the motion most of them agree on.
+
+    None where images are missing or nothing agrees. `viewing_distance` is the map's, map units.
+    """
+    T_map_cam, T_nav_cam, asked = _localize(place_map, navigation)
+    found = agree_on_motion(
+        T_map_cam, T_nav_cam, tolerance=MAX_POSITION_SHARE * viewing_distance, fixed_scale=fixed_scale
+    )
+    if found is None:
+        return None
+    T, agreeing = found
+    return AppearanceAlignment(T, len(T_map_cam), asked, len(agreeing))
+
+
+def agree_on_motion(
+    T_map_cam: FloatArray, T_nav_cam: FloatArray, *, tolerance: float, fixed_scale: bool
+) -> tuple[FloatArray, IntArray] | None:
+    """The motion (4, 4) with scale that most poses agree on, and which (k,) do; None where too few do.
+
+    Args:
+        T_map_cam, T_nav_cam: (n, 4, 4) the same cameras in the map and in the navigation.
+        tolerance: largest distance of an agreeing camera from where it was found, map units.
+        fixed_scale: both frames are metric.
+    """
+    if len(T_map_cam) < MIN_AGREEING:
+        return None
+    best = np.zeros(0, dtype=np.int64)
+    for i, j in itertools.combinations(range(len(T_map_cam)), 2):
+        # Cameras closer together than this say nothing of the scale.
+        if not fixed_scale and np.linalg.norm(T_map_cam[i, :3, 3] - T_map_cam[j, :3, 3]) < 0.5 * tolerance:
+            continue
+        T = _fit(T_map_cam[[i, j]], T_nav_cam[[i, j]], fixed_scale)
+        agreeing = _agreeing(T, T_map_cam, T_nav_cam, tolerance)
+        if len(agreeing) > len(best):
+            best = agreeing
+    if len(best) < max(MIN_AGREEING, MIN_AGREEING_SHARE * len(T_map_cam)):
+        return None
+    T = _fit(T_map_cam[best], T_nav_cam[best], fixed_scale)
+    return T, _agreeing(T, T_map_cam, T_nav_cam, tolerance)
+
+
+def _localize(place_map: PlaceMap, navigation: Navigation) -> tuple[FloatArray, FloatArray, int]:
+    """Poses (n, 4, 4) of the keyframes that were found, in the map and in the navigation; and how many were asked."""
+    keyframes = navigation.keyframes
+    usable = [k for k, encoded in enumerate(keyframes.encoded) if encoded]
+    mapped = any(place_map.navigation.keyframes.encoded)
+    if not usable or not mapped or navigation.calibration.camera is None or not len(place_map.navigation.landmarks):
+        return np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), 0
+    localizer = Localizer(place_map)
+    chosen = np.unique(np.linspace(0, len(usable) - 1, min(MAX_QUERIES, len(usable))).round().astype(int))
+    in_map, in_nav = [], []
+    for k in (usable[i] for i in chosen):
+        frame = ImageFrame(int(keyframes.frame_index[k]), int(keyframes.t_robot_ns[k]), 0, keyframes.encoded[k])
+        try:
+            found = localizer.localize(frame, navigation.calibration)
+        except RobotSystemError:
+            continue  # one unreadable image is no reason to give up the others
+        if found is not None:
+            in_map.append(found.T_map_cam)
+            in_nav.append(keyframes.T_world_cam[k])
+    return np.array(in_map).reshape(-1, 4, 4), np.array(in_nav).reshape(-1, 4, 4), len(chosen)
+
+
+def _fit(T_map_cam: FloatArray, T_nav_cam: FloatArray, fixed_scale: bool) -> FloatArray:
+    """(4, 4) motion with scale that takes the navigation's poses onto the map's, rotations and positions both."""
+    R = orthonormal(np.einsum("nij,nkj->ik", T_map_cam[:, :3, :3], T_nav_cam[:, :3, :3]))
+    c_map, c_nav = T_map_cam[:, :3, 3], T_nav_cam[:, :3, 3]
+    d_map, d_nav = c_map - c_map.mean(axis=0), (c_nav - c_nav.mean(axis=0)) @ R.T
+    scale = 1.0
+    if not fixed_scale:
+        # Ratio of spreads instead of a projection: it does not shrink when positions are noisy.
+        scale = float(np.sqrt((d_map**2).sum() / max((d_nav**2).sum(), 1e-12)))
+    T = np.eye(4)
+    T[:3, :3] = scale * R
+    T[:3, 3] = c_map.mean(axis=0) - scale * R @ c_nav.mean(axis=0)
+    return T
+
+
+def _agreeing(T: FloatArray, T_map_cam: FloatArray, T_nav_cam: FloatArray, tolerance: float) -> IntArray:
+    scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
+    carried = T_nav_cam[:, :3, 3] @ T[:3, :3].T + T[:3, 3]
+    distance = np.linalg.norm(carried - T_map_cam[:, :3, 3], axis=1)
+    R = np.einsum("ij,njk->nik", T[:3, :3] / scale, T_nav_cam[:, :3, :3])
+    trace = np.einsum("nij,nij->n", R, T_map_cam[:, :3, :3])
+    angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
+    return np.flatnonzero((distance <= tolerance) & (angle <= MAX_ANGLE_RAD)).astype(np.int64)

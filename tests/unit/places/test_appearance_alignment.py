@@ -1,0 +1,42 @@
+"""Cameras found in the map agree on one motion, whatever a few of them say."""
+
+import numpy as np
+import pytest
+
+from shared.geometry import FloatArray, inverse, se3, so3_exp, yaw_rotation
+from station.places.appearance_alignment import agree_on_motion
+
+
+def cameras(seed: int, count: int, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    T_map_cam = np.stack([se3(so3_exp(rng.normal(size=3)), rng.uniform(-2, 2, 3)) for _ in range(count)])
+    T_map_nav = se3(yaw_rotation(2.5), np.array([1.0, -2.0, 0.3]))
+    T_nav_cam = inverse(T_map_nav) @ T_map_cam
+    T_nav_cam[:, :3, 3] /= scale
+    T_map_nav[:3, :3] *= scale
+    return T_map_cam, T_nav_cam, T_map_nav
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.2, 7.0])
+def test_the_motion_is_found_with_its_scale_among_wrong_cameras(scale: float) -> None:
+    T_map_cam, T_nav_cam, T_map_nav = cameras(1, 10, scale)
+    T_map_cam[[2, 5, 8], :3, 3] += [3.0, 1.0, 0.0]
+    found = agree_on_motion(T_map_cam, T_nav_cam, tolerance=0.2, fixed_scale=scale == 1.0)
+    assert found is not None
+    np.testing.assert_allclose(found[0], T_map_nav, atol=1e-9)
+    assert found[1].tolist() == [0, 1, 3, 4, 6, 7, 9]
+
+
+def test_cameras_that_disagree_say_nothing() -> None:
+    rng = np.random.default_rng(0)
+    T_map_cam, T_nav_cam, _ = cameras(2, 8, 1.0)
+    T_map_cam[:, :3, 3] = rng.uniform(-5, 5, (8, 3))
+    assert agree_on_motion(T_map_cam, T_nav_cam, tolerance=0.2, fixed_scale=True) is None
+    assert agree_on_motion(T_map_cam[:3], T_nav_cam[:3], tolerance=0.2, fixed_scale=True) is None
+
+
+def test_right_positions_with_wrong_headings_do_not_agree() -> None:
+    T_map_cam, T_nav_cam, _ = cameras(3, 8, 1.0)
+    T_map_cam[4:, :3, :3] = T_map_cam[4:, :3, :3] @ so3_exp(np.array([0.0, 0.5, 0.0]))
+    found = agree_on_motion(T_map_cam, T_nav_cam, tolerance=0.2, fixed_scale=True)
+    assert found is None  # four of eight are no majority
