@@ -15,12 +15,15 @@ from station.datasets import Truth
 from station.evaluation.alignment import align_points
 from station.maps.map import Place, PlaceMap
 from station.navigation import Navigation
+from station.places.clusters import MIN_LANDMARKS
 from station.places.extent import half_extent
 from station.places.match import MatchResult, PlaceMatch
 
 MAX_GAP_NS = 60_000_000  # a true pose farther in time than this does not belong to a keyframe
 SHARED_SHARE = 0.15  # of a place's half extent: landmarks closer than this are of one surface
-CO_VISIBLE_SHARE = 0.5  # a place is co-visible when so many of its landmarks have one of the navigation beside them
+CO_VISIBLE_SHARE = 0.5  # a place is co-visible when so many of its landmarks were in view again
+MIN_VIEWS = 3
+MAX_VIEW_SHARE = 2.0  # of the distance landmarks are seen from: farther ones are not reconstructed
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,7 @@ def judge_matches(
         )
         for match in result.matches
     )
-    co_visible = _co_visible(place_map.places, p_map, p_nav)
+    co_visible = co_visible_places(place_map.places, p_map, navigation, truth_nav, p_nav)
     right = {j.match.place_id for j in judged if j.correct}
     return MatchJudgement(
         judged=judged,
@@ -84,14 +87,10 @@ def true_landmarks(navigation: Navigation, truth: Truth) -> FloatArray:
     their true poses, and averaged: SLAM's drift cancels, its triangulation error stays. NaN for landmarks that no
     keyframe with a true pose saw.
     """
-    body = truth_at(truth, navigation.keyframes.t_robot_ns)
-    known = np.isfinite(body[:, 0, 0])
+    T_true_cam = true_cameras(navigation, truth)
+    known = np.isfinite(T_true_cam[:, 0, 0])
     if np.count_nonzero(known) < 3:
         raise DataError(f"{np.count_nonzero(known)} keyframes of {navigation.id} have a true pose, judging needs 3")
-    # An IMU-less truth is of the camera itself: then T_body_cam is the identity.
-    camera = navigation.calibration.camera
-    T_body_cam = np.eye(4) if camera is None else camera.T_body_cam_matrix
-    T_true_cam = body @ T_body_cam
     T_nav_cam = navigation.keyframes.T_world_cam
     scale = align_points(T_true_cam[known, :3, 3], T_nav_cam[known, :3, 3], "sim3").scale
     landmarks = navigation.landmarks
@@ -103,6 +102,15 @@ def true_landmarks(navigation: Navigation, truth: Truth) -> FloatArray:
         np.add.at(count, seen, 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return total / count[:, None]
+
+
+def true_cameras(navigation: Navigation, truth: Truth) -> FloatArray:
+    """(F, 4, 4) true poses of the keyframes' cameras, NaN where none was recorded near in time."""
+    camera = navigation.calibration.camera
+    # A truth without IMU is of the camera itself: then T_body_cam is the identity.
+    return truth_at(truth, navigation.keyframes.t_robot_ns) @ (
+        np.eye(4) if camera is None else camera.T_body_cam_matrix
+    )
 
 
 def truth_at(truth: Truth, t_robot_ns: IntArray) -> FloatArray:
@@ -170,19 +178,38 @@ def _judge(match: PlaceMatch, p_place: FloatArray, p_location: FloatArray) -> Ju
     return JudgedMatch(match, distance, limit, correct=distance <= limit)
 
 
-def _co_visible(places: Sequence[Place], p_map: FloatArray, p_nav: FloatArray) -> tuple[str, ...]:
+def co_visible_places(
+    places: Sequence[Place], p_map: FloatArray, navigation: Navigation, truth: Truth, p_nav: FloatArray
+) -> tuple[str, ...]:
+    """Ids of the places that a navigation saw again, by true poses: in view, and something was reconstructed there.
+
+    In view: half of the place's landmarks lie in three or more of its images, nearer than twice its viewing distance.
+    Walls are not asked whether they hide a place, so some landmarks of the navigation must lie within its extent.
+    """
+    camera = navigation.calibration.camera
     seen = p_nav[np.isfinite(p_nav[:, 0])]
-    if not len(seen) or not places:
+    if camera is None or not len(seen) or not places:
         return ()
+    T_cam_world = inverse(true_cameras(navigation, truth))
+    T_cam_world = T_cam_world[np.isfinite(T_cam_world[:, 0, 0])]
+    distances = [np.linalg.norm(seen - T[:3, 3], axis=1) for T in inverse(T_cam_world)]
+    reach = MAX_VIEW_SHARE * float(np.median(np.min(distances, axis=0)))
+    views = np.zeros(len(p_map), dtype=np.int64)
+    for T in T_cam_world:
+        p = transform(T, np.nan_to_num(p_map, nan=1e9))
+        u = camera.fx * p[:, 0] / np.maximum(p[:, 2], 1e-6) + camera.cx
+        v = camera.fy * p[:, 1] / np.maximum(p[:, 2], 1e-6) + camera.cy
+        views += (
+            (p[:, 2] > 0) & (np.linalg.norm(p, axis=1) < reach)
+            & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        )  # fmt: skip
     tree = cKDTree(seen)
-    # A sparse cloud has no point right beside each of the map's, also where it saw the same surface.
-    spacing = float(np.median(tree.query(seen, k=min(5, len(seen)))[0][:, -1])) if len(seen) > 1 else 0.0
-    reach = max(SHARED_SHARE * float(np.median([_size(place, p_map) for place in places])), spacing)
     ids = []
     for place in places:
+        in_view = (views[place.landmark_index] >= MIN_VIEWS).mean() >= CO_VISIBLE_SHARE
         p = p_map[place.landmark_index]
-        p = p[np.isfinite(p[:, 0])]
-        if len(p) and (tree.query(p)[0] <= reach).mean() >= CO_VISIBLE_SHARE:
+        centre = np.nanmean(p, axis=0)
+        if in_view and len(tree.query_ball_point(centre, _size(place, p_map))) >= MIN_LANDMARKS:
             ids.append(place.id)
     return tuple(ids)
 

@@ -25,14 +25,14 @@ def truth_of(poses: FloatArray) -> Truth:
 def first() -> tuple[PlaceMap, FloatArray]:
     home = furnished_room(3, density=300)
     poses = drive(home, 31)
-    return build_map(navigate(home, poses, seed=31)), poses
+    return build_map(navigate(home, poses, seed=31, images=False)), poses
 
 
 @pytest.fixture(scope="module")
 def second() -> tuple[Navigation, FloatArray]:
     home = furnished_room(3, density=300)
     poses = drive(home, 32, radius=0.6)
-    return navigate(home, poses, seed=32, T_nav_world=T_NAV_WORLD), poses
+    return navigate(home, poses, seed=32, T_nav_world=T_NAV_WORLD, images=False), poses
 
 
 def test_a_second_drive_finds_the_places_again(
@@ -52,7 +52,7 @@ def test_a_second_drive_finds_the_places_again(
 
 def test_another_room_gives_no_matches(first: tuple[PlaceMap, FloatArray]) -> None:
     home = furnished_room(77, density=300, size=(3.2, 6.0))
-    result = match_navigation(first[0], navigate(home, drive(home, 5), seed=5))
+    result = match_navigation(first[0], navigate(home, drive(home, 5), seed=5, images=False))
     assert not result.registration.accepted
     assert result.matches == () and len(result.nearest_place) == 0
     assert result.registration.reasons
