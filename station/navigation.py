@@ -16,7 +16,7 @@ from shared.geometry import FloatArray, IntArray
 class Trajectory:
     """Poses over time. World frame: of this navigation; z up and metres where the navigation says so."""
 
-    t_robot_ns: IntArray  # (N,) increasing
+    t_robot_ns: IntArray  # (N,) increasing; the IMU's time (frame time + CameraCalibration.time_shift_s)
     T_world_body: FloatArray  # (N, 4, 4); body = IMU, or the camera where there is no IMU
 
     def __len__(self) -> int:

@@ -16,6 +16,7 @@ from station.frames import ImageFrame
 from station.navigation import Keyframes, Landmarks
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
+from station.slam.sfm.odometry_mapping import OdometryMap
 from station.slam.sfm.visual import CAMERA_ID
 
 
@@ -26,6 +27,7 @@ class Reconstructed:
     keyframes: Keyframes  # T_world_cam in that world
     landmarks: Landmarks
     camera: CameraCalibration  # refined, where asked for
+    is_drive_metric: bool = False  # its unit is the metre of the drive commands
 
 
 def read_model(
@@ -40,28 +42,63 @@ def read_model(
     registered = sorted(number - 1 for number in model.reg_image_ids())
     index_of = {k: i for i, k in enumerate(registered)}
     T_world_cam = np.stack([_pose(model, k) for k in registered])
-    keyframes = Keyframes(
-        frame_index=np.array([frames[k].index for k in registered], dtype=np.int64),
-        t_robot_ns=np.array([frames[k].t_robot_ns for k in registered], dtype=np.int64),
-        T_world_cam=T_world_cam,
-        encoded=tuple(frames[k].encoded for k in registered),
-        segment=np.zeros(len(registered), dtype=np.int64),
-    )
+    keyframes = _keyframes([frames[k] for k in registered], T_world_cam)
     points, owner, seen_from, feature = _observations(model, index_of, config)
     uv = np.array(
         [features[registered[k]].uv_px[f] for k, f in zip(seen_from.tolist(), feature.tolist(), strict=True)]
     ).reshape(-1, 2)
     keep = good_landmarks(points, owner, seen_from, T_world_cam[:, :3, 3], config)
-    points, owner, seen_from, uv = _keep_only(keep, points, owner, seen_from, uv)
-    landmarks = Landmarks(
-        p_world=points,
-        rgb=sample_colours(keyframes.encoded, owner, seen_from, uv, len(points)),
-        cov_world=np.zeros((len(points), 3, 3)),
-        observed_landmark=owner,
-        observed_keyframe=seen_from,
-        observed_uv_px=uv,
-    )
+    landmarks = _landmarks(keyframes, keep, points, np.zeros((len(points), 3, 3)), owner, seen_from, uv)
     return Reconstructed(keyframes, landmarks, _calibrated(model, camera) if refined else camera)
+
+
+def read_odometry_map(
+    made: OdometryMap,
+    frames: Sequence[ImageFrame],
+    features: Sequence[Features],
+    camera: CameraCalibration,
+    config: SfmConfig,
+) -> Reconstructed:
+    """The same of a map made with odometry: every keyframe has a pose there."""
+    T_world_body = np.zeros((len(frames), 4, 4))
+    T_world_body[:, :3, :3] = made.state.R_world_body
+    T_world_body[:, :3, 3] = made.state.p_world_body
+    T_world_body[:, 3, 3] = 1.0
+    keyframes = _keyframes(frames, T_world_body @ camera.T_body_cam_matrix)
+    tracks = made.tracks
+    offset = np.concatenate([[0], np.cumsum([len(f) for f in features])])
+    uv = np.vstack([f.uv_px for f in features])[offset[tracks.keyframe] + tracks.feature]
+    centres = keyframes.T_world_cam[:, :3, 3]
+    keep = good_landmarks(made.state.points, tracks.point, tracks.keyframe, centres, config)
+    landmarks = _landmarks(keyframes, keep, made.state.points, made.cov_world, tracks.point, tracks.keyframe, uv)
+    return Reconstructed(keyframes, landmarks, camera, is_drive_metric=True)
+
+
+def _keyframes(frames: Sequence[ImageFrame], T_world_cam: FloatArray) -> Keyframes:
+    return Keyframes(
+        frame_index=np.array([frame.index for frame in frames], dtype=np.int64),
+        t_robot_ns=np.array([frame.t_robot_ns for frame in frames], dtype=np.int64),
+        T_world_cam=T_world_cam,
+        encoded=tuple(frame.encoded for frame in frames),
+        segment=np.zeros(len(frames), dtype=np.int64),
+    )
+
+
+def _landmarks(
+    keyframes: Keyframes,
+    keep: npt.NDArray[np.bool_],
+    points: FloatArray,
+    cov_world: FloatArray,
+    owner: IntArray,
+    seen_from: IntArray,
+    uv: FloatArray,
+) -> Landmarks:
+    """The kept points with their observations, renumbered and coloured."""
+    number = np.cumsum(keep) - 1
+    rows = keep[owner] if len(owner) else np.empty(0, dtype=bool)
+    owner, seen_from, uv = number[owner[rows]].astype(np.int64), seen_from[rows], uv[rows]
+    rgb = sample_colours(keyframes.encoded, owner, seen_from, uv, int(keep.sum()))
+    return Landmarks(points[keep], rgb, cov_world[keep], owner, seen_from, uv)
 
 
 def _pose(model: pycolmap.Reconstruction, k: int) -> FloatArray:
@@ -108,14 +145,6 @@ def good_landmarks(
     np.maximum.at(widest, owner, off_mean)
     wide_enough = 2.0 * widest >= np.radians(config.min_triangulation_angle_deg)
     return (length >= config.min_track_length) & wide_enough
-
-
-def _keep_only(
-    keep: npt.NDArray[np.bool_], points: FloatArray, owner: IntArray, seen_from: IntArray, uv: FloatArray
-) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
-    number = np.cumsum(keep) - 1
-    rows = keep[owner] if len(owner) else np.empty(0, dtype=bool)
-    return points[keep], number[owner[rows]].astype(np.int64), seen_from[rows], uv[rows]
 
 
 def sample_colours(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import asdict
+from typing import Any
 
 import cv2
 import msgspec
@@ -17,11 +18,15 @@ from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.navigation import Keyframes, Navigation, NavigationReport
 from station.slam.backend import SlamUpdate
 from station.slam.frontend.lens import Lens
-from station.slam.sfm.assemble import Reconstructed, read_model
+from station.slam.sfm.assemble import Reconstructed, read_model, read_odometry_map
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.features import Features, SiftExtractor
+from station.slam.sfm.inertial import concatenate_imu
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.sfm.matching import Match, Shortlist, verify
+from station.slam.sfm.matching import Match, Shortlist, match_descriptors, verify
+from station.slam.sfm.odometry import dead_reckon
+from station.slam.sfm.odometry_mapping import map_with_odometry
+from station.slam.sfm.tracks import Pairs
 from station.slam.sfm.visual import colmap_camera, map_incrementally
 from station.slam.sfm.world import place_in_world
 
@@ -52,7 +57,8 @@ class SfmBackend:
         self._drive: list[DriveSample] = []
         self._frames: list[ImageFrame] = []  # keyframes
         self._features: list[Features] = []
-        self._matches: list[Match] = []
+        self._pairs: list[Pairs] = []  # feature pairs, unverified
+        self._matches: list[Match] = []  # verified
         self._frame_times: list[int] = []
 
     def add_imu(self, imu: ImuBatch) -> None:
@@ -66,12 +72,12 @@ class SfmBackend:
         grey = frame.grey()
         self._check_size(frame, grey.shape)
         self._frame_times.append(frame.t_robot_ns)
-        is_keyframe = self._selector.is_keyframe(grey, frame.t_robot_ns)
+        is_keyframe = self._selector.is_keyframe(grey, frame.t_robot_ns, self._has_odometry)
         if is_keyframe:
             self._add_keyframe(frame, self._extractor.extract(grey, self._lens))
         return SlamUpdate(
             t_robot_ns=frame.t_robot_ns,
-            state="tracking" if self._matches else "initialising",
+            state="tracking" if len(self._frames) > 1 else "initialising",
             message=f"{len(self._frames)} keyframes collected; the map is made when the drive ends",
             T_world_body=None,
             num_landmarks=0,
@@ -85,19 +91,34 @@ class SfmBackend:
                 f"{self._camera.width}x{self._camera.height}; give the calibration of these images"
             )
 
+    @property
+    def _has_odometry(self) -> bool:
+        """Whether gyroscope and drive commands tell how the robot moves."""
+        return bool(self._drive) and bool(self._imu) and self._calibration.imu is not None
+
     def _add_keyframe(self, frame: ImageFrame, features: Features) -> None:
+        config = self._config.matching
         b = len(self._frames)
-        first_previous = max(0, b - self._config.matching.num_previous)
-        older = self._shortlist.most_alike(features, first_previous)
+        previous = config.num_previous_with_odometry if self._has_odometry else config.num_previous
+        older = list(range(max(0, b - previous), b))
+        if not self._has_odometry:  # with odometry, loops are looked for where poses say so
+            older = [*self._shortlist.most_alike(features, older[0] if older else 0), *older]
+            self._shortlist.add(features)
         self._frames.append(frame)
         self._features.append(features)
-        self._shortlist.add(features)
-        for a in [*older, *range(first_previous, b)]:
-            match = verify(
-                a, b, self._features[a], features, self._colmap_camera, self._config.matching, self._config.seed
-            )
+        for a in older:
+            pairs = match_descriptors(self._features[a].descriptors, features.descriptors, config.max_ratio)
+            self._pairs.append((a, b, pairs))
+            if self._calibration.imu is None:  # no odometry can come any more: do the work now
+                self._verify_pairs()
+
+    def _verify_pairs(self) -> None:
+        config = self._config
+        for a, b, pairs in self._pairs:
+            match = verify(a, b, pairs, self._features, self._colmap_camera, config.matching, config.seed)
             if match is not None:
                 self._matches.append(match)
+        self._pairs.clear()
 
     def finish(self) -> Navigation:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""
@@ -105,6 +126,11 @@ class SfmBackend:
             raise EstimationError(
                 f"{len(self._frames)} keyframes are too few to reconstruct from; drive further, with texture in view"
             )
+        imu = concatenate_imu(self._imu)
+        if self._has_odometry and imu is not None:
+            model, facts = self._map_with_odometry(imu)
+            return self._navigation(model, imu, facts, [])
+        self._verify_pairs()
         camera = colmap_camera(self._camera, self._refine)
         models = map_incrementally(camera, self._features, self._matches, self._config, self._refine)
         if not models:
@@ -112,16 +138,37 @@ class SfmBackend:
                 f"no two of {len(self._frames)} keyframes could be reconstructed; drive slower, with texture in view"
             )
         model = read_model(models[0], self._frames, self._features, self._camera, self._config, self._refine)
-        return self._navigation(model, len(models))
+        left_out = len(self._frames) - len(model.keyframes)
+        messages = []
+        if left_out:
+            messages.append(f"{left_out} of {len(self._frames)} keyframes could not be connected and were left out")
+        return self._navigation(model, imu, {"mapping": "images only", "models": len(models)}, messages)
 
-    def _navigation(self, model: Reconstructed, num_models: int) -> Navigation:
-        placed = place_in_world(
-            model, self._calibration, self._imu, self._drive, np.array(self._frame_times, dtype=np.int64)
-        )
+    def _map_with_odometry(self, imu: ImuBatch) -> tuple[Reconstructed, dict[str, Any]]:
+        t_all = np.array([frame.t_robot_ns for frame in self._frames], dtype=np.int64)
+        t_all += round(self._camera.time_shift_s * 1e9)
+        covered = np.flatnonzero((t_all >= imu.t_robot_ns[0]) & (t_all <= imu.t_robot_ns[-1]))
+        if len(covered) < MIN_KEYFRAMES or self._calibration.imu is None:
+            raise EstimationError(
+                f"inertial samples cover {len(covered)} of {len(t_all)} keyframes, too few; check the time stamps"
+            )
+        begin, end = int(covered[0]), int(covered[-1]) + 1
+        frames, features = self._frames[begin:end], self._features[begin:end]
+        pairs = [(a - begin, b - begin, p) for a, b, p in self._pairs if begin <= a and b < end]
+        odometry = dead_reckon(imu, self._drive, t_all[begin:end], self._calibration.imu)
+        made = map_with_odometry(features, pairs, t_all[begin:end], odometry, self._camera, self._config)
+        if made.tracks.num_points == 0:
+            raise EstimationError("no landmark could be triangulated; drive further, with light and texture in view")
+        model = read_odometry_map(made, frames, features, self._camera, self._config)
+        facts = {"mapping": "odometry and images", "loops": made.num_loops, "median_error_px": made.median_error_px}
+        return model, facts
+
+    def _navigation(
+        self, model: Reconstructed, imu: ImuBatch | None, facts: dict[str, Any], messages: list[str]
+    ) -> Navigation:
+        placed = place_in_world(model, self._calibration, imu, self._drive, np.array(self._frame_times, dtype=np.int64))
         lost_s = tracking_lost_s(np.array(self._frame_times), model.keyframes.t_robot_ns)
-        messages = list(placed.messages)
-        if num_models > 1:
-            messages.append(f"{num_models - 1} parts of the drive could not be connected and were left out")
+        messages = [*messages, *placed.messages]
         calibration = msgspec.structs.replace(self._calibration, camera=model.camera)
         duration = (self._frame_times[-1] - self._frame_times[0]) * 1e-9
         report = NavigationReport(
@@ -142,7 +189,7 @@ class SfmBackend:
                 "numpy": np.__version__,
                 "scipy": scipy.__version__,
             },
-            config=asdict(self._config) | {"refine_intrinsics": self._refine, **placed.facts},
+            config=asdict(self._config) | {"refine_intrinsics": self._refine, **facts, **placed.facts},
             messages=tuple(messages),
         )
         keyframes = Keyframes(

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 class KeyframeConfig:
     """When a frame becomes a keyframe. Flow is measured on a small image, so these are fractions of the image width."""
 
-    min_flow: float = 0.05  # median motion of tracked corners since the last keyframe
+    min_flow: float = 0.07  # median motion of tracked corners since the last keyframe
+    min_flow_with_odometry: float = 0.2  # gyroscope and wheels hold keyframes together that share less
     min_tracked: float = 0.5  # fewer of the last keyframe's corners left: take one now
     track_width_px: int = 320  # images are tracked at this width: 3 ms each
     num_corners: int = 150
@@ -30,12 +31,17 @@ class MatchConfig:
     """Which keyframes are compared, and when two of them are believed to see the same."""
 
     num_previous: int = 6  # every keyframe against the ones just before it
+    num_previous_with_odometry: int = 4
     num_shortlist: int = 4  # and against the older ones that look most alike
     shortlist_features: int = 200  # the largest features decide who looks alike
     min_shortlist_matches: int = 12
     max_ratio: float = 0.8  # Lowe's ratio, as in COLMAP
     min_inliers: int = 20
     max_error_px: float = 3.0
+    min_gyro_inliers: int = 8  # of matches that agree with the gyroscope's rotation: chance gives 1 or 2
+    loops_per_keyframe: int = 2
+    min_loop_inliers: int = 15
+    seed_of_pnp: int = 0
 
 
 @dataclass(frozen=True, slots=True)

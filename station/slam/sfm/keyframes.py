@@ -26,9 +26,11 @@ class KeyframeSelector:
         self._t_keyframe_ns = 0
         self.flow = 0.0  # fraction of the image width since the last keyframe
 
-    def is_keyframe(self, grey: ImageArray, t_ns: int) -> bool:
+    def is_keyframe(self, grey: ImageArray, t_ns: int, has_odometry: bool = False) -> bool:
         """Take one frame in; True when it should become a keyframe."""
-        width = self._config.track_width_px
+        config = self._config
+        min_flow = config.min_flow_with_odometry if has_odometry else config.min_flow
+        width = config.track_width_px
         small = grey
         if grey.shape[1] > width:
             height = round(grey.shape[0] * width / grey.shape[1])
@@ -44,11 +46,11 @@ class KeyframeSelector:
         # A blank wall has no corners to lose: wait for corners or for time.
         blank = self._num_started < MIN_CORNERS
         waited = t_ns - self._t_keyframe_ns >= self._config.max_interval_s * 1e9
-        moved = self.flow >= self._config.min_flow
+        moved = self.flow >= min_flow
         if blank:
             take = waited or self._has_corners(small)
         else:
-            take = moved or lost_many or (waited and self.flow >= 0.2 * self._config.min_flow)
+            take = moved or lost_many or (waited and self.flow >= 0.2 * min_flow)
         if take:
             self._restart(small, t_ns)
         return take

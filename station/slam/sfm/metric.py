@@ -17,6 +17,10 @@ from station.slam.sfm.inertial import InertialTrack, usable_intervals
 
 MAX_INTERVAL_S = 3.0
 ACCEL_SLOP = 0.02  # m/s^2: vibration, bias walk, and gravity seen through 0.1 degree of attitude error
+# Keyframes closer than this are skipped: over short times the camera's noise, not motion, is compared with the IMU.
+MIN_INTERVAL_S = 1.0
+# On simulated drives the inertial scale is 3 % off where its own covariance says 2 %.
+INERTIAL_SYSTEMATIC = 0.03
 POSITION_SLOP = 0.002  # of the median step between keyframes: the camera's own error
 ACCEL_BIAS_SIGMA = 0.3  # m/s^2, prior: what data sheets of small IMUs allow
 MOTOR_LAG_S = 0.15  # the motors follow their command this much later
@@ -134,12 +138,21 @@ def align_to_imu(
         return None
     sigma = float(np.sqrt(covariance[scale_at, scale_at] * max(1.0, chi2)))
     return InertialAlignment(
-        scale=ScaleEstimate(scale, sigma / scale, "imu"),
+        scale=ScaleEstimate(scale, float(np.hypot(sigma / scale, INERTIAL_SYSTEMATIC)), "imu"),
         gravity_world=solution[gravity_at:],
         accel_bias=solution[bias_at : bias_at + 3],
         velocity_world=solution[: 3 * n].reshape(n, 3),
         num_intervals=len(usable),
     )
+
+
+def spaced(t_ns: IntArray, interval_s: float = MIN_INTERVAL_S) -> IntArray:
+    """Indices of keyframes at least an interval apart."""
+    chosen = [0]
+    for i in range(1, len(t_ns)):
+        if t_ns[i] - t_ns[chosen[-1]] >= interval_s * 1e9:
+            chosen.append(i)
+    return np.array(chosen, dtype=np.int64)
 
 
 def _priors(

@@ -17,9 +17,8 @@ def all_frames(
     T_world_body: FloatArray,
     t_frames_ns: IntArray,
     track: InertialTrack | None,
-    time_shift_ns: int,
 ) -> Trajectory:
-    """Poses (N, 4, 4) at every frame between keyframes that are at most MAX_GAP_NS apart.
+    """Poses (N, 4, 4) at every frame between keyframes that are at most MAX_GAP_NS apart. All times are the IMU's.
 
     Positions follow a monotone cubic through the keyframes' (it does not overshoot where the robot stops). Rotations
     follow the gyroscope, its small error spread over the interval; without an IMU they turn evenly.
@@ -34,7 +33,7 @@ def all_frames(
     wanted, begin = wanted[covered], begin[covered]
     seconds = (t_keyframes_ns - t_keyframes_ns[0]) * 1e-9
     positions = PchipInterpolator(seconds, T_world_body[:, :3, 3], axis=0)((wanted - t_keyframes_ns[0]) * 1e-9)
-    turned = _relative_turns(t_keyframes_ns, wanted, begin, track, time_shift_ns)
+    turned = _relative_turns(t_keyframes_ns, wanted, begin, track)
     poses = []
     for i, k in enumerate(begin.tolist()):
         fraction = (wanted[i] - t_keyframes_ns[k]) / (t_keyframes_ns[k + 1] - t_keyframes_ns[k])
@@ -46,12 +45,12 @@ def all_frames(
 
 
 def _relative_turns(
-    t_keyframes_ns: IntArray, wanted: IntArray, begin: IntArray, track: InertialTrack | None, time_shift_ns: int
+    t_keyframes_ns: IntArray, wanted: IntArray, begin: IntArray, track: InertialTrack | None
 ) -> tuple[FloatArray, FloatArray]:
     """The gyroscope's turn from the keyframe before each wanted time, to that time and to the next keyframe."""
     still = np.broadcast_to(np.eye(3), (len(wanted), 3, 3))
     if track is None:
         return still, still
-    at_keyframes = track.rotation_at(t_keyframes_ns + time_shift_ns)
+    at_keyframes = track.rotation_at(t_keyframes_ns)
     back = np.swapaxes(at_keyframes[begin], 1, 2)
-    return back @ track.rotation_at(wanted + time_shift_ns), back @ at_keyframes[begin + 1]
+    return back @ track.rotation_at(wanted), back @ at_keyframes[begin + 1]

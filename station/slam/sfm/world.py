@@ -12,13 +12,15 @@ from shared.geometry import FloatArray, IntArray, inverse, se3, transform
 from station.frames import DriveSample, ImuBatch
 from station.navigation import Landmarks, Trajectory
 from station.slam.sfm.assemble import Reconstructed
-from station.slam.sfm.inertial import InertialTrack, concatenate_imu, estimate_gyro_bias
+from station.slam.sfm.inertial import InertialTrack, estimate_gyro_bias
 from station.slam.sfm.metric import (
+    DRIVE_SYSTEMATIC,
     ScaleEstimate,
     align_to_imu,
     fuse_scales,
     gravity_from_accelerometer,
     scale_from_drive,
+    spaced,
 )
 from station.slam.sfm.trajectory import all_frames
 
@@ -54,12 +56,12 @@ class _Facts:
 def place_in_world(
     model: Reconstructed,
     calibration: Calibration,
-    imu: list[ImuBatch],
+    imu: ImuBatch | None,
     drive: list[DriveSample],
     t_frames_ns: IntArray,
 ) -> Placed:
     """Scale, turn and move a reconstruction into the world, and give every frame a pose."""
-    facts = _measure(model, calibration, concatenate_imu(imu), drive)
+    facts = _measure(model, calibration, imu, drive)
     T_body_cam = model.camera.T_body_cam_matrix
     scale = fuse_scales(facts.scales)
     is_metric = scale is not None and scale.sigma_relative <= METRIC_SIGMA
@@ -75,6 +77,7 @@ def place_in_world(
     T_world_model = _first_pose_is_origin(up, T_model_body[0])
     landmarks = model.landmarks
     T_world_cam = T_world_model @ T_model_cam
+    shift_ns = round(model.camera.time_shift_s * 1e9)  # the body is the IMU: its poses are stamped by the IMU's time
     numbers = facts.numbers | {"scale_factor_sigma": None if scale is None else scale.sigma_relative}
     return Placed(
         T_world_cam=T_world_cam,
@@ -87,11 +90,10 @@ def place_in_world(
             observed_uv_px=landmarks.observed_uv_px,
         ),
         trajectory=all_frames(
-            model.keyframes.t_robot_ns,
+            model.keyframes.t_robot_ns + shift_ns,
             T_world_cam @ inverse(T_body_cam),
-            t_frames_ns,
+            t_frames_ns + shift_ns,
             facts.track,
-            round(model.camera.time_shift_s * 1e9),
         ),
         is_metric=is_metric,
         is_gravity_aligned=facts.down is not None,
@@ -115,16 +117,19 @@ def _measure(model: Reconstructed, calibration: Calibration, imu: ImuBatch | Non
         if np.isfinite(angles).any():
             numbers["gyro_camera_median_rad"] = float(np.nanmedian(angles))
         down = gravity_from_accelerometer(track, t_imu, R_body)
-        found = align_to_imu(track, t_imu, R_body, p_cam, T_body_cam[:3, 3], calibration.imu, calibration.gravity)
+        some = spaced(t_imu)
+        arm = T_body_cam[:3, 3]
+        found = align_to_imu(track, t_imu[some], R_body[some], p_cam[some], arm, calibration.imu, calibration.gravity)
         if found is not None:
             scales.append(found.scale)
             if found.scale.sigma_relative < 0.5:
                 down = found.gravity_world / np.linalg.norm(found.gravity_world)
             numbers["accel_bias_m_s2"] = found.accel_bias.tolist()
-    if calibration.robot_kind == "sentinel" or drive:
-        from_drive = scale_from_drive(drive, t_imu, R_body, p_cam)
-        if from_drive is not None:
-            scales.append(from_drive)
+    from_drive = scale_from_drive(drive, t_imu, R_body, p_cam)
+    if model.is_drive_metric:
+        from_drive = ScaleEstimate(1.0, DRIVE_SYSTEMATIC, "drive")
+    if from_drive is not None:
+        scales.append(from_drive)
     for estimate in scales:
         numbers[f"scale_{estimate.source}"] = {"scale": estimate.scale, "sigma": estimate.sigma_relative}
     return _Facts(track, down, scales, numbers)
