@@ -33,7 +33,7 @@ class FlatOptions:
 
     rooms: tuple[int, int] = (3, 5)
     room_area_m2: tuple[float, float] = (10.5, 13.0)
-    lookalike_rooms: bool = False  # two rooms get the same furniture in the same places
+    lookalike_rooms: bool = False  # two rooms differ in nothing but their pictures
     moved_chairs_seed: int | None = None  # chairs, boxes and baskets stand elsewhere
     light_seed: int | None = None  # rooms are lit differently
 
@@ -60,8 +60,10 @@ class _WallRun:
 def make_flat(name: str, seed: int, options: FlatOptions) -> World:
     """Build the flat of a seed; options change only what they say."""
     rng = np.random.default_rng([seed, 1])
-    cells, doors = _plan(rng, options)
+    cells, doors = _plan_with_twins(rng) if options.lookalike_rooms else _plan(rng, options)
     names = _room_names(rng, len(cells))
+    if options.lookalike_rooms:
+        names[2] = names[1] + " 2"
     rooms = tuple(
         Room(n, x0 + _HALF_WALL, y0 + _HALF_WALL, x1 - _HALF_WALL, y1 - _HALF_WALL)
         for n, (x0, y0, x1, y1) in zip(names, cells, strict=True)
@@ -70,7 +72,8 @@ def make_flat(name: str, seed: int, options: FlatOptions) -> World:
     plain_room, plain_side = int(rng.integers(0, len(rooms))), int(rng.integers(0, 4))
     room_seeds = [int(s) for s in rng.integers(0, 2**31, len(rooms))]
     if options.lookalike_rooms:
-        rooms, room_seeds = _make_lookalike(rooms, room_seeds)
+        room_seeds[2] = room_seeds[1]
+        plain_room = 0
     for index, room in enumerate(rooms):
         featureless = plain_side if index == plain_room else -1
         furnish_room(builder, room, index, doors, room_seeds[index], featureless, options.moved_chairs_seed)
@@ -96,18 +99,6 @@ def _room_names(rng: np.random.Generator, count: int) -> list[str]:
     return order[:count]
 
 
-def _make_lookalike(rooms: tuple[Room, ...], seeds: list[int]) -> tuple[tuple[Room, ...], list[int]]:
-    """The two rooms of most similar size get one seed and one kind."""
-    size = np.array([[r.x1_m - r.x0_m, r.y1_m - r.y0_m] for r in rooms])
-    pairs = [(float(np.abs(size[i] - size[j]).sum()), i, j) for i in range(len(rooms)) for j in range(i)]
-    _, i, j = min(pairs)
-    twin_seeds = list(seeds)
-    twin_seeds[i] = seeds[j]
-    twins = list(rooms)
-    twins[i] = replace(rooms[i], name=rooms[j].name + " 2")
-    return tuple(twins), twin_seeds
-
-
 # --- floor plan ---------------------------------------------------------------------------------------------------
 
 Cell = tuple[float, float, float, float]  # x0 y0 x1 y1 m, to the middle of the walls
@@ -122,6 +113,19 @@ def _plan(rng: np.random.Generator, options: FlatOptions) -> tuple[list[Cell], l
         doors = _place_doors(rng, cells) if cells else None
         if cells and doors is not None:
             return cells, doors
+
+
+def _plan_with_twins(rng: np.random.Generator) -> tuple[list[Cell], list[Door]]:
+    """A wide room, two equal rooms side by side behind it with doors at the same place, and one more at the end."""
+    w, h, d, e = (float(v) for v in rng.uniform([2.8, 2.9, 2.9, 2.7], [3.3, 3.5, 3.4, 3.2]))
+    cells = [(0.0, 0.0, 2 * w, d), (0.0, d, w, d + h), (w, d, 2 * w, d + h), (2 * w, 0.0, 2 * w + e, d)]
+    x = float(rng.uniform(0.75, w - 0.75))
+    doors = [
+        Door(x, d, DOOR_WIDTH_M, "x", (0, 1)),
+        Door(w + x, d, DOOR_WIDTH_M, "x", (0, 2)),
+        Door(2 * w, float(rng.uniform(0.8, d - 0.8)), DOOR_WIDTH_M, "y", (0, 3)),
+    ]
+    return cells, doors
 
 
 def _split_area(rng: np.random.Generator, count: int, room_area_m2: tuple[float, float]) -> list[Cell] | None:
@@ -212,6 +216,7 @@ def furnish_room(
     """Walls, floor, ceiling, rug, furniture and pictures of one room."""
     rng = np.random.default_rng([seed, 2])
     pick = TexturePicker(np.random.default_rng([seed, 4]))
+    pictures = TexturePicker(np.random.default_rng([seed, 9, index]))  # also of twins, no two pictures are the same
     width, depth = room.x1_m - room.x0_m, room.y1_m - room.y0_m
     centre = Pose2(*room.centre, 0.0)
     kind = room.name.removesuffix(" 2")
@@ -229,7 +234,7 @@ def furnish_room(
         _build_wall(builder, run, texture, index)
         builder.obstacles += _wall_boxes(run, index)
         if not is_plain:
-            _furnish_wall(builder, pick, rng, run, room, index, pieces, moved_seed)
+            _furnish_wall(builder, (pick, pictures), rng, run, room, index, pieces, moved_seed)
 
 
 def _build_wall(builder: Builder, run: _WallRun, texture: TextureSpec, room: int) -> None:
@@ -281,7 +286,7 @@ MOVABLE = {"chair", "boxes", "basket"}
 
 def _furnish_wall(
     builder: Builder,
-    pick: TexturePicker,
+    pickers: tuple[TexturePicker, TexturePicker],
     rng: np.random.Generator,
     run: _WallRun,
     room: Room,
@@ -290,6 +295,7 @@ def _furnish_wall(
     moved_seed: int | None,
 ) -> None:
     """Stand pieces side by side along the free parts of a wall, and hang pictures between and above them."""
+    pick, pictures = pickers
     corner = 0.45  # keeps the pieces of two walls apart in the corners
     spans = []
     s = corner
@@ -319,7 +325,7 @@ def _furnish_wall(
             pose = Pose2(*run.at(position), run.yaw_rad)
             piece.build(Site(builder, pick, piece_rng, pose, width, piece.depth_m, index, name))
             s += width + float(rng.choice([rng.uniform(0.03, 0.12), rng.uniform(0.3, 0.7)], p=[0.6, 0.4]))
-        _hang_pictures(builder, pick, rng, run, low, high, index)
+        _hang_pictures(builder, pictures, rng, run, low, high, index)
 
 
 def _hang_pictures(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -95,7 +95,6 @@ class World:
     obstacles: tuple[Obstacle, ...]
     start: tuple[float, float, float]  # x m, y m, yaw rad of the robot
     room_light: tuple[float, ...] = ()  # brightness per room, 1 is normal; empty: all normal
-    drive_area_m: float = field(default=0.0)
 
     def room_at(self, x_m: float, y_m: float) -> str:
         """Name of the room at a position, "" outside of all (a doorway belongs to the nearer room)."""

@@ -19,8 +19,8 @@ WORLD_NAMES = ("home", "small", "lookalike", "room", "vicon", "checker")
 def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> World:
     """Build a world by name: the same name, seed and options give the same world.
 
-    `home`: a flat of 3-5 rooms. `small`: 3 rooms, mapped in about a minute. `lookalike`: a home with two
-    rooms alike. `room`: one room for the triangle routes.
+    `home`: a flat of 3-5 rooms. `small`: 3 rooms, mapped in about a minute. `lookalike`: a home in
+    which two rooms differ in nothing but their pictures. `room`: one room for the triangle routes.
     `vicon`: an 8x8x4 m hall around EuRoC's V1 paths. `checker`: a box of checkerboards, for geometry tests.
     """
     config = config or SimulationConfig()
