@@ -50,7 +50,9 @@ class Station:
         self,
         config: StationConfig,
         make_recorder: Callable[[Path], DriveRecorder | None] | None = None,
+        place_servant: str = "station.place_servant:PlaceServant",
     ) -> None:
+        """`place_servant` names the class that the localisation worker runs."""
         self.config = config
         self.started_s = time.monotonic()
         self.events = Events()
@@ -66,7 +68,7 @@ class Station:
         self.applied: DriveApplied | None = None
         self.jobs = Jobs(self.events)
         self.maps = Maps(config.data_dir / "maps", self.events)
-        self.locating = Locating(config.data_dir / "maps", config.localization, self.events)
+        self.locating = Locating(config.data_dir / "maps", config.localization, self.events, place_servant)
         self.drives = Drives(
             DriveLibrary(config.data_dir / "navigations"),
             config.slam,

@@ -41,7 +41,14 @@ class Visit:
 class Locating:
     """One localisation worker, given the newest picture a few times a second while a map is active."""
 
-    def __init__(self, store_root: Path, config: LocalizationConfig, events: Events) -> None:
+    def __init__(
+        self,
+        store_root: Path,
+        config: LocalizationConfig,
+        events: Events,
+        servant: str = "station.place_servant:PlaceServant",
+    ) -> None:
+        self._servant = servant
         self._store_root = store_root
         self._config = config
         self._events = events
@@ -123,7 +130,7 @@ class Locating:
 
     async def _serve(self, map_id: str) -> None:
         """One worker, one map, until it dies or another map is wanted."""
-        worker = Worker("localisation", "station.place_servant:PlaceServant", limits={"odometry": 300})
+        worker = Worker("localisation", self._servant, limits={"odometry": 300})
         self._worker = worker
         try:
             await worker.start()

@@ -87,6 +87,16 @@ class Drives:
         """The drive being recorded."""
         return None if self._running is None else self._running.drive
 
+    def list(self) -> list[DriveRecord]:
+        """All drives, oldest first; the running one with its counts of now."""
+        return [self.get(drive.id) for drive in self.library.list()]
+
+    def get(self, drive_id: str) -> DriveRecord:
+        """Raises Unknown."""
+        if self._running is not None and self._running.drive.id == drive_id:
+            return self._counted(self._running)
+        return self.library.get(drive_id)
+
     def start(self, hello: Hello, name: str) -> DriveRecord:
         """Begin a drive. Raises Conflict when one is being recorded."""
         if self._running is not None:

@@ -63,6 +63,12 @@ class FakeImu:
             self.next_sequence += 1
         self._fresh.set()
 
+    def inject_until(self, t_robot_ns: int) -> None:
+        """One sample of now, for tests whose robot clock is this machine's."""
+        self._readings.append(ImuReading(self.next_sequence, t_robot_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
+        self.next_sequence += 1
+        self._fresh.set()
+
     async def read(self) -> list[ImuReading]:
         await self._fresh.wait()
         self._fresh.clear()

@@ -19,7 +19,7 @@ DOWNLOADS = {"trajectory.tum": "text/plain", "landmarks.ply": "application/octet
 
 @router.get("/navigations", summary="Recorded drives, oldest first")
 async def navigations(station: StationDep) -> list[NavigationModel]:
-    return [navigation_model(drive) for drive in station.drives.library.list()]
+    return [navigation_model(drive) for drive in station.drives.list()]
 
 
 @router.post("/navigations", summary="Start recording, with SLAM", status_code=201, responses=responses(409, 503))
@@ -29,7 +29,7 @@ async def start(station: StationDep, order: Annotated[NavigationStart | None, Bo
 
 @router.get("/navigations/{navigation_id}", summary="One drive", responses=responses(404))
 async def navigation(navigation_id: str, station: StationDep) -> NavigationModel:
-    return navigation_model(station.drives.library.get(navigation_id))
+    return navigation_model(station.drives.get(navigation_id))
 
 
 @router.post("/navigations/{navigation_id}/stop", summary="End recording", responses=responses(404, 409))

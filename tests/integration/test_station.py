@@ -1,0 +1,338 @@
+"""The whole station over real sockets: robot-server with pushed devices, made-up estimation, HTTP and WebSockets."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import websockets
+
+from station.config import ApiConfig
+from station.serving import bind
+from tests.link_support import Bench, running_robot, until
+from tests.station_support import Desk, Film, running_station, store_map
+
+
+@asynccontextmanager
+async def at_work(tmp_path: Path, **options: str) -> AsyncIterator[tuple[Desk, Bench, Film]]:
+    """A robot that films, and a station that is connected to it."""
+    async with running_robot() as bench, running_station(bench.port, tmp_path, **options) as desk:
+        film = Film(bench)
+        filming = asyncio.create_task(film.run())
+        try:
+            await until(lambda: desk.station.robot.connected and desk.station.camera.newest)
+            yield desk, bench, film
+        finally:
+            filming.cancel()
+            await asyncio.gather(filming, return_exceptions=True)
+
+
+async def wait_for(desk: Desk, path: str, condition: Any) -> Any:
+    """Ask until the answer is as wanted."""
+    while True:
+        answer = (await desk.http.get(path)).json()
+        if condition(answer):
+            return answer
+        await asyncio.sleep(0.05)
+
+
+def is_problem(answer: Any, status: int) -> bool:
+    document = answer.json()
+    return (
+        answer.status_code == status
+        and answer.headers["content-type"] == "application/problem+json"
+        and document["status"] == status
+        and len(document["detail"]) > 5
+        and document["type"].startswith("/problems/")
+    )
+
+
+async def test_every_error_is_a_problem_document(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        http = desk.http
+        assert is_problem(await http.get("/nothing"), 404)
+        assert is_problem(await http.delete("/robot"), 405)
+        assert is_problem(await http.post("/drive", json={"linear": "fast", "angular": 0}), 422)
+        assert is_problem(await http.post("/drive", json={"linear": 0.1, "angular": 0}), 503)
+        assert is_problem(await http.post("/drive", json={"linear": 0.1, "angular": 0, "ttl_ms": 0}), 422)
+        assert is_problem(await http.post("/drive", content=b'{"linear": NaN, "angular": 0}'), 422)
+        assert is_problem(await http.post("/stop"), 503)
+        assert is_problem(await http.get("/camera/frame.jpg"), 503)
+        assert is_problem(await http.get("/camera/stream.mjpg"), 503)
+        assert is_problem(await http.get("/places"), 409)
+        assert is_problem(await http.get("/graph"), 409)
+        assert is_problem(await http.put("/maps/active", json={"id": "none"}), 404)
+        assert is_problem(await http.delete("/maps/none"), 404)
+        assert is_problem(await http.post("/maps", json={"navigations": ["none"]}), 404)
+        assert is_problem(await http.post("/maps", json={"navigations": []}), 422)
+        assert is_problem(await http.post("/navigations"), 503)
+        assert is_problem(await http.post("/navigations/none/stop"), 404)
+        assert is_problem(await http.get("/jobs/none"), 404)
+        assert is_problem(await http.post("/robot/hijack", json={"x": 0, "y": 0, "yaw": 0}), 503)
+        assert is_problem(await http.get("/robot", headers={"Origin": "http://elsewhere.example"}), 403)
+
+
+async def test_a_station_without_robot_and_map_answers_all_it_can(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        place = (await desk.http.get("/place/current")).json()
+        assert (place["state"], place["place"], place["probability"], place["map"]) == ("unknown", None, 0.0, None)
+        assert not (await desk.http.get("/robot")).json()["connected"]
+        assert (await desk.http.get("/maps")).json() == []
+        assert (await desk.http.get("/navigations")).json() == []
+        assert (await desk.http.get("/pose")).json()["state"] == "none"
+        assert (await desk.http.get("/trajectory")).json()["p_world"] == []
+        cloud = (await desk.http.get("/landmarks")).content
+        assert struct.unpack("<4sIII", cloud) == (b"SLM1", 0, 0, 0)
+        assert (await desk.http.get("/healthz")).json()["status"] == "ok"
+        assert "sentinel_robot_connected 0.0" in (await desk.http.get("/metrics")).text
+
+
+async def test_documents_name_no_other_host_and_show_every_call(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        document = (await desk.http.get("/openapi.json")).json()
+        docs = (await desk.http.get("/docs")).text
+    calls = {f"{method.upper()} {path}" for path, methods in document["paths"].items() for method in methods}
+    assert {
+        "GET /place/current", "GET /places", "GET /places/{place_id}", "PATCH /places/{place_id}",
+        "GET /places/{place_id}/images/{kind}", "GET /graph", "GET /maps", "POST /maps", "PUT /maps/active",
+        "DELETE /maps/{map_id}", "POST /navigations", "POST /navigations/{navigation_id}/stop", "GET /navigations",
+        "GET /pose", "GET /trajectory", "GET /landmarks", "GET /robot", "POST /drive", "POST /stop", "POST /pan-tilt",
+        "GET /camera/frame.jpg", "GET /camera/stream.mjpg", "GET /healthz", "GET /metrics",
+    } <= calls  # fmt: skip
+    assert "Problem" in document["components"]["schemas"]
+    assert "//" not in docs.replace("<!doctype", "").replace("</", "")
+
+
+async def test_drive_moves_the_motors_until_the_driver_goes_silent(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        answer = await desk.http.post("/drive", json={"linear": 0.2, "angular": 0.5, "ttl_ms": 600})
+        assert answer.status_code == 200
+        await until(lambda: bench.motors.history and not bench.motors.are_off)
+        began_ns = bench.motors.history[-1][0]
+        await until(lambda: bench.motors.are_off)
+        # Longer than the protocol's own life of a command: the station repeated it; then it ended by itself.
+        assert bench.motors.history[-1][0] - began_ns > 300_000_000
+        assert is_problem(await desk.http.post("/drive", json={"linear": 9.0, "angular": 0.0}), 422)
+
+
+async def test_stop_needs_no_lease(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        order = {"linear": 0.2, "angular": 0.0, "ttl_ms": 1000}
+        await desk.http.post("/drive", json=order, headers={"X-Driver": "anna"})
+        await until(lambda: bench.motors.history and not bench.motors.are_off)
+        assert (await desk.http.post("/stop", headers={"X-Driver": "ben"})).status_code == 200
+        await until(lambda: bench.motors.are_off)
+
+
+async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, _film):
+        order = {"linear": 0.1, "angular": 0.0}
+        anna, ben = {"X-Driver": "anna"}, {"X-Driver": "ben"}
+        assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
+        refused = await desk.http.post("/drive", json=order, headers=ben)
+        assert is_problem(refused, 409) and "anna" in refused.json()["detail"]
+        assert (await desk.http.get("/robot")).json()["driver"] == "anna"
+        assert (await desk.http.post("/drive/take-over", headers=ben)).json() == {"driver": "ben", "you_drive": True}
+        assert is_problem(await desk.http.post("/drive", json=order, headers=anna), 409)
+        await until(lambda: desk.station.driving.driver is None)  # a second of silence
+        assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
+
+
+async def test_closing_the_drive_socket_stops_the_robot(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        async with websockets.connect(desk.socket("/ws/drive?driver=page")) as socket:
+            assert json.loads(await socket.recv()) == {"type": "driver", "driver": None, "you_drive": False}
+            await socket.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.2, "angular": 0, "ttl_ms": 1000}))
+            told = [json.loads(await socket.recv()) for _ in range(2)]
+            assert {"type": "accepted", "seq": 1} in told
+            assert {"type": "driver", "driver": "page", "you_drive": True} in told
+            await until(lambda: bench.motors.history and not bench.motors.are_off)
+        await until(lambda: bench.motors.are_off)
+        assert desk.station.driving.driver is None
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"type": "fly"}', '{"type": "drive", "seq": 1, "linear": "x"}', "[1]"])
+async def test_nonsense_on_the_drive_socket_is_refused_and_the_socket_lives(tmp_path: Path, text: str) -> None:
+    async with (
+        running_station(1, tmp_path) as desk,
+        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
+    ):
+        await socket.recv()
+        await socket.send(text)
+        assert json.loads(await socket.recv())["type"] == "refused"
+        await socket.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0}))
+        assert json.loads(await socket.recv())["problem"] == "no-robot"
+
+
+async def test_pages_of_other_sites_get_no_socket(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        with pytest.raises(websockets.InvalidStatus):
+            await websockets.connect(desk.socket("/ws/drive"), origin=websockets.Origin("http://elsewhere.example"))
+
+
+async def test_video_reaches_a_viewer_and_a_stuck_one_slows_nobody(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, film):
+        url = desk.socket("/ws/camera")
+        async with websockets.connect(url) as stuck, websockets.connect(url) as viewer:
+            await stuck.recv()  # never acknowledged: it gets no second one
+            seen: list[int] = []
+            while len(seen) < 15:
+                data = await viewer.recv()
+                seq, width, height, _, age_s, _, _ = struct.unpack_from("<IHHqdII", data)
+                assert (width, height) == (640, 480) and data[32:34] == b"\xff\xd8" and age_s < 5
+                seen.append(seq)
+                await viewer.send("next")
+            assert seen == sorted(set(seen))
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.2):
+                    await stuck.recv()
+            await stuck.send("next")
+            newest = struct.unpack_from("<I", await stuck.recv())[0]
+            assert newest >= seen[-1]  # the newest, not the second
+        frame = await desk.http.get("/camera/frame.jpg")
+        assert frame.content[:2] == b"\xff\xd8" and float(frame.headers["x-age-s"]) < 5
+        async with desk.http.stream("GET", "/camera/stream.mjpg") as stream:
+            received = b""
+            async for chunk in stream.aiter_raw():
+                received += chunk
+                if received.count(b"--sentinel-frame") >= 3:
+                    break
+        assert film.count > 15
+
+
+async def test_record_build_ask_and_rename(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, _film):
+        http = desk.http
+        started = await http.post("/navigations", json={"name": "first drive"})
+        assert started.status_code == 201 and started.json()["state"] == "recording"
+        drive = f"/navigations/{started.json()['id']}"
+        assert is_problem(await http.post("/navigations"), 409)
+        pose = await wait_for(desk, "/pose", lambda p: p["T_world_body"] and p["frames"] > 5)
+        assert pose["state"] == "tracking" and pose["message"] == "going straight"
+        cloud = (await http.get("/landmarks")).content
+        count, first, total = struct.unpack_from("<III", cloud, 4)
+        assert first == 0 and count == total >= 50 and len(cloud) == 16 + 16 * count
+        more = (await http.get(f"/landmarks?since={total}")).content
+        assert struct.unpack_from("<I", more, 8)[0] == total
+        ply = await http.get("/landmarks", headers={"Accept": "application/x-ply"})
+        assert ply.content.startswith(b"ply\nformat binary_little_endian 1.0\n")
+        assert len((await http.get("/trajectory")).json()["p_world"]) > 5
+        running = (await http.get(drive)).json()
+        assert running["frames"] > 5 and running["imu_samples"] > 0
+
+        assert (await http.post(f"{drive}/stop")).json()["state"] == "finishing"
+        assert is_problem(await http.post(f"{drive}/stop"), 409)
+        ready = await wait_for(desk, drive, lambda d: d["state"] != "finishing")
+        assert ready["state"] == "ready" and ready["scale"] == "metric" and ready["landmarks"] > 100
+        assert (await http.get(f"{drive}/recording.mcap")).content.startswith(b"\x89MCAP")
+        assert len((await http.get(f"{drive}/trajectory.tum")).text.splitlines()) > 10
+
+        job = (await http.post("/maps", json={"navigations": [ready["id"]], "name": "Flat"})).json()
+        done = await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["state"] != "running")
+        assert done["state"] == "done" and done["result"]["places"] > 1
+        [entry] = (await http.get("/maps")).json()
+        assert entry["active"] and entry["name"] == "Flat" and entry["id"] == done["result"]["map"]
+
+        places = (await http.get("/places")).json()
+        answer = await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
+        assert answer["place"] == {"id": places[0]["id"], "name": places[0]["name"]}
+        assert answer["probability"] == 0.9 and answer["distance_m"] == 0.5 and answer["age_s"] < 5
+        for path in (answer["evidence"]["query_image"], answer["evidence"]["map_image"]):
+            assert (await http.get(path)).content[:2] == b"\xff\xd8"
+        for kind in ("representative", "mean"):
+            assert (await http.get(f"/places/{places[0]['id']}/images/{kind}")).content[:2] == b"\xff\xd8"
+        assert len((await http.get(f"/maps/{entry['id']}/landmarks")).content) == 16 + 16 * ready["landmarks"]
+        graph = (await http.get("/graph")).json()
+        assert len(graph["nodes"]) == len(places) and graph["edges"]
+        assert "<graphml" in (await http.get("/graph?format=graphml")).text
+
+        place = f"/places/{places[0]['id']}"
+        assert is_problem(await http.patch(place, json={"name": places[1]["name"]}), 409)
+        assert is_problem(await http.patch(place, json={"name": ""}), 422)
+        assert (await http.patch(place, json={"name": "Sofa"})).json()["name"] == "Sofa"
+        await wait_for(desk, "/place/current", lambda p: p["place"]["name"] == "Sofa")
+        assert is_problem(await http.delete(f"/maps/{entry['id']}"), 409)
+        assert (await http.put("/maps/active", json={"id": None})).json() is None
+        assert (await http.delete(f"/maps/{entry['id']}")).status_code == 204
+        assert (await http.delete(drive)).status_code == 204
+
+
+async def test_the_active_map_is_still_active_after_a_restart(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with running_station(1, tmp_path) as desk:
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+    async with running_station(1, tmp_path) as desk:
+        assert (await desk.http.get("/place/current")).json()["map"] == place_map.id
+        assert len((await desk.http.get("/places")).json()) == len(place_map.places)
+
+
+async def test_a_drive_too_short_to_map_says_so(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, film):
+        film.pause()
+        drive = (await desk.http.post("/navigations")).json()
+        await desk.http.post(f"/navigations/{drive['id']}/stop")
+        over = await wait_for(desk, f"/navigations/{drive['id']}", lambda d: d["state"] != "finishing")
+        assert over["state"] == "failed" and "drive longer" in over["message"]
+        assert is_problem(await desk.http.post("/maps", json={"navigations": [drive["id"]]}), 409)
+
+
+async def test_a_dead_slam_worker_is_announced_and_the_recording_goes_on(tmp_path: Path) -> None:
+    async with at_work(tmp_path, backend="tests.made_up_workers:DyingSlam") as (desk, _, _film):
+        drive = (await desk.http.post("/navigations")).json()
+        lines = await wait_for(desk, "/log", lambda log: any("unexpectedly" in line["text"] for line in log))
+        assert any(line["level"] == "error" and "started again" in line["text"] for line in lines)
+        before = (await desk.http.get(f"/navigations/{drive['id']}")).json()["frames"]
+        await wait_for(desk, f"/navigations/{drive['id']}", lambda d: d["frames"] > before + 5)
+
+
+async def test_events_tell_the_state_first_and_then_each_change(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with at_work(tmp_path) as (desk, bench, _), websockets.connect(desk.socket("/ws/events")) as socket:
+        kinds: set[str] = set()
+        place: dict[str, Any] = {}
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        await desk.http.post("/drive", json={"linear": 0.1, "angular": 0.0}, headers={"X-Driver": "anna"})
+        await desk.http.post("/navigations")
+        while not {"robot", "driver", "map", "place", "log", "navigation", "pose", "landmarks"} <= kinds or (
+            place.get("state") != "known"
+        ):
+            message = json.loads(await socket.recv())
+            kinds.add(message["type"])
+            place = message.get("place", place)
+        await desk.http.post("/robot/hijack", json={"x": 1.0, "y": 2.0, "yaw": 0.5})
+        await until(lambda: bench.head.moved == [(1.0, 2.0, 0.5)])
+        while True:
+            message = json.loads(await socket.recv())
+            if message["type"] == "log" and message["line"]["topic"] == "hijack":
+                break
+        assert len((await desk.http.get("/place/timeline")).json()) >= 1
+
+
+async def test_pan_tilt_reaches_the_head(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})).status_code == 200
+        await until(lambda: bench.head.pointed == [(0.3, -0.1)])
+        assert is_problem(await desk.http.post("/pan-tilt", json={"pan": 9.0, "tilt": 0.0}), 422)
+
+
+async def test_a_running_job_can_be_cancelled(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        # Cancelled while its process starts: it would fail later, with no navigation to build from.
+        job = desk.station.jobs.start(
+            "test", "map of nothing", lambda worker: worker.call("build_map", [], tmp_path, "", None)
+        )
+        cancelled = (await desk.http.delete(f"/jobs/{job.id}")).json()
+        assert cancelled["state"] == "cancelled"
+
+
+def test_a_port_in_use_is_one_sentence() -> None:
+    from shared.errors import ConfigError
+
+    with bind(ApiConfig(port=0)) as taken, pytest.raises(ConfigError, match="choose another with --port"):
+        bind(ApiConfig(port=taken.getsockname()[1]))

@@ -1,0 +1,110 @@
+"""SLAM and localisation that tests run in the station's worker processes; few imports, so that they start quickly."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.errors import EstimationError
+from shared.geometry import FloatArray
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.maps.map import PlaceMap
+from station.maps.store import MapStore
+from station.navigation import Navigation
+from station.place_report import PlaceReport
+from station.places.answer import PlaceAnswer, PlaceCandidate
+from station.slam.backend import SlamUpdate
+from tests.synthetic_home import drive, furnished_room, navigate
+
+
+class StraightSlam:
+    """A SlamBackend that takes every robot to drive straight on; ten landmarks per frame."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.frames: list[ImageFrame] = []
+        self.imu_samples = 0
+
+    def add_imu(self, imu: ImuBatch) -> None:
+        self.imu_samples += len(imu)
+
+    def add_drive(self, drive: DriveSample) -> None:
+        pass
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        self.frames.append(frame)
+        T = np.eye(4)
+        T[0, 3] = 0.01 * len(self.frames)
+        points = np.full((10, 3), float(len(self.frames)))
+        return SlamUpdate(frame.t_robot_ns, "tracking", "going straight", T, 10, False, points, points)
+
+    def finish(self) -> Navigation:
+        if len(self.frames) < 3:
+            raise EstimationError("fewer than 3 frames; drive longer")
+        navigation = made_up_navigation()
+        return replace(navigation, report=replace(navigation.report, frames=len(self.frames)))
+
+
+class DyingSlam(StraightSlam):
+    """Ends its process at the fifth frame."""
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        if len(self.frames) == 5:
+            os._exit(7)
+        return super().add_frame(frame)
+
+
+class AlwaysFirstPlace:
+    """A localisation servant: the robot is always at the map's first place, by the map's third picture."""
+
+    def __init__(self, emit: Callable[[object], None]) -> None:
+        self._map: PlaceMap | None = None
+        self._report: PlaceReport | None = None
+        self._names: dict[str, str] = {}
+
+    def load(self, store: Path, map_id: str) -> None:
+        self._map = MapStore(store).load(map_id)
+
+    def rename(self, place_id: str, name: str) -> PlaceReport | None:
+        self._names[place_id] = name
+        return self._report and self.answer_at(self._report.answer.t_robot_ns)
+
+    def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
+        pass
+
+    def hijack(self, t_robot_ns: int, reason: str) -> None:
+        pass
+
+    def answer(self, frame: ImageFrame, calibration: Calibration) -> PlaceReport:
+        return self.answer_at(frame.t_robot_ns)
+
+    def answer_at(self, t_robot_ns: int) -> PlaceReport:
+        assert self._map is not None
+        first, second = self._map.places[:2]
+        self._report = PlaceReport(
+            map_id=self._map.id,
+            answer=PlaceAnswer(
+                state="known",
+                place=PlaceCandidate(first.id, self._names.get(first.id, first.name), 0.9),
+                distance=0.5,
+                position_map=first.centroid_map,
+                t_robot_ns=t_robot_ns,
+                evidence_t_robot_ns=t_robot_ns,
+                evidence_keyframe=3,
+                inliers=40,
+                alternatives=(PlaceCandidate(second.id, second.name, 0.1),),
+                reason="always here",
+            ),
+            T_map_cam=np.eye(4),
+            attempt="always found",
+        )
+        return self._report
+
+
+def made_up_navigation() -> Navigation:
+    home = furnished_room(3)
+    return navigate(home, drive(home, 3), 3)
