@@ -17,6 +17,7 @@ from station.datasets import Dataset
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, is_navigation, load_input
 from station.experiments.output import write_experiment
+from station.experiments.presets import Preset, find_preset, make_dataset
 from station.navigation import Navigation
 from station.navigation_files import save_navigation
 from station.places.config import PlacesConfig, PlacesMode, ThesisConfig
@@ -37,11 +38,15 @@ def experiment(
     frames2: Annotated[str | None, typer.Option(help="Frames of the second dataset.")] = None,
     truth1: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 1.")] = None,
     truth2: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 2.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="I, II or III: the thesis' experiments; --seed chooses the world.")
+    ] = None,
+    euroc: Annotated[Path | None, typer.Option(help="EuRoC V1_02 folder: path and IMU of preset I.")] = None,
     backend: Annotated[str, typer.Option("--backend", help="SLAM backend for datasets: sfm, ukf.")] = "sfm",
     mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
-    eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
-    min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
-    inlier_ratio: Annotated[float, typer.Option(help="Thesis mode: share of the closest pairs kept.")] = 0.75,
+    eps: Annotated[float | None, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised [0.3].")] = None,
+    min_pts: Annotated[int | None, typer.Option(help="Thesis mode: DBSCAN's MinPts [11].")] = None,
+    inlier_ratio: Annotated[float | None, typer.Option(help="Thesis mode: share of pairs kept [0.75].")] = None,
     step: Annotated[int, typer.Option(help="Use every step-th frame of the datasets.")] = 1,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
@@ -49,10 +54,24 @@ def experiment(
     as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
 ) -> None:
     """Map one drive, find its places again in another, and judge the matches where true poses were recorded."""
-    if navigation1 is None or navigation2 is None:
-        raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders")
-    config = places_config(mode, eps, min_pts, inlier_ratio)
     ranges = FrameRange.parse(frames1, "--frames1"), FrameRange.parse(frames2, "--frames2")
+    story, thesis = Story(title=title), ThesisConfig()
+    if preset is not None:
+        if navigation1 is not None or navigation2 is not None:
+            raise ConfigError("--preset makes its own navigations; leave --navigation1 and --navigation2 out")
+        chosen = find_preset(preset, seed, euroc)
+        story, thesis, ranges = chosen.story, chosen.thesis, chosen.frames
+        navigation1, navigation2 = make_drives(chosen, out / "data")
+    if navigation1 is None or navigation2 is None:
+        raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders; or --preset")
+    config = PlacesConfig(
+        mode=places_mode(mode),
+        thesis=ThesisConfig(
+            eps=thesis.eps if eps is None else eps,
+            min_pts=thesis.min_pts if min_pts is None else min_pts,
+            inlier_ratio=thesis.inlier_ratio if inlier_ratio is None else inlier_ratio,
+        ),
+    )
 
     def reconstruct(data: Dataset) -> Navigation:
         say(f"reconstructing {data.path.name}: {len(data.frame_times_ns)} frames")
@@ -80,11 +99,18 @@ def experiment(
         config,
         truths=(first_truth, second_truth),
         seed=seed,
-        story=Story(title=title or f"{first.id} against {second.id}"),
+        story=story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}"),
         say=say,
     )
     done.seconds.update(seconds)
     finish(done, out, as_json)
+
+
+def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
+    """The two datasets of a preset; one where both navigations are parts of one drive."""
+    first, second = preset.drives
+    made = make_dataset(first, folder / "drive1", say)
+    return made, made if first == second else make_dataset(second, folder / "drive2", say)
 
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:

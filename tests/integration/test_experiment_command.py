@@ -1,0 +1,118 @@
+"""`station map`, `match` and `experiment` on finished navigations: files of the contract, sentences for mistakes."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from shared.errors import RobotSystemError
+from shared.geometry import FloatArray, quat_from_rotation, se3, yaw_rotation
+from station.main import app
+from station.navigation_files import save_navigation
+from tests.synthetic_home import drive, furnished_room, navigate
+
+
+def write_asl_truth(poses: FloatArray, folder: Path) -> None:
+    """An ASL folder that holds nothing but the true states."""
+    lines = ["#timestamp [ns],p,q,v,bw,ba"]
+    for k, T in enumerate(poses):
+        numbers = [*T[:3, 3], *quat_from_rotation(T[:3, :3]), *np.zeros(9)]
+        lines.append(",".join([str(k * 100_000_000), *(f"{x:.9f}" for x in numbers)]))
+    state = folder / "mav0" / "state_groundtruth_estimate0"
+    state.mkdir(parents=True)
+    (state / "data.csv").write_text("\n".join(lines) + "\n")
+    imu = folder / "mav0" / "imu0"
+    imu.mkdir()
+    rows = [f"{k * 5_000_000},0,0,0,0,0,9.81" for k in range(20 * len(poses))]
+    (imu / "data.csv").write_text("\n".join(["#timestamp [ns],w,a", *rows]) + "\n")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data")
+    home = furnished_room(3, density=300)
+    for number, (seed, T) in enumerate(((31, np.eye(4)), (32, se3(yaw_rotation(2.0), np.array([3.0, 1.0, 0.0])))), 1):
+        poses = drive(home, seed, frames=45)
+        save_navigation(navigate(home, poses, seed=seed, T_nav_world=T), root / f"nav{number}")
+        write_asl_truth(poses, root / f"truth{number}")
+    return root
+
+
+def run(*arguments: str | Path) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_an_experiment_writes_results_report_and_figures(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    printed = run(
+        "experiment", "--navigation1", data / "nav1", "--navigation2", data / "nav2",
+        "--truth1", data / "truth1", "--truth2", data / "truth2", "--out", out, "--json",
+    )  # fmt: skip
+    results = json.loads((out / "results.json").read_text())
+    assert json.loads(printed.splitlines()[-1]) == results
+    assert {"places", "locations", "registration", "matches", "precision", "recall", "truth"} <= results.keys()
+    assert results["truth"] == "groundtruth" and results["registration"]["accepted"]
+    assert results["precision"] == 1.0 and results["recall"] >= 0.7
+    for match in results["matches"]:
+        assert {"place", "location", "distance", "correct"} <= match.keys()
+    figures = {path.stem for path in (out / "figures").glob("*.png")}
+    assert {
+        "clouds_before",
+        "clouds_after",
+        "clusters_above",
+        "clusters_in_front",
+        "matches",
+        "trajectories",
+    } <= figures
+    assert {f"match_{k:02d}" for k in range(1, len(results["matches"]) + 1)} <= figures
+    page = (out / "report.html").read_text()
+    assert page.count('src="data:image/png;base64,') == len(figures)
+    assert not re.search(r'(src|href)="(?!data:)', page), "the page must be one file"
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]
+
+
+def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
+    printed = run("map", "build", data / "nav1", "--out", tmp_path / "map", "--name", "Flat")
+    assert "places" in printed
+    graph = json.loads(run("map", "show", tmp_path / "map", "--json"))
+    names = [node["name"] for node in graph["nodes"]]
+    assert (tmp_path / "map" / "graph.graphml").read_text().startswith("<?xml") or "<graphml" in (
+        tmp_path / "map" / "graph.graphml"
+    ).read_text()
+    assert names[0] in run("map", "route", tmp_path / "map", names[0], names[-1])
+    run("map", "build", data / "nav1", "--out", tmp_path / "map", "--names-from", tmp_path / "map")
+    assert [n["name"] for n in json.loads(run("map", "show", tmp_path / "map", "--json"))["nodes"]] == names
+    run("match", tmp_path / "map", data / "nav2", "--out", tmp_path / "match")
+    results = json.loads((tmp_path / "match" / "results.json").read_text())
+    assert results["truth"] == "none" and results["precision"] is None
+    assert results["matches"] and all(match["correct"] is None for match in results["matches"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["experiment"], "--navigation1 and --navigation2 are needed"),
+        (["experiment", "--preset", "IV"], 'is "IV", must be one of I, II, III'),
+        (["experiment", "--preset", "I"], "needs --euroc"),
+        (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--frames1", "a-b"], "such as 0-398"),
+        (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--frames1", "0-9"], "is a finished"),
+        (["experiment", "--navigation1", "{nav1}", "--navigation2", "/nowhere"], "/nowhere does not exist"),
+        (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--mode", "x"], '"thesis" or "default"'),
+        (["match", "{nav1}", "{nav1}"], "holds no map"),
+        (["map", "build", "{nav1}", "{nav1}"], "a map is built from one"),
+    ],
+)  # fmt: skip
+def test_mistakes_get_one_sentence_and_leave_nothing(
+    data: Path, tmp_path: Path, arguments: list[str], sentence: str
+) -> None:
+    filled = [a.format(nav1=data / "nav1") for a in arguments]
+    with pytest.raises(RobotSystemError, match=re.escape(sentence)):
+        run(*filled, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
