@@ -1,0 +1,62 @@
+"""Page → station → robot-server → emulated Mega, all real programs: duty at the motor pins while the joystick is held."""
+
+import asyncio
+import signal
+import time
+from collections.abc import AsyncIterator
+
+import pytest
+import pytest_asyncio
+
+from benchmarks.stop_chain import Chain
+from tests.emulator import board
+
+pytestmark = [
+    pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or ""),
+    pytest.mark.slow,
+]
+WAIT_S = 60.0
+
+
+@pytest_asyncio.fixture
+async def chain() -> AsyncIterator[Chain]:
+    board.build()
+    chain = Chain()
+    try:
+        await chain.start()
+        yield chain
+    finally:
+        await chain.close()
+
+
+async def rest(chain: Chain) -> None:
+    """Wait until the motor pins are at rest."""
+    deadline = time.monotonic() + WAIT_S
+    while chain.board.pins != (0, 0):
+        assert time.monotonic() < deadline, "the motors keep running"
+        await asyncio.sleep(0.01)
+
+
+async def test_holding_the_joystick_turns_the_motor_pins_and_every_way_of_letting_go_stops_them(chain: Chain) -> None:
+    assert chain.page is not None
+    assert chain.board.pins == (0, 0)  # at start nothing moves before a fresh command
+
+    await chain.moving()
+    assert min(chain.board.pins) > 400
+    chain.page.holds = False
+    await rest(chain)
+
+    await chain.moving()
+    chain.page.vanish()  # the tab is closed
+    await rest(chain)
+    await chain.open_page()
+
+    await chain.moving()
+    chain.signal(chain.robot, signal.SIGSTOP)  # only the firmware is left
+    await rest(chain)
+    chain.signal(chain.robot, signal.SIGCONT)
+
+    await chain.moving()
+    chain.signal(chain.robot, signal.SIGTERM)
+    await rest(chain)
+    assert chain.robot is not None and await asyncio.wait_for(chain.robot.wait(), WAIT_S) == 0
