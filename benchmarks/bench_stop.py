@@ -184,7 +184,6 @@ async def trial(chain: Chain, fault: Fault, row: Row, rng: random.Random) -> Non
         row.pins_ms.append((pins_ns - since_ns) * 1e-6)
         if server_ns is not None:
             row.server_ms.append((server_ns - since_ns) * 1e-6)
-    await mend(chain)
 
 
 async def mend(chain: Chain) -> None:
@@ -221,10 +220,15 @@ async def run_chain(work: list[Fault], rows: dict[str, Row], seed: int, progress
         while work:
             fault = work.pop()
             try:
+                judged = False
                 await trial(chain, fault, rows[fault.name], rng)
+                judged = True
+                await mend(chain)
             except (RuntimeError, OSError, TimeoutError) as exc:
-                print(f"bench_stop: {fault.name}: {exc}; a new chain", file=sys.stderr, flush=True)
-                rows[fault.name].failed += 1
+                when = "mending after it" if judged else "it"
+                print(f"bench_stop: {fault.name}: {when}: {exc}; a new chain", file=sys.stderr, flush=True)
+                print(chain.complaints(), file=sys.stderr, flush=True)
+                rows[fault.name].failed += not judged
                 await chain.close()
                 chain = Chain()
                 await chain.start()
@@ -299,6 +303,9 @@ async def main() -> int:
         if sys.stderr.isatty() or done % 25 == 0:
             print(f"\rbench_stop: {done}/{total} faults", end="" if sys.stderr.isatty() else "\n", file=sys.stderr)
 
+    running = asyncio.current_task()
+    assert running is not None
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, running.cancel)  # so that no process stays behind
     chains = [run_chain(work, rows, options.seed * 1000 + i, progress) for i in range(options.chains)]
     await asyncio.gather(*chains)
     everything = [*rows.values(), *(firmware_rows(options.scale, options.seed) if not options.only else [])]

@@ -30,10 +30,18 @@ class Cable:
         self._writers: set[asyncio.StreamWriter] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self.port = 0
+        self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
-        server = await asyncio.start_server(self._connect, "127.0.0.1", 0)
-        self.port = server.sockets[0].getsockname()[1]
+        self._server = await asyncio.start_server(self._connect, "127.0.0.1", 0)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def close(self) -> None:
+        """End all connections and stop listening."""
+        self.mend()
+        if self._server is not None:
+            self._server.close()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -196,6 +204,7 @@ class Chain:
         for process in (self.station, self.robot):
             if process is not None:
                 await self.kill(process)
+        await self.cable.close()
         self.board.close()
         self._folder.cleanup()
 
@@ -205,6 +214,11 @@ class Chain:
             os.killpg(process.pid, signal.SIGKILL)
         await process.wait()
 
+    def complaints(self) -> str:
+        """The last of what the programs wrote to stderr."""
+        errors = self.folder / "errors"
+        return errors.read_text(errors="replace")[-3000:] if errors.exists() else ""
+
     def signal(self, process: asyncio.subprocess.Process | None, number: int) -> None:
         """To the process and its children: a stopped station means all of it."""
         assert process is not None
@@ -212,15 +226,16 @@ class Chain:
 
     async def _spawn(self, command: list[str], stdin: bool = False) -> asyncio.subprocess.Process:
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        return await asyncio.create_subprocess_exec(
-            *command,
-            cwd=ROOT,
-            env=environment,
-            stdin=asyncio.subprocess.PIPE if stdin else asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        with (self.folder / "errors").open("ab") as errors:
+            return await asyncio.create_subprocess_exec(
+                *command,
+                cwd=ROOT,
+                env=environment,
+                stdin=asyncio.subprocess.PIPE if stdin else asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+            )
 
     async def _line(self, process: asyncio.subprocess.Process, start: str) -> str:
         assert process.stdout is not None

@@ -284,7 +284,10 @@ class RobotLink:
             await self._wake.wait()
             self._wake.clear()
             while (kind := next((kind for kind in SENDING_ORDER if kind in self._due), None)) is not None:
-                writer.write(self._session.send(self._due.pop(kind)))
+                message = self._due.pop(kind)
+                if self._session.state is State.CLOSED:
+                    raise _Ended  # the reader saw the end while we waited: what was due is said to nobody
+                writer.write(self._session.send(message))
                 await writer.drain()
 
     async def _tick(self) -> None:

@@ -191,6 +191,16 @@ async def test_the_link_finds_a_robot_that_starts_later_and_one_that_starts_anew
         assert notes.hellos[0].session_id != notes.hellos[1].session_id
 
 
+async def test_a_command_given_while_the_connection_ends_does_not_end_the_link() -> None:
+    async with running_robot() as bench, linked(bench.port) as (link, notes):
+        # The goodbye closes the session; the command is due before the writing task is told.
+        notes.on_notice = lambda _notice: link.drive(0.2, 0.0, 250)  # type: ignore[assignment, method-assign]
+        await bench.stop()
+        await until(lambda: not link.state.connected)
+        await bench.start()
+        await until(lambda: link.state.connected)
+
+
 async def test_a_stalled_station_skips_frames_keeps_imu_and_slows_nobody() -> None:
     async with running_robot() as bench:
         proxy = Proxy(bench.port)

@@ -1,4 +1,4 @@
-"""Page → station → robot-server → emulated Mega, all real programs: duty at the motor pins while the joystick is held."""
+"""Page → station → robot-server → emulated Mega, all real programs: the joystick turns the motor pins."""
 
 import asyncio
 import signal
