@@ -125,6 +125,7 @@ class RobotLink:
             host=self._host,
             port=self._port,
             connected=self._connected,
+            quiet=self._connected and self._session.state is State.QUIET,
             hello=self._hello,
             reason="" if self._connected else self._reason,
             connections=self._connections,

@@ -19,6 +19,7 @@ class LinkState:
     host: str
     port: int
     connected: bool = False
+    quiet: bool = False  # connected, but the robot has said nothing for a second
     hello: Hello | None = None  # of the present or the last connection
     reason: str = "not connected yet"  # why not connected, in a sentence
     connections: int = 0  # how often a connection was made

@@ -137,6 +137,20 @@ async def test_motors_stop_while_the_network_stands_still() -> None:
         await proxy.cut()
 
 
+async def test_a_robot_that_says_nothing_is_shown_as_quiet_until_it_speaks() -> None:
+    async with running_robot() as bench:
+        proxy = Proxy(bench.port)
+        await proxy.mend()
+        async with linked(proxy.port) as (link, notes):
+            proxy.stall()
+            await until(lambda: link.state.quiet)
+            assert link.state.connected and notes.reasons == []
+            proxy.flow()
+            await until(lambda: not link.state.quiet)
+            assert link.state.connected
+        await proxy.cut()
+
+
 async def test_no_imu_sample_is_lost_when_the_link_is_cut_again_and_again() -> None:
     async with running_robot() as bench:
         proxy = Proxy(bench.port)
