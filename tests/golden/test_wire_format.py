@@ -1,0 +1,73 @@
+"""The bytes of protocol version 1. A change here breaks robots and stations of an earlier release: raise the version.
+
+Made once by `encode_message` of the messages below; msgpack maps keep the order of fields.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from shared.messages import (
+    PROTOCOL_VERSION,
+    CameraFrame,
+    Drive,
+    DriveApplied,
+    ErrorNotice,
+    Heartbeat,
+    HeartbeatReply,
+    Hijack,
+    ImuBatch,
+    ImuSample,
+    Join,
+    Message,
+    PanTilt,
+    Received,
+    Refusal,
+    Status,
+    Stop,
+    Welcome,
+    decode_robot_message,
+    decode_station_message,
+    encode_message,
+)
+
+GOLDEN = Path(__file__).with_name("wire_v1.json")
+T = 1_403_715_283_262_142_976
+FROM_STATION: list[Message] = [
+    Join(protocol=1, station_name="desk", resume_session_id="ab", next_imu_sequence=7),
+    Heartbeat(seq=1, t_station_ns=T),
+    Received(frame_seq=3, next_imu_sequence=9),
+    Drive(seq=2, t_station_ns=T, linear=0.25, angular=-0.5, ttl_ms=200),
+    Stop(seq=3),
+    PanTilt(pan=0.5, tilt=-0.25),
+    Hijack(x=1.5, y=-2.0, yaw=0.5),
+]
+FROM_ROBOT: list[Message] = [
+    Welcome(client_id=4),
+    Refusal(reason="full"),
+    HeartbeatReply(seq=1, t_station_ns=T, t_robot_received_ns=5, t_robot_sent_ns=6),
+    CameraFrame(seq=8, t_robot_ns=T, exposure_ns=10, width=640, height=480, skipped=1, jpeg=b"\xff\xd8\xff\xd9"),
+    ImuBatch(first_sequence=5, samples=(ImuSample(T, (0.5, -0.25, 0.0), (0.0, 0.125, 9.75)),)),
+    DriveApplied(t_robot_ns=T, linear=0.25, angular=-0.5),
+    Status(t_robot_ns=T, uptime_s=1.5, battery_v=7.5, temperatures_c={"cpu": 50.5}, driver="desk", faults=("x",)),
+    ErrorNotice(code="device", message="camera gone", fatal=False),
+]
+
+
+def golden() -> dict[str, str]:
+    return msgspec.json.decode(GOLDEN.read_bytes(), type=dict[str, str])
+
+
+@pytest.mark.parametrize("message", [*FROM_STATION, *FROM_ROBOT], ids=lambda m: type(m).__name__)
+def test_messages_have_the_bytes_they_always_had(message: Message) -> None:
+    assert PROTOCOL_VERSION == 1, "write wire_v2.json beside this one"
+    assert encode_message(message).hex() == golden()[type(message).__name__]
+
+
+@pytest.mark.parametrize("message", [*FROM_STATION, *FROM_ROBOT], ids=lambda m: type(m).__name__)
+def test_the_old_bytes_are_still_understood(message: Message) -> None:
+    decode = decode_station_message if message in FROM_STATION else decode_robot_message
+    assert decode(bytes.fromhex(golden()[type(message).__name__])) == message
