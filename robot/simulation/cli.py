@@ -51,6 +51,9 @@ def dataset(
         str, typer.Option(help="mapping, second, local, tour, triangle_a, triangle_b or triangle_c")
     ] = "mapping",
     drive_seed: Annotated[int, typer.Option(help="noise, slip and small differences of this drive")] = 0,
+    put_down: Annotated[
+        int | None, typer.Option(help="start at the random spot of this seed, as after a hijack")
+    ] = None,
     fps: Annotated[float | None, typer.Option(help="frames per second")] = None,
     config: ConfigOption = None,
     no_imperfections: IdealOption = False,
@@ -62,18 +65,18 @@ def dataset(
 
     from robot.simulation.atlas import default_cache_dir
     from robot.simulation.recording import record_drive
-    from robot.simulation.routes import plan_route
+    from robot.simulation.routes import FreeSpace, plan_route
     from robot.simulation.worlds import make_world
 
     settings = effective_config(config, no_imperfections)
     if fps is not None:
         settings = dataclasses.replace(settings, camera_rate_hz=fps)
     flat = make_world(world, seed, settings)
-    plan = plan_route(flat, route, drive_seed, settings.body.radius_m)
+    spot = None if put_down is None else FreeSpace(flat, settings.body.radius_m).random_spot(put_down)
+    plan = plan_route(flat, route, drive_seed, settings.body.radius_m, start=spot[:2] if spot else None)
+    yaw = spot[2] if spot else None
     began = time.monotonic()
-    result = record_drive(
-        flat, plan, settings, drive_seed, out, default_cache_dir(), Progress(), max_duration_s=max_duration
-    )
+    result = record_drive(flat, plan, settings, drive_seed, out, default_cache_dir(), Progress(), max_duration, yaw)
     wall_s = time.monotonic() - began
     state = "finished" if result.route_done else "not finished"
     print(

@@ -57,13 +57,18 @@ def record_drive(
     cache_dir: Path | None = None,
     on_progress: Callable[[float], None] | None = None,
     max_duration_s: float = MAX_DRIVE_S,
+    start_yaw_rad: float | None = None,
 ) -> Recorded:
-    """Drive a route from its start and write an ASL folder. Times are the robot's clock from START_NS on."""
+    """Drive a route from its start and write an ASL folder. Times are the robot's clock from START_NS on.
+
+    With start_yaw_rad the robot first stands in that direction, as somebody put it down.
+    """
     cv2.setNumThreads(1)
     calibration = simulated_calibration(config)
     camera_calibration, imu_noise = calibration.camera, calibration.imu
     assert camera_calibration is not None and imu_noise is not None
-    body = Body(world, config.body, (*route.points[0], route.start_yaw_rad), drive_seed)
+    yaw = route.start_yaw_rad if start_yaw_rad is None else start_yaw_rad
+    body = Body(world, config.body, (*route.points[0], yaw), drive_seed)
     imu = ImuModel(imu_noise, config.imu, calibration.gravity, drive_seed)
     camera = SimulatedCamera(
         Renderer(world, camera_calibration, cache_dir), camera_calibration, config.camera, drive_seed

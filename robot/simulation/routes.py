@@ -91,6 +91,19 @@ class FreeSpace:
         )
         return cast(FloatArray, centres[inside])
 
+    def random_spot(self, seed: int, room_name: str | None = None) -> tuple[float, float, float]:
+        """x m, y m, yaw rad of a free place with some room around it. Raises ConfigError for an unknown room."""
+        rooms = [r for r in self.world.rooms if room_name in (None, r.name)]
+        if not rooms:
+            names = ", ".join(r.name for r in self.world.rooms)
+            raise ConfigError(f"no room is called {room_name!r}; there are {names}")
+        rng = np.random.default_rng([seed, 16])
+        points = np.concatenate([self.free_points_in(r) for r in rooms])
+        roomy = points[self.boxes.clearance(points) > self.keep_m + 0.14]
+        points = roomy if len(roomy) else points
+        x, y = points[int(rng.integers(0, len(points)))]
+        return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
+
     def path(self, start: FloatArray, goal: FloatArray) -> FloatArray:
         """Cheapest path (N, 2) between two points. Source: Hart, Nilsson and Raphael, 1968 (A*)."""
         first, last = self.cell(start), self.cell(goal)

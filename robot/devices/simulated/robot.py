@@ -160,17 +160,8 @@ class SimulatedRobot:
         return plan_route(self.world, kind, seed, self.config.body.radius_m, start=(x, y))
 
     def random_spot(self, seed: int, room_name: str | None) -> tuple[float, float, float]:
-        """A free position with some room around it and a heading. Raises ValueError for an unknown room."""
-        rooms = [r for r in self.world.rooms if room_name in (None, r.name)]
-        if not rooms:
-            names = ", ".join(r.name for r in self.world.rooms)
-            raise ValueError(f"no room is called {room_name!r}; there are {names}")
-        rng = np.random.default_rng([seed, 16])
-        points = np.concatenate([self._space.free_points_in(r) for r in rooms])
-        roomy = points[self._space.boxes.clearance(points) > self.config.body.radius_m + 0.2]
-        points = roomy if len(roomy) else points
-        x, y = points[int(rng.integers(0, len(points)))]
-        return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
+        """A free position with some room around it and a heading. Raises ConfigError for an unknown room."""
+        return self._space.random_spot(seed, room_name)
 
     # --- threads --------------------------------------------------------------------------------------------------
 
