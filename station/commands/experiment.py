@@ -20,7 +20,7 @@ from station.experiments.output import write_experiment
 from station.experiments.presets import Preset, find_preset, make_dataset
 from station.navigation import Navigation
 from station.navigation_files import save_navigation
-from station.places.config import PlacesConfig, PlacesMode, ThesisConfig
+from station.places.config import AlignBy, PlacesConfig, PlacesMode, ThesisConfig
 from station.slam.backends import make_backend
 
 
@@ -48,6 +48,7 @@ def experiment(
     min_pts: Annotated[int | None, typer.Option(help="Thesis mode: DBSCAN's MinPts [11].")] = None,
     inlier_ratio: Annotated[float | None, typer.Option(help="Thesis mode: share of pairs kept [0.75].")] = None,
     step: Annotated[int, typer.Option(help="Use every step-th frame of the datasets.")] = 1,
+    align_by: Annotated[str, typer.Option(help="Default mode: both, geometry or appearance.")] = "both",
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
     title: Annotated[str, typer.Option(help="Heading of the report.")] = "",
@@ -66,6 +67,7 @@ def experiment(
         raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders; or --preset")
     config = PlacesConfig(
         mode=places_mode(mode),
+        align_by=align_by_mode(align_by),
         thesis=ThesisConfig(
             eps=thesis.eps if eps is None else eps,
             min_pts=thesis.min_pts if min_pts is None else min_pts,
@@ -131,10 +133,12 @@ def finish(done: Experiment, out: Path, as_json: bool) -> None:
     print(f"written to {out / 'report.html'}")
 
 
-def places_config(mode: str, eps: float, min_pts: int, inlier_ratio: float) -> PlacesConfig:
+def places_config(mode: str, eps: float, min_pts: int, inlier_ratio: float, align_by: str = "both") -> PlacesConfig:
     """Configuration from command-line options. Raises ConfigError naming the one that is wrong."""
     return PlacesConfig(
-        mode=places_mode(mode), thesis=ThesisConfig(eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio)
+        mode=places_mode(mode),
+        align_by=align_by_mode(align_by),
+        thesis=ThesisConfig(eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio),
     )
 
 
@@ -145,6 +149,14 @@ def places_mode(text: str) -> PlacesMode:
     if text == "default":
         return "default"
     raise ConfigError(f'--mode is "{text}", must be "thesis" or "default"')
+
+
+def align_by_mode(text: str) -> AlignBy:
+    """What registration looks at, by name. Raises ConfigError for any other word."""
+    for known in ("both", "geometry", "appearance"):
+        if text == known:
+            return known
+    raise ConfigError(f'--align-by is "{text}", must be "both", "geometry" or "appearance"')
 
 
 def say(text: str) -> None:

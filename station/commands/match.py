@@ -30,12 +30,13 @@ def match(
     inlier_ratio: Annotated[float, typer.Option(help="Thesis mode: share of the closest pairs kept.")] = 0.75,
     truth1: Annotated[Path | None, typer.Option(help="Dataset with true poses of the map's drive.")] = None,
     truth2: Annotated[Path | None, typer.Option(help="Dataset with true poses of the navigation's drive.")] = None,
+    align_by: Annotated[str, typer.Option(help="Default mode: both, geometry or appearance.")] = "both",
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
 ) -> None:
     """Register a navigation to a map, match its locations with the places, and write a report."""
     place_map, second = load_map_folder(path), load_navigation(navigation)
-    config = places_config(mode, eps, min_pts, inlier_ratio)
+    config = places_config(mode, eps, min_pts, inlier_ratio, align_by)
     result = match_navigation(place_map, second, config, seed=seed)
     truths = [open_dataset(truth).truth() if truth is not None else None for truth in (truth1, truth2)]
     judgement = None

@@ -226,7 +226,7 @@ def draw_evidence(scene: Scene) -> Iterator[tuple[str, Figure]]:
         rows = ((place.name, scene.first, first[place.id]), (location.name, scene.second, second[location.id]))
         for row, (name, navigation, evidence) in zip(axes, rows, strict=True):
             _draw_evidence_row(row, name, navigation, evidence)
-        figure.tight_layout()
+        figure.tight_layout(h_pad=1.8)
         yield f"match_{number:02d}", figure
 
 

@@ -22,10 +22,10 @@ FEW_LANDMARKS = 25  # a hill of so many is half as trustworthy as its prominence
 MIN_SHARE = 0.05  # of the hill that a landmark typically lies on: crumbs come and go from drive to drive
 CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only bounds the work in dense clouds
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
-SMOOTHING_SHARE = 0.1  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
+SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
 SAMPLE = 16  # points that a kernel needs to tell a hill from chance: sparse clouds are smoothed more
 MIN_PROMINENCE = 0.2  # a hill rises so much of its height above the saddle to its neighbour, or it is a part of it
-MAX_SPAN = 0.5  # of the viewing distance: peaks farther apart are two places, however even the wall between them
+MAX_SPAN = 0.4  # of the viewing distance: peaks farther apart are two places, however even the wall between them
 MIN_SIGNIFICANCE = 2.0  # and so many standard deviations: what chance makes in one drive of 20
 
 

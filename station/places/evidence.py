@@ -14,7 +14,7 @@ from station.navigation import Keyframes, Landmarks
 
 EVIDENCE_WIDTH = 160  # px; mean and deviation are blurred by nature, and memory is (places x pixels)
 MAX_IMAGES = 64  # per place, evenly spread: more do not change a mean image
-MIN_SHARE = 0.1  # of the keyframe that sees most of a place's landmarks; below it the place is at the image's edge
+MIN_SHARE = 0.5  # of the keyframe that sees most of a place's landmarks; below it the place is at the image's edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
