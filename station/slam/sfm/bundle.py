@@ -24,6 +24,7 @@ NUM_SHARED = 4  # drive scale, gyroscope bias (3)
 DRIVE_SCALE_SIGMA = 0.002
 GYRO_BIAS_SIGMA = 2e-3  # rad/s, around the bias the odometry was made with
 FIRST_POSE_SIGMA = 1e-4
+SLIP_CAUCHY = 3.0  # sigmas: wheels that spin against a chair are outliers, not noise
 MAX_DENSE_KEYFRAMES = 700
 
 
@@ -127,7 +128,10 @@ def _project(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatA
 def _cost(state: BundleState, seen: Observations, odometry: Odometry, cauchy_px: float) -> float:
     residual, _, _ = _project(state, seen)
     visual = float((cauchy_px**2 * np.log1p((residual**2).sum(axis=1) / cauchy_px**2)).sum())
-    return visual + float((_odometry_residual(state, odometry)[0] ** 2).sum()) + _prior_cost(state)
+    weighted = _odometry_residual(state, odometry)[0]
+    turn = float((weighted[:, :3] ** 2).sum())
+    slip = float((SLIP_CAUCHY**2 * np.log1p((weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)).sum())
+    return visual + turn + slip + _prior_cost(state)
 
 
 def _prior_cost(state: BundleState) -> float:
@@ -227,6 +231,10 @@ def _odometry_normal(state: BundleState, odometry: Odometry) -> tuple[csc_matrix
     J[:, :3, 13:16] = np.swapaxes(odometry.R, 1, 2) @ odometry.R_sum
     J[:, :3] /= odometry.sigma_rotation[:, None, None]
     J[:, 3:] /= odometry.sigma_position[:, :, None]
+    robust = 1.0 / np.sqrt(1.0 + (weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)
+    J[:, 3:] *= robust[:, None, None]
+    weighted = weighted.copy()
+    weighted[:, 3:] *= robust[:, None]
     columns = np.hstack(
         [
             6 * np.arange(k)[:, None] + np.arange(12),

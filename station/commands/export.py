@@ -1,0 +1,80 @@
+"""`station export`: a navigation or map in formats that other tools read."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from shared.errors import DataError
+from station.exporting import export_euroc, export_mcap, export_ply
+from station.maps.folder import load_map_folder
+from station.maps.map import PlaceMap
+from station.navigation_files import load_navigation, write_tum
+from station.places.graph import to_graphml
+
+
+class ExportFormat(StrEnum):
+    """What `station export` writes."""
+
+    TUM = "tum"
+    PLY = "ply"
+    GRAPHML = "graphml"
+    EUROC = "euroc"
+    MCAP = "mcap"
+
+
+def register(app: typer.Typer) -> None:
+    app.command()(export)
+
+
+def export(
+    source: Annotated[Path, typer.Argument(help="Folder of a navigation (station slam) or a map (station map build).")],
+    out: Annotated[Path, typer.Option("--out", help="File to write; a folder for euroc. Must not exist.")],
+    file_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
+) -> None:
+    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml) or all for Foxglove (mcap)."""
+    if out.exists():
+        raise DataError(f"{out} exists already; give a new name with --out")
+    place_map: PlaceMap | None = None
+    if (source / "navigation.json").is_file():
+        nav = load_navigation(source)
+    elif source.is_dir():
+        place_map = load_map_folder(source)
+        nav = place_map.navigation
+    else:
+        raise DataError(f"{source} is no folder; give one written by station slam or station map build")
+    if file_format is ExportFormat.GRAPHML:
+        if place_map is None:
+            raise DataError(f"{source} is a navigation and has no place graph; give a map for --format graphml")
+        text = to_graphml(place_map)
+        _whole_or_not(out, lambda path: path.write_text(text))
+        return
+    writers: dict[ExportFormat, Callable[[Path], None]] = {
+        ExportFormat.TUM: lambda path: write_tum(nav.trajectory, path),
+        ExportFormat.PLY: lambda path: export_ply(nav, path),
+        ExportFormat.EUROC: lambda path: export_euroc(nav, path),
+        ExportFormat.MCAP: lambda path: export_mcap(nav, path),
+    }
+    _whole_or_not(out, writers[file_format])
+
+
+def _whole_or_not(out: Path, write: Callable[[Path], object]) -> None:
+    """Write beside the target first: what has the name is complete."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    except OSError as exc:
+        raise DataError(f"{out} cannot be written ({exc.strerror}); choose another place") from exc
+    try:
+        write(scratch / "whole")
+        (scratch / "whole").rename(out)
+    except OSError as exc:
+        raise DataError(f"{out} cannot be written ({exc.strerror}); choose another place") from exc
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
