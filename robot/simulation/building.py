@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,17 @@ class Pose2:
         """World coordinates of a point given in the piece's own axes."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return self.x_m + c * local_x_m - s * local_y_m, self.y_m + s * local_x_m + c * local_y_m
+
+
+def covering(texture: TextureSpec, width_m: float, height_m: float) -> TextureSpec:
+    """The texture, made larger where a surface needs more of it."""
+    if width_m <= texture.width_m + 0.002 and height_m <= texture.height_m + 0.002:
+        return texture
+    return replace(
+        texture,
+        width_m=round(max(width_m, texture.width_m), 3),
+        height_m=round(max(height_m, texture.height_m), 3),
+    )
 
 
 @dataclass(slots=True)
@@ -53,6 +64,7 @@ class Builder:
         eu = (float(span[0] / length), float(span[1] / length), 0.0)
         origin = (left[0], left[1], z_range[1])
         height = z_range[1] - z_range[0]
+        texture = covering(texture, offset_m[0] + length, offset_m[1] + height)
         self.surfaces.append(Surface(origin, eu, _UP, length, height, texture, offset_m[0], offset_m[1], room))
 
     def level(
@@ -70,6 +82,7 @@ class Builder:
         ev = (s, -c, 0.0) if facing_up else (-s, c, 0.0)
         sign = 1.0 if facing_up else -1.0
         corner = pose.at(-size_m[0] / 2, sign * size_m[1] / 2)
+        texture = covering(texture, *size_m)
         self.surfaces.append(Surface((*corner, z_m), eu, ev, size_m[0], size_m[1], texture, 0.0, 0.0, room))
 
     def box(

@@ -94,3 +94,13 @@ def test_positions_have_the_name_of_their_room() -> None:
 def test_an_unknown_world_is_named() -> None:
     with pytest.raises(ConfigError, match="castle"):
         make_world("castle", 0)
+
+
+@pytest.mark.parametrize("name", WORLD_NAMES)
+def test_every_surface_is_covered_by_its_texture(name: str) -> None:
+    for seed in range(6):
+        for surface in make_world(name, seed).surfaces:
+            width_px, height_px = surface.texture.size_px
+            density = surface.texture.texels_per_m
+            assert (surface.u0_m + surface.width_m) * density <= width_px + 2.0
+            assert (surface.v0_m + surface.height_m) * density <= height_px + 2.0
