@@ -21,6 +21,7 @@ TICK_S = 1.0 / TICK_RATE_HZ
 CARRY_HEIGHT_M = 0.45
 CARRY_SPEED_M_S = 2.0
 MIN_CARRY_S = 1.6
+GRAB_S = 1.0  # a hand holds the wheels until they rest; the lag of the motors decays to nothing in it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +67,8 @@ class Body:
         self._slip_phase = rng.uniform(0, 2 * np.pi, 3)
         self._bumps = _Bumps(parameters, rng)
         self._carry: _Carry | None = None
+        self._grabbed: tuple[float, float, float, float] | None = None  # x, y, yaw, duration of the carry to come
+        self._grabbed_ticks = 0
         self.is_blocked = False
 
     @property
@@ -84,17 +87,28 @@ class Body:
     @property
     def is_carried(self) -> bool:
         """Whether somebody holds the robot."""
-        return self._carry is not None
+        return self._carry is not None or self._grabbed is not None
 
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> float:
         """Somebody lifts the robot, carries it and puts it down with wheels at rest; returns for how long (s)."""
+        if self._carry is not None:
+            raise ValueError("the robot is being carried already")
         plane = self._plane
         distance = math.hypot(x_m - plane.x, y_m - plane.y)
         duration = max(MIN_CARRY_S, distance / CARRY_SPEED_M_S + 0.6)
-        turn = (yaw_rad - plane.yaw + math.pi) % (2 * math.pi) - math.pi
-        self._carry = _Carry(replace(plane), (x_m, y_m, plane.yaw + turn), duration)
+        self._grabbed = (x_m, y_m, yaw_rad, duration)
+        return duration + GRAB_S
+
+    def _lift(self, x_m: float, y_m: float, yaw_rad: float, duration: float) -> _Carry:
+        """The wheels have come to rest in somebody's hands: now up."""
+        plane = self._plane
         plane.v = plane.a = plane.w = plane.b = 0.0
-        return duration
+        turn = (yaw_rad - plane.yaw + math.pi) % (2 * math.pi) - math.pi
+        heave, roll, pitch = (value for value, _, _ in self._bumps.at(plane.s, 0.0, 0.0))
+        rest = (self._parameters.imu_height_m + heave, roll, pitch)
+        self._carry = _Carry(replace(plane), (x_m, y_m, plane.yaw + turn), duration, rest)
+        self._grabbed, self._grabbed_ticks = None, 0
+        return self._carry
 
     def step(self) -> MotionState:
         """Advance by TICK_S and return the motion at the new instant."""
@@ -102,6 +116,10 @@ class Body:
         if self._carry is not None:
             return self._step_carried(self._carry)
         plane = self._plane
+        if self._grabbed is not None:
+            self._grabbed_ticks += 1
+            if self._grabbed_ticks * TICK_S >= GRAB_S:
+                return self._step_carried(self._lift(*self._grabbed))
         before = (plane.v, plane.w)
         self._integrate()
         self._collide(before)
@@ -141,7 +159,7 @@ class Body:
 
     def _targets(self) -> tuple[float, float]:
         """Speeds the wheels reach for the present command, slip included."""
-        linear, angular = self._command
+        linear, angular = (0.0, 0.0) if self._grabbed is not None else self._command
         if not self._parameters.slip:
             return linear, angular
         s = self._plane.s
@@ -182,7 +200,7 @@ class Body:
             p.a = float(np.clip(p.a, -60.0, 60.0))
 
     def _step_carried(self, carry: _Carry) -> MotionState:
-        state = carry.state(self._ticks * TICK_S, self._parameters.imu_height_m)
+        state = carry.state(self._ticks * TICK_S)
         p = self._plane
         p.x, p.y, p.yaw = float(state.p_world[0]), float(state.p_world[1]), carry.yaw
         if carry.is_done:
@@ -253,8 +271,15 @@ def _minimum_jerk(f: float, duration: float) -> tuple[float, float, float]:
 class _Carry:
     """Lift, carry and put down along a smooth path; the hand covers the lens on the way."""
 
-    def __init__(self, origin: _Plane, target: tuple[float, float, float], duration_s: float) -> None:
+    def __init__(
+        self,
+        origin: _Plane,
+        target: tuple[float, float, float],
+        duration_s: float,
+        rest: tuple[float, float, float],
+    ) -> None:
         self.target = target
+        self._rest = rest  # height m, roll rad, pitch rad on the floor, before and after
         self._origin, self._duration = origin, duration_s
         self._elapsed = 0.0
         self.yaw = origin.yaw
@@ -263,7 +288,8 @@ class _Carry:
     def is_done(self) -> bool:
         return self._elapsed >= self._duration
 
-    def state(self, t_s: float, height_m: float) -> MotionState:
+    def state(self, t_s: float) -> MotionState:
+        height_m, roll_rest, pitch_rest = self._rest
         self._elapsed += TICK_S
         f = self._elapsed / self._duration
         m, m1, m2 = _minimum_jerk(f, self._duration)
@@ -276,7 +302,7 @@ class _Carry:
         self.yaw = self._origin.yaw + m * turn
         # Tilts in the hand and comes back level.
         tilt = 0.35
-        pitch, roll = (tilt * h, tilt * h1), (-0.6 * tilt * h, -0.6 * tilt * h1)
+        pitch, roll = (pitch_rest + tilt * h, tilt * h1), (roll_rest - 0.6 * tilt * h, -0.6 * tilt * h1)
         return MotionState(
             t_s=t_s,
             p_world=np.array([self._origin.x + m * dx, self._origin.y + m * dy, height_m + CARRY_HEIGHT_M * h]),

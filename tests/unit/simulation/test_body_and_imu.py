@@ -55,8 +55,9 @@ def test_noise_free_imu_integrates_to_the_true_path_within_millimetres_over_ten_
 
 def test_imu_of_a_hijack_integrates_to_the_new_place() -> None:
     body = Body(make_world("room", 1), BodyParameters(), (2.3, 2.2, 0.3), 5)
+    states = drive(body, [(1.5, 0.4, 1.0)])  # also out of full speed
     duration = body.hijack(3.0, 1.6, 2.5)
-    states = drive(body, [(duration + 0.3, 0.0, 0.0)])
+    states += drive(body, [(duration + 0.3, 0.0, 0.0)])[1:]
     assert max(s.p_world[2] for s in states) > 0.5
     assert max(s.carried for s in states) == 1.0 and states[-1].carried == 0.0
     assert states[-1].p_world[:2] == pytest.approx([3.0, 1.6], abs=1e-9)
