@@ -1,4 +1,4 @@
-"""How well the clock estimate finds injected drift: many runs of 30 s with 30 stamps a second and three kinds of jitter.
+"""How well the clock estimate finds injected drift: runs of 30 s with 30 stamps a second and three kinds of jitter.
 
 python benchmarks/bench_clock.py --runs 1000
 """

@@ -16,11 +16,12 @@ from robot.announce import Announcement, announced_addresses
 from robot.config import RobotConfig, ServerConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
-from shared.errors import ConfigError
+from shared.errors import ConfigError, DeviceUnavailable
 
 logger = logging.getLogger(__name__)
 
 DeviceKind = Literal["simulated", "recorded", "pi"]
+EXTRA = {"simulated": "simulation", "recorded": "simulation", "pi": "robot"}  # what each kind's packages come with
 
 
 def run(kind: DeviceKind, config: RobotConfig) -> None:
@@ -67,7 +68,13 @@ def open_devices(kind: DeviceKind, config: RobotConfig) -> DeviceSet:
 
 
 def _adapter(kind: str, opener: str) -> Callable[..., DeviceSet]:
-    found: Callable[..., DeviceSet] = getattr(importlib.import_module(f"robot.devices.{kind}"), opener)
+    try:
+        module = importlib.import_module(f"robot.devices.{kind}")
+    except ImportError as exc:
+        raise DeviceUnavailable(
+            f"--devices {kind} needs {exc.name}, which is not installed: pip install 'sentinel-robot[{EXTRA[kind]}]'"
+        ) from exc
+    found: Callable[..., DeviceSet] = getattr(module, opener)
     return found
 
 

@@ -16,6 +16,9 @@ import cv2
 import numpy as np
 import pytest
 
+from robot.app import open_devices
+from robot.config import RecordedConfig, RobotConfig
+from shared.errors import DeviceUnavailable
 from station.datasets import open_dataset
 from station.link import RobotLink
 from station.recorder import Recorder
@@ -152,3 +155,10 @@ async def test_a_real_flight_streams_whole_and_its_recording_is_the_flight_again
     original = {int(f.t_robot_ns): f for f in flight.frames()}[first.t_robot_ns]
     difference = first.grey().astype(int) - original.grey().astype(int)
     assert np.abs(difference).mean() < 2.0  # JPEG at quality 95
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "robot.devices.recorded", raising=False)
+    monkeypatch.setitem(sys.modules, "robot.devices.recorded.recording", None)  # as if it could not be imported
+    with pytest.raises(DeviceUnavailable, match=r"--devices recorded needs .*sentinel-robot\[simulation\]"):
+        open_devices("recorded", RobotConfig(recorded=RecordedConfig(dataset="x")))
