@@ -21,7 +21,12 @@ from shared.errors import ConfigError, DeviceUnavailable
 logger = logging.getLogger(__name__)
 
 DeviceKind = Literal["simulated", "recorded", "pi"]
-EXTRA = {"simulated": "simulation", "recorded": "simulation", "pi": "robot"}  # what each kind's packages come with
+EXTRA = {
+    "simulated": "simulation",
+    "emulated": "robot",
+    "recorded": "simulation",
+    "pi": "robot",
+}  # where packages come from
 
 
 def run(kind: DeviceKind, config: RobotConfig) -> None:
