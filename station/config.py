@@ -53,7 +53,8 @@ class SlamConfig:
 
     backend: str = "sfm"
     seed: int = 1
-    frame_backlog: int = 200  # frames that wait for a worker (some seconds to start); then the oldest is skipped
+    frame_backlog: int = 900  # frames that wait for a busy worker (60 MB); then the oldest is skipped, and counted
+    live_frame_backlog: int = 60  # the same for backends that answer with a pose: that pose should be of now
     imu_backlog: int = 6000  # batches; beyond, the oldest is lost, counted and announced
 
 

@@ -26,6 +26,7 @@ from station.workers import Worker
 
 logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1
+LIVE_BACKENDS = ("ukf",)
 
 
 class DriveRecorder(LinkListener, Protocol):
@@ -104,7 +105,7 @@ class Drives:
         drive_id = self.library.new_id()
         drive = DriveRecord(
             id=drive_id,
-            name=name or drive_id,
+            name=name or time.strftime("Drive of %-d %b, %H:%M", time.localtime()),
             state="recording",
             started_wall_s=time.time(),
             backend=self._config.backend,
@@ -115,7 +116,7 @@ class Drives:
         worker = Worker(
             f"SLAM {drive_id}",
             "station.slam_servant:SlamServant",
-            limits={"frame": self._config.frame_backlog, "imu": self._config.imu_backlog},
+            limits=self._limits(),
             on_event=lambda update: self._on_update(live, update),
             on_death=lambda reason: self._on_death(drive_id, reason),
         )
@@ -278,7 +279,7 @@ class Drives:
         worker = Worker(
             running.worker.name,
             "station.slam_servant:SlamServant",
-            limits={"frame": self._config.frame_backlog, "imu": self._config.imu_backlog},
+            limits=self._limits(),
             on_event=lambda update: self._on_update(running.live, update),
         )
         try:
@@ -319,6 +320,12 @@ class Drives:
             self._finishing.pop(drive.id, None)
             self._events.changed("pose")
             self._events.changed("landmarks")
+
+    def _limits(self) -> dict[str, int]:
+        """An offline backend may be behind, a live one may not."""
+        is_live = self._config.backend in LIVE_BACKENDS
+        frames = self._config.live_frame_backlog if is_live else self._config.frame_backlog
+        return {"frame": frames, "imu": self._config.imu_backlog}
 
     def _recorders(self) -> tuple[DriveRecorder, ...]:
         """The open recorder, or none."""

@@ -107,7 +107,7 @@ export class Library {
     }
     if (!m.active) actions.append(this.deleteButton(`/maps/${m.id}`, m.name));
     const about = m.damaged || `map · ${m.places} places`;
-    return make("li", { class: m.damaged ? "failed" : "map" }, make("div", {}, make("strong", {}, m.name), make("span", { class: "note" }, about)), actions);
+    return make("li", { class: m.damaged ? "failed" : m.active ? "in-use" : "" }, make("div", {}, make("strong", {}, m.name), make("span", { class: "note" }, about)), actions);
   }
 
   private deleteButton(path: string, name: string): HTMLElement {

@@ -22,9 +22,11 @@ export class PlaceView {
 
   show(place: CurrentPlace, visit: VisitModel | null): void {
     const card = by("place");
-    card.dataset["state"] = place.map === null ? "none" : place.state;
+    const hasAnswer = place.t_robot_ns !== null;
+    card.dataset["state"] = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
     const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
-    setText(by("place-name"), place.place?.name ?? (place.map === null ? "No map yet" : words[place.state]));
+    const otherwise = place.map === null ? "No map yet" : hasAnswer ? words[place.state] : "Getting ready…";
+    setText(by("place-name"), place.place?.name ?? otherwise);
     setText(by("place-probability"), place.place ? percent(place.probability) : "");
     setText(by("place-kicker"), place.place && place.distance_m !== null
       ? `Current place · ${place.distance_m.toFixed(1)} m away` : "Current place");

@@ -1,0 +1,196 @@
+"""The page in a real browser: driving, every way it stops, naming places, two drivers, a phone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.async_api import expect
+
+from tests.e2e.conftest import LAPTOP, PHONE, Room
+from tests.link_support import until
+from tests.station_support import store_map
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(240), pytest.mark.asyncio(loop_scope="module")]
+DIST = Path(__file__).parents[2] / "station" / "web" / "dist"
+
+
+async def test_the_robot_moves_while_the_joystick_is_held_and_no_longer(room: Room) -> None:
+    page = await room.open()
+    await room.hold(page)
+    assert room.bench.motors.history[-1][1] > 0.1
+    await expect(page.locator("#driver")).to_have_text("You drive")
+    held = len(room.bench.motors.history)
+    await until(lambda: len(room.bench.motors.history) > held + 10 and room.motors_run)  # repeated while held still
+    await page.mouse.up()
+    await until(lambda: room.motors_rest)
+
+
+@pytest.mark.parametrize("key", ["w", "ArrowLeft"])
+async def test_keys_drive_while_they_are_held(room: Room, key: str) -> None:
+    page = await room.open()
+    await page.keyboard.down(key)
+    await until(lambda: room.motors_run)
+    _, linear, angular = room.bench.motors.history[-1]
+    assert linear > 0 if key == "w" else angular > 0
+    await page.keyboard.up(key)
+    await until(lambda: room.motors_rest)
+
+
+CAUSES = {
+    "window loses focus": ("() => dispatchEvent(new Event('blur'))", "lost focus"),
+    "page hidden": (
+        "() => { Object.defineProperty(document, 'hidden', {value: true, configurable: true});"
+        " document.dispatchEvent(new Event('visibilitychange')); }",
+        "hidden",
+    ),
+    "pointer lost": (
+        "() => document.getElementById('stick').dispatchEvent(new PointerEvent('lostpointercapture', {pointerId: 1}))",
+        "pointer was lost",
+    ),
+    "touch interrupted": (
+        "() => document.getElementById('stick').dispatchEvent(new PointerEvent('pointercancel', {pointerId: 1}))",
+        "touch was interrupted",
+    ),
+    "page closed": ("() => dispatchEvent(new Event('pagehide'))", "page was closed"),
+}
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+async def test_the_robot_stops_and_the_page_says_why(room: Room, cause: str) -> None:
+    script, words = CAUSES[cause]
+    page = await room.open()
+    await room.hold(page)
+    await page.evaluate(script)
+    await until(lambda: room.motors_rest)
+    await expect(page.locator("#why")).to_contain_text(words)
+    # Still held, but it must be let go and pressed anew.
+    stopped = len(room.bench.motors.history)
+    seen = room.film.count
+    await until(lambda: room.film.count > seen + 10)
+    assert all(entry[1:] == (0.0, 0.0) for entry in room.bench.motors.history[stopped:])
+
+
+async def test_stale_video_stops_the_robot(room: Room) -> None:
+    page = await room.open()
+    await room.hold(page)
+    room.film.pause()
+    await until(lambda: room.motors_rest)
+    await expect(page.locator("#why")).to_contain_text("the picture is")
+    await expect(page.locator(".age")).to_have_class("tag age bad")
+
+
+async def test_space_and_the_stop_button_stop(room: Room) -> None:
+    page = await room.open()
+    await room.hold(page)
+    await page.keyboard.press("Space")
+    await until(lambda: room.motors_rest)
+    await page.mouse.up()
+    await page.keyboard.down("w")
+    await until(lambda: room.motors_run)
+    await page.locator("#stop").click()
+    await until(lambda: room.motors_rest)
+
+
+async def test_closing_the_tab_stops_the_robot(room: Room) -> None:
+    page = await room.open()
+    await room.hold(page)
+    await page.close()
+    await until(lambda: room.motors_rest)
+
+
+async def test_two_browsers_one_driver_and_a_take_over(room: Room) -> None:
+    first, second = await room.open(), await room.open()
+    await room.hold(first)
+    await expect(second.locator("#driver")).to_contain_text("drives")
+    await expect(second.locator("#take-over")).to_be_visible()
+    await second.keyboard.down("w")
+    await expect(second.locator("#why")).to_contain_text("drives")  # refused
+    await second.keyboard.up("w")
+    await second.locator("#take-over").click()
+    await expect(second.locator("#driver")).to_have_text("You drive")
+    await expect(first.locator("#why")).to_contain_text("drives")
+    await until(lambda: room.motors_rest)
+
+
+async def test_a_place_is_renamed_on_the_page_and_in_the_api(room: Room) -> None:
+    place_map = store_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": place_map.id})
+    await expect(page.locator("#place-name")).to_have_text(place_map.places[0].name)
+    await expect(page.locator("#place-probability")).to_have_text("90 %")
+    await expect(page.locator("#query")).to_be_visible()
+    label = page.locator(f"[data-place='{place_map.places[0].id}']")
+    await label.dispatch_event("click")
+    await page.get_by_role("button", name="Rename").click()
+    await page.locator("#ask input").fill("Reading corner")
+    await page.get_by_role("button", name="Save").click()
+    await expect(page.locator("#place-name")).to_have_text("Reading corner")
+    assert (await room.desk.http.get("/place/current")).json()["place"]["name"] == "Reading corner"
+    await page.reload()
+    await expect(page.locator("#place-name")).to_have_text("Reading corner")
+
+
+async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
+    page = await room.open()
+    await expect(page.locator(".guide .next")).to_contain_text("Record a drive")
+    await page.locator("#record").click()
+    await expect(page.locator("#rec")).to_be_visible()
+    await expect(page.locator("#slam")).to_have_text("going straight", timeout=60_000)
+    await expect(page.locator("#map-count")).to_contain_text("landmarks")
+    await page.reload()  # in the middle of everything
+    await expect(page.locator("#rec")).to_be_visible()
+    await page.locator("#record").click()
+    await page.get_by_role("button", name="Build map").click(timeout=60_000)
+    await expect(page.locator("#place")).to_have_attribute("data-state", "known", timeout=90_000)
+    await expect(page.locator("#guide")).to_be_hidden()
+
+
+async def test_the_hijack_button_moves_a_simulated_robot(room: Room) -> None:
+    page = await room.open()
+    await page.locator("#hijack").click()
+    await page.locator("#ask input").fill("2 1 90")
+    await page.locator("#ask button[type=submit]").click()
+    await until(lambda: [m[:2] for m in room.bench.head.moved] == [(2.0, 1.0)])
+    await expect(page.locator("#log")).to_contain_text("picked up")
+
+
+async def test_a_phone_shows_video_and_joystick_in_its_first_screen(room: Room) -> None:
+    page = await room.open(**PHONE)
+    for part in ("#video", "#stick", "#stop"):
+        box = await page.locator(part).bounding_box()
+        assert box is not None and box["y"] >= 0 and box["y"] + box["height"] <= 844, f"{part} is out of sight"
+        assert box["x"] >= 0 and box["x"] + box["width"] <= 390
+    assert await page.evaluate("() => document.documentElement.scrollWidth") <= 390
+    stick = await page.locator("#stick").bounding_box()
+    assert stick is not None
+    x, y = stick["x"] + stick["width"] / 2, stick["y"] + 20
+    touch = await page.context.new_cdp_session(page)
+    await touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+    await until(lambda: room.motors_run)
+    await touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    await until(lambda: room.motors_rest)
+
+
+async def test_without_a_robot_the_page_says_what_to_do(room: Room) -> None:
+    page = await room.open()
+    await room.bench.stop()
+    await expect(page.locator("#link")).to_contain_text("no robot")
+    await expect(page.locator(".guide .next")).to_contain_text("Connect a robot")
+    await page.keyboard.down("w")
+    await expect(page.locator("#why")).to_be_visible()
+    await room.bench.start()
+    await expect(page.locator("#link")).to_have_attribute("data-state", "good")
+
+
+async def test_the_api_documentation_works_without_internet(room: Room) -> None:
+    context = await room.browser.new_context(**LAPTOP)
+    page = await context.new_page()
+    page.on("request", lambda request: room._check(request.url))
+    await page.goto(room.desk.address + "/docs")
+    await expect(page.locator("#operations-places-place_current_place_current_get")).to_be_visible(timeout=60_000)
+
+
+def test_the_page_is_small(page_is_built: None) -> None:
+    files = [DIST / "index.html", *(DIST / "assets").iterdir()]
+    assert sum(file.stat().st_size for file in files) < 1_500_000
