@@ -38,8 +38,11 @@ def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
     assert calibration is not None
     c = calibration
     path, duration_s = drive(world, seed)
-    camera = SimulatedCamera(Renderer(make_world(world, seed), c, default_cache_dir()), c, config.camera, seed)
-    strong, tracked, epipolar, flows = [], [], [], []
+    flat = make_world(world, seed)
+    renderer = Renderer(flat, c, default_cache_dir())
+    is_plain = np.array([s.texture.kind == "plain_wall" for s in flat.surfaces] + [False])
+    camera = SimulatedCamera(renderer, c, config.camera, seed)
+    strong, plain, tracked, epipolar, flows = [], [], [], [], []
     for t in np.linspace(1.0, duration_s - 1.0, pairs):
         first, second = (
             cv2.cvtColor(camera.expose(path.pose, float(s), config.faults).image, cv2.COLOR_BGR2GRAY)
@@ -49,6 +52,8 @@ def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
         eigenvalue = cv2.cornerMinEigenVal(first, 5)
         at = np.round(p[:, 0]).astype(int)
         strong.append(int((eigenvalue[at[:, 1], at[:, 0]] >= STRONG).sum()))
+        surface = renderer.render((path.pose(float(t)) @ c.T_body_cam_matrix)[None]).surface
+        plain.append(float(is_plain[np.minimum(surface, len(flat.surfaces))].mean()))
         if strong[-1] < 30:
             continue
         q, found, _ = cv2.calcOpticalFlowPyrLK(first, second, p, None, **LK)
@@ -71,6 +76,9 @@ def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
         "drive_s": round(duration_s, 1),
         "strong_corners_median": float(np.median(strong)),
         "views_with_100": round(float(np.mean(np.array(strong) >= 100)), 3),
+        "views_with_100_away_from_the_plain_wall": round(
+            float(np.mean(np.array(strong)[np.array(plain) < 0.3] >= 100)), 3
+        ),
         "forward_backward_median": round(float(np.median(tracked)), 3),
         "forward_backward_p10": round(float(np.percentile(tracked, 10)), 3),
         "flow_px_median": round(float(np.median(flows)), 1),
