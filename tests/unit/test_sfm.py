@@ -11,6 +11,7 @@ from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
 from station.evaluation.alignment import align_points
 from station.frames import DriveSample, ImuBatch
+from station.slam.sfm import bundle
 from station.slam.sfm.bundle import BundleState, Observations, adjust, log_many, reprojection_errors
 from station.slam.sfm.inertial import InertialTrack, estimate_gyro_bias, exp_many
 from station.slam.sfm.matching import match_descriptors
@@ -152,7 +153,11 @@ def test_points_are_found_where_rays_meet(seed: int) -> None:
     assert not good_behind.any() and behind.shape == (5, 3)
 
 
-def test_bundle_adjustment_corrects_poses_and_survives_outliers() -> None:
+@pytest.mark.parametrize("max_dense", [700, 0])  # 0: the sparse solver of long drives
+def test_bundle_adjustment_corrects_poses_and_survives_outliers(
+    max_dense: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bundle, "MAX_DENSE_KEYFRAMES", max_dense)
     rng = np.random.default_rng(5)
     T_body_cam = se3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.1, 0.0, 0.0]))
     n, m = 12, 150
