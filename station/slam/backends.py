@@ -28,6 +28,10 @@ def make_backend(
             from station.slam.sfm.config import SfmConfig
 
             return SfmBackend(calibration, SfmConfig(seed=seed, threads=threads), intrinsics_known)
+        if name == "ukf":
+            from station.slam.ukf.backend import UkfBackend
+
+            return UkfBackend(calibration, seed=seed)
     except ImportError as exc:
         raise ConfigError(
             f"backend {name} needs {exc.name}, which is not installed; run: pip install 'sentinel-robot[station]'"

@@ -56,8 +56,10 @@ class Prior:
     sigma_frame: float = 1e-4  # rad and m
     v_first: FloatArray | None = None  # (3,) world
     sigma_v: float = 1.0
-    phi_first: FloatArray | None = None  # (3, 3) rotation that the first pose is known to have
+    R_first: FloatArray | None = None  # (3, 3) rotation that the first pose is known to have
     sigma_phi: float = 1.0
+    v_body: FloatArray | None = None  # (K, 3) m/s, from wheels
+    sigma_v_body: FloatArray | None = None  # (K, 3), infinite where unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,12 +206,31 @@ def _add_prior(H: FloatArray, g: FloatArray, states: WindowStates, prior: Prior)
         H[at, at] += 1.0 / prior.sigma_v**2
         g[at] += r / prior.sigma_v
         cost += float(r @ r)
-    if prior.phi_first is not None:
-        r = lie.so3_log(prior.phi_first @ states.R[0].T) / prior.sigma_phi
+    if prior.R_first is not None:
+        r = lie.so3_log(prior.R_first @ states.R[0].T) / prior.sigma_phi
         at = np.arange(3)
         H[at, at] += 1.0 / prior.sigma_phi**2
         g[at] += r / prior.sigma_phi
         cost += float(r @ r)
+    if prior.v_body is not None and prior.sigma_v_body is not None:
+        cost += _add_wheels(H, g, states, prior.v_body, prior.sigma_v_body)
+    return cost
+
+
+def _add_wheels(H: FloatArray, g: FloatArray, states: WindowStates, v_body: FloatArray, sigma: FloatArray) -> float:
+    """Body velocities R^T v that wheels know, Huber-weighted: they may slip."""
+    cost = 0.0
+    for k in range(len(states.x)):
+        known = np.isfinite(sigma[k])
+        Rt = states.R[k].T
+        r = ((v_body[k] - Rt @ states.v[k]) / sigma[k])[known]
+        J = np.hstack([Rt @ lie.skew(states.v[k]), Rt])[known] / sigma[k][known, None]
+        size = np.abs(r)
+        w = np.minimum(1.0, 2.0 / np.maximum(size, 1e-9))
+        at = slice(N * k, N * k + 6)
+        H[at, at] += (J * w[:, None]).T @ J
+        g[at] += (J * w[:, None]).T @ r
+        cost += float(np.where(size < 2.0, size**2, 4.0 * size - 4.0).sum())
     return cost
 
 
@@ -230,7 +251,7 @@ def _add_tracks(
         )  # fmt: skip
     else:
         R, x = np.broadcast_to(states.R, (F, K, 3, 3)), np.broadcast_to(states.x, (F, K, 3))
-    points = triangulate(camera, R, x, xy, seen, 6)
+    points = triangulate(camera, R, x, xy, seen, 3)
     good = points.is_good & (points.rms < 10.0)
     if good.sum() < 8:
         raise DegenerateGeometry("fewer than 8 tracks can be triangulated over the window")

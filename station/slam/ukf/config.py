@@ -6,6 +6,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from station.slam.frontend.tracker import TrackerConfig
+from station.slam.ukf.constraints import WheelConfig
+from station.slam.ukf.landmark_map import LandmarkQuality
+from station.slam.ukf.motion_start import StartConfig
 from station.slam.ukf.state import ErrorKind
 
 
@@ -39,4 +42,14 @@ class UkfConfig:
 
     filter: FilterConfig = field(default_factory=FilterConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    start: StartConfig = field(default_factory=StartConfig)
+    wheels: WheelConfig = field(default_factory=WheelConfig)  # used for robot_kind "sentinel" only, but standstill
+    quality: LandmarkQuality = field(default_factory=LandmarkQuality)
     landmarks: Literal["default", "thesis"] = "default"  # thesis: each landmark as it first entered the filter
+    refine: bool = True  # visual-inertial least squares over the keyframes when the drive ends
+    max_keyframes: int = 500
+    max_outage_s: float = 0.6  # without features for longer, tracking is lost
+    min_features: int = 10  # fewer followed features than this count as an outage
+    max_speed_m_s: float = 15.0
+    max_disagreements: int = 5  # consecutive frames in which most landmarks fail their gate
+    max_imu_gap_s: float = 0.5  # without IMU for longer, tracking is lost

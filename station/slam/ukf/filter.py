@@ -135,6 +135,22 @@ class VioFilter:
             retired=retired,
         )
 
+    def adopt_landmarks(self) -> None:
+        """After a start in motion: let the best tracks of its window enter the state, forget the others' views.
+
+        The window's solution used what its tracks say of the poses; where the points are is still unused.
+        """
+        config, tracks = self.config, self.tracks
+        count = tracks.seen.sum(axis=1)
+        ripe = np.flatnonzero(tracks.seen[:, -1] & (count >= config.min_track_observations))
+        ripe = np.sort(ripe[np.argsort(-count[ripe], kind="stable")][: 2 * config.num_landmarks])
+        points = triangulate_window(self.camera, self.state, tracks.uv_px[ripe], tracks.xy[ripe], tracks.seen[ripe])
+        good = points.is_good & (points.depth_sigma < config.landmark_depth_sigma) & (points.rms < config.max_track_rms)
+        good &= np.cumsum(good) <= config.num_landmarks
+        self._coming = tracks.ids[ripe[good]]
+        self.state, _ = self._promote(self.state)
+        tracks.drop_all_rows()
+
     def _end_landmarks(self, state: FilterState, frame: TrackedFrame) -> FilterState:
         """Landmarks whose track ended leave the state."""
         return keep_landmarks(state, np.isin(state.landmark_id, frame.ids))

@@ -38,6 +38,7 @@ class StartConfig:
     max_rms: float = 2.0  # whitened reprojection error
     sigma_bias_gyro: float = 0.02  # rad/s, around the estimate of step 1
     sigma_bias_accel: float = 0.1  # m/s^2, around zero
+    attempt_every_s: float = 0.2
     still_s: float = 0.5  # at rest for that long: start from gravity alone
     still_flow_px: float = 0.7  # median displacement over still_s
     still_accel: float = 0.35  # m/s^2, standard deviation of the accelerometer
@@ -86,8 +87,15 @@ def start_in_motion(
     frame_index: list[int],
     t_imu_ns: list[int],
     config: StartConfig,
+    known_bias: FloatArray | None = None,
+    wheels: tuple[FloatArray, FloatArray] | None = None,
 ) -> MotionStart | str:
-    """Solve the window, or say in words what is missing."""
+    """Solve the window, or say in words what is missing.
+
+    Args:
+        known_bias: (6,) from before tracking was lost.
+        wheels: body velocities (len(frames), 3) and their sigmas, from a wheeled robot's commands.
+    """
     duration = (t_imu_ns[-1] - t_imu_ns[0]) * 1e-9
     if duration < config.min_window_s:
         return f"needs {config.min_window_s - duration:.1f} s more of images"
@@ -110,7 +118,14 @@ def start_in_motion(
     try:
         v0, g0 = solve_velocity_and_gravity(R, dp, t, tracks, camera, gravity)
         states = _upright(R, v0, g0, dv, dp, t, bias, links)
-        prior = Prior(bias, np.zeros(3), config.sigma_bias_gyro, config.sigma_bias_accel)
+        prior = Prior(
+            bias,
+            np.zeros(3) if known_bias is None else known_bias[3:],
+            config.sigma_bias_gyro if known_bias is None else 0.005,
+            config.sigma_bias_accel if known_bias is None else 0.05,
+            v_body=None if wheels is None else wheels[0][pick],
+            sigma_v_body=None if wheels is None else wheels[1][pick],
+        )
         solution = solve_window(
             camera, noise, gravity, states, links, tracks.uv_px, tracks.xy, tracks.seen, prior, iterations=12
         )
@@ -231,15 +246,17 @@ def _with_gravity(H: FloatArray, b: FloatArray, gravity: float) -> FloatArray:
         return float(np.linalg.norm(z / (w + shift)))
 
     smallest, largest = float(w[0]), float(w[2])
+    reach = float(np.linalg.norm(z)) / gravity + largest + 1e-9
     low: float = 1e-12 * largest - smallest
-    high: float = low + float(np.linalg.norm(z)) / gravity + largest + 1e-9
+    high: float = low + reach
     for _ in range(200):
         middle = 0.5 * (low + high)
         if length(middle) > gravity:
             low = middle
         else:
             high = middle
-    g = U @ (z / (w + 0.5 * (low + high)))
+    shifted = w + 0.5 * (low + high)
+    g = U @ (z / shifted)
     g *= gravity / max(float(np.linalg.norm(g)), 1e-9)
     return np.concatenate([reduce[:, 3] - reduce[:, :3] @ g, g])
 
@@ -282,4 +299,5 @@ def _scale_sigma(solution: WindowSolution, travelled: FloatArray, distance: floa
     last = 15 * (len(solution.states.x) - 1) + 6
     cov = solution.covariance[last : last + 3, last : last + 3]
     along = travelled / max(distance, 1e-9)
-    return float(np.sqrt(max(along @ cov @ along, 0.0))) / max(distance, 1e-9)
+    variance = float(along @ cov @ along)
+    return float(np.sqrt(max(variance, 0.0))) / max(distance, 1e-9)

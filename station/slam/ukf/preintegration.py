@@ -28,8 +28,13 @@ class Preintegration:
     dR_by_bias: FloatArray  # (3, 3) rotation vector (right side) by gyro bias
     dv_by_bias: FloatArray  # (3, 6) by gyro and accel bias
     dp_by_bias: FloatArray  # (3, 6)
-    sqrt_information: FloatArray  # (9, 9) upper triangular, of (phi, v, p)
+    covariance: FloatArray  # (9, 9) of (phi on the right, v, p)
     bias: FloatArray  # (6,) gyro, accel
+
+    @property
+    def sqrt_information(self) -> FloatArray:
+        """W (9, 9) with W^T W = covariance^-1."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
     def at(self, bias: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """dR, dv, dp at a nearby bias, to first order."""
@@ -58,7 +63,7 @@ def preintegrate(imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> Preinteg
         dR_by_bias=((turn[:3] - turn[6:9]) / (2.0 * BIAS_STEP)).T,
         dv_by_bias=((vs[-1, 1:7] - vs[-1, 7:]) / (2.0 * BIAS_STEP)).T,
         dp_by_bias=((ps[-1, 1:7] - ps[-1, 7:]) / (2.0 * BIAS_STEP)).T,
-        sqrt_information=np.linalg.inv(np.linalg.cholesky(cov)),
+        covariance=cov,
         bias=bias,
     )
 
@@ -85,6 +90,33 @@ def _covariance(Rs: FloatArray, imu: ImuSegment, bias: FloatArray, noise: ImuNoi
         P = A @ P @ A.T + (B * q) @ B.T
     P[6:, 6:] += np.eye(3) * 1e-12
     return P + np.eye(9) * 1e-14
+
+
+def chain(a: Preintegration, b: Preintegration) -> Preintegration:
+    """Two consecutive measurements as one; both must have been integrated with about the same bias."""
+    T = b.duration_s
+    turned_v, turned_p = a.dR @ lie.skew(b.dv), a.dR @ lie.skew(b.dp)
+    dv_by_bias = a.dv_by_bias + a.dR @ b.dv_by_bias
+    dv_by_bias[:, :3] -= turned_v @ a.dR_by_bias
+    dp_by_bias = a.dp_by_bias + T * a.dv_by_bias + a.dR @ b.dp_by_bias
+    dp_by_bias[:, :3] -= turned_p @ a.dR_by_bias
+    A, B = np.eye(9), np.zeros((9, 9))
+    A[:3, :3] = b.dR.T
+    A[3:6, :3], A[6:, :3] = -turned_v, -turned_p
+    A[6:, 3:6] = T * np.eye(3)
+    B[:3, :3] = np.eye(3)
+    B[3:6, 3:6] = B[6:, 6:] = a.dR
+    return Preintegration(
+        duration_s=a.duration_s + T,
+        dR=a.dR @ b.dR,
+        dv=a.dv + a.dR @ b.dv,
+        dp=a.dp + a.dv * T + a.dR @ b.dp,
+        dR_by_bias=b.dR.T @ a.dR_by_bias + b.dR_by_bias,
+        dv_by_bias=dv_by_bias,
+        dp_by_bias=dp_by_bias,
+        covariance=A @ a.covariance @ A.T + B @ b.covariance @ B.T,
+        bias=a.bias,
+    )
 
 
 def compose(parts: list[Preintegration]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -47,6 +47,10 @@ class TrackTable:
     def keep_rows(self, keep: BoolArray) -> None:
         self.ids, self.uv_px, self.xy, self.seen = self.ids[keep], self.uv_px[keep], self.xy[keep], self.seen[keep]
 
+    def drop_all_rows(self) -> None:
+        """Forget all tracks; the columns stay."""
+        self.keep_rows(np.zeros(len(self.ids), dtype=bool))
+
     def forget(self, rows: BoolArray, keep_last: bool) -> None:
         """Drop the observations of these rows (used up); keep_last leaves the newest for a fresh start of the track."""
         last = self.seen[:, -1].copy()

@@ -1,0 +1,70 @@
+"""The poses of all frames, improved as more becomes known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray, inverse, se3
+from station.slam.ukf import lie
+
+
+class PoseLog:
+    """One pose per tracked frame, in time order."""
+
+    def __init__(self) -> None:
+        self._index: list[int] = []  # frame indices, ascending
+        self._t: list[int] = []
+        self._T: list[FloatArray] = []
+        self._segment: list[int] = []
+        self._row: dict[int, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._t)
+
+    def add(self, frame_index: int, t_robot_ns: int, T_world_body: FloatArray, segment: int) -> None:
+        if frame_index in self._row or (self._t and t_robot_ns <= self._t[-1]):
+            return
+        self._row[frame_index] = len(self._t)
+        self._index.append(frame_index)
+        self._t.append(t_robot_ns)
+        self._T.append(T_world_body)
+        self._segment.append(segment)
+
+    def improve(self, frame_index: int, T_world_body: FloatArray) -> None:
+        """A later estimate of a pose that is already there."""
+        row = self._row.get(frame_index)
+        if row is not None:
+            self._T[row] = T_world_body
+
+    def last(self) -> FloatArray | None:
+        return self._T[-1] if self._T else None
+
+    def drop_after(self, t_robot_ns: int, segment: int) -> None:
+        """Forget this segment's poses from a time on: they were dead reckoning into the unknown."""
+        while self._t and self._t[-1] >= t_robot_ns and self._segment[-1] == segment:
+            del self._row[self._index[-1]]
+            for column in (self._index, self._t, self._T, self._segment):
+                column.pop()
+
+    def follow(self, frame_index: list[int], T_old: FloatArray, T_new: FloatArray, segment: int) -> None:
+        """Move all poses of a segment as their keyframes (F, 4, 4) moved, blending between the two around them."""
+        known = [(self._row[i], k) for k, i in enumerate(frame_index) if i in self._row]
+        if not known:
+            return
+        rows = np.array([row for row, _ in known])
+        correction = np.array([T_new[k] @ inverse(T_old[k]) for _, k in known])
+        t_key = np.array([self._t[row] for row in rows], dtype=np.float64)
+        for row in np.flatnonzero(np.array(self._segment) == segment).tolist():
+            right = int(np.clip(np.searchsorted(t_key, self._t[row]), 1, max(len(rows) - 1, 1)))
+            left = right - 1
+            if len(rows) == 1:
+                self._T[row] = correction[0] @ self._T[row]
+                continue
+            w = float(np.clip((self._t[row] - t_key[left]) / (t_key[right] - t_key[left]), 0.0, 1.0))
+            a, b = correction[left] @ self._T[row], correction[right] @ self._T[row]
+            R = a[:3, :3] @ lie.so3_exp(w * lie.so3_log(a[:3, :3].T @ b[:3, :3]))
+            self._T[row] = se3(R, (1.0 - w) * a[:3, 3] + w * b[:3, 3])
+
+    def arrays(self) -> tuple[IntArray, FloatArray]:
+        """Times (N,) and poses (N, 4, 4)."""
+        return np.array(self._t, dtype=np.int64), np.array(self._T).reshape(-1, 4, 4)
