@@ -68,7 +68,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
         raise DataError(f"{path} holds neither images (mav0/cam0/data) nor IMU samples (mav0/imu0); nothing to use")
 
     gravity = number(dict(camera_yaml), "gravity", 9.81, mav / "cam0" / "sensor.yaml")
-    kind = str(camera_yaml.get("robot_kind", "generic"))
+    kind = str(camera_yaml.get("robot_kind", "sentinel" if drive else "generic"))  # only ours record commands
     exposure_ns = int(1e9 * number(dict(camera_yaml), "exposure_s", 0.0, mav / "cam0" / "sensor.yaml"))
 
     def read_frames() -> Iterator[ImageFrame]:

@@ -76,7 +76,8 @@ class UkfBackend:
         self._anchor = ORIGIN
         self._segment = 0
         self._is_lost = False
-        self._drive: list[DriveSample] = []
+        self._drive: DriveSample | None = None  # the newest command
+        self._speed_since = 0  # when the commanded speed last changed
         self._keyframes = KeyframeStore(self._config.max_keyframes)
         self._poses = PoseLog()
         self._live = LiveMap(self._camera, self._config.quality)
@@ -95,8 +96,9 @@ class UkfBackend:
 
     def add_drive(self, drive: DriveSample) -> None:
         if np.isfinite(drive.linear_m_s) and np.isfinite(drive.angular_rad_s):
-            self._drive.append(drive)
-            del self._drive[:-8]
+            if self._drive is None or abs(drive.linear_m_s - self._drive.linear_m_s) > 0.02:
+                self._speed_since = drive.t_robot_ns
+            self._drive = drive
 
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
         """Take one frame in. Raises ConfigError when the image has another size than the calibration's."""
@@ -171,10 +173,17 @@ class UkfBackend:
         if current.tracked.num_tracked < self._config.min_features:
             if self._outage_since is None:
                 self._outage_since = current.t_imu_ns
-            if (current.t_imu_ns - self._outage_since) * 1e-9 > self._config.max_outage_s:
+            limit = self._config.max_outage_s if current.wheels is None else self._config.max_outage_wheels_s
+            if (current.t_imu_ns - self._outage_since) * 1e-9 > limit:
                 return "the image shows nothing to follow"
         else:
             self._outage_since = None
+        if current.wheels is not None:
+            climbs = abs(float(vio.state.v[2])) > self._config.max_climb_m_s
+            tilts = float(vio.state.R[2, 2]) < self._config.min_upright
+            self._lifted = self._lifted + 1 if climbs or tilts else 0
+            if self._lifted >= 3:
+                return "the robot is being lifted"
         speed = float(np.linalg.norm(vio.state.v))
         if speed > self._config.max_speed_m_s:
             return f"the estimated speed of {speed:.0f} m/s is impossible"
@@ -188,6 +197,7 @@ class UkfBackend:
         return None
 
     _disagreements = 0
+    _lifted = 0
 
     def _retire(self, retired: RetiredClone, state: FilterState) -> tuple[FloatArray, FloatArray] | None:
         """A pose left the window: log it, keep it as keyframe or join its IMU link to the next; new map points."""
@@ -284,7 +294,7 @@ class UkfBackend:
             self._segment += 1
         self._is_lost = False
         self._outage_since = None
-        self._disagreements = 0
+        self._disagreements = self._lifted = 0
 
     def _lose(self, reason: str, t_imu_ns: int, frame: ImageFrame | None = None) -> SlamUpdate:
         """Stop tracking: what was estimated before the trouble stays, the next start is a new segment."""
@@ -482,7 +492,7 @@ class UkfBackend:
         return self._camera.R_body_cam.T @ R @ self._camera.R_body_cam
 
     def _is_commanded_to_move(self) -> bool:
-        return bool(self._drive) and (self._drive[-1].linear_m_s != 0.0 or self._drive[-1].angular_rad_s != 0.0)
+        return self._drive is not None and (self._drive.linear_m_s != 0.0 or self._drive.angular_rad_s != 0.0)
 
     def _wheels(self, segment: ImuSegment, t_imu: int) -> tuple[FloatArray, FloatArray] | None:
         """What the wheels say of the body velocity now."""
@@ -490,14 +500,8 @@ class UkfBackend:
             return None
         bias = self._filter.state.bias_gyro if self._filter is not None else np.zeros(3)
         command, since = None, 0.0
-        if self._drive:
-            command = self._drive[-1].linear_m_s
-            changed = self._drive[-1].t_robot_ns
-            for older, newer in zip(self._drive[-2::-1], self._drive[:0:-1], strict=True):
-                if (older.linear_m_s, older.angular_rad_s) != (newer.linear_m_s, newer.angular_rad_s):
-                    break
-                changed = older.t_robot_ns
-            since = (t_imu - changed) * 1e-9
+        if self._drive is not None:
+            command, since = self._drive.linear_m_s, (t_imu - self._speed_since) * 1e-9
         known = wheel_velocity(self._config.wheels, float(segment.end_gyro[2] - bias[2]), command, since)
         return None if known is None else (known.v_body, known.sigma)
 

@@ -100,12 +100,15 @@ def solve_window(
             camera, noise, gravity, trial, links, uv_px, xy, seen, prior, huber
         )
         if trial_cost <= cost * (1.0 + 1e-9):
-            has_converged = cost - trial_cost < 1e-3 * max(1.0, trial_cost)
+            has_converged = cost - trial_cost < 3e-3 * max(1.0, trial_cost)
             best, cost, kept = trial, trial_cost, (H, g, points, used, rms)
             damping = max(damping * 0.1, 1e-9)
             if has_converged:
                 break
         else:
+            if trial_cost < cost * 1.003:  # the points' iteration leaves that much noise
+                has_converged = True
+                break
             damping = max(damping * 30.0, 1e-4)
         H, g = kept[0].copy(), kept[1]
         H[np.diag_indices_from(H)] *= 1.0 + damping
@@ -251,7 +254,7 @@ def _add_tracks(
         )  # fmt: skip
     else:
         R, x = np.broadcast_to(states.R, (F, K, 3, 3)), np.broadcast_to(states.x, (F, K, 3))
-    points = triangulate(camera, R, x, xy, seen, 3)
+    points = triangulate(camera, R, x, xy, seen, 4)
     good = points.is_good & (points.rms < 10.0)
     if good.sum() < 8:
         raise DegenerateGeometry("fewer than 8 tracks can be triangulated over the window")

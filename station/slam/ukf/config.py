@@ -21,7 +21,7 @@ class FilterConfig:
     spread: float = 1.0  # sigma points lie that many standard deviations out
     num_landmarks: int = 30  # p, at most
     num_clones: int = 18
-    keyframe_parallax_px: float = 8.0  # the newest clone replaces its predecessor until the image moved that much
+    keyframe_parallax_deg: float = 1.0  # the newest clone replaces its predecessor until the view moved that much
     sigma_px: float = 1.0
     gate_probability: float = 0.95
     landmark_gate_probability: float = 0.99
@@ -49,6 +49,9 @@ class UkfConfig:
     refine: bool = True  # visual-inertial least squares over the keyframes when the drive ends
     max_keyframes: int = 500
     max_outage_s: float = 0.6  # without features for longer, tracking is lost
+    max_outage_wheels_s: float = 1.5  # the same for a robot whose wheels bound what the IMU may invent
+    max_climb_m_s: float = 0.2  # a wheeled robot that rises or sinks that fast is being carried
+    min_upright: float = 0.985  # cosine of its tilt; 10 degrees
     min_features: int = 10  # fewer followed features than this count as an outage
     max_speed_m_s: float = 15.0
     max_disagreements: int = 5  # consecutive frames in which most landmarks fail their gate

@@ -171,8 +171,8 @@ class VioFilter:
         turn = turn.T @ state.clone_R[M - 2] @ self.camera.R_body_cam
         rays = np.column_stack([self.tracks.xy[both, M - 2], np.ones(int(both.sum()))]) @ turn.T
         moved = rays[:, :2] / np.maximum(rays[:, 2:], 0.1) - self.tracks.xy[both, M - 3]
-        parallax_px = float(np.median(np.linalg.norm(moved, axis=1))) * self.camera.lens.camera.fx
-        return M - 2 if parallax_px < self.config.keyframe_parallax_px else 0
+        parallax_deg = float(np.degrees(np.median(np.linalg.norm(moved, axis=1))))
+        return M - 2 if parallax_deg < self.config.keyframe_parallax_deg else 0
 
     def _measure_window(self, state: FilterState, leaving: int | None) -> WindowMeasurement:
         """Rows of the tracks that ended, of those about to lose their oldest view, and of coming landmarks."""

@@ -30,10 +30,12 @@ class StartConfig:
     """When a start counts as good."""
 
     min_window_s: float = 0.9
+    min_window_wheels_s: float = 0.5  # where the commanded speed gives the scale
     max_window_s: float = 3.0
     num_keyframes: int = 12
     min_tracks: int = 25
-    min_parallax_px: float = 12.0  # rotation-compensated, across the window
+    min_common: int = 10  # tracks that neighbouring views share
+    min_parallax_px: float = 12.0  # rotation-compensated, over the tracks' lives
     max_scale_sigma: float = 0.10  # relative standard deviation of the distance travelled
     max_rms: float = 2.0  # whitened reprojection error
     sigma_bias_gyro: float = 0.02  # rad/s, around the estimate of step 1
@@ -97,14 +99,18 @@ def start_in_motion(
         wheels: body velocities (len(frames), 3) and their sigmas, from a wheeled robot's commands.
     """
     duration = (t_imu_ns[-1] - t_imu_ns[0]) * 1e-9
-    if duration < config.min_window_s:
-        return f"needs {config.min_window_s - duration:.1f} s more of images"
+    least = config.min_window_s if wheels is None else config.min_window_wheels_s
+    if duration < least:
+        return f"needs {least - duration:.1f} s more of images"
     K = min(config.num_keyframes, len(frames))
     pick = np.unique(np.rint(np.linspace(0, len(frames) - 1, K)).astype(int))
     tracks = collect_tracks([frames[i] for i in pick], 3)
-    across = tracks.seen[:, 0] & tracks.seen[:, -1]
-    if len(tracks.ids) < config.min_tracks or across.sum() < 8:
-        return f"needs texture: {int(across.sum())} features were followed over {duration:.1f} s, 8 are the least"
+    common = (tracks.seen[:, :-1] & tracks.seen[:, 1:]).sum(axis=0)
+    if len(tracks.ids) < config.min_tracks or common.min() < config.min_common:
+        return (
+            f"needs texture: views share {int(common.min())} of {len(tracks.ids)} features, "
+            f"{config.min_common} of {config.min_tracks} are the least"
+        )
     times = np.array([t_imu_ns[i] for i in pick], dtype=np.int64)
     segments = [imu.segment(int(a), int(b)) for a, b in itertools.pairwise(times)]
 
@@ -116,7 +122,12 @@ def start_in_motion(
     if parallax_px < config.min_parallax_px:
         return f"needs sideways motion: {parallax_px:.0f} px of parallax, {config.min_parallax_px:.0f} are the least"
     try:
-        v0, g0 = solve_velocity_and_gravity(R, dp, t, tracks, camera, gravity)
+        if wheels is None:
+            v0, g0 = solve_velocity_and_gravity(R, dp, t, tracks, camera, gravity)
+        else:  # v_K - v_0 = g T + dv, with both velocities from the wheels
+            v0 = wheels[0][pick[0]]
+            g0 = (R[-1] @ wheels[0][pick[-1]] - v0 - dv[-1]) / t[-1]
+            g0 *= gravity / max(float(np.linalg.norm(g0)), 1e-9)
         states = _upright(R, v0, g0, dv, dp, t, bias, links)
         prior = Prior(
             bias,
@@ -188,12 +199,15 @@ def _coplanarity(
 
 
 def _parallax(tracks: WindowTracks, R: FloatArray, camera: CameraModel) -> float:
-    """Median displacement (px) between first and last frame that rotation does not explain."""
-    both = tracks.seen[:, 0] & tracks.seen[:, -1]
-    turn = (R[0] @ camera.R_body_cam).T @ R[-1] @ camera.R_body_cam
-    rays = np.column_stack([tracks.xy[both, -1], np.ones(int(both.sum()))]) @ turn.T
-    moved = rays[:, :2] / np.maximum(rays[:, 2:], 0.1) - tracks.xy[both, 0]
-    return float(np.median(np.linalg.norm(moved, axis=1))) * camera.lens.camera.fx
+    """Displacement (px) between first and last view of a track that rotation does not explain: upper quartile."""
+    F, K = tracks.seen.shape
+    first, last = np.argmax(tracks.seen, axis=1), K - 1 - np.argmax(tracks.seen[:, ::-1], axis=1)
+    row = np.arange(F)
+    R_wc = R @ camera.R_body_cam
+    rays = np.column_stack([tracks.xy[row, last], np.ones(F)])
+    rays = np.einsum("fji,fj->fi", R_wc[first], np.einsum("fij,fj->fi", R_wc[last], rays))
+    moved = rays[:, :2] / np.maximum(rays[:, 2:], 0.1) - tracks.xy[row, first]
+    return float(np.percentile(np.linalg.norm(moved, axis=1), 75)) * camera.lens.camera.fx
 
 
 def solve_velocity_and_gravity(

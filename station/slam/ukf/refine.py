@@ -6,6 +6,7 @@ the cost grows linearly with the drive (docs/slam.md, sec. 10).
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,8 @@ WINDOW = 24
 STEP = 12
 MAX_TRACKS = 150
 MIN_KEYFRAMES = 4
+MIN_POINTS = 20
+MAX_RMS = 3.0  # whitened
 
 
 def refine_segment(
@@ -35,33 +38,30 @@ def refine_segment(
     """Keyframes with better poses, velocities and biases; and what could not be refined, in sentences."""
     result = list(keyframes)
     messages: list[str] = []
-    first_sigma = np.concatenate(
-        [np.full(3, 0.05), np.full(3, 0.3), np.zeros(3), np.full(3, sigma_bias_gyro), np.full(3, sigma_bias_accel)]
-    )
-    start = 0
-    while start < len(result) - MIN_KEYFRAMES + 1:
-        part = result[start : start + WINDOW]
-        if any(k.link is None for k in part[1:]):
-            cut = next(i for i, k in enumerate(part[1:], 1) if k.link is None)
-            part = part[:cut]
-        if len(part) < MIN_KEYFRAMES:
-            start += max(1, len(part))
-            continue
-        try:
-            refined, sigma = _refine_window(part, camera, noise, gravity, first_sigma)
-        except DegenerateGeometry as exc:
-            messages.append(f"{len(part)} keyframes were left as the filter had them: {exc}")
+    sigma_bias = np.repeat([sigma_bias_gyro, sigma_bias_accel], 3)
+    unknown = np.concatenate([np.full(3, 0.05), np.full(3, 0.3), np.zeros(3), sigma_bias])
+    for first, end in _linked_parts(result):
+        sigma_first, start = unknown, first
+        while end - start >= MIN_KEYFRAMES:
+            stop = min(start + WINDOW, end)
+            try:
+                refined, sigma = _refine_window(result[start:stop], camera, noise, gravity, sigma_first)
+            except DegenerateGeometry as exc:
+                messages.append(f"{stop - start} keyframes were left as the filter had them: {exc}")
+                sigma_first = unknown
+            else:
+                result[start:stop] = refined
+                sigma_first = sigma[min(STEP, len(sigma) - 1)]
+            if stop == end:
+                break
             start += STEP
-            continue
-        result[start : start + len(part)] = refined
-        if start + len(part) >= len(result) or len(part) < WINDOW:
-            start += len(part)
-            if start < len(result) and len(part) == WINDOW:
-                continue
-            continue
-        start += STEP
-        first_sigma = sigma[STEP]
     return result, messages
+
+
+def _linked_parts(keyframes: list[Keyframe]) -> list[tuple[int, int]]:
+    """Ranges [first, end) of keyframes that IMU links connect without a break."""
+    breaks = [i for i, k in enumerate(keyframes) if i == 0 or k.link is None]
+    return list(itertools.pairwise([*breaks, len(keyframes)]))
 
 
 def _refine_window(
@@ -69,7 +69,7 @@ def _refine_window(
 ) -> tuple[list[Keyframe], FloatArray]:
     """The window's keyframes refined, and the standard deviations (K, 15) of their states."""
     tracks = _longest(collect_tracks([k.tracked for k in part], 3))
-    if len(tracks.ids) < 8:
+    if len(tracks.ids) < MIN_POINTS:
         raise DegenerateGeometry("too few features were followed")
     states = WindowStates(
         R=np.array([k.T_world_body[:3, :3] for k in part]),
@@ -95,6 +95,8 @@ def _refine_window(
         sigma_v_body=np.array([(w or nothing)[1] for w in wheels]) if has_wheels else None,
     )
     solution = solve_window(camera, noise, gravity, states, links, tracks.uv_px, tracks.xy, tracks.seen, prior)
+    if solution.points.is_good.sum() < MIN_POINTS or solution.rms > MAX_RMS or not solution.has_converged:
+        raise DegenerateGeometry("the features show too little parallax")
     s = solution.states
     refined = [replace(k, T_world_body=se3(s.R[i], s.x[i]), v_world=s.v[i], bias=s.bias[i]) for i, k in enumerate(part)]
     sigma = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0)).reshape(-1, N)

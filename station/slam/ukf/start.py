@@ -90,17 +90,16 @@ class Starter:
             state = state_at_rest(frame.t_imu_ns, samples, self._noise, self._gravity, self._kind, anchor)
             self._frames.clear()
             return state, None
+        sigma = np.array([f.sigma_v_body for f in self._frames])
+        has_wheels = bool(np.isfinite(sigma).any())
+        least = config.min_window_wheels_s if has_wheels else config.min_window_s
         waited = (frame.t_imu_ns - self._frames[0].t_imu_ns) * 1e-9
-        if waited < config.min_window_s:
-            return (
-                f"needs {config.min_window_s - waited:.1f} s more of images that overlap, or {config.still_s} s at rest"
-            )
+        if waited < least:
+            return f"needs {least - waited:.1f} s more of images that overlap, or {config.still_s} s at rest"
         if frame.t_imu_ns < self._next_attempt_ns:
             return self._reason
         self._next_attempt_ns = frame.t_imu_ns + int(config.attempt_every_s * 1e9)
         frames = list(self._frames)
-        sigma = np.array([f.sigma_v_body for f in frames])
-        has_wheels = bool(np.isfinite(sigma).any())
         found = start_in_motion(
             self._camera,
             self._noise,
