@@ -14,6 +14,7 @@ from station.maps.folder import load_map_folder, save_map_folder
 from station.navigation_files import load_navigation
 from station.places.build import build_map, carry_names
 from station.places.graph import shortest_route, to_graphml, to_json_dict
+from station.places.merge import merge_navigations
 
 
 def register(app: typer.Typer) -> None:
@@ -25,26 +26,26 @@ def register(app: typer.Typer) -> None:
 
 
 def build(
-    navigations: Annotated[
-        list[Path], typer.Argument(help="Folders written by `station slam`; the longest is mapped.")
-    ],
+    navigations: Annotated[list[Path], typer.Argument(help="Folders written by `station slam`, the main one first.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the map.")],
     name: Annotated[str, typer.Option(help="Name of the map.")] = "",
     mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
     eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
     min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
-    names_from: Annotated[Path | None, typer.Option(help="A map of the same navigation whose names are kept.")] = None,
+    names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first drive: keeps its names.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
 ) -> None:
-    """Cluster a navigation's landmarks into named places and write the map, with its graph as GraphML beside it."""
+    """Cluster landmarks into named places and write the map, with its graph as GraphML beside it.
+
+    Further navigations are registered to the first one and extend it.
+    """
     config = places_config(mode, eps, min_pts, 0.75)
     loaded = [load_navigation(path) for path in navigations]
-    if len(loaded) > 1:
-        raise DataError(f"{len(loaded)} navigations were given; a map is built from one: give the most complete")
-    place_map = build_map(loaded[0], config=config, name=name)
+    navigation = merge_navigations(loaded, config)
+    place_map = build_map(navigation, config=config, name=name)
     if names_from is not None:
         old = load_map_folder(names_from)
-        if old.navigation.id != loaded[0].id:
+        if not navigation.id.startswith(old.navigation.id):
             raise DataError(f"{names_from} was made from {old.navigation.id}, not {loaded[0].id}; give its own map")
         place_map = carry_names(old, place_map)
     save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})

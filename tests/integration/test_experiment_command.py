@@ -106,7 +106,7 @@ def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
         (["experiment", "--navigation1", "{nav1}", "--navigation2", "/nowhere"], "/nowhere does not exist"),
         (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--mode", "x"], '"thesis" or "default"'),
         (["match", "{nav1}", "{nav1}"], "holds no map"),
-        (["map", "build", "{nav1}", "{nav1}"], "a map is built from one"),
+        (["map", "build", "{nav1}", "/nowhere"], "holds no navigation"),
     ],
 )  # fmt: skip
 def test_mistakes_get_one_sentence_and_leave_nothing(
