@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import socket
 import time
 from collections.abc import Iterator
@@ -12,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from robot.devices.ports import DeviceSet
+from robot.devices.ports import Camera, DeviceSet
 from robot.devices.simulated import SimulatedRobot, open_simulated
 from robot.devices.simulated.control import ControlDesk, ControlServer
 from robot.simulation.config import SimulationConfig
-from shared.errors import ConfigError, DeviceUnavailable
+from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
 
 WAIT_S = 60.0
 
@@ -114,6 +116,31 @@ async def test_lost_samples_leave_a_hole_in_the_sequence() -> None:
         assert readings[-1].sequence - readings[0].sequence > len(readings) + 10
     finally:
         await devices.imu.close()
+
+
+async def capture_on_and_on(camera: Camera) -> None:
+    while True:
+        await asyncio.wait_for(camera.capture(), WAIT_S)
+
+
+async def test_a_camera_whose_process_dies_says_so_and_comes_back(tmp_path: Path) -> None:
+    devices = open_simulated("room", 1, cache_dir=tmp_path)
+    assert devices.camera is not None
+    robot = devices.camera._robot  # type: ignore[attr-defined]
+    try:
+        before = await asyncio.wait_for(devices.camera.capture(), WAIT_S)
+        os.kill(robot.camera_pid, signal.SIGKILL)
+        with pytest.raises(DeviceLost, match="process has ended"):
+            await capture_on_and_on(devices.camera)
+        while True:
+            try:
+                after = await asyncio.wait_for(devices.camera.capture(), WAIT_S)
+                break
+            except DeviceLost:
+                await asyncio.sleep(0.05)
+        assert after.t_robot_ns > before.t_robot_ns
+    finally:
+        await devices.camera.close()
 
 
 def test_an_unknown_world_is_refused() -> None:

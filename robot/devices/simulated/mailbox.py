@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 from typing import Generic, TypeVar
 
@@ -35,6 +36,11 @@ class Mailbox(Generic[T]):
             self._failure = failure
             self._wake()
 
+    def recover(self) -> None:
+        """The source works again."""
+        with self._lock:
+            self._failure = None
+
     async def get(self, at_most: int | None = None) -> list[T]:
         """Wait for at least one value and take the oldest `at_most`, or all."""
         while True:
@@ -55,7 +61,7 @@ class Mailbox(Generic[T]):
             return
         loop, future = self._waiter
         self._waiter = None
-        if not loop.is_closed():
+        with contextlib.suppress(RuntimeError):  # the loop has been closed: nobody waits any more
             loop.call_soon_threadsafe(_resolve, future)
 
 

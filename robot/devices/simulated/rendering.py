@@ -65,6 +65,10 @@ class CameraProcess:
         self._process.start()
         child.close()
 
+    @property
+    def pid(self) -> int | None:
+        return self._process.pid
+
     def wait_until_ready(self) -> None:
         """Raises DeviceLost when the world cannot be drawn."""
         self._receive(READY_TIMEOUT_S)
@@ -74,7 +78,7 @@ class CameraProcess:
         try:
             self._connection.send(request)
         except OSError as exc:
-            raise DeviceLost("the simulated camera's process has ended; restart robot-server") from exc
+            raise DeviceLost("the simulated camera's process has ended; it is started again") from exc
         return cast(FrameAnswer, self._receive(RENDER_TIMEOUT_S))
 
     def close(self) -> None:
@@ -92,7 +96,7 @@ class CameraProcess:
                 raise DeviceLost(f"the simulated camera did not answer within {timeout_s:.0f} s")
             answer = self._connection.recv()
         except (OSError, EOFError) as exc:
-            raise DeviceLost("the simulated camera's process has ended; restart robot-server") from exc
+            raise DeviceLost("the simulated camera's process has ended; it is started again") from exc
         if isinstance(answer, str):
             raise DeviceLost(f"the simulated camera failed: {answer}")
         return answer

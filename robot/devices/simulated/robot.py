@@ -35,6 +35,7 @@ TRUTH_LOG_RATE_HZ = 45.0
 MAX_TRUTH_LOG = int(3600 * 4 * TRUTH_LOG_RATE_HZ)
 IMU_LIMIT = 2250  # ten seconds for a reader that stalls
 EXPOSURE_MARGIN_S = 0.025  # motion known beyond the last row before a picture is taken
+CAMERA_RESTART_S = 1.0
 BATTERY_FULL_V, BATTERY_EMPTY_V = 8.4, 6.4
 BATTERY_LIFE_S, DRIVING_FACTOR = 4 * 3600.0, 3.0
 MAX_PAN_RAD, MAX_TILT_RAD, HEAD_SPEED_RAD_S = math.radians(80), math.radians(40), 3.0
@@ -68,6 +69,7 @@ class SimulatedRobot:
         self.imu_mailbox: Mailbox[ImuReading] = Mailbox(IMU_LIMIT)
         self.frame_mailbox: Mailbox[CapturedFrame] = Mailbox(1)
         self.frames_skipped = 0
+        self.camera_pid: int | None = None  # of the process that renders
         self._faults = config.faults
         self._head = _Head()
         self._truth_log: deque[tuple[int, FloatArray]] = deque(maxlen=MAX_TRUTH_LOG)
@@ -205,15 +207,19 @@ class SimulatedRobot:
         )
 
     def _take_pictures(self) -> None:
-        process = CameraProcess(self._job)
-        try:
-            process.wait_until_ready()
-            self._take_pictures_with(process)
-        except HardwareError as exc:
-            logger.error("%s", exc)
-            self.frame_mailbox.fail(exc)
-        finally:
-            process.close()
+        while not self._stopped.is_set():
+            process = CameraProcess(self._job)
+            self.camera_pid = process.pid
+            try:
+                process.wait_until_ready()
+                self.frame_mailbox.recover()
+                self._take_pictures_with(process)
+            except HardwareError as exc:
+                logger.error("%s", exc)
+                self.frame_mailbox.fail(exc)
+                self._stopped.wait(CAMERA_RESTART_S)
+            finally:
+                process.close()
 
     def _take_pictures_with(self, process: CameraProcess) -> None:
         camera = self._camera_calibration
