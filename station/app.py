@@ -31,7 +31,7 @@ from station.refusals import Conflict, NoRobot, NotCapable
 from station.workers import Worker
 
 logger = logging.getLogger(__name__)
-HIJACK_NOTICE = "the robot was picked up and put down elsewhere"
+HIJACK_NOTICE = "the simulated robot was put down elsewhere, as asked"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,6 +162,7 @@ class Station:
 
     def on_connected(self, hello: Hello) -> None:
         self.drives.on_connected(hello)
+        self.locating.calibrate(hello.calibration)
         self.events.say("link", f"connected to {hello.name}")
         self.events.changed("robot")
 
@@ -173,12 +174,11 @@ class Station:
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
         self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
         self.drives.on_frame(frame, t_station_ns)
-        hello = self.link.state.hello
-        if hello is not None:
-            self.locating.offer(frame, hello.calibration)
+        self.locating.offer(frame)
 
     def on_imu(self, batch: ImuBatch) -> None:
         self.drives.on_imu(batch)
+        self.locating.on_imu(batch)
 
     def on_gap(self, num_samples: int) -> None:
         self.drives.on_gap(num_samples)
@@ -187,6 +187,7 @@ class Station:
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.applied = applied
         self.drives.on_drive_applied(applied)
+        self.locating.on_drive_applied(applied)
 
     def on_status(self, status: Status) -> None:
         self.drives.on_status(status)

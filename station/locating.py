@@ -8,23 +8,28 @@ import time
 from collections import OrderedDict, deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
-from shared.messages import CameraFrame
+from shared.messages import CameraFrame, DriveApplied, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events
-from station.frames import ImageFrame
+from station.frames import DriveSample, ImageFrame
 from station.mailbox import Latest
 from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceState
 from station.workers import Worker, WorkerDied
 
+if TYPE_CHECKING:  # its module loads estimation libraries, which only the worker needs
+    from station.places.hijack import HijackEvent
+
 logger = logging.getLogger(__name__)
 KEPT_QUERY_IMAGES = 32
 KEPT_VISITS = 200
 RESTART_S = 1.0
+LIMITS = {"odometry": 300, "imu": 3000, "drive": 600}  # what waits for a busy worker: a minute and more
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +57,14 @@ class Locating:
         self._store_root = store_root
         self._config = config
         self._events = events
-        self._frames: Latest[tuple[CameraFrame, Calibration]] = Latest()
+        self._frames: Latest[CameraFrame] = Latest()
         self._worker: Worker | None = None
         self._map_id: str | None = None
         self._wanted = asyncio.Event()
+        self._calibration: Calibration | None = None
+        self._is_ready = False
+        self._generation = 0  # counts the calls of use(): a worker that was killed for another map did not die
+        self._lost = 0  # inertial samples
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self.report: PlaceReport | None = None
         self.visits: deque[Visit] = deque(maxlen=KEPT_VISITS)
@@ -69,6 +78,7 @@ class Locating:
     async def use(self, map_id: str | None) -> None:
         """Look in this map from now on. Also after one of its places was renamed."""
         self._map_id = map_id
+        self._generation += 1
         self.report = None
         self.status = "no map is active" if map_id is None else "reading the map"
         self._events.changed("place")
@@ -84,20 +94,35 @@ class Locating:
             self.report = await self._worker.call("rename", place_id, name)
             self._events.changed("place")
 
+    def calibrate(self, calibration: Calibration) -> None:
+        """A robot was connected."""
+        if calibration != self._calibration:
+            self._calibration = calibration
+            self._post("calibrate", calibration)
+
     def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
-        """A pose of the running navigation; too many at once are thinned out, the newest stay."""
-        if self._worker is not None:
-            self._worker.post("odometry", t_robot_ns, T_nav_body, segment, kind="odometry")
+        """A pose of the running navigation; when they come too quickly the oldest is left out."""
+        self._post("odometry", t_robot_ns, T_nav_body, segment)
 
-    def hijack(self, t_robot_ns: int, reason: str) -> None:
-        """The robot was picked up."""
-        if self._worker is not None:
-            self._worker.post("hijack", t_robot_ns, reason)
+    def on_imu(self, batch: ImuBatch) -> None:
+        """Inertial samples notice a hijack and carry the estimate."""
+        s = batch.samples
+        self._post("imu", [x.t_robot_ns for x in s], [x.gyro_imu for x in s], [x.accel_imu for x in s])
 
-    def offer(self, frame: CameraFrame, calibration: Calibration) -> None:
+    def on_drive_applied(self, applied: DriveApplied) -> None:
+        self._post("drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
+
+    def offer(self, frame: CameraFrame) -> None:
         """A new picture; the worker gets the newest one when it is free."""
         if self._map_id is not None:
-            self._frames.put((frame, calibration))
+            self._frames.put(frame)
+
+    def _post(self, method: str, *arguments: object) -> None:
+        """To the worker, once it knows the map and the robot."""
+        if self._worker is not None and self._is_ready and not self._worker.post(method, *arguments):
+            self._lost += method == "imu"
+            if method == "imu" and self._lost == 1:
+                self._events.say("place", "localisation is too slow: inertial samples are lost to it", "warning")
 
     def query_image(self, t_robot_ns: int) -> bytes | None:
         """The picture of an earlier answer, while it is kept."""
@@ -106,20 +131,20 @@ class Locating:
     async def run(self) -> None:
         """Until cancelled."""
         while True:
-            map_id = self._map_id
+            map_id, generation = self._map_id, self._generation
             if map_id is None:
                 self._wanted.clear()
                 await self._wanted.wait()
                 continue
             try:
-                await self._serve(map_id)
+                await self._serve(map_id, generation)
             except WorkerDied as exc:
-                if self._map_id == map_id:
+                if self._generation == generation:
                     self.status = "localisation is started again"
                     self._events.say("worker", f"{exc}; it is started again", "error")
                     await asyncio.sleep(RESTART_S)
             except RobotSystemError as exc:
-                if self._map_id == map_id:
+                if self._generation == generation:
                     self.status = f"no localisation: {exc}"
                     self._events.say("place", self.status, "error")
                     self._map_id = None
@@ -128,32 +153,40 @@ class Locating:
         if self._worker is not None:
             await self._worker.close()
 
-    async def _serve(self, map_id: str) -> None:
+    async def _serve(self, map_id: str, generation: int) -> None:
         """One worker, one map, until it dies or another map is wanted."""
-        worker = Worker("localisation", self._servant, limits={"odometry": 300})
+        worker = Worker("localisation", self._servant, limits=LIMITS, on_event=self._on_hijack)
         self._worker = worker
         try:
             await worker.start()
             await worker.call("load", self._store_root, map_id)
+            frame = await self._frames.get()  # from here on a robot is known
+            if self._calibration is not None:
+                await worker.call("calibrate", self._calibration)
+            self._is_ready = True
             self.status = "looking"
             self._events.say("place", "localisation is ready")
             interval_s = 1.0 / self._config.rate_hz
-            while self._map_id == map_id and self._worker is worker:
-                frame, calibration = await self._frames.get()
+            while self._generation == generation:
+                frame = await self._frames.get()
                 started_s = time.monotonic()
                 image = ImageFrame(frame.seq, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
-                report = await worker.call("answer", image, calibration)
-                if self._map_id == map_id:
+                report = await worker.call("answer", image)
+                if self._generation == generation:
                     self._take(report, frame)
                 await asyncio.sleep(max(0.0, interval_s - (time.monotonic() - started_s)))
         finally:
+            self._is_ready = False
             await worker.close()
+
+    def _on_hijack(self, event: HijackEvent) -> None:
+        self._events.say("hijack", f"the robot was picked up: {event.reason}", "warning")
 
     def _take(self, report: PlaceReport, frame: CameraFrame) -> None:
         self.answers += 1
         self.report = report
-        if report.T_map_cam is not None:
-            self._queries[frame.t_robot_ns] = frame.jpeg
+        if report.t_evidence_ns is not None:
+            self._queries[report.t_evidence_ns] = frame.jpeg
             while len(self._queries) > KEPT_QUERY_IMAGES:
                 self._queries.popitem(last=False)
         self._note_visit(report.answer)

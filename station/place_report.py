@@ -15,4 +15,5 @@ class PlaceReport:
     map_id: str
     answer: PlaceAnswer
     T_map_cam: FloatArray | None  # (4, 4) of the picture the answer is about, when it was found in the map
+    t_evidence_ns: int | None  # what the answer's evidence_t_robot_ns is while it rests on this picture
     attempt: str  # what speaks for the picture's pose, or why there is none, in a sentence

@@ -5,29 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
-from station.frames import ImageFrame
+from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore
 from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceCandidate
-from station.places.current import CurrentPlaceEstimator
+from station.places.hijack import HijackEvent
 from station.places.localizer import Localizer
+from station.places.tracker import PlaceTracker
 
 
 class PlaceServant:
-    """Answers pictures from one map: the localiser finds them, the estimator says what that means over time."""
+    """Answers pictures from one map; sends a HijackEvent when the robot was picked up."""
 
-    def __init__(self, emit: Callable[[Any], None]) -> None:
+    def __init__(self, emit: Callable[[HijackEvent], None]) -> None:
         self._emit = emit
         self._place_map: PlaceMap | None = None
         self._localizer: Localizer | None = None
-        self._estimator: CurrentPlaceEstimator | None = None
-        self._calibration: Calibration | None = None
+        self._tracker: PlaceTracker | None = None
+        self._shift_ns = 0
         self._names: dict[str, str] = {}  # of places renamed since the map was read
         self._report: PlaceReport | None = None
 
@@ -35,7 +37,14 @@ class PlaceServant:
         """Read a map and index its pictures: some 60 ms per keyframe."""
         self._place_map = MapStore(store).load(map_id)
         self._localizer = Localizer(self._place_map)
-        self._estimator = None
+
+    def calibrate(self, calibration: Calibration) -> None:
+        """The robot that drives now; what was known of another one's position is forgotten."""
+        if self._place_map is None:
+            raise EstimationError("no map was given to the localisation worker; activate one")
+        camera = calibration.camera
+        self._shift_ns = round(camera.time_shift_s * 1e9) if camera else 0
+        self._tracker = PlaceTracker(self._place_map, calibration, self._localizer)
 
     def rename(self, place_id: str, name: str) -> PlaceReport | None:
         """The last answer, with the new name."""
@@ -44,32 +53,44 @@ class PlaceServant:
             self._report = replace(self._report, answer=self._named(self._report.answer))
         return self._report
 
+    def imu(self, t_robot_ns: list[int], gyro: list[tuple[float, ...]], accel: list[tuple[float, ...]]) -> None:
+        """Inertial samples, times and (N, 3) values."""
+        if self._tracker is not None:
+            self._tracker.on_imu(
+                ImuBatch(np.array(t_robot_ns, np.int64), np.array(gyro, np.float64), np.array(accel, np.float64))
+            )
+            self._tell_hijacks()
+
+    def drive(self, sample: DriveSample) -> None:
+        """What the motors were told."""
+        if self._tracker is not None:
+            self._tracker.on_drive(sample)
+
     def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation: carries the estimate between pictures."""
-        if self._estimator is not None:
-            self._estimator.on_odometry(t_robot_ns, T_nav_body, segment)
+        if self._tracker is not None:
+            self._tracker.on_odometry(t_robot_ns, T_nav_body, segment)
 
-    def hijack(self, t_robot_ns: int, reason: str) -> None:
-        """The robot was picked up."""
-        if self._estimator is not None:
-            self._estimator.on_hijack(t_robot_ns, reason)
-
-    def answer(self, frame: ImageFrame, calibration: Calibration) -> PlaceReport:
+    def answer(self, frame: ImageFrame) -> PlaceReport:
         """Where this picture was taken, and the current place at its time."""
-        if self._place_map is None or self._localizer is None:
+        if self._place_map is None or self._tracker is None:
             raise EstimationError("no map was given to the localisation worker; activate one")
-        if self._estimator is None or calibration != self._calibration:
-            self._estimator = CurrentPlaceEstimator(self._place_map, calibration)
-            self._calibration = calibration
-        attempt = self._localizer.attempt(frame, calibration)
-        if attempt.localization is not None:
-            self._estimator.on_localization(attempt.localization)
-        else:
-            self._estimator.on_failure(frame.t_robot_ns, attempt.num_features)
-        answer = self._named(self._estimator.answer(frame.t_robot_ns))
-        T_map_cam = attempt.localization.T_map_cam if attempt.localization else None
-        self._report = PlaceReport(self._place_map.id, answer, T_map_cam, attempt.reason)
+        attempt = self._tracker.on_frame(frame)
+        self._tell_hijacks()
+        found = attempt.localization if attempt is not None else None
+        self._report = PlaceReport(
+            map_id=self._place_map.id,
+            answer=self._named(self._tracker.answer(frame.t_robot_ns)),
+            T_map_cam=found.T_map_cam if found else None,
+            t_evidence_ns=frame.t_robot_ns + self._shift_ns if found else None,
+            attempt=attempt.reason if attempt else "the robot is being carried",
+        )
         return self._report
+
+    def _tell_hijacks(self) -> None:
+        if self._tracker is not None:
+            for event in self._tracker.take_events():
+                self._emit(event)
 
     def _named(self, answer: PlaceAnswer) -> PlaceAnswer:
         if not self._names:

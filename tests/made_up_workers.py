@@ -73,13 +73,19 @@ class AlwaysFirstPlace:
         self._names[place_id] = name
         return self._report and self.answer_at(self._report.answer.t_robot_ns)
 
+    def calibrate(self, calibration: Calibration) -> None:
+        pass
+
+    def imu(self, *samples: object) -> None:
+        pass
+
+    def drive(self, sample: DriveSample) -> None:
+        pass
+
     def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         pass
 
-    def hijack(self, t_robot_ns: int, reason: str) -> None:
-        pass
-
-    def answer(self, frame: ImageFrame, calibration: Calibration) -> PlaceReport:
+    def answer(self, frame: ImageFrame) -> PlaceReport:
         return self.answer_at(frame.t_robot_ns)
 
     def answer_at(self, t_robot_ns: int) -> PlaceReport:
@@ -100,6 +106,7 @@ class AlwaysFirstPlace:
                 reason="always here",
             ),
             T_map_cam=np.eye(4),
+            t_evidence_ns=t_robot_ns,
             attempt="always found",
         )
         return self._report

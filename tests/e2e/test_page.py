@@ -152,7 +152,7 @@ async def test_the_hijack_button_moves_a_simulated_robot(room: Room) -> None:
     await page.locator("#ask input").fill("2 1 90")
     await page.locator("#ask button[type=submit]").click()
     await until(lambda: [m[:2] for m in room.bench.head.moved] == [(2.0, 1.0)])
-    await expect(page.locator("#log")).to_contain_text("picked up")
+    await expect(page.locator("#log")).to_contain_text("put down elsewhere")
 
 
 async def test_a_phone_shows_video_and_joystick_in_its_first_screen(room: Room) -> None:
@@ -191,6 +191,6 @@ async def test_the_api_documentation_works_without_internet(room: Room) -> None:
     await expect(page.locator("#operations-places-place_current_place_current_get")).to_be_visible(timeout=60_000)
 
 
-def test_the_page_is_small(page_is_built: None) -> None:
+async def test_the_page_is_small(page_is_built: None) -> None:
     files = [DIST / "index.html", *(DIST / "assets").iterdir()]
     assert sum(file.stat().st_size for file in files) < 1_500_000

@@ -237,7 +237,7 @@ export class MapView {
     this.points[layer] = cloud.total;
     const box = extent(cloud);
     if (box) this.boxes[layer] = this.boxes[layer]?.union(box) ?? box;
-    setPointSize(this.points[layer] > 60_000 ? 1.4 : this.points[layer] > 15_000 ? 1.9 : 2.6);
+    setPointSize(this.points[layer] > 60_000 ? 1.4 : this.points[layer] > 15_000 ? 2 : 3.2);
     this.describe();
     this.draw();
   }
