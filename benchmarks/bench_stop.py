@@ -303,9 +303,8 @@ async def main() -> int:
         if sys.stderr.isatty() or done % 25 == 0:
             print(f"\rbench_stop: {done}/{total} faults", end="" if sys.stderr.isatty() else "\n", file=sys.stderr)
 
-    running = asyncio.current_task()
-    assert running is not None
-    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, running.cancel)  # so that no process stays behind
+    for number in (signal.SIGTERM, signal.SIGINT):  # end with what there is, and leave no process behind
+        asyncio.get_running_loop().add_signal_handler(number, work.clear)
     chains = [run_chain(work, rows, options.seed * 1000 + i, progress) for i in range(options.chains)]
     await asyncio.gather(*chains)
     everything = [*rows.values(), *(firmware_rows(options.scale, options.seed) if not options.only else [])]
