@@ -14,7 +14,6 @@
 // | DRV8833 FLT          | 8        | PH5  |       |
 // | pan, tilt servo      | 11, 12   | PB5, PB6 | OC1A, OC1B |
 // | battery divider      | A0       | PF0  |       |
-// | loop time for a scope| 13 (LED) | PB7  |       |
 
 const uint16_t BATTERY_FULL_SCALE_MV = 10319;  // 2.56 V reference through 100 kOhm over 33 kOhm: 2560 * 133 / 33
 
