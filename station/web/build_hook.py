@@ -30,6 +30,8 @@ class PageNotBuilt(Exception):
 
 def build(force: bool = False) -> bool:
     """Make `dist/` from the sources; False when it is current already. Raises PageNotBuilt."""
+    if os.environ.get("SENTINEL_NO_PAGE"):
+        raise PageNotBuilt("SENTINEL_NO_PAGE is set, as on the robot, which serves no page")
     if not (WEB / "package-lock.json").is_file():
         raise PageNotBuilt("the page's sources are not part of this package")
     digest = _digest()
