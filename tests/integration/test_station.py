@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -336,3 +337,30 @@ def test_a_port_in_use_is_one_sentence() -> None:
 
     with bind(ApiConfig(port=0)) as taken, pytest.raises(ConfigError, match="choose another with --port"):
         bind(ApiConfig(port=taken.getsockname()[1]))
+
+
+async def test_the_example_client_says_the_place(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    script = Path(__file__).parents[2] / "examples" / "place_client.py"
+
+    async def run(address: str) -> tuple[int | None, str]:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            str(script),
+            "--station",
+            address,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+        )
+        output, _ = await process.communicate()
+        return process.returncode, output.decode()
+
+    async with at_work(tmp_path) as (desk, _, _film):
+        code, said = await run(desk.address)
+        assert code == 1 and said.startswith("unknown: no map is active")
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
+        code, said = await run(desk.address)
+        assert code == 0 and said == f"at {place_map.places[0].name} (90%, 0.5 m from its middle): always here\n"
+    code, said = await run("http://127.0.0.1:1")
+    assert code == 2 and said.startswith("place_client: no station at")

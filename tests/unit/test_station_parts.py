@@ -1,0 +1,227 @@
+"""Parts of the running station that need neither socket nor process."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.errors import ConfigError
+from shared.messages import Capabilities
+from station.config import DriveConfig, StationConfig, load_config, parse_address
+from station.drive_library import DriveLibrary, DriveRecord
+from station.driving import DriverLease, Driving
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.live import PointBuffer, pack_points
+from station.mailbox import Latest, MessageHub
+from station.refusals import NotDriver, OutOfRange
+from station.sequencer import HOLD_BACK_NS, Sequencer
+from station.workers import Outbox
+
+MS = 1_000_000
+
+
+def test_lease_goes_to_the_first_who_speaks_and_ends_with_silence() -> None:
+    lease = DriverLease(1000 * MS)
+    assert lease.claim("anna", 0) and not lease.claim("ben", 500 * MS)
+    assert lease.claim("anna", 900 * MS)  # speaking keeps it
+    assert lease.driver(1800 * MS) == "anna" and lease.driver(1900 * MS) is None
+    assert lease.claim("ben", 1900 * MS) and lease.driver(1900 * MS) == "ben"
+
+
+def test_lease_can_be_taken_over_and_released() -> None:
+    lease = DriverLease(1000 * MS)
+    lease.claim("anna", 0)
+    lease.take_over("ben", 1)
+    assert lease.driver(2) == "ben" and not lease.claim("anna", 2)
+    lease.release("anna")  # not hers any more
+    assert lease.driver(3) == "ben"
+    lease.release("ben")
+    assert lease.driver(4) is None
+
+
+class Link:
+    """Keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[float, float, int] | str] = []
+
+    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
+        self.told.append((linear, angular, ttl_ms))
+        return True
+
+    def stop(self) -> bool:
+        self.told.append("stop")
+        return True
+
+    def point(self, pan: float, tilt: float) -> bool:
+        return True
+
+
+def driving(link: Link, clock: list[int]) -> Driving:
+    able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=True, battery=False, hijack=False)
+    return Driving(link, DriveConfig(), lambda: able, lambda _: None, lambda _: None, now_ns=lambda: clock[0])
+
+
+def test_a_take_over_stops_the_robot_and_the_same_driver_does_not() -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.take_over("anna")
+    assert link.told == [(0.1, 0.0, 200)]
+    desk.take_over("ben")
+    assert link.told[-1] == "stop"
+    with pytest.raises(NotDriver, match="ben drives"):
+        desk.drive("anna", 0.1, 0.0, 200)
+
+
+@pytest.mark.parametrize(
+    ("linear", "angular", "ttl_ms"),
+    [(0.6, 0, 200), (0, 2.5, 200), (float("nan"), 0, 200), (0, float("inf"), 200), (0, 0, 0), (0, 0, 1001)],
+)
+def test_commands_out_of_range_are_refused_and_do_not_take_the_wheel(
+    linear: float, angular: float, ttl_ms: int
+) -> None:
+    link = Link()
+    desk = driving(link, [0])
+    with pytest.raises(OutOfRange):
+        desk.drive("anna", linear, angular, ttl_ms)
+    assert desk.driver is None and link.told == []
+
+
+def test_outbox_drops_the_oldest_of_a_full_kind_only() -> None:
+    outbox = Outbox({"frame": 2})
+    for n in range(4):
+        outbox.put("frame", (n,))
+        outbox.put("imu", (10 + n,))
+    assert [outbox.take() for _ in range(6)] == [(10,), (11,), (2,), (12,), (3,), (13,)]
+    assert outbox.dropped["frame"] == 2 and outbox.dropped["imu"] == 0
+    outbox.close()
+    assert outbox.take() is None
+
+
+@given(
+    frames=st.lists(st.integers(0, 2000), unique=True, min_size=1, max_size=30).map(sorted),
+    batch_ms=st.integers(5, 40),
+    shift_ms=st.integers(-50, 50),
+    late=st.lists(st.integers(0, 3), min_size=30, max_size=30),
+)
+def test_sequencer_gives_everything_in_sensor_time_order(
+    frames: list[int], batch_ms: int, shift_ms: int, late: list[int]
+) -> None:
+    sequencer = Sequencer(shift_ms / 1e3, has_imu=True)
+    out: list[ImuBatch | DriveSample | ImageFrame] = []
+    waiting = list(frames)
+    for start in range(0, 2200, batch_ms):
+        while waiting and waiting[0] <= start - late[len(waiting) % 30]:
+            sequencer.add_frame(ImageFrame(0, waiting.pop(0) * MS, 0, b""))
+            out += sequencer.ready()
+        t = np.arange(start, start + batch_ms, 5, dtype=np.int64) * MS
+        sequencer.add_imu(ImuBatch(t, np.zeros((len(t), 3)), np.zeros((len(t), 3))))
+        out += sequencer.ready()
+    out += sequencer.rest()
+    times = [np.array([i.t_robot_ns + shift_ms * MS]) if isinstance(i, ImageFrame) else i.t_robot_ns for i in out]
+    merged = np.concatenate([np.atleast_1d(t) for t in times])
+    assert (np.diff(merged) >= 0).all()
+    assert [i.t_robot_ns // MS for i in out if isinstance(i, ImageFrame)] == frames
+    samples = sum(len(i) for i in out if isinstance(i, ImuBatch))
+    assert samples == sum(len(range(s, s + batch_ms, 5)) for s in range(0, 2200, batch_ms))
+
+
+def test_frames_go_on_without_imu_when_it_is_silent() -> None:
+    sequencer = Sequencer(0.0, has_imu=True)
+    for n in range(100):
+        sequencer.add_frame(ImageFrame(n, n * 33 * MS, 0, b""))
+    assert len(list(sequencer.ready())) >= 30
+    without = Sequencer(0.0, has_imu=False)
+    without.add_frame(ImageFrame(0, 0, 0, b""))
+    assert list(without.ready()) == []
+    without.add_frame(ImageFrame(1, HOLD_BACK_NS, 0, b""))
+    assert len(list(without.ready())) == 1
+
+
+async def test_latest_gives_the_newest_and_counts_the_others() -> None:
+    box: Latest[int] = Latest()
+    for n in range(3):
+        box.put(n)
+    assert await box.get() == 2 and box.skipped == 2
+
+
+async def test_a_new_reader_gets_the_state_and_a_slow_one_only_the_newest() -> None:
+    hub: MessageHub[str] = MessageHub()
+    hub.put("old", "robot")
+    hub.put("new", "robot")
+    with hub.subscribe() as reader:
+        assert await reader.get() == "new"
+        for n in range(1000):
+            hub.put(f"pose {n}", "pose")
+            hub.put(f"line {n}")
+        lines = [await reader.get() for _ in range(256)]
+        assert lines[-1] == "line 999" and reader.lost == 1000 - 256
+        assert await reader.get() == "pose 999"
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.01):
+                await reader.get()
+    assert hub.num_readers == 0
+
+
+@given(counts=st.lists(st.integers(0, 3000), max_size=6))
+def test_point_buffer_keeps_all_points_in_order(counts: list[int]) -> None:
+    buffer, total = PointBuffer(), 0
+    for count in counts:
+        p = np.arange(total, total + count, dtype=np.float32)[:, None].repeat(3, axis=1)
+        buffer.add(p, np.full((count, 3), 7, np.uint8))
+        total += count
+    p, rgb = buffer.since(0)
+    assert len(buffer) == total == len(p) and (p[:, 0] == np.arange(total)).all() and (rgb == 7).all()
+    assert len(buffer.since(total)[0]) == 0
+
+
+def test_points_are_packed_in_sixteen_bytes() -> None:
+    packed = pack_points(np.array([[1.0, 2.0, 3.0]]), np.array([[4, 5, 6]], np.uint8), np.array([9], np.uint8))
+    assert packed == np.array([1, 2, 3], "<f4").tobytes() + bytes([4, 5, 6, 9])
+
+
+def test_config_file_is_read_and_unknown_keys_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "station.toml"
+    path.write_text('data_dir = "/tmp/x"\n[robot]\nhost = "pi"\n[slam]\nbackend = "ukf"\n')
+    config = load_config(path)
+    assert (config.robot.host, config.slam.backend, config.data_dir) == ("pi", "ukf", Path("/tmp/x"))
+    assert load_config(None) == StationConfig()
+    path.write_text("[slam]\nbackened = 'ukf'\n")
+    with pytest.raises(ConfigError, match=r"slam\.backened"):
+        load_config(path)
+    path.write_text("[api]\nport = 'many'\n")
+    with pytest.raises(ConfigError, match="port"):
+        load_config(path)
+    path.write_text("[drive]\nlease_s = 0\n")
+    with pytest.raises(ConfigError, match="lease_s"):
+        load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"), [("pi:7", ("pi", 7)), ("pi", ("pi", 7400)), ("[::1]:9", ("::1", 9)), ("[::1]", ("::1", 7400))]
+)
+def test_addresses_are_read(text: str, address: tuple[str, int]) -> None:
+    assert parse_address(text, "--robot") == address
+
+
+@pytest.mark.parametrize("text", ["", ":7", "pi:", "pi:0", "pi:70000", "pi:x"])
+def test_wrong_addresses_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="--robot"):
+        parse_address(text, "--robot")
+
+
+def test_a_drive_that_a_dead_station_left_is_kept_as_failed(tmp_path: Path) -> None:
+    library = DriveLibrary(tmp_path)
+    assert library.open() == []
+    library.keep(DriveRecord(id="nav-1", name="one", state="recording", started_wall_s=1.0, backend="sfm"))
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "drive.json").write_text("{")
+    again = DriveLibrary(tmp_path)
+    assert [d.id for d in again.open()] == ["nav-1"]
+    assert again.get("nav-1").state == "failed"
