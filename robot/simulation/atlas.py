@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from robot.simulation import textures
-from robot.simulation.textures import ImageArray, TextureSpec, paint
+from robot.simulation.texture_strokes import ImageArray
+from robot.simulation.textures import TextureSpec, paint
 
 NUM_LEVELS = 8  # level l is the texture at 2^-l of its size
 ATLAS_WIDTH_PX = 8192
@@ -103,7 +103,10 @@ def _halve(image: ImageArray, width: int, height: int) -> ImageArray:
 
 
 def _cache_path(cache_dir: Path, specs: list[TextureSpec]) -> Path:
-    painters = hashlib.sha256(Path(textures.__file__).read_bytes() + Path(__file__).read_bytes())
+    painters = hashlib.sha256()
+    here = Path(__file__)
+    for source in sorted([here, *here.parent.glob("texture*.py")]):
+        painters.update(source.read_bytes())
     painters.update(repr(specs).encode())
     return cache_dir / f"{painters.hexdigest()[:24]}.npy"
 

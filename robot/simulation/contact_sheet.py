@@ -13,7 +13,7 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
 from robot.simulation.routes import Route, plan_route
-from robot.simulation.textures import ImageArray
+from robot.simulation.texture_strokes import ImageArray
 from robot.simulation.world import World
 from shared.calibration import REFERENCE_CAMERA
 from shared.errors import DataError

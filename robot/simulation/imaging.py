@@ -10,7 +10,7 @@ import numpy as np
 from robot.simulation.body import PoseFunction
 from robot.simulation.config import CameraImperfections, Faults
 from robot.simulation.renderer import NO_SURFACE, Float32Array, Renderer, Rendering
-from robot.simulation.textures import ImageArray
+from robot.simulation.texture_strokes import ImageArray
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, se3
 

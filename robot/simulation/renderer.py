@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from robot.simulation.atlas import NUM_LEVELS, bake_atlas
-from robot.simulation.textures import ImageArray
+from robot.simulation.texture_strokes import ImageArray
 from robot.simulation.world import Surface, World
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray
