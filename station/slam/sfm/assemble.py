@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 import numpy.typing as npt
-import pycolmap
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
 from station.frames import ImageFrame
 from station.navigation import Keyframes, Landmarks
+from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
 from station.slam.sfm.odometry_mapping import OdometryMap

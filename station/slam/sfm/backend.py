@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 import msgspec
 import numpy as np
-import pycolmap
 import scipy
 
 from shared.calibration import Calibration
@@ -19,6 +18,7 @@ from station.navigation import Keyframes, Navigation, NavigationReport
 from station.slam.backend import SlamUpdate
 from station.slam.frontend.lens import Lens
 from station.slam.sfm.assemble import Reconstructed, read_model, read_odometry_map
+from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.features import Features, SiftExtractor
 from station.slam.sfm.inertial import concatenate_imu

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import bsr_matrix, csc_matrix
+from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from shared.geometry import FloatArray, IntArray, so3_log
@@ -251,9 +251,7 @@ def _odometry_normal(state: BundleState, odometry: Odometry) -> tuple[csc_matrix
     g = jacobian.T @ weighted.ravel()
     g[6 * n] += (state.drive_scale - 1.0) / DRIVE_SCALE_SIGMA**2
     g[6 * n + 1 :] += state.bias_change / GYRO_BIAS_SIGMA**2
-    H = (jacobian.T @ jacobian).tolil()
-    H.setdiag(H.diagonal() + prior)
-    return H.tocsc(), g
+    return (jacobian.T @ jacobian + diags(prior)).tocsc(), g
 
 
 def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:

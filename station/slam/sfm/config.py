@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 class KeyframeConfig:
     """When a frame becomes a keyframe. Flow is measured on a small image, so these are fractions of the image width."""
 
-    min_flow: float = 0.07  # median motion of tracked corners since the last keyframe
+    min_flow: float = 0.03  # median motion of tracked corners since the last keyframe
     min_flow_with_odometry: float = 0.2  # gyroscope and wheels hold keyframes together that share less
     min_tracked: float = 0.5  # fewer of the last keyframe's corners left: take one now
     track_width_px: int = 320  # images are tracked at this width: 3 ms each

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import pycolmap
 
 from shared.geometry import FloatArray
 from station.frames import ImageArray
 from station.slam.frontend.lens import Lens
+from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.config import FeatureConfig
 
 # COLMAP puts the centre of the first pixel at (0.5, 0.5); ours is at (0, 0).

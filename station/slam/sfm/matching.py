@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-import pycolmap
 
 from shared.geometry import IntArray
+from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.config import MatchConfig
 from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
 

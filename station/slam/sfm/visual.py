@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from shared.calibration import CameraCalibration
+from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
 from station.slam.sfm.matching import Match

@@ -1,0 +1,16 @@
+"""pycolmap, with the process' own way to end restored.
+
+Importing pycolmap installs handlers that print a stack trace on SIGTERM, the signal every orderly stop uses.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+
+import pycolmap
+
+if threading.current_thread() is threading.main_thread():  # only there may handlers be set
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM) or signal.SIG_DFL)
+
+__all__ = ["pycolmap"]
