@@ -15,7 +15,8 @@ from shared.geometry import FloatArray, IntArray, se3, skew, so3_exp
 from station.places.registration.cloud import PreparedCloud
 
 TILT_SIGMA_RAD = np.radians(1.0)  # gravity from a minute of IMU is good to about half a degree, times two clouds
-NEIGHBOURHOOD = 2.5  # spacings: the nearest landmark of the same surface is rarely farther
+REACH_PER_SIGMA = 5.0  # of the robust weights: residuals beyond a fifth of the search radius fade
+POINT_WEIGHT = 0.2  # of the nearest landmark beside the plane
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,12 +95,12 @@ def refine(
         nearest = found.target_index[use]
         normal = target.normals[nearest]
         along = found.along_normal[use]
-        sigma = max(reach / 6, target.noise)
+        sigma = max(reach / REACH_PER_SIGMA, target.noise)
         w = 1.0 / (1.0 + (along / sigma) ** 2) ** 2  # Geman-McClure: outliers vanish
         w *= np.clip(found.agreement[use], 0, 1) ** 2 * (0.2 + target.flatness[nearest] * weight_flat[use])
         # Beside the plane, a weak pull to the nearest landmark: the same texture seen twice is the same point.
         gap = target.points[nearest] - moved
-        w_point = 0.1 * w / (1.0 + (np.einsum("ni,ni->n", gap, gap)) / (2 * sigma) ** 2) ** 2
+        w_point = POINT_WEIGHT * w / (1.0 + (np.einsum("ni,ni->n", gap, gap)) / (2 * sigma) ** 2) ** 2
         pivot = moved.mean(axis=0)
         arm = moved - pivot
         J = np.empty((len(arm), 7))

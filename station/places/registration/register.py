@@ -14,9 +14,10 @@ from station.places.registration.cloud import PreparedCloud, clean_points, prepa
 from station.places.registration.free_space import Rays
 from station.places.registration.gicp import align_gicp, require_backend
 from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.nudge import nudge
 from station.places.registration.refine import Refined, measure_residuals, refine, scale_of
 from station.places.registration.result import Alternative, Backend, Gravity, Registration, Scale, refused
-from station.places.registration.score import Score, score_alignment
+from station.places.registration.score import Contrast, Score, contrast_of, score_alignment
 from station.places.registration.verify import Evidence, judge
 from station.places.registration.yaw_search import Candidate, SearchConfig, search_yaw
 
@@ -24,12 +25,16 @@ FREE_SCALE_RANGE = (0.78, 1.28)  # clouds in one unit: the scale drift of visual
 ARBITRARY_SCALE_RANGE = (0.55, 1.8)  # about the ratio of the sizes, when a gauge is arbitrary
 MAX_SIZE_RATIO = 4.0  # parts of one flat in one unit differ less in size
 SCALE_STEP = 1.07  # the refinement's basin in scale is about +-4 %
-NUM_CANDIDATES = 10  # refined; the right one was first among them in 200 of 200 known-scale pairs
+MANY_CELLS = 36  # of the search where scales or axes multiply it: half the time, one rank worse at most
+NUM_CANDIDATES = 8  # refined; the right one was among the first two in 40 of 40 training pairs
+NUM_JUDGED = 3  # different alignments whose contrast is measured
+OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
+NUDGE_SUBSET = 250
 REFINE_SUBSET = 1000
 SCORE_SUBSET = 1500
 FINE_SUBSET = 6000
-# Search radii in voxels of the global search: its error is about one voxel.
-COARSE_REACHES = (2.5, 2.5, 2.0, 1.5, 1.5, 1.0, 1.0, 1.0, 0.75, 0.75, 0.75)
+# Search radii in voxels of the finer global search: its error is about one voxel.
+COARSE_REACHES = (2.5, 2.5, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0, 1.0, 0.75, 0.75, 0.75)
 FINE_REACHES = (0.75,) * 8
 
 
@@ -81,15 +86,19 @@ def register_clouds(
     ranked = _refine_and_rank(A, B, candidates, gravity, scale, voxel, rng)
     if not ranked:
         return refused("no alignment has enough points in common", backend)
-    best = _finish(A, B, ranked[0][0].T_target_source, gravity, scale, voxel, backend, rng)
     tolerance = _tolerance(A, B)
-    score = score_alignment(A, B, best.T_target_source, *_subsets(A, B, rng, SCORE_SUBSET), tolerance)
-    others = [(r, s) for r, s in ranked if _is_other(r.T_target_source, best.T_target_source, B, voxel)]
+    subsets = _subsets(A, B, rng, SCORE_SUBSET)
+    judged = _contrasts(A, B, ranked, voxel, tolerance, rng)
+    best = _finish(A, B, judged[0][0].T_target_source, gravity, scale, voxel, backend, rng)
+    score = score_alignment(A, B, best.T_target_source, *subsets, tolerance)
+    contrast = contrast_of(A, B, best.T_target_source, score.inlier_share, *subsets, tolerance)
+    others = [(r, c) for r, c in judged if _moved(r.T_target_source, best.T_target_source, B) > OTHER_VOXELS * voxel]
     evidence = Evidence(
         target=A,
         source=B,
         refined=best,
         score=score,
+        contrast=contrast,
         runner_up=others[0][1] if others else None,
         tolerance=tolerance,
         voxel=voxel,
@@ -113,8 +122,8 @@ def register_clouds(
         covariance=verdict.covariance,
         eigenvalues=verdict.eigenvalues,
         backend=backend,
-        score=score.inlier_share,
-        alternatives=tuple(Alternative(r.T_target_source, s.inlier_share) for r, s in others[:4]),
+        score=contrast.mean,
+        alternatives=tuple(Alternative(r.T_target_source, c.mean) for r, c in others[:4]),
     )
 
 
@@ -157,12 +166,15 @@ def _global_start(
     target = A.points if len(A.points) <= 8000 else thin(A.points, 8000, rng)
     source = B.points if len(B.points) <= 8000 else thin(B.points, 8000, rng)
     found: list[Candidate] = []
+    config = SearchConfig() if steps == 1 and gravity == "known" else SearchConfig(cells=MANY_CELLS)
     if gravity == "known":
-        found = search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES)
+        found = search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES, config=config)
     else:
         R_up, options = upright_rotations(A, B)
         for R_option in options:  # each puts one of the source's axes upright; the yaw is searched
-            for c in search_yaw(target @ R_up.T, source @ R_option.T, scales=grid, keep=NUM_CANDIDATES // 2):
+            for c in search_yaw(
+                target @ R_up.T, source @ R_option.T, scales=grid, keep=NUM_CANDIDATES // 2, config=config
+            ):
                 T = c.T_target_source.copy()
                 T[:3, 3] = R_up.T @ T[:3, 3]
                 T[:3, :3] = R_up.T @ T[:3, :3] @ R_option
@@ -188,12 +200,14 @@ def _refine_and_rank(
     subset_A, subset_B = _subsets(A, B, rng, REFINE_SUBSET)
     reaches = tuple(r * voxel for r in COARSE_REACHES)
     tolerance = _tolerance(A, B)
+    R_up = np.eye(3) if gravity == "known" else upright_rotations(A, B)[0]
+    few = subset_B[:: max(1, len(subset_B) // NUDGE_SUBSET)]
     ranked = []
     for candidate in candidates:
         refined = refine(
             A,
             B,
-            candidate.T_target_source,
+            nudge(A, B, candidate.T_target_source, R_up, few, voxel),
             subset=subset_B,
             reaches=reaches,
             upright=gravity == "known",
@@ -249,9 +263,26 @@ def _moved(T: FloatArray, T_before: FloatArray, B: PreparedCloud) -> float:
     return float(np.median(np.linalg.norm(sample @ (T - T_before)[:3, :3].T + (T - T_before)[:3, 3], axis=1)))
 
 
-def _is_other(T: FloatArray, T_best: FloatArray, B: PreparedCloud, voxel: float) -> bool:
-    """Whether T is another answer, not the same one a little off."""
-    return _moved(T, T_best, B) > 2.0 * voxel
+def _contrasts(
+    A: PreparedCloud,
+    B: PreparedCloud,
+    ranked: list[tuple[Refined, Score]],
+    voxel: float,
+    tolerance: float,
+    rng: np.random.Generator,
+) -> list[tuple[Refined, Contrast]]:
+    """Contrast of the first few different alignments, best first; several of one basin count once."""
+    subsets = _subsets(A, B, rng, REFINE_SUBSET)
+    out: list[tuple[Refined, Contrast]] = []
+    for refined, _ in ranked:
+        T = refined.T_target_source
+        if any(_moved(T, other.T_target_source, B) < OTHER_VOXELS * voxel for other, _ in out):
+            continue
+        share = score_alignment(A, B, T, *subsets, tolerance).inlier_share
+        out.append((refined, contrast_of(A, B, T, share, *subsets, tolerance)))
+        if len(out) == NUM_JUDGED:
+            break
+    return sorted(out, key=lambda pair: -pair[1].mean)
 
 
 def _tolerance(A: PreparedCloud, B: PreparedCloud) -> float:

@@ -34,7 +34,7 @@ class Registration:
     covariance: FloatArray | None  # (7, 7) of (rotation rad, translation, log scale), target frame; fixed ones are 0
     eigenvalues: FloatArray | None  # of the normal equations per inlier, ascending: a small one is a free direction
     backend: str
-    score: float  # what candidates are ranked by, 0..1
+    score: float  # what candidates are ranked by: share of points that fit here and not beside it
     alternatives: tuple[Alternative, ...]
 
 

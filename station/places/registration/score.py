@@ -10,6 +10,8 @@ from shared.geometry import FloatArray, IntArray, inverse, se3
 from station.places.registration.cloud import PreparedCloud
 from station.places.registration.refine import measure_residuals, scale_of
 
+SLIDES = 6
+SLIDE_TOLERANCES = 6.0  # 30 cm at 2 cm noise: farther than the tolerance, nearer than the next piece of furniture
 AGREEMENT = 0.7  # |cosine| of normals that may belong to one surface
 
 
@@ -22,6 +24,17 @@ class Score:
     overlap: float  # points with a neighbour in the other cloud, the smaller of both directions
     point_share: float  # points with a landmark of the other cloud within the tolerance, beyond chance
     rmse: float  # of inliers, along normals
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """How much of the inlier share is lost by sliding the source a little over the floor.
+
+    Floors and long walls fit anywhere along themselves, also in the wrong flat; what fits only here is evidence.
+    """
+
+    mean: float  # share lost on average over the directions
+    least: float  # share lost in the direction that loses least
 
 
 def inverse_similarity(T: FloatArray) -> FloatArray:
@@ -53,6 +66,25 @@ def score_alignment(
         point_share=(forward[2] + back[2]) / 2,
         rmse=forward[3],
     )
+
+
+def contrast_of(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    T: FloatArray,
+    share: float,
+    target_subset: IntArray,
+    source_subset: IntArray,
+    tolerance: float,
+) -> Contrast:
+    """Contrast of an alignment whose inlier share on the same subsets is `share`."""
+    slid = []
+    for k in range(SLIDES):
+        angle = 2 * np.pi * k / SLIDES + 0.3  # off the axes, as walls often are along them
+        moved = T.copy()
+        moved[:2, 3] += SLIDE_TOLERANCES * tolerance * np.array([np.cos(angle), np.sin(angle)])
+        slid.append(score_alignment(target, source, moved, target_subset, source_subset, tolerance).inlier_share)
+    return Contrast(share - float(np.mean(slid)), share - max(slid))
 
 
 def _one_way(

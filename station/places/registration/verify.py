@@ -11,12 +11,13 @@ from station.places.registration.cloud import PreparedCloud
 from station.places.registration.free_space import Rays, violation_share
 from station.places.registration.refine import Refined, scale_of
 from station.places.registration.result import Gravity, Scale
-from station.places.registration.score import Score, inverse_similarity
+from station.places.registration.score import Contrast, Score, inverse_similarity
 
 # Set on the training seeds of benchmarks/bench_registration.py.
-MIN_INLIER_SHARE = 0.26
+MIN_EVIDENCE = 0.38
+MIN_INLIER_SHARE = 0.2
 MIN_OVERLAP = 0.2
-MAX_RUNNER_UP = 0.88
+MAX_RUNNER_UP = 0.85
 MAX_TILT_RAD = np.radians(6.0)
 MIN_EIGENVALUE = 0.01
 MAX_VIOLATION = 0.5
@@ -30,7 +31,8 @@ class Evidence:
     source: PreparedCloud
     refined: Refined
     score: Score
-    runner_up: Score | None  # of the best alignment that is a different answer
+    contrast: Contrast
+    runner_up: Contrast | None  # of the best alignment that is a different answer
     tolerance: float
     voxel: float
     scale: Scale
@@ -63,12 +65,16 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
         )
     if e.score.overlap < MIN_OVERLAP:
         against.append(f"the clouds share {e.score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}")
-    if e.runner_up is not None:
-        ratio = e.runner_up.inlier_share / max(e.score.inlier_share, 1e-9)
-        if ratio > MAX_RUNNER_UP:
-            against.append(
-                f"another alignment fits {ratio:.0%} as well: the room looks alike from there, or nothing fits well"
-            )
+    second = e.runner_up.mean if e.runner_up is not None else 0.0
+    ratio = max(second, 0.0) / max(e.contrast.mean, 1e-9)
+    evidence = e.contrast.mean + e.contrast.least + (e.contrast.mean - max(second, 0.0))
+    if evidence < MIN_EVIDENCE:
+        against.append(
+            f"the evidence is {evidence:.2f}, needs {MIN_EVIDENCE}: too few of the points fit here and nowhere else; "
+            "too little in common, or different rooms"
+        )
+    if ratio > MAX_RUNNER_UP:
+        against.append(f"another alignment fits {ratio:.0%} as well: the room looks alike from there")
     if e.gravity == "known":
         tilt = float(np.arccos(np.clip(T[2, 2] / np.linalg.norm(T[:3, 2]), -1, 1)))
         if tilt > MAX_TILT_RAD:
@@ -87,8 +93,7 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
     if against:
         return Verdict(False, tuple(against), covariance, eigenvalues)
     pro = [f"{e.score.inlier_share:.0%} of the points lie on the other cloud's surfaces"]
-    if e.runner_up is not None:
-        pro.append(f"the next best alignment reaches {e.runner_up.inlier_share:.0%}")
+    pro.append(f"evidence {evidence:.2f}; the next best alignment fits {ratio:.0%} as well")
     return Verdict(True, tuple(pro), covariance, eigenvalues)
 
 

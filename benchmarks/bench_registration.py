@@ -1,0 +1,172 @@
+"""Registration of random pairs of SfM-like clouds from furnished flats: success, false accepts, times, beside others.
+
+    python -m benchmarks.bench_registration [--pairs 200] [--seeds test|train] [--set known|free|low|different ...]
+                                            [--baselines] [--out FILE.json]
+
+Training seeds (0..999) were used to develop and to set thresholds; test seeds (10 000 ...) only to report. Every seed
+is another flat. Half of the pairs (odd seeds) share landmarks between the drives, as feature detectors do; the other
+half share surfaces only. Success: accepted and within 2 degrees, 5 cm (at the source's middle) and 1 % of scale.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.registration_clouds import CloudPair, make_pair
+from shared.geometry import FloatArray, so3_log
+from station.places.registration import register_clouds
+from station.places.registration.gicp import align_gicp
+from station.places.registration.kiss import kiss_is_available, match_features
+
+SETS: dict[str, dict[str, Any]] = {
+    "known": {"overlap": (0.5, 1.0)},
+    "free": {"overlap": (0.5, 1.0), "scale_range": 0.2},
+    "low": {"overlap": (0.3, 0.5)},
+    "different": {"overlap": (0.5, 1.0), "same_flat": False},
+    "different-free": {"overlap": (0.5, 1.0), "same_flat": False, "scale_range": 0.2},
+}
+FIRST_SEED = {"train": 0, "test": 10_000}
+
+
+def errors(T: FloatArray, pair: CloudPair) -> tuple[float, float, float]:
+    """Degrees, metres at the source's middle, relative scale."""
+    T_true = pair.T_target_source
+    assert T_true is not None
+    scale, scale_true = np.cbrt(np.linalg.det(T[:3, :3])), np.cbrt(np.linalg.det(T_true[:3, :3]))
+    turn = so3_log((T[:3, :3] / scale) @ (T_true[:3, :3] / scale_true).T)
+    at = np.median(pair.source, axis=0)
+    shift = (T - T_true)[:3, :3] @ at + (T - T_true)[:3, 3]
+    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), float(abs(scale / scale_true - 1))
+
+
+def is_right(e: tuple[float, float, float]) -> bool:
+    return e[0] <= 2.0 and e[1] <= 0.05 and e[2] <= 0.01
+
+
+def run_set(name: str, first: int, count: int, points: tuple[int, int]) -> dict[str, Any]:
+    """Our registration on one set."""
+    rows = []
+    for seed in range(first, first + count):
+        pair = make_pair(seed, points=points, shared_landmarks=bool(seed % 2), **SETS[name])
+        start, cpu = time.perf_counter(), time.process_time()
+        result = register_clouds(pair.target, pair.source, scale="free" if "scale_range" in SETS[name] else "known")
+        wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+        has_truth = pair.T_target_source is not None and result.T_target_source is not None
+        e = errors(result.T_target_source, pair) if has_truth else None  # type: ignore[arg-type]
+        rows.append((seed, result.accepted, e is not None and is_right(e), wall, cpu, e, result.reasons))
+    accepted = np.array([r[1] for r in rows])
+    right = np.array([r[2] for r in rows])
+    found = [r[5] for r in rows if r[1] and r[2]]
+    return {
+        "set": name,
+        "pairs": count,
+        "first_seed": first,
+        "success": float(np.mean(accepted & right)),
+        "found_before_checks": float(np.mean(right)),
+        "false_accept": float(np.mean(accepted & ~right)),
+        "rejected": float(np.mean(~accepted)),
+        "median_error_deg_m_scale": np.median(np.array(found), axis=0).tolist() if found else None,
+        "median_wall_s": float(np.median([r[3] for r in rows])),
+        "median_cpu_s": float(np.median([r[4] for r in rows])),
+        "false_accept_seeds": [(r[0], r[5]) for r in rows if r[1] and not r[2]],
+        "refused_though_right": [(r[0], r[6][0]) for r in rows if r[2] and not r[1]],
+        "not_found_seeds": [r[0] for r in rows if not r[2] and not r[1] and r[5] is not None],
+    }
+
+
+def gicp_from_identity(pair: CloudPair) -> FloatArray | None:
+    """As many pipelines do: centroids on each other, then GICP."""
+    T = np.eye(4)
+    T[:3, 3] = np.median(pair.target, axis=0) - np.median(pair.source, axis=0)
+    return align_gicp(pair.target, pair.source, T, reach=0.5, backend="small_gicp")
+
+
+def kiss_alone(pair: CloudPair) -> FloatArray | None:
+    return match_features(pair.target, pair.source, upright=True, voxel=0.15)
+
+
+def kiss_and_gicp(pair: CloudPair) -> FloatArray | None:
+    T = kiss_alone(pair)
+    return None if T is None else align_gicp(pair.target, pair.source, T, reach=0.25, backend="small_gicp")
+
+
+def fpfh_ransac(pair: CloudPair) -> FloatArray | None:
+    """Open3D's feature matching with RANSAC, then GICP."""
+    import open3d as o3d
+
+    o3d.utility.random.seed(0)
+    clouds, features = [], []
+    for points in (pair.source, pair.target):
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(0.1)
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(0.3, 30))
+        search = o3d.geometry.KDTreeSearchParamHybrid(0.6, 100)
+        features.append(o3d.pipelines.registration.compute_fpfh_feature(cloud, search))
+        clouds.append(cloud)
+    registration = o3d.pipelines.registration
+    result = registration.registration_ransac_based_on_feature_matching(
+        *clouds,
+        *features,
+        True,
+        0.15,
+        registration.TransformationEstimationPointToPoint(False),
+        3,
+        [registration.CorrespondenceCheckerBasedOnDistance(0.15)],
+        registration.RANSACConvergenceCriteria(100_000, 0.999),
+    )
+    return align_gicp(pair.target, pair.source, np.asarray(result.transformation), reach=0.25, backend="small_gicp")
+
+
+def run_baselines(first: int, count: int, points: tuple[int, int]) -> list[dict[str, Any]]:
+    """Others on the known-scale set; they accept everything, so only "found" counts."""
+    methods: list[tuple[str, Callable[[CloudPair], FloatArray | None]]] = [("GICP from identity", gicp_from_identity)]
+    if kiss_is_available():
+        methods += [("KISS-Matcher alone", kiss_alone), ("KISS-Matcher + GICP", kiss_and_gicp)]
+    try:
+        import open3d  # noqa: F401
+
+        methods.append(("FPFH + RANSAC + GICP", fpfh_ransac))
+    except ImportError:
+        pass
+    out = []
+    for name, method in methods:
+        right, cpu = [], []
+        for seed in range(first, first + count):
+            pair = make_pair(seed, points=points, shared_landmarks=bool(seed % 2), **SETS["known"])
+            start = time.process_time()
+            T = method(pair)
+            cpu.append(time.process_time() - start)
+            right.append(T is not None and is_right(errors(T, pair)))
+        out.append({"method": name, "pairs": count, "found": float(np.mean(right)), "median_cpu_s": np.median(cpu)})
+        print(json.dumps(out[-1]), flush=True)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pairs", type=int, default=200)
+    parser.add_argument("--seeds", choices=sorted(FIRST_SEED), default="test")
+    parser.add_argument("--set", nargs="*", default=list(SETS), choices=list(SETS))
+    parser.add_argument("--points", nargs=2, type=int, default=(3000, 20000))
+    parser.add_argument("--baselines", action="store_true")
+    parser.add_argument("--out", type=Path, default=None)
+    a = parser.parse_args()
+    first, points = FIRST_SEED[a.seeds], (a.points[0], a.points[1])
+    results: dict[str, Any] = {"sets": [], "baselines": []}
+    for name in a.set:
+        results["sets"].append(run_set(name, first, a.pairs, points))
+        print(json.dumps(results["sets"][-1]), flush=True)
+    if a.baselines:
+        results["baselines"] = run_baselines(first, a.pairs, points)
+    if a.out:
+        a.out.write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    main()
