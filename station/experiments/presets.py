@@ -123,7 +123,7 @@ def _rooms(name: str, seed: int) -> Preset:
                 if same
                 else "Thesis 5.4: Navigation1 follows the triangle of fig. 5.6, Navigation2 another route through the "
                 "same room (fig. 5.9); clouds by VisualSFM, centred and normalised.",
-                f"Here a simulated furnished room (world seed {seed}) stands in for the author's, `robot-sim` routes "
+                f"Here a simulated furnished room (world seed {seed}) stands in for the author's, robot-sim's routes "
                 f"{routes[0]} and {routes[1]} for the taped ones, and structure from motion by COLMAP for VisualSFM. "
                 "The two drives have noise, slip and exposure of their own.",
                 "True poses are the simulator's; only the judge sees them.",

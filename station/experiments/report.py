@@ -95,12 +95,13 @@ def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> list[tupl
         return []
     effective = results["config"].get("effective", {})
     right = sum(bool(m["correct"]) for m in results["matches"]) if results["truth"] != "none" else None
+    unit = "(normalised)" if effective.get("normalised") else "m" if experiment.navigation.is_metric else "map units"
     here = {
         "places / locations": f"{results['places']} / {results['locations']}",
         "cluster lengths": ", ".join(f"{key} {_number(value)}" for key, value in effective.items()),
         "inlier ratio": _number(results["registration"]["inlier_ratio"]),
-        "registration RMSE": _number(results["registration"]["rmse"]),
-        "matches": str(len(results["matches"])) + ("" if right is None else f", {right} right by truth"),
+        "registration RMSE": f"{_number(results['registration']['rmse'])} {unit}",
+        "matches": str(len(results["matches"])) + ("" if right is None else f", of them right by truth: {right}"),
     }
     return [(what, thesis.get(what, "–"), here.get(what, "–")) for what in here]
 

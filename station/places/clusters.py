@@ -23,6 +23,9 @@ MIN_SHARE = 0.05  # of the hill that a landmark typically lies on: crumbs come a
 CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only bounds the work in dense clouds
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
 SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
+REACH = (
+    2.0  # of the smoothing: steps uphill that cross the gaps between landmarks (docs/results.md: 0.5 to 1.5 times it)
+)
 SAMPLE = 16  # points that a kernel needs to tell a hill from chance: sparse clouds are smoothed more
 MIN_PROMINENCE = 0.2  # a hill rises so much of its height above the saddle to its neighbour, or it is a part of it
 MAX_SPAN = 0.4  # of the viewing distance: peaks farther apart are two places, however even the wall between them
@@ -117,7 +120,7 @@ def cluster_default(navigation: Navigation, config: PlacesConfig, lengths: Lengt
     smoothing = config.size_factor * max(
         SMOOTHING_SHARE * unit, sampling_distance(p), lengths.smoothing if lengths else 0.0
     )
-    reach = smoothing * config.eps_factor
+    reach = REACH * smoothing * config.eps_factor
     cells = voxelise(p, smallest=CELL_SHARE * unit, max_cells=config.voxelise_above)
     density = smooth_density(cells.p, equalising_weights(cells, EQUAL_SHARE * unit), smoothing)
     modes = climb(
