@@ -1,0 +1,302 @@
+"""The current place in simulated flats: drives with a hijack in the middle, one room left unmapped.
+
+    python -m benchmarks.bench_current_place [--world small] [--flats 3] [--drives 5] [--seed 0] [--out FILE.json]
+
+Stand-in: the map's keyframe poses and landmark depths are the simulator's (depths with 1 % noise), so that the
+figures are those of localisation and of the estimator, not of a SLAM backend. Drives, images, IMU, slip and hijacks are
+the simulated robot's with all imperfections; the tracker sees only what a robot sends. Truth judges: a known answer is
+right when the place is nearest to the true position, ties within 10 %; in the room left unmapped the right answer is
+"unknown" (or "lost", counted apart).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from robot.simulation.atlas import default_cache_dir
+from robot.simulation.body import Body
+from robot.simulation.config import SimulationConfig
+from robot.simulation.driver import RouteDriver
+from robot.simulation.imaging import SimulatedCamera
+from robot.simulation.recording import simulated_calibration
+from robot.simulation.renderer import Renderer, unproject_pixels
+from robot.simulation.routes import plan_route
+from robot.simulation.sensors import ImuModel
+from robot.simulation.trajectory import MotionHistory
+from robot.simulation.world import World
+from robot.simulation.worlds import make_world
+from shared.calibration import Calibration
+from shared.geometry import FloatArray, inverse
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.maps.map import PlaceMap
+from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.places.build import build_map
+from station.places.features import FeatureExtractor, to_floats
+from station.places.localizer import Localizer
+from station.places.tracker import PlaceTracker
+
+START_NS = 1_000_000_000
+KEYFRAME_M, KEYFRAME_RAD = 0.2, 0.2
+MERGE_M = 0.06
+
+
+class Robot:
+    """A simulated robot on a route; `sense` yields what it would send."""
+
+    def __init__(self, world: World, renderer: Renderer, calibration: Calibration, kind: str, seed: int) -> None:
+        self.world, self._calibration = world, calibration
+        self._config = SimulationConfig()
+        assert calibration.camera is not None and calibration.imu is not None
+        self._camera_calibration = calibration.camera
+        self.route = plan_route(world, kind, seed)
+        self.body = Body(world, self._config.body, (*self.route.points[0], self.route.start_yaw_rad), seed)
+        self._imu = ImuModel(calibration.imu, self._config.imu, calibration.gravity, seed)
+        self._camera = SimulatedCamera(renderer, calibration.camera, self._config.camera, seed)
+        self.history = MotionHistory()
+
+    def sense(self, seconds: float, frame_period_s: float, hijack: tuple[float, FloatArray] | None) -> Iterator[Any]:
+        """Yields ImuBatch, DriveSample, ImageFrame, and ("hijack", t_ns) when hands take the robot."""
+        driver = RouteDriver(self.route)
+        state, ticks, next_frame_s, index = self.body.state(), 0, 0.2, 0
+        batch: list[tuple[int, FloatArray, FloatArray]] = []
+        hijacked = False
+        camera = self._camera_calibration
+        while state.t_s < seconds and not (driver.is_done and hijack is None):
+            self.history.append(state)
+            t_ns = START_NS + round(state.t_s * 1e9)
+            m = self._imu.measure(state)
+            batch.append((t_ns, m.gyro_imu, m.accel_imu))
+            if len(batch) == 10:
+                yield ImuBatch(*(np.array(column) for column in zip(*batch, strict=True)))
+                batch = []
+            if state.t_s - next_frame_s > camera.line_delay_s * camera.height + 0.02:
+                carried = self.history.carried(next_frame_s)
+                exposure = self._camera.expose(self.history.pose, next_frame_s, self._config.faults, carried)
+                stamp = START_NS + round((next_frame_s - camera.time_shift_s) * 1e9)
+                yield ImageFrame(index, stamp, round(exposure.exposure_s * 1e9), exposure.jpeg)
+                index += 1
+                next_frame_s += frame_period_s
+            if ticks % 15 == 0 and state.t_s > 1.5 and not hijacked:
+                command = driver.command(*self.body.pose, float(state.omega_body[2]))
+                self.body.command(command.linear_m_s, command.angular_rad_s)
+                yield DriveSample(t_ns, command.linear_m_s, command.angular_rad_s)
+            elif ticks % 15 == 0 and hijacked and hijack is not None:
+                # Put down, the driver looks around: turns on the spot.
+                turning = 1.5 if state.t_s > hijack[0] + 5.0 else 0.0
+                self.body.command(0.0, turning)
+                yield DriveSample(t_ns, 0.0, turning)
+            if hijack is not None and not hijacked and state.t_s >= hijack[0]:
+                hijacked = True
+                self.body.command(0.0, 0.0)
+                self.body.hijack(*(float(v) for v in hijack[1]))
+                yield "hijack", t_ns
+            state = self.body.step()
+            ticks += 1
+
+
+def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: int, unmapped: str) -> PlaceMap:
+    """A map along the mapping route with the simulator's poses and depths, without keyframes in one room."""
+    camera = calibration.camera
+    assert camera is not None
+    robot = Robot(world, renderer, calibration, "mapping", seed)
+    extractor, rays = FeatureExtractor(), unproject_pixels(camera)
+    rng = np.random.default_rng(seed)
+    T_body_cam = camera.T_body_cam_matrix
+    poses: list[FloatArray] = []
+    frames: list[ImageFrame] = []
+    points: list[FloatArray] = []
+    landmark, keyframe, uv_all = [], [], []
+    previous: list[tuple[np.ndarray, list[int]]] = []  # descriptors and landmark numbers of the last keyframes
+    for item in robot.sense(300.0, 0.25, None):
+        if not isinstance(item, ImageFrame):
+            continue
+        middle = camera.line_delay_s * camera.height / 2
+        T_body = robot.history.pose((item.t_robot_ns - START_NS) / 1e9 + camera.time_shift_s + middle)
+        if world.room_at(*T_body[:2, 3]) == unmapped:
+            continue
+        T = T_body @ T_body_cam
+        if poses:
+            moved = inverse(poses[-1]) @ T
+            turn = math.acos(float(np.clip((np.trace(moved[:3, :3]) - 1) / 2, -1, 1)))
+            if np.linalg.norm(moved[:3, 3]) < KEYFRAME_M and turn < KEYFRAME_RAD:
+                continue
+        features = extractor.extract(item.grey())
+        at = np.clip(np.round(features.uv_px).astype(int), 0, [camera.width - 1, camera.height - 1])
+        inverse_depth = renderer.render(T[None]).inverse_depth[at[:, 1], at[:, 0]]
+        depth = 1.0 / np.maximum(inverse_depth, 1e-3) * rng.normal(1, 0.01, len(at))
+        p = (rays[at[:, 1], :, at[:, 0]] * depth[:, None]) @ T[:3, :3].T + T[:3, 3]
+        numbers = []
+        mine = to_floats(features.descriptors)
+        for k in range(len(p)):
+            number = -1
+            if inverse_depth[k] > 0.1:
+                for descriptors, ids in previous[::-1]:
+                    j = int(np.argmax(descriptors @ mine[k]))
+                    if ids[j] >= 0 and np.linalg.norm(points[ids[j]] - p[k]) < MERGE_M:
+                        number = ids[j]
+                        break
+                if number < 0:
+                    number = len(points)
+                    points.append(p[k])
+                landmark.append(number)
+                keyframe.append(len(poses))
+                uv_all.append(features.uv_px[k])
+            numbers.append(number)
+        previous = [*previous[-2:], (mine, numbers)]
+        poses.append(T)
+        frames.append(item)
+    seen = np.bincount(landmark, minlength=len(points))
+    keep = seen >= 2
+    number = np.cumsum(keep) - 1
+    observed = keep[np.array(landmark)]
+    t = np.array([f.t_robot_ns for f in frames])
+    T_all = np.stack(poses)
+    count = int(keep.sum())
+    return build_map(
+        Navigation(
+            id=f"truth-{world.name}-{world.seed}-{unmapped}",
+            calibration=calibration,
+            trajectory=Trajectory(t, T_all @ inverse(T_body_cam)),
+            keyframes=Keyframes(
+                np.arange(len(t)), t, T_all, tuple(f.encoded for f in frames), np.zeros(len(t), np.int64)
+            ),
+            landmarks=Landmarks(
+                np.array(points)[keep],
+                np.full((count, 3), 128, np.uint8),
+                np.zeros((count, 3, 3)),
+                number[np.array(landmark)[observed]],
+                np.array(keyframe)[observed],
+                np.array(uv_all)[observed],
+            ),
+            report=NavigationReport("simulator", len(t), 0.0, 0.0, 0.0, 0.0, count, 0.0, "metric", True, seed, {}, {}),
+        )
+    )
+
+
+def judge_drive(
+    world: World, renderer: Renderer, calibration: Calibration, place_map: PlaceMap, localizer: Localizer,
+    unmapped: str, seed: int,
+) -> dict[str, Any]:  # fmt: skip
+    """One drive with a hijack; answers once per image."""
+    rng = np.random.default_rng([world.seed, seed, 5])
+    robot = Robot(world, renderer, calibration, "second", seed)
+    spots = robot.route.points
+    in_unmapped = np.array([world.room_at(*p) == unmapped for p in spots])
+    wants_unmapped = seed % 4 == 3 and in_unmapped.any()
+    spot = spots[rng.choice(np.flatnonzero(in_unmapped if wants_unmapped else ~in_unmapped))]
+    at_s = float(rng.uniform(12, 20))
+    target = np.array([*spot, rng.uniform(-np.pi, np.pi)])
+    tracker = PlaceTracker(place_map, calibration, localizer)
+    centroids = np.array([p.centroid_map for p in place_map.places])
+    ids = [p.id for p in place_map.places]
+    rows, hijack_ns, noticed = [], None, None
+    for item in robot.sense(at_s + 17.0, 0.4, (at_s, target)):
+        if isinstance(item, ImuBatch):
+            tracker.on_imu(item)
+        elif isinstance(item, DriveSample):
+            tracker.on_drive(item)
+        elif isinstance(item, ImageFrame):
+            tracker.on_frame(item)
+            t_ns = item.t_robot_ns
+            T = robot.history.pose((t_ns - START_NS) / 1e9 + calibration.camera.time_shift_s)  # type: ignore[union-attr]
+            distance = np.linalg.norm(centroids - T[:3, 3], axis=1)
+            right = {ids[i] for i in np.flatnonzero(distance <= 1.1 * distance.min())}
+            answer = tracker.answer(t_ns)
+            since = None if hijack_ns is None else (t_ns - hijack_ns) / 1e9
+            is_mapped = world.room_at(*T[:2, 3]) != unmapped
+            place = answer.place
+            rows.append(
+                (answer.state, place is not None and place.id in right, place.probability if place else 0.0,
+                 is_mapped, since, tracker.hijacks.is_carried)
+            )  # fmt: skip
+        else:
+            hijack_ns = item[1]
+        for event in tracker.take_events():
+            noticed = noticed or (event.t_robot_ns, event.cue, event.reason)
+    # The first seconds belong to no answer yet: the robot has seen one or two images.
+    settled = [r for r in rows[5:] if r[4] is None or r[4] > 10.0]
+    after = [r for r in rows if r[4] is not None and r[4] > 3.0]
+    first_right = next((r[4] for r in after if r[0] == "known" and r[1]), None)
+    return {
+        "flat": world.seed,
+        "drive": seed,
+        "target": "unmapped" if wants_unmapped else "mapped",
+        "noticed_s": None if noticed is None or hijack_ns is None else (noticed[0] - hijack_ns) / 1e9,
+        "cue": None if noticed is None else noticed[1],
+        "right_after_s": first_right,
+        "wrong_known_after": sum(r[0] == "known" and not (r[1] and r[3]) for r in after),
+        "answers_after": len(after),
+        "rows": [(r[0], bool(r[1]), float(r[2]), bool(r[3])) for r in settled],
+    }
+
+
+def summarise(drives: list[dict[str, Any]]) -> dict[str, Any]:
+    rows = [r for d in drives for r in d["rows"]]
+    mapped = [r for r in rows if r[3]]
+    known = [r for r in mapped if r[0] == "known"]
+    unmapped = [r for r in rows if not r[3]]
+    to_mapped = [d for d in drives if d["target"] == "mapped"]
+    probability = np.array([r[2] for r in known])
+    correct = np.array([r[1] for r in known], dtype=float)
+    bins = np.clip((probability * 10).astype(int), 0, 9)
+    ece = sum(
+        (bins == b).mean() * abs(correct[bins == b].mean() - probability[bins == b].mean()) for b in np.unique(bins)
+    )
+    return {
+        "drives": len(drives),
+        "answers_mapped": len(mapped),
+        "precision_when_known": float(correct.mean()) if len(known) else None,
+        "recall": float(sum(r[1] for r in known) / max(len(mapped), 1)),
+        "answers_unmapped": len(unmapped),
+        "unmapped_unknown": float(np.mean([r[0] == "unknown" for r in unmapped])) if unmapped else None,
+        "unmapped_known": float(np.mean([r[0] == "known" for r in unmapped])) if unmapped else None,
+        "expected_calibration_error": float(ece),
+        "hijacks_noticed_2s": float(np.mean([d["noticed_s"] is not None and 0 <= d["noticed_s"] <= 2 for d in drives])),
+        "right_within_10s": float(
+            np.mean([d["right_after_s"] is not None and d["right_after_s"] <= 12.0 for d in to_mapped])
+        ) if to_mapped else None,
+        "wrong_known_after_hijack": sum(d["wrong_known_after"] for d in drives)
+        / max(1, sum(d["answers_after"] for d in drives)),
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--world", default="small")
+    parser.add_argument("--flats", type=int, default=3)
+    parser.add_argument("--drives", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=None)
+    a = parser.parse_args()
+    cv2.setNumThreads(1)
+    calibration = simulated_calibration(SimulationConfig())
+    assert calibration.camera is not None
+    drives: list[dict[str, Any]] = []
+    for flat in range(a.seed, a.seed + a.flats):
+        world = make_world(a.world, flat)
+        renderer = Renderer(world, calibration.camera, default_cache_dir())
+        unmapped = world.rooms[flat % len(world.rooms)].name
+        place_map = map_flat(world, renderer, calibration, flat, unmapped)
+        localizer = Localizer(place_map)
+        print(f"flat {flat}: {len(place_map.navigation.keyframes)} keyframes, {len(place_map.places)} places, "
+              f"{len(place_map.navigation.landmarks)} landmarks, without the {unmapped}", flush=True)  # fmt: skip
+        for drive in range(1, a.drives + 1):
+            result = judge_drive(world, renderer, calibration, place_map, localizer, unmapped, drive)
+            drives.append(result)
+            print(json.dumps({k: v for k, v in result.items() if k != "rows"}), flush=True)
+    summary = summarise(drives)
+    print(json.dumps(summary, indent=1))
+    if a.out:
+        a.out.write_text(json.dumps({"summary": summary, "drives": drives}))
+
+
+if __name__ == "__main__":
+    main()
