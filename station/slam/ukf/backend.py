@@ -23,7 +23,7 @@ from station.slam.backend import SlamUpdate, TrackingState
 from station.slam.frontend.tracker import TrackedFrame, Tracker
 from station.slam.ukf import lie
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.constraints import BodyVelocity, wheel_velocity
+from station.slam.ukf.constraints import BodyVelocity, SamePlace, turn_between, wheel_velocity
 from station.slam.ukf.filter import FrameResult, RetiredClone, SoftConstraint, VioFilter
 from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.keyframes import Keyframe, KeyframeStore, is_grey, sample_colours, sample_grey
@@ -144,11 +144,19 @@ class UkfBackend:
         soft: list[SoftConstraint] = []
         if is_still and self._config.wheels.use_zero_velocity and not self._is_commanded_to_move():
             soft.append(BodyVelocity(np.zeros(3), np.full(3, self._config.wheels.sigma_still_m_s)))
+            same = self._same_place(vio, current)
+            soft += [] if same is None else [same]
         elif current.wheels is not None:
             soft.append(BodyVelocity(*current.wheels, gate=4.0))
+        keep_previous = self._still_since == self._newest_frame
+        if not is_still:
+            self._still_since = None
+        elif self._still_since is None:
+            self._still_since = frame.index
+        self._newest_frame = frame.index
         current.link = self._link(vio, segment)
         self._window[frame.index] = current
-        result = vio.process_frame(segment, current.tracked, frame.index, tuple(soft))
+        result = vio.process_frame(segment, current.tracked, frame.index, tuple(soft), keep_previous)
         self._tracker.drop(result.rejected_ids)
         reason = self._why_lost(vio, current, result)
         if reason is not None:
@@ -165,6 +173,21 @@ class UkfBackend:
             is_keyframe=any(r.is_keyframe for r in result.retired),
             points=points[0] if points else None,
         )
+
+    _still_since: int | None = None  # frame index with which standing still began
+    _newest_frame = -1
+
+    def _same_place(self, vio: VioFilter, current: _WindowFrame) -> SamePlace | None:
+        """Standing still: the pose of the frame with which that began, and the turn since then by the image."""
+        since = self._still_since
+        if since is None or since not in self._window or since not in vio.state.clone_frame:
+            self._still_since = None
+            return None
+        then, now = self._window[since].tracked, current.tracked
+        _, i, j = np.intersect1d(then.ids, now.ids, assume_unique=True, return_indices=True)
+        turn = turn_between(then.xy[i], now.xy[j], self._camera.R_body_cam)
+        wheels = self._config.wheels
+        return None if turn is None else SamePlace(since, turn, wheels.sigma_still_rad, wheels.sigma_still_m)
 
     def _why_lost(self, vio: VioFilter, current: _WindowFrame, result: FrameResult) -> str | None:
         """The reason to give up tracking, in words; None while it is sound."""
@@ -241,7 +264,7 @@ class UkfBackend:
         self._window[frame.index] = current
         if self._given is not None:
             given, self._given = replace(self._given, t_imu_ns=current.t_imu_ns), None
-            return self._start(state_from_given(given, kind), current)
+            return self._start(state_from_given(given, kind), current, False)
         v_body, sigma = current.wheels or (np.zeros(3), np.full(3, np.inf))
         waiting = WaitingFrame(frame.index, current.t_imu_ns, current.tracked, v_body, sigma)
         found = self._starter.try_start(waiting, self._imu, is_still, self._anchor)
@@ -251,16 +274,18 @@ class UkfBackend:
             return self._update(frame, f"not initialised yet: {found}", None)
         state, motion = found
         if motion is None:
-            return self._start(state, current)
+            return self._start(state, current, True)
         return self._start_in_motion(state, motion.frame_index.tolist(), current)
 
-    def _start(self, state: FilterState, current: _WindowFrame) -> SlamUpdate:
+    def _start(self, state: FilterState, current: _WindowFrame, is_still: bool) -> SlamUpdate:
         """Begin tracking at this frame, from a state without clones."""
         self._begin_segment()
         self._window = {current.frame.index: current}
         self._filter = VioFilter(self._calibration, self._config.filter, state)
         empty = self._imu.segment(current.t_imu_ns, current.t_imu_ns)
         self._filter.process_frame(empty, current.tracked, current.frame.index)
+        self._newest_frame = current.frame.index
+        self._still_since = current.frame.index if is_still else None
         self._poses.add(current.frame.index, current.frame.t_robot_ns, self._filter.state.T_world_body, self._segment)
         return self._update(current.frame, "tracking: started", self._filter.state)
 

@@ -49,10 +49,10 @@ class UkfConfig:
     refine: bool = True  # visual-inertial least squares over the keyframes when the drive ends
     max_keyframes: int = 500
     max_outage_s: float = 0.6  # without features for longer, tracking is lost
-    max_outage_wheels_s: float = 1.5  # the same for a robot whose wheels bound what the IMU may invent
+    max_outage_wheels_s: float = 1.8  # the same for a robot whose wheels bound what the IMU may invent
     max_climb_m_s: float = 0.2  # a wheeled robot that rises or sinks that fast is being carried
     min_upright: float = 0.985  # cosine of its tilt; 10 degrees
-    min_features: int = 10  # fewer followed features than this count as an outage
+    min_features: int = 5  # fewer followed features than this count as an outage
     max_speed_m_s: float = 15.0
     max_disagreements: int = 5  # consecutive frames in which most landmarks fail their gate
     max_imu_gap_s: float = 0.5  # without IMU for longer, tracking is lost

@@ -91,9 +91,17 @@ class VioFilter:
         self._landmark_gate = Gate(config.landmark_gate_probability)
 
     def process_frame(
-        self, imu: ImuSegment, frame: TrackedFrame, frame_index: int, soft: tuple[SoftConstraint, ...] = ()
+        self,
+        imu: ImuSegment,
+        frame: TrackedFrame,
+        frame_index: int,
+        soft: tuple[SoftConstraint, ...] = (),
+        keep_previous: bool = False,
     ) -> FrameResult:
-        """Bring the state to this frame's time and use what it saw."""
+        """Bring the state to this frame's time and use what it saw.
+
+        keep_previous: the frame before stays in the window whatever its parallax (standstill refers to it).
+        """
         config = self.config
         state = propagate(self.state, imu, self.noise, self._propagation)
         state = self._end_landmarks(state, frame)
@@ -111,6 +119,8 @@ class VioFilter:
             config.huber,
         )
         leaving = self._leaving_clone(state)
+        if leaving is not None and keep_previous:
+            leaving = 0
         window = self._measure_window(state, leaving)
         rows = [landmarks.rows, window.rows, *(constraint.rows(state, config.error) for constraint in soft)]
         state = update(state, config.error, stack(rows))

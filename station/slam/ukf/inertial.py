@@ -60,8 +60,8 @@ class ImuBuffer:
         t, gyro, accel = t[finite], gyro[finite], accel[finite]
         if not len(t):
             return
-        newest = np.maximum.accumulate(t)
-        before = np.concatenate([[self._t[-1] if len(self._t) else t[0] - 1], newest[:-1]])
+        last = self._t[-1] if len(self._t) else t[0] - 1
+        before = np.maximum.accumulate(np.concatenate([[last], t]))[:-1]
         fresh = t > before
         self.counts.out_of_order += int((~fresh).sum())
         self._t = np.concatenate([self._t, t[fresh]])
