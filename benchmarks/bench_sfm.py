@@ -14,6 +14,7 @@ import argparse
 import json
 import sys
 import time
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ def main() -> None:
         begin, _, end = part.partition("-")
         seeds.extend(range(int(begin), int(end or begin) + 1))
     arguments.scratch.mkdir(parents=True, exist_ok=True)
-    for path in [*arguments.datasets, *(simulate(seed, arguments.scratch) for seed in seeds)]:
+    for path in chain(arguments.datasets, (simulate(seed, arguments.scratch) for seed in seeds)):
         row = judge(path, arguments.first, arguments.last, arguments.backend, arguments.threads)
         print(json.dumps(row), flush=True)
 
