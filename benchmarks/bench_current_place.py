@@ -129,17 +129,20 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
             if np.linalg.norm(moved[:3, 3]) < KEYFRAME_M and turn < KEYFRAME_RAD:
                 continue
         features = extractor.extract(item.grey())
+        if len(features) < 30:
+            continue  # a view of nothing
         at = np.clip(np.round(features.uv_px).astype(int), 0, [camera.width - 1, camera.height - 1])
         inverse_depth = renderer.render(T[None]).inverse_depth[at[:, 1], at[:, 0]]
         depth = 1.0 / np.maximum(inverse_depth, 1e-3) * rng.normal(1, 0.01, len(at))
         p = (rays[at[:, 1], :, at[:, 0]] * depth[:, None]) @ T[:3, :3].T + T[:3, 3]
         numbers = []
         mine = to_floats(features.descriptors)
+        nearest = [np.argmax(mine @ descriptors.T, axis=1) for descriptors, _ in previous]
         for k in range(len(p)):
             number = -1
             if inverse_depth[k] > 0.1:
-                for descriptors, ids in previous[::-1]:
-                    j = int(np.argmax(descriptors @ mine[k]))
+                for best, (_, ids) in zip(nearest[::-1], previous[::-1], strict=True):
+                    j = int(best[k])
                     if ids[j] >= 0 and np.linalg.norm(points[ids[j]] - p[k]) < MERGE_M:
                         number = ids[j]
                         break

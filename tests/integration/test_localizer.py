@@ -1,0 +1,163 @@
+"""Images of a painted wall are found in a map of it, and others are not."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+from shared.calibration import Calibration, CameraCalibration
+from shared.geometry import FloatArray, inverse, se3, so3_exp
+from station.frames import ImageArray, ImageFrame
+from station.maps.map import PlaceMap
+from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.places.appearance import AppearanceIndex
+from station.places.features import FeatureExtractor
+from station.places.localizer import Localizer
+
+CAMERA = CameraCalibration(width=640, height=480, fx=600, fy=600, cx=319.5, cy=239.5)
+CALIBRATION = Calibration(camera=CAMERA, imu=None)
+DISTANCE_M = 3.0  # of the wall, along z
+PIXELS_PER_M = 200.0
+WALL_M = (8.0, 4.0)
+
+
+@cache
+def wall(seed: int) -> ImageArray:
+    """A texture with structure at several sizes."""
+    rng = np.random.default_rng(seed)
+    h, w = int(WALL_M[1] * PIXELS_PER_M), int(WALL_M[0] * PIXELS_PER_M)
+    out = np.zeros((h, w), np.float32)
+    for size in (4, 10, 25, 60):
+        small = rng.uniform(-1, 1, (h // size + 2, w // size + 2)).astype(np.float32)
+        out += cv2.resize(small, (w, h), interpolation=cv2.INTER_NEAREST) * size**0.3
+    return np.clip(110 + 35 * out, 0, 255).astype(np.uint8)
+
+
+def camera_at(x: float, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> FloatArray:
+    """T_world_cam; the world has the camera's axes."""
+    return se3(so3_exp(np.array([0.0, yaw, 0.0])), np.array([x, y, z]))
+
+
+def picture(seed: int, T_world_cam: FloatArray) -> bytes:
+    """The wall z = DISTANCE_M, centred on the origin, as the camera sees it."""
+    T = inverse(T_world_cam)
+    # wall pixel -> world point on the plane -> image
+    to_world = np.array(
+        [
+            [1 / PIXELS_PER_M, 0, -WALL_M[0] / 2],
+            [0, 1 / PIXELS_PER_M, -WALL_M[1] / 2],
+            [0, 0, DISTANCE_M],
+            [0, 0, 1.0],
+        ]
+    )
+    H = CAMERA.K @ T[:3] @ to_world
+    image = cv2.warpPerspective(wall(seed), H, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA)
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+def make_map(map_id: str, seed: int) -> PlaceMap:
+    """Keyframes along the wall; landmarks where features of neighbouring keyframes meet."""
+    poses = np.stack([camera_at(x) for x in np.linspace(-1.5, 1.5, 7)])
+    encoded = tuple(picture(seed, T) for T in poses)
+    extractor = FeatureExtractor(400)
+    p_all, landmark, keyframe, uv = [], [], [], []
+    numbers: dict[tuple[int, int], int] = {}
+    for k, T in enumerate(poses):
+        grey = ImageFrame(0, 0, 0, encoded[k]).grey()
+        for u, v in extractor.extract(grey).uv_px:
+            p = T[:3, 3] + DISTANCE_M * np.array([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, 1.0])
+            number = numbers.setdefault((round(p[0] / 0.01), round(p[1] / 0.01)), len(numbers))
+            if number == len(p_all):
+                p_all.append(p)
+            landmark.append(number)
+            keyframe.append(k)
+            uv.append((u, v))
+    t = np.arange(len(poses)) * 1_000_000_000
+    n = len(p_all)
+    navigation = Navigation(
+        id=f"nav-{map_id}",
+        calibration=CALIBRATION,
+        trajectory=Trajectory(t, poses),
+        keyframes=Keyframes(np.arange(len(t)), t, poses, encoded, np.zeros(len(t), dtype=np.int64)),
+        landmarks=Landmarks(
+            p_world=np.array(p_all),
+            rgb=np.zeros((n, 3), dtype=np.uint8),
+            cov_world=np.zeros((n, 3, 3)),
+            observed_landmark=np.array(landmark),
+            observed_keyframe=np.array(keyframe),
+            observed_uv_px=np.array(uv),
+        ),
+        report=NavigationReport("test", len(t), 1, 1, 1, 1, n, 0, "metric", False, 0, {}, {}),
+    )
+    return PlaceMap(map_id, map_id, navigation, (), (), {})
+
+
+@pytest.fixture(scope="module")
+def localizer() -> Localizer:
+    return Localizer([make_map("first", 1), make_map("second", 2)])
+
+
+def frame(encoded: bytes) -> ImageFrame:
+    return ImageFrame(index=0, t_robot_ns=7, exposure_ns=0, encoded=encoded)
+
+
+@pytest.mark.parametrize(("seed", "map_id"), [(1, "first"), (2, "second")])
+def test_a_view_between_keyframes_is_found_in_the_right_map(localizer: Localizer, seed: int, map_id: str) -> None:
+    T_true = camera_at(0.3, 0.1, -0.2, 0.1)
+    found = localizer.localize(frame(picture(seed, T_true)), CALIBRATION)
+    assert found is not None
+    assert found.map_id == map_id and found.t_robot_ns == 7
+    assert np.linalg.norm(found.T_map_cam[:3, 3] - T_true[:3, 3]) < 0.03
+    assert np.allclose(found.T_map_cam[:3, :3], T_true[:3, :3], atol=0.01)
+    assert found.num_inliers > 50 and 0 < found.sigma_position < 0.05
+    assert found.keyframe_index in (3, 4)
+
+
+def test_another_wall_is_not_found(localizer: Localizer) -> None:
+    attempt = localizer.attempt(frame(picture(3, camera_at(0.0))), CALIBRATION)
+    assert attempt.localization is None and attempt.reason
+
+
+def test_a_dark_image_is_refused_by_name(localizer: Localizer) -> None:
+    black = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes()
+    attempt = localizer.attempt(frame(black), CALIBRATION)
+    assert attempt.localization is None and "features" in attempt.reason
+
+
+def test_a_map_without_readable_images_answers_no() -> None:
+    good = make_map("broken", 1)
+    keyframes = good.navigation.keyframes
+    broken = Keyframes(
+        keyframes.frame_index,
+        keyframes.t_robot_ns,
+        keyframes.T_world_cam,
+        (b"",) * len(keyframes),
+        keyframes.segment,
+    )
+    navigation = Navigation(
+        good.navigation.id,
+        CALIBRATION,
+        good.navigation.trajectory,
+        broken,
+        good.navigation.landmarks,
+        good.navigation.report,
+    )
+    empty = Localizer(PlaceMap("broken", "broken", navigation, (), (), {}))
+    assert empty.localize(frame(picture(1, camera_at(0.0))), CALIBRATION) is None
+
+
+def test_the_index_proposes_the_image_itself_first_and_grows_its_words_with_the_map() -> None:
+    extractor = FeatureExtractor(300)
+    views = [(seed, x) for seed in (1, 2, 3, 4) for x in (-1.0, 1.0)]
+    images = [extractor.extract(frame(picture(seed, camera_at(x))).grey()).descriptors for seed, x in views]
+    index = AppearanceIndex(images)
+    for k, descriptors in enumerate(images):
+        proposed, similarity = index.query(descriptors, 3)
+        assert proposed[0] == k
+        assert (np.diff(similarity) <= 0).all()
+    assert AppearanceIndex(images[:2]).num_words < index.num_words
+    nothing, _ = AppearanceIndex([]).query(images[0], 5)
+    assert len(nothing) == 0
