@@ -67,15 +67,18 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
     try:
         while not server.started and not serving.done() and not running.done():
             await asyncio.sleep(0.01)
-        started()
+        if not running.done():
+            started()
         await asyncio.wait({running, serving}, return_when=asyncio.FIRST_COMPLETED)
     finally:
         station.driving.stop()
         running.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running
-        server.should_exit = True
-        await serving
+        try:
+            with contextlib.suppress(asyncio.CancelledError):
+                await running
+        finally:
+            server.should_exit = True
+            await serving
 
 
 async def serve_until_signal(

@@ -94,7 +94,7 @@ def _run(command: list[str], timeout_s: float, failure: str) -> None:
     except (OSError, subprocess.TimeoutExpired) as exc:
         raise PageNotBuilt(f"{failure} ({exc})") from exc
     if done.returncode != 0:
-        lines = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
+        lines = [line for line in (done.stderr + done.stdout).splitlines() if line.strip() and "npm warn" not in line]
         raise PageNotBuilt(f"{failure}: {' / '.join(lines[:4])}")
 
 

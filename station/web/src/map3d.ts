@@ -8,6 +8,7 @@ import type { CurrentPlace, GraphModel, PlaceModel, SlamModel, TrajectoryModel }
 
 type View = "follow" | "top" | "free";
 type Layer = "map" | "live";
+const DATA_REDRAW_MS = 250;
 const MAX_CHUNKS = 40; // then the live cloud is fetched whole again: fewer, larger buffers draw faster
 
 export class MapView {
@@ -32,6 +33,8 @@ export class MapView {
   private view: View = "top";
   private chosenLayer = false;
   private pending = false;
+  private soon = 0;
+  private isHeld = false; // a hand turns or moves the view
   private mapId: string | null = null;
   private live = { navigation: "", total: 0, chunks: 0, fetching: false, again: false };
   private currentPlaceId: string | null = null;
@@ -46,8 +49,10 @@ export class MapView {
     this.renderer.domElement.setAttribute("aria-hidden", "true");
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.enableDamping = false;
-    this.controls.addEventListener("change", () => this.draw());
+    this.controls.addEventListener("change", () => (this.isHeld ? this.draw() : this.drawSoon()));
+    this.controls.addEventListener("end", () => (this.isHeld = false));
     this.controls.addEventListener("start", () => {
+      this.isHeld = true;
       if (this.view === "follow") this.setView("free", false);
     });
     this.grid = new THREE.GridHelper(40, 40, 0x808890, 0x808890);
@@ -98,7 +103,7 @@ export class MapView {
       for (const { node } of this.labelNodes) node.classList.toggle("here", node.dataset["place"] === id);
     }
     if (this.layer === "map") this.follow(this.robot.map);
-    this.draw();
+    this.drawSoon();
   }
 
   showSlam(slam: SlamModel): void {
@@ -112,7 +117,7 @@ export class MapView {
       }
     }
     if (this.layer === "live") this.follow(this.robot.live);
-    this.draw();
+    this.drawSoon();
   }
 
   /** There are new landmarks, or another navigation runs. */
@@ -239,7 +244,7 @@ export class MapView {
     if (box) this.boxes[layer] = this.boxes[layer]?.union(box) ?? box;
     setPointSize(this.points[layer] > 60_000 ? 1.4 : this.points[layer] > 15_000 ? 2 : 3.2);
     this.describe();
-    this.draw();
+    this.drawSoon();
   }
 
   private clear(layer: Layer): void {
@@ -336,6 +341,14 @@ export class MapView {
     this.camera.aspect = w / h;
     this.camera.updateProjectionMatrix();
     this.frameAll();
+  }
+
+  /** For changes that no hand makes: a few pictures a second, so that video and joystick keep the machine. */
+  private drawSoon(): void {
+    this.soon ||= window.setTimeout(() => {
+      this.soon = 0;
+      this.draw();
+    }, DATA_REDRAW_MS);
   }
 
   private draw(): void {

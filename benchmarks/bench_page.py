@@ -1,0 +1,210 @@
+"""How quick is the page: drive event to motor command, capture to canvas, with video, SLAM and a growing cloud.
+
+python benchmarks/bench_page.py [--seconds 30]
+
+A robot-server with pushed devices (30 fps, IMU) runs here, the station in a process of its own, the page in headless
+Chromium with software rendering. SLAM is made up: it costs 10 ms a frame and sends 50,000 points, then 500 a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import shutil
+import socket
+import statistics
+import sys
+import tempfile
+import time
+import urllib.request
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from playwright.async_api import Page, async_playwright  # noqa: E402
+
+from robot.devices.ports import CapturedFrame  # noqa: E402
+from shared.calibration import Calibration  # noqa: E402
+from station.frames import ImageFrame  # noqa: E402
+from station.slam.backend import SlamUpdate  # noqa: E402
+from tests.link_support import Bench, running_robot, until  # noqa: E402
+from tests.made_up_workers import StraightSlam  # noqa: E402
+
+FRAME_S = 1 / 30
+RESULT = ROOT / "benchmarks" / "results" / "page.json"
+CHROMIUM_ARGUMENTS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]  # fmt: skip
+WATCH_CANVAS = """() => {
+  window.drawn = [];
+  const canvas = document.getElementById('video');
+  new MutationObserver(() => drawn.push([Number(canvas.dataset.seq), performance.timeOrigin + performance.now()]))
+    .observe(canvas, {attributes: true, attributeFilter: ['data-seq']});
+}"""
+PRESS = """(type) => {
+  const at = performance.timeOrigin + performance.now();
+  dispatchEvent(new KeyboardEvent(type, {code: 'KeyW', bubbles: true}));
+  return at;
+}"""
+
+
+class BusySlam(StraightSlam):
+    """Costs what a filter costs, and sends a cloud that grows."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        super().__init__(calibration)
+        self._random = np.random.default_rng(1)
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        end = time.perf_counter() + 0.01
+        update = super().add_frame(frame)
+        count = 50_000 if len(self.frames) == 1 else 500 if len(self.frames) % 30 == 0 else 0
+        points = self._random.uniform([-5, -5, 0], [5, 5, 2], (count, 3))
+        while time.perf_counter() < end:
+            pass
+        return SlamUpdate(
+            update.t_robot_ns, "tracking", "busy", update.T_world_body, count, False, points, points * 25 + 100
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Milliseconds."""
+
+    p50: float
+    p99: float
+    worst: float
+    count: int
+
+    @classmethod
+    def of(cls, values: list[float]) -> Spread:
+        return cls(
+            round(statistics.median(values), 2),
+            round(float(np.percentile(values, 99)), 2),
+            round(max(values), 2),
+            len(values),
+        )
+
+
+async def film(bench: Bench, captured: dict[int, float]) -> None:
+    """Frames at 30 fps, IMU with each; keeps each one's wall time in ms."""
+    from tests.station_support import picture
+
+    pictures = [picture(n) for n in range(10)]
+    due = time.monotonic()
+    count = 0
+    while True:
+        captured[count] = time.time() * 1e3
+        bench.camera.frames.put_nowait(
+            CapturedFrame(time.monotonic_ns(), 5_000_000, 640, 480, pictures[count % len(pictures)])
+        )
+        bench.imu.inject_until(time.monotonic_ns())
+        count += 1
+        due = max(due + FRAME_S, time.monotonic() - 0.1)
+        await asyncio.sleep(max(0.0, due - time.monotonic()))
+
+
+async def measure_drive(page: Page, bench: Bench, presses: int) -> tuple[list[float], int]:
+    """Milliseconds from the key event in the page to the motors' command; and how often the page refused to drive."""
+    wall_minus_monotonic_ms = time.time() * 1e3 - time.monotonic() * 1e3
+    times: list[float] = []
+    refused = 0
+    for _ in range(presses):
+        await until(lambda: bench.motors.are_off)
+        await asyncio.sleep(0.05)
+        begun = len(bench.motors.history)
+        pressed_ms = await page.evaluate(PRESS, "keydown")
+        give_up = time.monotonic() + 1.0
+        while time.monotonic() < give_up and not any(entry[1] > 0 for entry in bench.motors.history[begun:]):
+            await asyncio.sleep(0.002)
+        moved_ns = next((entry[0] for entry in bench.motors.history[begun:] if entry[1] > 0), None)
+        if moved_ns is None:  # the picture was older than 500 ms at this moment: the page does not drive blind
+            refused += 1
+        else:
+            times.append(moved_ns / 1e6 + wall_minus_monotonic_ms - pressed_ms)
+        await page.evaluate(PRESS, "keyup")
+    return times, refused
+
+
+async def run(seconds: float) -> dict[str, Any]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    address = f"http://127.0.0.1:{port}"
+    captured: dict[int, float] = {}
+    with tempfile.TemporaryDirectory() as data:
+        async with running_robot() as bench:
+            bench.motors.stop()
+            filming = asyncio.create_task(film(bench, captured))
+            station = await asyncio.create_subprocess_exec(
+                sys.executable,
+                *("-m", "station.main", "serve", "--port", str(port), "--robot", f"127.0.0.1:{bench.port}"),
+                *("--data", data, "--backend", "benchmarks.bench_page:BusySlam"),
+                cwd=ROOT,
+            )
+            try:
+                return await _measure(address, bench, captured, seconds)
+            finally:
+                station.terminate()
+                await station.wait()
+                filming.cancel()
+                await asyncio.gather(filming, return_exceptions=True)
+
+
+async def _measure(address: str, bench: Bench, captured: dict[int, float], seconds: float) -> dict[str, Any]:
+    async with async_playwright() as playwright:
+        chromium = shutil.which("chromium") or shutil.which("google-chrome")
+        browser = await playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_ARGUMENTS)
+        page = await browser.new_page(viewport={"width": 1440, "height": 900})
+        for _ in range(200):
+            try:
+                await page.goto(address)
+                break
+            except Exception:  # the station is not up yet
+                await asyncio.sleep(0.1)
+        await page.wait_for_selector("#video[data-seq]")
+        await page.wait_for_selector("#link[data-state=good]")
+        request = urllib.request.Request(address + "/navigations", method="POST")
+        await asyncio.to_thread(lambda: urllib.request.urlopen(request, timeout=20).read())
+        await page.wait_for_selector("#map-count:has-text('landmarks')", timeout=60_000)
+        await page.wait_for_selector(".age:not(.bad)")
+        await page.evaluate(WATCH_CANVAS)
+        begun = time.monotonic()
+        drive_ms, refused = await measure_drive(page, bench, presses=max(20, int(seconds * 4)))
+        await asyncio.sleep(max(0.0, seconds - (time.monotonic() - begun)))
+        elapsed_s = time.monotonic() - begun
+        drawn = await page.evaluate("() => drawn")
+        points = await page.locator("#map-count").text_content()
+        await browser.close()
+    video_ms = [at - captured[int(seq)] for seq, at in drawn if int(seq) in captured]
+    return {
+        "drive_event_to_motor_ms": asdict(Spread.of(drive_ms)),
+        "refused_for_stale_video": refused,
+        "capture_to_canvas_ms": asdict(Spread.of(video_ms)),
+        "frames_per_s": round(len(drawn) / elapsed_s, 1),
+        "cloud": points,
+        "load_average": round(os.getloadavg()[0], 1),
+        "cores": os.cpu_count(),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    result = asyncio.run(run(parser.parse_args().seconds))
+    RESULT.parent.mkdir(exist_ok=True)
+    RESULT.write_text(json.dumps(result, indent=1) + "\n")
+    print(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()
