@@ -22,7 +22,7 @@ FEW_LANDMARKS = 25  # a hill of so many is half as trustworthy as its prominence
 MIN_SHARE = 0.05  # of the hill that a landmark typically lies on: crumbs come and go from drive to drive
 CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only bounds the work in dense clouds
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
-SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md has the sweep)
+SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md)
 REACH = (
     2.0  # of the smoothing: steps uphill that cross the gaps between landmarks (docs/results.md: 0.5 to 1.5 times it)
 )
