@@ -117,6 +117,8 @@ def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
     """Noise figures from an IMU's `sensor.yaml`."""
 
     def density(key: str, default: float) -> float:
+        if content.get(key) == np.inf:  # a range without limit, as the simulator writes for a given recording
+            return default
         value = number(content, key, default, path)
         return value if value > 0 else default
 

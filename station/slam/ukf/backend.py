@@ -30,13 +30,13 @@ from station.slam.ukf.keyframes import Keyframe, KeyframeStore, is_grey, sample_
 from station.slam.ukf.landmark_map import Observations, assemble, make_landmarks
 from station.slam.ukf.live_map import LiveMap
 from station.slam.ukf.measurement import CameraModel
+from station.slam.ukf.pose_log import PoseLog
 from station.slam.ukf.preintegration import Preintegration, chain, preintegrate
 from station.slam.ukf.propagation import ImuSegment
 from station.slam.ukf.refine import refine_segment
 from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
 from station.slam.ukf.state import FilterState
 from station.slam.ukf.stillness import StillnessDetector
-from station.slam.ukf.track_log import PoseLog
 from station.slam.ukf.update import is_finite
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
@@ -161,7 +161,7 @@ class UkfBackend:
         reason = self._why_lost(vio, current, result)
         if reason is not None:
             return self._lose(reason, current.t_imu_ns, frame)
-        self._poses.add(frame.index, frame.t_robot_ns, vio.state.T_world_body, self._segment)
+        self._poses.add(frame.index, current.t_imu_ns, vio.state.T_world_body, self._segment)
         new_points = [self._retire(retired, vio.state) for retired in result.retired]
         if result.new_landmark_ids.size:
             self._live.entered(result.new_landmark_ids, vio.state)
@@ -286,7 +286,7 @@ class UkfBackend:
         self._filter.process_frame(empty, current.tracked, current.frame.index)
         self._newest_frame = current.frame.index
         self._still_since = current.frame.index if is_still else None
-        self._poses.add(current.frame.index, current.frame.t_robot_ns, self._filter.state.T_world_body, self._segment)
+        self._poses.add(current.frame.index, current.t_imu_ns, self._filter.state.T_world_body, self._segment)
         return self._update(current.frame, "tracking: started", self._filter.state)
 
     def _start_in_motion(self, state: FilterState, clones: list[int], current: _WindowFrame) -> SlamUpdate:
@@ -308,7 +308,7 @@ class UkfBackend:
         for k, index in enumerate(clones):
             item = kept[index]
             T = se3(vio.state.clone_R[k], vio.state.clone_x[k])
-            self._poses.add(index, item.frame.t_robot_ns, T, self._segment)
+            self._poses.add(index, item.t_imu_ns, T, self._segment)
         self._window = kept
         return self._update(current.frame, "tracking: started in motion", vio.state)
 
@@ -327,7 +327,7 @@ class UkfBackend:
         assert vio is not None
         self._flush_window(vio)
         began = self._outage_since if self._outage_since is not None else t_imu_ns
-        self._poses.drop_after(began - self._shift_ns, self._segment)
+        self._poses.drop_after(began, self._segment)
         last = self._poses.last()
         bias = np.concatenate([vio.state.bias_gyro, vio.state.bias_accel])
         sound = is_finite(vio.state) and float(np.abs(bias[:3]).max()) < 0.2 and float(np.abs(bias[3:]).max()) < 1.0

@@ -9,7 +9,7 @@ from station.slam.ukf import lie
 
 
 class PoseLog:
-    """One pose per tracked frame, in time order."""
+    """One pose per tracked frame, in time order; times are the IMU's, since poses are the body's."""
 
     def __init__(self) -> None:
         self._index: list[int] = []  # frame indices, ascending
@@ -21,12 +21,12 @@ class PoseLog:
     def __len__(self) -> int:
         return len(self._t)
 
-    def add(self, frame_index: int, t_robot_ns: int, T_world_body: FloatArray, segment: int) -> None:
-        if frame_index in self._row or (self._t and t_robot_ns <= self._t[-1]):
+    def add(self, frame_index: int, t_imu_ns: int, T_world_body: FloatArray, segment: int) -> None:
+        if frame_index in self._row or (self._t and t_imu_ns <= self._t[-1]):
             return
         self._row[frame_index] = len(self._t)
         self._index.append(frame_index)
-        self._t.append(t_robot_ns)
+        self._t.append(t_imu_ns)
         self._T.append(T_world_body)
         self._segment.append(segment)
 
@@ -39,9 +39,9 @@ class PoseLog:
     def last(self) -> FloatArray | None:
         return self._T[-1] if self._T else None
 
-    def drop_after(self, t_robot_ns: int, segment: int) -> None:
+    def drop_after(self, t_imu_ns: int, segment: int) -> None:
         """Forget this segment's poses from a time on: they were dead reckoning into the unknown."""
-        while self._t and self._t[-1] >= t_robot_ns and self._segment[-1] == segment:
+        while self._t and self._t[-1] >= t_imu_ns and self._segment[-1] == segment:
             del self._row[self._index[-1]]
             for column in (self._index, self._t, self._T, self._segment):
                 column.pop()

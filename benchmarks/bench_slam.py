@@ -1,0 +1,287 @@
+"""The ukf backend against the truth: recorded sequences, rendered paths, simulated flats, consistency.
+
+    python benchmarks/bench_slam.py datasets ../shared/data/euroc_v1_01_flight --start own --start given
+    python benchmarks/bench_slam.py variants DATASET…          right/left Lie UKF, plain UKF, invariant EKF side by side
+    python benchmarks/bench_slam.py wheels DATASET…            each piece of knowledge about wheels switched off in turn
+    python benchmarks/bench_slam.py consistency --runs 50      NEES of the pose and NIS over synthetic runs
+    python benchmarks/bench_slam.py points ../shared/data/euroc_v1_02_imu --seeds 0-19
+                                                               a recorded IMU with projected points instead of images
+
+One JSON line per run, failures too. Errors: root mean square of the position after alignment by position and yaw;
+`live` is what the filter said at the time, `final` the navigation at the end of the drive.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.stats import chi2
+
+from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
+from shared.errors import RobotSystemError
+from shared.geometry import FloatArray
+from station.datasets import Dataset, open_dataset
+from station.evaluation.synthetic import TruePath, observe, room_points, sine_path
+from station.evaluation.trajectory import absolute_trajectory_error, path_length, relative_pose_error
+from station.frames import DriveSample, ImuBatch
+from station.navigation import Trajectory
+from station.slam.ukf.backend import UkfBackend
+from station.slam.ukf.config import FilterConfig, UkfConfig
+from station.slam.ukf.constraints import WheelConfig
+from station.slam.ukf.filter import VioFilter
+from station.slam.ukf.inertial import ImuBuffer
+from station.slam.ukf.measurement import CameraModel
+from station.slam.ukf.start import ORIGIN, GivenState, Starter, WaitingFrame, state_from_given
+from station.slam.ukf.state import PHI, XI_X, ErrorKind, difference_group, initial_state, retract
+
+VARIANTS = {
+    "right Lie UKF": FilterConfig(),
+    "left Lie UKF": FilterConfig(error=ErrorKind.LEFT),
+    "plain UKF": FilterConfig(error=ErrorKind.PLAIN),
+    "invariant EKF": FilterConfig(use_sigma_points=False),
+}
+FIGURES = ("nees_mean", "nees_in_95_band", "nis_per_degree", "rmse_m")
+WHEELS = {
+    "all": WheelConfig(),
+    "no zero velocity": WheelConfig(use_zero_velocity=False),
+    "no non-holonomic": WheelConfig(use_non_holonomic=False),
+    "no commanded speed": WheelConfig(use_commanded_speed=False),
+    "none": WheelConfig(use_zero_velocity=False, use_non_holonomic=False, use_commanded_speed=False),
+}
+
+
+def given_state(data: Dataset) -> GivenState:
+    """The truth at the first frame, where a user asked for `--start given`."""
+    truth = data.truth()
+    if truth is None or truth.v_world is None or truth.gyro_bias is None or truth.accel_bias is None:
+        raise SystemExit(f"{data.path} has no true velocity and biases; use --start own")
+    i = int(np.argmin(np.abs(truth.t_robot_ns - data.frame_times_ns[0])))
+    T = truth.T_world_body[i]
+    return GivenState(0, T[:3, :3], truth.v_world[i], T[:3, 3], truth.gyro_bias[i], truth.accel_bias[i])
+
+
+def run_dataset(path: Path, label: str, config: UkfConfig, start: str, seed: int = 0) -> dict[str, object]:
+    """One drive, judged."""
+    data = open_dataset(path, None, None, 1)
+    row: dict[str, object] = {
+        "dataset": path.name,
+        "variant": label,
+        "start": start,
+        "frames": len(data.frame_times_ns),
+    }
+    camera = data.calibration.camera
+    shift_ns = (
+        0 if camera is None else round(1e9 * (camera.time_shift_s + 0.5 * (camera.height - 1) * camera.line_delay_s))
+    )
+    live_t, live_T, frame_s = [], [], []
+    cpu_begin = time.process_time()
+    try:
+        backend = UkfBackend(data.calibration, config, seed, given_state(data) if start == "given" else None)
+        for event in data.events():
+            if isinstance(event, ImuBatch):
+                backend.add_imu(event)
+            elif isinstance(event, DriveSample):
+                backend.add_drive(event)
+            else:
+                begin = time.process_time()
+                update = backend.add_frame(event)
+                frame_s.append(time.process_time() - begin)
+                if update.T_world_body is not None:
+                    live_t.append(event.t_robot_ns + shift_ns)
+                    live_T.append(update.T_world_body)
+        nav = backend.finish()
+    except RobotSystemError as exc:
+        return row | {"failed": str(exc)}
+    cpu = time.process_time() - cpu_begin
+    row |= {
+        "first_pose_s": round((live_t[0] - shift_ns - int(data.frame_times_ns[0])) * 1e-9, 2),
+        "lost_s": round(nav.report.tracking_lost_s, 2),
+        "keyframes": len(nav.keyframes),
+        "landmarks": len(nav.landmarks),
+        "cpu_ms_per_frame_p50_p99": [round(float(x), 1) for x in 1e3 * np.percentile(frame_s, [50, 99])],
+        "data_s_per_cpu_s": round(nav.report.duration_s / cpu, 2),
+        "messages": nav.report.messages,
+    }
+    truth = data.truth()
+    if truth is not None:
+        true_path = Trajectory(truth.t_robot_ns, truth.T_world_body)
+        for name, path_found in (("live", Trajectory(np.array(live_t), np.array(live_T))), ("final", nav.trajectory)):
+            row[f"ate_{name}_m"] = round(absolute_trajectory_error(path_found, true_path).rmse_m, 4)
+            scaled = absolute_trajectory_error(path_found, true_path, "sim3")
+            row[f"scale_{name}"] = round(scaled.alignment.scale, 4)
+        row["path_m"] = round(path_length(true_path), 2)
+        for delta_s in (1.0, 5.0):
+            if nav.report.duration_s > 1.5 * delta_s:
+                relative = relative_pose_error(nav.trajectory, true_path, delta_s)
+                row[f"rpe_{delta_s:.0f}s_m"] = round(relative.translation_rmse_m, 4)
+    return row
+
+
+def consistency_run(
+    label: str, config: FilterConfig, calibration: Calibration, seed: int, duration_s: float
+) -> dict[str, object]:
+    """One synthetic run: how well the filter knows its own error."""
+    assert calibration.imu is not None
+    imu, truth = sine_path(calibration, seed, duration_s)
+    frames = observe(calibration, truth, room_points(truth.x_world, seed), 1.0, seed, num_features=100)
+    buffer = ImuBuffer(calibration.imu)
+    buffer.add(imu)
+    rng = np.random.default_rng(seed + 1000)
+    sigma = np.array([0.01] * 3 + [0.05] * 3 + [0.01, 0.01, 1e-4] + [0.05] * 3 + [1e-4] * 3)
+    state = initial_state(
+        int(truth.t_ns[0]), truth.R_world_body[0], truth.v_world[0], truth.x_world[0],
+        truth.bias_gyro[0], truth.bias_accel[0], np.diag(sigma),
+    )  # fmt: skip
+    vio = VioFilter(calibration, config, retract(config.error, state, -sigma * rng.normal(size=15)))
+    nees, nis, dof, error = [], 0.0, 0, []
+    for k, frame in enumerate(frames):
+        result = vio.process_frame(buffer.segment(vio.state.t_imu_ns, int(truth.t_ns[k])), frame, k)
+        nis, dof = nis + result.nis, dof + result.nis_dof
+        s = vio.state
+        phi, xi = difference_group(config.error, s.R, s.x[None], truth.R_world_body[k], truth.x_world[k][None])
+        d = np.concatenate([phi, xi[0]])
+        rows = np.r_[PHI, XI_X]
+        nees.append(float(d @ np.linalg.solve(s.covariance[np.ix_(rows, rows)], d)))
+        error.append(float(np.linalg.norm(s.x - truth.x_world[k])))
+    return {
+        "variant": label,
+        "seed": seed,
+        "nees_mean": round(float(np.mean(nees)), 2),
+        "nees_in_95_band": round(float(np.mean(np.array(nees) < chi2.ppf(0.95, 6))), 3),
+        "nis_per_degree": round(nis / max(dof, 1), 3),
+        "rmse_m": round(float(np.sqrt(np.mean(np.square(error)))), 4),
+    }
+
+
+def points_run(
+    path: Path, label: str, config: FilterConfig, seed: int, start: str, sigma_px: float = 1.0
+) -> dict[str, object]:
+    """A recorded IMU with points projected along the true path: own start or given, no images involved."""
+    data = open_dataset(path, None, None, 1)
+    truth, noise, camera = data.truth(), data.calibration.imu, data.calibration.camera
+    assert truth is not None and noise is not None and camera is not None
+    imu = data.require_imu()
+    t = data.frame_times_ns
+    t = t[(t > truth.t_robot_ns[0]) & (t < truth.t_robot_ns[-1]) & (t > imu.t_robot_ns[0]) & (t < imu.t_robot_ns[-1])]
+    at = np.clip(np.searchsorted(truth.t_robot_ns, t), 0, len(truth) - 1)
+    T = truth.T_world_body[at]
+    nothing = np.zeros((len(t), 3))
+    true_path = TruePath(truth.t_robot_ns[at], T[:, :3, :3], T[:, :3, 3], nothing, nothing, nothing, nothing)
+    frames = observe(data.calibration, true_path, room_points(T[:, :3, 3], seed), sigma_px, seed)
+    buffer = ImuBuffer(noise)
+    buffer.add(imu)
+    times = true_path.t_ns
+    row: dict[str, object] = {
+        "dataset": path.name,
+        "variant": label,
+        "seed": seed,
+        "start": start,
+        "frames": len(frames),
+    }
+    vio: VioFilter | None = None
+    starter = Starter(
+        CameraModel.of(camera, config.sigma_px), noise, data.calibration.gravity, UkfConfig().start, config.error
+    )
+    if start == "given":
+        assert truth.v_world is not None and truth.gyro_bias is not None and truth.accel_bias is not None
+        i = at[0]
+        given = GivenState(
+            int(times[0]), T[0, :3, :3], truth.v_world[i], T[0, :3, 3], truth.gyro_bias[i], truth.accel_bias[i]
+        )
+        vio = VioFilter(data.calibration, config, state_from_given(given, config.error))
+    found_t, found_T = [], []
+    for k, frame in enumerate(frames):
+        if vio is None:
+            waiting = WaitingFrame(k, int(times[k]), frame, np.zeros(3), np.full(3, np.inf))
+            found = starter.try_start(waiting, buffer, is_resting(buffer, int(times[k]), frames, k), ORIGIN)
+            if isinstance(found, str):
+                row["waiting"] = found
+                continue
+            vio = VioFilter(data.calibration, config, found[0])
+            row["first_pose_s"] = round((int(times[k]) - int(times[0])) * 1e-9, 2)
+        else:
+            vio.process_frame(buffer.segment(vio.state.t_imu_ns, int(times[k])), frame, k)
+        found_t.append(int(times[k]))
+        found_T.append(vio.state.T_world_body)
+    if not found_t:
+        return row | {"failed": "never started"}
+    error = absolute_trajectory_error(Trajectory(np.array(found_t), np.array(found_T)), Trajectory(times, T))
+    return row | {"ate_live_m": round(error.rmse_m, 4), "path_m": round(path_length(Trajectory(times, T)), 1)}
+
+
+def is_resting(imu: ImuBuffer, t_ns: int, frames: tuple[object, ...], k: int) -> bool:
+    """Standstill by the IMU alone: half a second without turning (the backend also asks the image)."""
+    samples = imu.samples(t_ns - 500_000_000, t_ns)
+    if k < 10 or len(samples) < 20 or not frames:
+        return False
+    gyro: FloatArray = samples.gyro_imu - samples.gyro_imu.mean(axis=0)
+    return bool(gyro.std(axis=0).max() < 0.01 and samples.accel_imu.std(axis=0).max() < 0.1)
+
+
+def seeds(text: str) -> list[int]:
+    """`0-19` or `3,5,8`."""
+    if "-" in text:
+        first, last = text.split("-")
+        return list(range(int(first), int(last) + 1))
+    return [int(x) for x in text.split(",")]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["datasets", "variants", "wheels", "consistency", "points"])
+    parser.add_argument("paths", nargs="*", type=Path)
+    parser.add_argument("--start", action="append", choices=["own", "given"])
+    parser.add_argument("--seeds", default="0-0")
+    parser.add_argument("--runs", type=int, default=50)
+    parser.add_argument("--duration", type=float, default=20.0)
+    parser.add_argument("--variant", action="append", choices=list(VARIANTS))
+    args = parser.parse_args()
+    variants = {k: v for k, v in VARIANTS.items() if args.variant is None or k in args.variant}
+    starts = args.start or ["own"]
+    rows = []
+
+    def tell(row: dict[str, object]) -> None:
+        rows.append(row)
+        print(json.dumps(row, default=str), flush=True)
+
+    if args.what == "consistency":
+        noise = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
+        # A wider lens than the reference robot's, and a global shutter: as in the authors' comparison.
+        camera = msgspec.structs.replace(REFERENCE_CAMERA, fx=458.0, fy=457.0, line_delay_s=0.0, time_shift_s=0.0)
+        for seed in range(args.runs):
+            for label, config in variants.items():
+                tell(consistency_run(label, config, Calibration(camera=camera, imu=noise), seed, args.duration))
+        for label in variants:
+            chosen = [r for r in rows if r["variant"] == label]
+            mean = {key: round(float(np.mean([float(str(r[key])) for r in chosen])), 3) for key in FIGURES}
+            print(json.dumps({"summary": label, "runs": len(chosen), **mean}))
+        return 0
+    for path in args.paths:
+        if args.what == "datasets":
+            for start in starts:
+                tell(run_dataset(path, "right Lie UKF", UkfConfig(), start))
+        elif args.what == "variants":
+            for label, config in variants.items():
+                for start in starts:
+                    tell(run_dataset(path, label, UkfConfig(filter=config), start))
+        elif args.what == "wheels":
+            for label, wheels in WHEELS.items():
+                tell(run_dataset(path, label, UkfConfig(wheels=wheels), "own"))
+        else:
+            for start in starts:
+                for label, config in variants.items():
+                    for seed in seeds(args.seeds):
+                        tell(points_run(path, label, config, seed, start))
+    failed = sum("failed" in row for row in rows)
+    print(f"{len(rows)} runs, {failed} failed", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
