@@ -28,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.stop_chain import Chain, Page  # noqa: E402
+from shared import serial_protocol as sp  # noqa: E402
 from tests.emulator import board  # noqa: E402
 
 SERVER_BOUND_MS, PINS_BOUND_MS = 300.0, 500.0
@@ -122,7 +123,14 @@ FAULTS = [
     Fault("two drivers, both silent", 70, two_drivers),
     Fault("wall clock jumped, driver silent", 70, then_silent("clock 86400")),
 ]
-FIRMWARE_FAULTS = {"line silent": 60, "firmware hung, interrupts on": 40, "firmware hung, interrupts off": 40}
+FIRMWARE_FAULTS = {
+    "line silent": 150,
+    "only damaged frames": 150,
+    "flood of other frames": 100,
+    "hung, interrupts on": 100,
+    "hung, interrupts off": 100,
+    "I2C bus stuck, line silent": 100,
+}
 
 
 @dataclass
@@ -134,6 +142,7 @@ class Row:
     pins_ms: list[float] = field(default_factory=list)
     restarted: int = 0  # a motor started again after the fault
     failed: int = 0  # did not stop within GIVE_UP_S
+    slipped: int = 0  # the emulated board could not keep up with the clock meanwhile: its wall times are too long
 
     def summary(self) -> dict[str, object]:
         return {
@@ -145,6 +154,7 @@ class Row:
             "pins_p99_ms": percentile(self.pins_ms),
             "restarted": self.restarted,
             "never_stopped": self.failed,
+            "board_slipped": self.slipped,
         }
 
     @property
@@ -182,6 +192,7 @@ async def trial(chain: Chain, fault: Fault, row: Row, rng: random.Random) -> Non
         again = chain.pins_zero_ns(since_ns)
         row.restarted += again is None or abs(again - pins_ns) > 2_000_000
         row.pins_ms.append((pins_ns - since_ns) * 1e-6)
+        row.slipped += chain.slips_between(since_ns, pins_ns) > 0
         if server_ns is not None:
             row.server_ms.append((server_ns - since_ns) * 1e-6)
 
@@ -237,6 +248,22 @@ async def run_chain(work: list[Fault], rows: dict[str, Row], seed: int, progress
         await chain.close()
 
 
+def firmware_fault(name: str, at: float) -> list[tuple[float, str]]:
+    """Script lines that break something at a time, and mend it before the next."""
+    again = [at + 0.02 * k for k in range(50)]
+    if name == "only damaged frames":
+        bad = bytearray(sp.encode(sp.Drive(600, 600, 300)))
+        bad[3] ^= 0x10
+        return [(t, f"uart {bad.hex()}") for t in again]
+    if name == "flood of other frames":
+        return [(t, "uart " + sp.encode(sp.AskTime(1)).hex() * 40) for t in again]
+    if name.startswith("hung"):
+        return [(at, "hang off" if name.endswith("off") else "hang on")]
+    if name.startswith("I2C"):
+        return [(at, "bus_stuck -1"), (at + 0.9, "bus_stuck 0")]
+    return []
+
+
 def firmware_rows(scale: float, seed: int) -> list[Row]:
     """Faults at the firmware alone, in virtual time: exact, whatever this PC does meanwhile."""
     rng = random.Random(seed)
@@ -249,8 +276,7 @@ def firmware_rows(scale: float, seed: int) -> list[Row]:
             script += board.drive([start + 0.05 * k for k in range(6)], 600, 600, 300)
             at = start + 0.25 + 0.05 * rng.random()
             faults.append(at)
-            if "hung" in name:
-                script.append((at, "hang off" if name.endswith("off") else "hang on"))
+            script += firmware_fault(name, at)
         row = Row(f"firmware: {name}")
         with tempfile.TemporaryDirectory() as folder:
             run = board.batch(Path(folder), faults[-1] + 1.5, script)
@@ -270,13 +296,14 @@ def table(rows: list[Row]) -> str:
         return f"{value:.0f}" if isinstance(value, float) else "-"
 
     lines = [
-        "| fault | count | robot-server max | p99 | pins max | p99 | started again | never stopped |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| fault | count | robot-server max | p99 | pins max | p99 | started again | never stopped | board slipped |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
         s = row.summary()
         times = " | ".join(cell(s[k]) for k in ("server_max_ms", "server_p99_ms", "pins_max_ms", "pins_p99_ms"))
-        lines.append(f"| {s['fault']} | {s['count']} | {times} | {s['restarted']} | {s['never_stopped']} |")
+        ends = " | ".join(str(s[k]) for k in ("restarted", "never_stopped", "board_slipped"))
+        lines.append(f"| {s['fault']} | {s['count']} | {times} | {ends} |")
     return "\n".join(lines)
 
 
@@ -286,12 +313,13 @@ async def main() -> int:
     parser.add_argument("--chains", type=int, default=2, help="chains at once")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="faults whose name holds this")
+    parser.add_argument("--part", choices=("all", "chain", "firmware"), default="all", help="run one half by itself")
     options = parser.parse_args()
     if (reason := board.missing_reason()) is not None:
         print(f"bench_stop: {reason}", file=sys.stderr)
         return 1
     board.build()
-    faults = [f for f in FAULTS if options.only in f.name]
+    faults = [f for f in FAULTS if options.only in f.name and options.part != "firmware"]
     rows = {f.name: Row(f.name) for f in faults}
     work = [f for f in faults for _ in range(max(1, round(f.count * options.scale)))]
     random.Random(options.seed).shuffle(work)
@@ -305,9 +333,9 @@ async def main() -> int:
 
     for number in (signal.SIGTERM, signal.SIGINT):  # end with what there is, and leave no process behind
         asyncio.get_running_loop().add_signal_handler(number, work.clear)
-    chains = [run_chain(work, rows, options.seed * 1000 + i, progress) for i in range(options.chains)]
+    chains = [run_chain(work, rows, options.seed * 1000 + i, progress) for i in range(options.chains if work else 0)]
     await asyncio.gather(*chains)
-    everything = [*rows.values(), *(firmware_rows(options.scale, options.seed) if not options.only else [])]
+    everything = [*rows.values(), *(firmware_rows(options.scale, options.seed) if options.part != "chain" else [])]
     print(table(everything))
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=ROOT).stdout
     result = {
@@ -320,7 +348,8 @@ async def main() -> int:
     }
     folder = ROOT / "benchmarks" / "results"
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "stop.json").write_text(json.dumps(result, indent=1))
+    name = "stop.json" if options.part == "all" else f"stop_{options.part}.json"
+    (folder / name).write_text(json.dumps(result, indent=1))
     num = sum(len(row.pins_ms) + row.failed for row in everything)
     good = all(row.is_within_bounds for row in everything)
     print(f"{num} faults, {'all within' if good else 'NOT all within'} {SERVER_BOUND_MS:.0f}/{PINS_BOUND_MS:.0f} ms")

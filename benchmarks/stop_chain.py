@@ -187,6 +187,11 @@ class Chain:
                 last = event.t_ns
         return last
 
+    def slips_between(self, start_ns: int, end_ns: int) -> int:
+        """How often the board had to give up real time because this PC was busy."""
+        events = list(self.board.events)
+        return sum(e.text.startswith("slip ") and start_ns <= e.t_ns <= end_ns for e in events)
+
     def server_stop_ns(self, since_ns: int) -> int | None:
         """When robot-server told the motors to stop for good since a time; None while it has not."""
         calls = [line.split() for line in self.motor_log.read_text().splitlines()[-400:] if line.count(" ") == 1]

@@ -25,6 +25,7 @@ struct icm chip;
 struct options options;
 
 static const int FREQUENCY = 16000000;
+static const uint64_t SLIP_NS = 20000000;
 static int quit = 0;
 static int want_reset = 0;
 static int resets = -1; /* the first is power on */
@@ -200,8 +201,13 @@ static avr_cycle_count_t each_millisecond(struct avr_t *a, avr_cycle_count_t whe
     if (due > now) {
       const struct timespec t = {0, (long)(due - now)};
       nanosleep(&t, NULL);
-    } else if (now - due > late_max_ns) {
-      late_max_ns = now - due;
+    } else {
+      if (now - due > late_max_ns) late_max_ns = now - due;
+      if (now - due > SLIP_NS) {
+        /* This PC was too busy: say so and go on from here. Hurrying to catch up would shorten every time that follows. */
+        event("slip %llu", (unsigned long long)((now - due) / 1000000));
+        start_wall_ns += now - due;
+      }
     }
   }
   if (options.seconds > 0 && now_us() >= options.seconds * 1e6) quit = 1;
