@@ -80,13 +80,13 @@ class Page:
     def __init__(self, address: str, name: str, linear: float) -> None:
         self._address, self._name, self._linear = address, name, linear
         self._socket: websockets.ClientConnection | None = None
-        self._task: asyncio.Task[None] | None = None
+        self._tasks: list[asyncio.Task[None]] = []
         self.holds = False
         self.refused = 0
 
     async def open(self) -> None:
         self._socket = await websockets.connect(f"{self._address}/ws/drive?driver={self._name}")
-        self._task = asyncio.create_task(self._hold(self._socket))
+        self._tasks = [asyncio.create_task(self._hold(self._socket)), asyncio.create_task(self._hear(self._socket))]
 
     async def _hold(self, socket: websockets.ClientConnection) -> None:
         seq = 0
@@ -96,11 +96,12 @@ class Page:
                     seq += 1
                     command = {"type": "drive", "seq": seq, "linear": self._linear, "angular": 0.0, "ttl_ms": 250}
                     await socket.send(json.dumps(command))
-                with contextlib.suppress(TimeoutError):
-                    while True:
-                        answer = json.loads(await asyncio.wait_for(socket.recv(), 0.0005))
-                        self.refused += answer["type"] == "refused"
                 await asyncio.sleep(REPEAT_S)
+
+    async def _hear(self, socket: websockets.ClientConnection) -> None:
+        with contextlib.suppress(websockets.ConnectionClosed):
+            async for answer in socket:
+                self.refused += json.loads(answer)["type"] == "refused"
 
     def vanish(self) -> None:
         """The tab is closed: the connection ends without a word."""
@@ -109,15 +110,10 @@ class Page:
             self._socket.transport.abort()
 
     async def close(self) -> None:
-        self.holds = False
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
-        if self._socket is not None:
-            self._socket.transport.abort()
-            with contextlib.suppress(Exception):
-                await self._socket.wait_closed()
+        self.vanish()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
 
 
 class Chain:

@@ -329,9 +329,9 @@ int main(int argc, char **argv) {
     }
   }
   printf("{\"virtual_s\": %.6f, \"samples\": %llu, \"bytes_out\": %llu, \"bytes_in\": %llu, \"bytes_lost\": %llu, \"resets\": %d, "
-         "\"stack_free\": %d, \"left\": %d, \"right\": %d, \"late_max_ms\": %.1f}\n",
+         "\"stack_free\": %d, \"left\": %d, \"right\": %d, \"late_max_ms\": %.1f, \"least_delay_us\": %.0f}\n",
          now_us() / 1e6, (unsigned long long)chip.samples, (unsigned long long)bytes_out, (unsigned long long)bytes_in,
-         (unsigned long long)bytes_lost, resets, painted_bytes(), duty_left, duty_right, (double)late_max_ns / 1e6);
+         (unsigned long long)bytes_lost, resets, painted_bytes(), duty_left, duty_right, (double)late_max_ns / 1e6, least_delay_us);
   serial_close();
   return quit == 1 ? 0 : quit;
 }

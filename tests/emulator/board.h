@@ -23,12 +23,13 @@ void event(const char *format, ...); /* one line on stdout: E virtual_us wall_ns
 
 /* i2c.c */
 extern int bus_stuck_pulses; /* clocks until the slave lets SDA go; 0: free, negative: never */
+extern double last_ready_us;
 void i2c_attach(void);
 void i2c_schedule_sample(void);
 void i2c_reset(void); /* after the MCU's */
 
 /* serial.c */
-extern double corrupt_rate;
+extern double corrupt_rate, least_delay_us;
 void serial_attach(void);
 void serial_send(const uint8_t *bytes, int count); /* to the Mega */
 void serial_poll(void);

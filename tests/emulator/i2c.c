@@ -13,6 +13,7 @@ static const avr_cycle_count_t EXTRA_CYCLES = 216; /* 9 bits of 1.5 us */
 static const avr_cycle_count_t PULSE_CYCLES = 800; /* 50 us */
 
 int bus_stuck_pulses = 0;
+double last_ready_us = 0;
 
 static avr_irq_t *twi_in, *int_pin;
 static avr_io_write_t real_twcr_write, real_ddrd_write;
@@ -105,6 +106,7 @@ static avr_cycle_count_t on_sample(struct avr_t *a, avr_cycle_count_t when, void
   (void)param;
   if (icm_next_us(&chip) > now_us() + 0.1) return 0;
   if (icm_sample(&chip)) {
+    last_ready_us = now_us();
     avr_raise_irq(int_pin, 1);
     avr_cycle_timer_register(a, PULSE_CYCLES, end_pulse, NULL);
   }

@@ -13,6 +13,7 @@
 #include "board.h"
 
 double corrupt_rate = 0;
+double least_delay_us = 1e9; /* from data ready to an IMU frame's last byte */
 uint64_t bytes_out, bytes_lost, bytes_in;
 
 enum { QUEUE = 1 << 16 };
@@ -35,6 +36,12 @@ static void on_output(struct avr_irq_t *irq, uint32_t value, void *param) {
   (void)param;
   const uint8_t byte = maybe_corrupt((uint8_t)value);
   ++bytes_out;
+  static int length = 0;
+  ++length;
+  if ((uint8_t)value == 0) {
+    if (length == 37 && now_us() - last_ready_us < least_delay_us) least_delay_us = now_us() - last_ready_us;
+    length = 0;
+  }
   if (out_file) {
     fputc(byte, out_file);
     return;

@@ -58,7 +58,8 @@ class PiCamera:
         self._waiter = (asyncio.get_running_loop(), event)
         try:
             while (frame := self._take()) is None:
-                await asyncio.wait_for(event.wait(), SILENCE_S)
+                async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
+                    await event.wait()
                 event.clear()
         except TimeoutError:
             raise DeviceLost(self._why_silent()) from None

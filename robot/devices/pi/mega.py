@@ -35,6 +35,7 @@ logger = logging.getLogger(__name__)
 HELLO_TIMEOUT_S = 6.0  # the bootloader waits up to two seconds after the reset that opening the port causes
 ASK_PERIOD_S = 0.5
 REOPEN_PERIOD_S = 0.5
+LONGEST_READ_S = 0.05  # a line's read waits no longer
 SILENCE_S = 1.0  # the firmware reports ten times a second
 MAX_READINGS = 225  # a second's worth, as the port says
 
@@ -71,7 +72,6 @@ class Mega:
         self.lost: str = ""  # why nothing comes at present, in a sentence
         self.restarts = 0  # how often the firmware started anew under us
         self._reported = threading.Event()
-        self._heard_ns = now_ns()
         self._connect()
         self._thread = threading.Thread(target=self._run, name="mega", daemon=True)
         self._thread.start()
@@ -113,7 +113,8 @@ class Mega:
         try:
             while not (readings := self.take_readings()):
                 try:
-                    await asyncio.wait_for(event.wait(), SILENCE_S)
+                    async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
+                        await event.wait()
                 except TimeoutError:
                     raise DeviceLost(self._why_silent()) from None
                 event.clear()
@@ -178,18 +179,20 @@ class Mega:
         self._decoder = decoder
         self._clock = MegaClock()
         self._sequence_offset = None
-        self._heard_ns = self._now_ns()
         with self._write_lock:
             self._line = line
             self.lost = ""
 
     def _run(self) -> None:
+        silent_s = 0.0
         while not self._closed.is_set():
             line = self._line
             if line is None:
                 self._closed.wait(REOPEN_PERIOD_S)
                 self._try_reconnect()
+                silent_s = 0.0
                 continue
+            read_ns = self._now_ns()
             try:
                 data = line.read()
             except DeviceLost as exc:
@@ -197,12 +200,14 @@ class Mega:
                     self._drop(str(exc))
                 continue
             now_ns = self._now_ns()
+            # When this whole process stood still, the Mega was not silent: one read counts no longer than it may wait.
+            silent_s += min((now_ns - read_ns) * 1e-9, LONGEST_READ_S)
             for payload in self._decoder.receive(data):
                 message = parse(payload)
                 if message is not None:
-                    self._heard_ns = now_ns
+                    silent_s = 0.0
                     self._sort(line, message, now_ns)
-            if now_ns - self._heard_ns > SILENCE_S * 1e9:
+            if silent_s > SILENCE_S:
                 with self._write_lock:
                     self._drop(f"the Mega has said nothing for {SILENCE_S:.0f} s")
 

@@ -9,7 +9,7 @@ import serial
 from shared.errors import DeviceLost, DeviceUnavailable
 from shared.serial_protocol import BAUD_RATE
 
-READ_TIMEOUT_S = 0.05
+READ_TIMEOUT_S = 0.05  # of one read
 
 
 class SerialLine(Protocol):
