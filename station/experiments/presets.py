@@ -51,7 +51,8 @@ def make_dataset(arguments: tuple[str, ...], folder: Path, say: Callable[[str], 
     say(f"simulating {folder.name}")
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = folder.with_name(f".{folder.name}.new")
-    shutil.rmtree(scratch, ignore_errors=True)
+    for leftover in folder.parent.glob(f"{scratch.name}*"):  # of a run that was killed
+        shutil.rmtree(leftover, ignore_errors=True)
     try:
         done = subprocess.run(  # our own program, arguments from this file
             [sys.executable, "-m", "robot.simulation.cli", *arguments, "--out", str(scratch)],
