@@ -297,7 +297,7 @@ class Drives:
                 await running.beginning
             folder = self.library.navigation_folder(drive.id)
             report = await running.worker.call("finish", drive.id, folder)
-            navigation = await asyncio.to_thread(load_navigation, folder)
+            finished = await asyncio.to_thread(_view_of, folder)
             drive = replace(
                 drive,
                 state="ready",
@@ -306,7 +306,7 @@ class Drives:
                 message="; ".join(report.messages) or f"{report.landmarks} landmarks",
             )
             if self.live is running.live:
-                self.live = LiveSlam.of_finished(navigation, f"finished: {report.landmarks} landmarks")
+                self.live = finished
             self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
         except RobotSystemError as exc:
             drive = replace(drive, state="failed", message=running.died or str(exc))
@@ -354,3 +354,9 @@ class Drives:
 
     def _tell(self, drive: DriveRecord) -> None:
         self._events.changed("navigation", drive, drive.id)
+
+
+def _view_of(folder: Path) -> LiveSlam:
+    """What a finished navigation shows."""
+    navigation = load_navigation(folder)
+    return LiveSlam.of_finished(navigation, f"finished: {len(navigation.landmarks)} landmarks")
