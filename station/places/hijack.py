@@ -56,11 +56,11 @@ class HijackConfig:
     view_stays: int = 25
     view_turn_rad: float = 0.25
     view_gap_s: float = 3.0
-    jump_m: float = 0.8
-    jump_share: float = 0.2  # of the way driven since the last localisation
+    jump_m: float = 1.2
+    jump_share: float = 0.3  # of the way driven since the last localisation
     jump_speed_m_s: float = 0.6  # where nothing tells the way
     jump_rad: float = 0.7
-    jump_inliers: int = 25
+    jump_inliers: int = 40
 
 
 class HijackDetector:
