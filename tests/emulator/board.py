@@ -72,7 +72,7 @@ def batch(folder: Path, seconds: float, script: list[tuple[float, str]] | None =
         [BOARD, "--elf", ELF, "--out", out, "--pins", pins, "--script", script_file, "--seconds", str(seconds)],
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=240 + 20 * seconds,  # a busy PC runs the board slower than real time
     )
     assert run.returncode == 0, run.stdout + run.stderr
     lines = run.stdout.splitlines()

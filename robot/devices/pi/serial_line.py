@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Protocol
 
 import serial
@@ -33,8 +34,9 @@ class PySerialLine:
         try:
             self._tty = serial.Serial(path, BAUD_RATE, timeout=READ_TIMEOUT_S, write_timeout=0, exclusive=True)
         except (OSError, serial.SerialException) as exc:
+            why = str(exc) if Path(path).exists() else "no such device"
             raise DeviceUnavailable(
-                f"the Mega's serial port {path} cannot be opened ({exc}); check the USB cable, `pi.serial_port` and"
+                f"the Mega's serial port {path} cannot be opened ({why}); check the USB cable, `pi.serial_port` and"
                 " that the user is in the group dialout"
             ) from exc
 
