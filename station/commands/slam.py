@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -19,6 +21,17 @@ from station.navigation_files import save_navigation
 from station.slam.backend import SlamBackend, SlamUpdate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from station.slam.ukf.start import GivenState
+
+
+class Landmarks(StrEnum):
+    default = "default"
+    thesis = "thesis"
+
+
+class InitialState(StrEnum):
+    own = "own"
+    given = "given"
 
 
 def register(app: typer.Typer) -> None:
@@ -34,19 +47,46 @@ def slam(
     step: Annotated[int, typer.Option(help="Use every step-th frame.")] = 1,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
+    landmarks: Annotated[
+        Landmarks, typer.Option(help="thesis: keep each landmark as it first entered the filter (ukf).")
+    ] = Landmarks.default,
+    initial_state: Annotated[
+        InitialState, typer.Option(help="given: start from the dataset's true state instead of by itself (ukf).")
+    ] = InitialState.own,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object on stdout.")] = False,
 ) -> None:
     """Reconstruct trajectory and landmarks of one recorded drive."""
     data = open_dataset(dataset, first, last, step)
     if not data.has_images:
         raise DataError(f"{dataset} holds no camera images; choose a dataset with images")
-    running = make_backend(backend, data.calibration, seed, threads, data.intrinsics_known)
+    given = given_state(data) if initial_state is InitialState.given else None
+    running = make_backend(
+        backend,
+        data.calibration,
+        seed,
+        threads,
+        data.intrinsics_known,
+        "thesis" if landmarks is Landmarks.thesis else "default",
+        given,
+    )
     nav = run_with_progress(running, data)
     save_navigation(nav, out)
     if as_json:
         print(json.dumps({"out": str(out), **msgspec.to_builtins(nav.report)}, default=str))
     else:
         print(summary(nav, out))
+
+
+def given_state(data: Dataset) -> GivenState:
+    """The dataset's true state at its first frame. Raises DataError where the truth has no velocity and biases."""
+    truth = data.truth()
+    if truth is None or truth.v_world is None or truth.gyro_bias is None or truth.accel_bias is None:
+        raise DataError(f"{data.path} has no true velocity and biases; leave --initial-state at own")
+    i = int(np.argmin(np.abs(truth.t_robot_ns - data.frame_times_ns[0])))
+    T = truth.T_world_body[i]
+    return GivenState(
+        int(truth.t_robot_ns[i]), T[:3, :3], truth.v_world[i], T[:3, 3], truth.gyro_bias[i], truth.accel_bias[i]
+    )
 
 
 def run_with_progress(backend: SlamBackend, data: Dataset) -> Navigation:

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Literal
+
 from shared.calibration import Calibration
 from shared.errors import ConfigError
 from station.slam.backend import SlamBackend
+
+if TYPE_CHECKING:
+    from station.slam.ukf.start import GivenState
 
 BACKENDS = ("sfm", "ukf")
 
 
 def make_backend(
-    name: str, calibration: Calibration, seed: int = 0, threads: int = -1, intrinsics_known: bool = True
+    name: str,
+    calibration: Calibration,
+    seed: int = 0,
+    threads: int = -1,
+    intrinsics_known: bool = True,
+    landmarks: Literal["default", "thesis"] = "default",
+    initial_state: GivenState | None = None,
 ) -> SlamBackend:
     """A fresh backend for one navigation.
 
@@ -19,9 +30,13 @@ def make_backend(
         seed: of everything random in it.
         threads: 1 makes runs repeatable where threads would not be; -1 uses all cores.
         intrinsics_known: False where the camera's numbers are only a guess (refined where the backend can).
+        landmarks: ukf only: "thesis" keeps each landmark as it first entered the filter.
+        initial_state: ukf only: start from this state instead of by itself.
     Raises:
         ConfigError: unknown name, a library that is missing, or a calibration that the backend cannot use.
     """
+    if name != "ukf" and (landmarks != "default" or initial_state is not None):
+        raise ConfigError(f"backend {name} has no thesis landmarks and no initial state; use --backend ukf for them")
     try:
         if name == "sfm":
             from station.slam.sfm.backend import SfmBackend
@@ -30,8 +45,9 @@ def make_backend(
             return SfmBackend(calibration, SfmConfig(seed=seed, threads=threads), intrinsics_known)
         if name == "ukf":
             from station.slam.ukf.backend import UkfBackend
+            from station.slam.ukf.config import UkfConfig
 
-            return UkfBackend(calibration, seed=seed)
+            return UkfBackend(calibration, UkfConfig(landmarks=landmarks), seed, initial_state)
     except ImportError as exc:
         raise ConfigError(
             f"backend {name} needs {exc.name}, which is not installed; run: pip install 'sentinel-robot[station]'"

@@ -113,8 +113,10 @@ class Tracker:
         predicted_xy, in_front = self._rotate(self._xy, R_prev_cur.T)
         predicted_uv = np.where(in_front[:, None], self.lens.project(predicted_xy), self._uv)
         old = self._uv.astype(np.float32).reshape(-1, 1, 2)
-        new, found = _flow(previous, grey, old, predicted_uv.astype(np.float32).reshape(-1, 1, 2), config)
-        back, found_back = _flow(grey, previous, new, old.copy(), config)
+        new, found = _flow(
+            previous, grey, old, predicted_uv.astype(np.float32).reshape(-1, 1, 2), config, config.pyramid_levels
+        )
+        back, found_back = _flow(grey, previous, new, old.copy(), config, 1)  # starts at its goal: needs no reach
         distance = np.linalg.norm((back - old).reshape(-1, 2), axis=1)
         uv = np.asarray(new, dtype=np.float64).reshape(-1, 2)
         good = found & found_back & (distance < config.forward_backward_px) & np.isfinite(uv).all(axis=1)
@@ -157,12 +159,13 @@ def _flow(
     points: PointsArray,
     start: PointsArray,
     config: TrackerConfig,
+    levels: int,
 ) -> tuple[PointsArray, BoolArray]:
     """Lucas-Kanade from image a to b, starting at `start`."""
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
         a, b, points, start.copy(),
         winSize=(config.window_px, config.window_px),
-        maxLevel=config.pyramid_levels,
+        maxLevel=levels,
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-4,

@@ -14,7 +14,7 @@ def epipolar_inliers(
     R_a_b: FloatArray,
     threshold: float,
     rng: np.random.Generator,
-    num_hypotheses: int = 64,
+    num_hypotheses: int = 32,
 ) -> BoolArray:
     """Which correspondences agree with one translation direction, given the rotation (2-point RANSAC).
 
@@ -46,7 +46,7 @@ def epipolar_inliers(
     t = t[norm > 1e-15] / norm[norm > 1e-15, None]
     if not len(t):
         return ~behind & (np.linalg.norm(a - b, axis=1) < threshold)
-    inliers = _line_distance(a, b, t) < threshold
+    inliers = _line_distance(normals, b, t) < threshold
     best = int(np.argmax(inliers.sum(axis=1)))
     # One refit on the inliers: the least-squares direction is the smallest singular vector of their normals.
     refit = (
@@ -54,12 +54,16 @@ def epipolar_inliers(
         if inliers[best].sum() >= 3
         else t[best][None]
     )
-    refined = _line_distance(a, b, refit)[0] < threshold
+    refined = _line_distance(normals, b, refit)[0] < threshold
     chosen = refined if refined.sum() >= inliers[best].sum() else inliers[best]
     return chosen & ~behind
 
 
-def _line_distance(a: FloatArray, b: FloatArray, t: FloatArray) -> FloatArray:
-    """(H, N) distance of points a (N, 3) to the lines through b (N, 3) and the epipoles t (H, 3)."""
-    lines = np.cross(t[:, None, :], b[None])
-    return np.abs(np.einsum("hnk,nk->hn", lines, a)) / np.maximum(np.linalg.norm(lines[..., :2], axis=-1), 1e-12)
+def _line_distance(normals: FloatArray, b: FloatArray, t: FloatArray) -> FloatArray:
+    """(H, N) distance of points a to the lines through b (N, 3; b_z = 1) and the epipoles t (H, 3).
+
+    The line is t x b, and a . (t x b) = -t . (a x b), with normals = a x b (N, 3).
+    """
+    line_x = t[:, 1:2] - t[:, 2:] * b[:, 1]
+    line_y = t[:, 2:] * b[:, 0] - t[:, :1]
+    return np.abs(t @ normals.T) / np.maximum(np.sqrt(line_x * line_x + line_y * line_y), 1e-12)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import scipy
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, DataError, EstimationError
@@ -58,6 +58,7 @@ class UkfBackend:
         if calibration.imu is None:
             raise ConfigError("the ukf backend needs an IMU, and the calibration has none; use --backend sfm")
         cv2.setNumThreads(1)  # order of additions, hence every last bit, must not depend on the machine
+        self._blas = ThreadpoolController()  # the same for BLAS
         self._calibration = calibration
         self._config = config or UkfConfig()
         self._seed = seed
@@ -102,7 +103,7 @@ class UkfBackend:
 
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
         """Take one frame in. Raises ConfigError when the image has another size than the calibration's."""
-        with threadpool_limits(limits=1):
+        with self._blas.limit(limits=1):
             return self._add_frame(frame)
 
     def _add_frame(self, frame: ImageFrame) -> SlamUpdate:
@@ -365,7 +366,7 @@ class UkfBackend:
 
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
-        with threadpool_limits(limits=1):
+        with self._blas.limit(limits=1):
             return self._finish()
 
     def _finish(self) -> Navigation:

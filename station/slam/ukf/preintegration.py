@@ -70,24 +70,22 @@ def preintegrate(imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> Preinteg
 
 def _covariance(Rs: FloatArray, imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> FloatArray:
     """(9, 9) of (phi on the right, v, p). Forster et al., eq. A.9."""
-    P = np.zeros((9, 9))
-    density = np.array([noise.gyro_density, noise.accel_density])
     turn = (imu.gyro - bias[:3]) * imu.dt_s[:, None]
-    back = np.swapaxes(lie.so3_exp(turn), 1, 2)
-    Jr = lie.so3_left_jacobian(-turn)
-    force = lie.skew(imu.accel - bias[3:])
-    for k, dt in enumerate(imu.dt_s):
-        A = np.eye(9)
-        A[:3, :3] = back[k]
-        A[3:6, :3] = -dt * Rs[k] @ force[k]
-        A[6:, :3] = 0.5 * dt * A[3:6, :3]
-        A[6:, 3:6] = dt * np.eye(3)
-        B = np.zeros((9, 6))
-        B[:3, :3] = Jr[k]
-        B[3:6, 3:] = Rs[k]
-        B[6:, 3:] = 0.5 * dt * Rs[k]
-        q = np.repeat(np.square(density * imu.noise_scale[k]), 3) * dt
-        P = A @ P @ A.T + (B * q) @ B.T
+    dt = imu.dt_s[:, None, None]
+    A = np.broadcast_to(np.eye(9), (len(turn), 9, 9)).copy()
+    A[:, :3, :3] = np.swapaxes(lie.so3_exp(turn), 1, 2)
+    A[:, 3:6, :3] = -dt * (Rs[:-1] @ lie.skew(imu.accel - bias[3:]))
+    A[:, 6:, :3] = 0.5 * dt * A[:, 3:6, :3]
+    A[:, 6:, 3:6] = dt * np.eye(3)
+    B = np.zeros((len(turn), 9, 6))
+    B[:, :3, :3] = lie.so3_left_jacobian(-turn)
+    B[:, 3:6, 3:] = Rs[:-1]
+    B[:, 6:, 3:] = 0.5 * dt * Rs[:-1]
+    density = np.repeat(np.array([noise.gyro_density, noise.accel_density]) * imu.noise_scale, 3, axis=1)
+    Q = (B * (density**2 * imu.dt_s[:, None])[:, None, :]) @ np.swapaxes(B, 1, 2)
+    P = np.zeros((9, 9))
+    for step, added in zip(A, Q, strict=True):
+        P = step @ P @ step.T + added
     P[6:, 6:] += np.eye(3) * 1e-12
     return P + np.eye(9) * 1e-14
 
