@@ -21,7 +21,7 @@ PointsArray = npt.NDArray[np.float32]  # (N, 1, 2), OpenCV's shape of points
 class TrackerConfig:
     """Front end's settings; pixels refer to the image as delivered."""
 
-    num_features: int = 180
+    num_features: int = 150
     cell_px: int = 32  # one new corner per empty cell of this size
     min_response: float = 3e-4  # Shi-Tomasi eigenvalue below which a corner is noise
     window_px: int = 17  # Lucas-Kanade

@@ -1,10 +1,10 @@
 """IMU propagation: exact mean per sample, sigma points for the rest (docs/slam.md, sec. 2; thesis eqs. B.7-B.10, B.13).
 
 The right-invariant error of the group part propagates exactly linearly, whatever its size (log-linear property:
-Barrau and Bonnabel, IEEE TAC 62(4), 2017, theorem 2). Only biases enter non-linearly. With S lower triangular and the
-biases in its first rows, the first six columns carry all of the bias uncertainty: those are the sigma points that
-matter, 2 x 6 instead of 2 x (15 + 6m + 3p). Every other column is mapped by the closed form. The left-invariant and
-plain errors have no such property: there the first 15 columns become sigma points.
+Barrau and Bonnabel, IEEE TAC 62(4), 2017, theorem 2). Only biases enter non-linearly. The columns of S are rotated so
+that only the first six move the biases, which stand in its first rows: those six are the sigma points that matter, 2 x 6
+instead of 2 x (15 + 6m + 3p). Every other column is mapped by the closed form. The left-invariant and plain errors have
+no such property: there the first 15 columns become sigma points.
 """
 
 from __future__ import annotations
@@ -87,7 +87,10 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
     """The state at the end of the segment."""
     if len(imu.dt_s) == 0:
         return state
-    L = triangular(state.S)
+    if config.error is not ErrorKind.RIGHT:
+        L = triangular(state.S)
+    else:
+        L = bias_first(state.S) if config.use_sigma_points else state.S
     spread = config.spread
     is_right = config.error is ErrorKind.RIGHT
     active = 0 if not config.use_sigma_points else (6 if is_right else CORE)
@@ -153,6 +156,18 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
         S=triangular(np.concatenate(columns, axis=1)),
         omega_body=imu.end_gyro - state.bias_gyro,
     )
+
+
+def bias_first(S: FloatArray) -> FloatArray:
+    """The same square root with zeros right of the diagonal in its six bias rows: six Householder reflections."""
+    S = S.copy()
+    for row in range(6):
+        v = S[row, row:].copy()
+        v[0] += np.copysign(np.linalg.norm(v), v[0])
+        size = float(v @ v)
+        if size > 0.0:
+            S[:, row:] -= np.outer(S[:, row:] @ v, v * (2.0 / size))
+    return S
 
 
 def _landmark_rows(p: FloatArray, phi_columns: FloatArray) -> FloatArray:
