@@ -84,6 +84,7 @@ def test_real_standstill_does_not_drift() -> None:
     data = open_dataset(DATA / "euroc_v1_01_static", None, None, 1)
     nav, updates = run(data, UkfBackend(data.calibration))
     assert ate(live(updates), data) <= 0.005
+    assert ate(nav.trajectory, data) <= 0.005
     T = nav.trajectory.T_world_body
     turn = np.degrees(np.arccos(np.clip(0.5 * (np.trace(T[0, :3, :3].T @ T[-1, :3, :3]) - 1.0), -1.0, 1.0)))
     assert turn <= 0.3

@@ -2,7 +2,7 @@
 
 The right-invariant error of the group part propagates exactly linearly, whatever its size (log-linear property:
 Barrau and Bonnabel, IEEE TAC 62(4), 2017, theorem 2). Only biases enter non-linearly. The columns of S are rotated so
-that only the first six move the biases, which stand in its first rows: those six are the sigma points that matter, 2 x 6
+that only the first six move the biases, which stand in its first rows: those are the sigma points that matter, 2 x 6
 instead of 2 x (15 + 6m + 3p). Every other column is mapped by the closed form. The left-invariant and plain errors have
 no such property: there the first 15 columns become sigma points.
 """

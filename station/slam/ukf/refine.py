@@ -25,6 +25,7 @@ MAX_TRACKS = 150
 MIN_KEYFRAMES = 4
 MIN_POINTS = 20
 MAX_RMS = 3.0  # whitened
+MAX_DEPTH_SIGMA = 0.3  # relative; a window without enough such points has no parallax to refine by
 
 
 def refine_segment(
@@ -95,7 +96,8 @@ def _refine_window(
         sigma_v_body=np.array([(w or nothing)[1] for w in wheels]) if has_wheels else None,
     )
     solution = solve_window(camera, noise, gravity, states, links, tracks.uv_px, tracks.xy, tracks.seen, prior)
-    if solution.points.is_good.sum() < MIN_POINTS or solution.rms > MAX_RMS or not solution.has_converged:
+    known = solution.points.is_good & (solution.points.depth_sigma < MAX_DEPTH_SIGMA)
+    if known.sum() < MIN_POINTS or solution.rms > MAX_RMS or not solution.has_converged:
         raise DegenerateGeometry("the features show too little parallax")
     s = solution.states
     refined = [replace(k, T_world_body=se3(s.R[i], s.x[i]), v_world=s.v[i], bias=s.bias[i]) for i, k in enumerate(part)]
