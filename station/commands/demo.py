@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
@@ -12,6 +14,10 @@ import typer
 
 def register(app: typer.Typer) -> None:
     app.command()(demo)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 def demo(
@@ -30,6 +36,7 @@ def demo(
     def say(text: str) -> None:
         print(f"[{time.monotonic() - begin:5.1f} s] {text}", flush=True)
 
+    signal.signal(signal.SIGTERM, _interrupt)  # like Ctrl-C: the robot's motors stop before anything else ends
     try:
         passed = run_demo(DemoOptions(seed, once, port, world, backend, out), say)
     except KeyboardInterrupt:
