@@ -81,6 +81,8 @@ def run_demo(options: DemoOptions, say: Say) -> bool:
                 wait_for_slam(demo, navigation1)
             with timings.step("map"):
                 places = build_map(demo, navigation1)
+            with timings.step("localisation"):
+                wait_for_localisation(demo)
             with timings.step("navigation2"):
                 put_down_ns, samples = hijack_and_drive_again(demo)
             trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
@@ -179,6 +181,13 @@ def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
         x, y, _ = place["centroid_map"]
         demo.say(f"    {place['name']:12s} {place['landmarks']:5d} landmarks at ({x:+.1f}, {y:+.1f}) m")
     return places
+
+
+def wait_for_localisation(demo: Demo) -> None:
+    """Wait until pictures are looked for in the map; says where the robot is before anybody moves it."""
+    get = demo.station.get
+    wait_for(demo.programs, "localisation", lambda: get("/place/current")["t_robot_ns"] is not None, MAP_TIMEOUT_S)
+    ask(demo, told="")
 
 
 def hijack_and_drive_again(demo: Demo) -> tuple[int, list[Sample]]:
