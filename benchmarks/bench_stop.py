@@ -66,7 +66,7 @@ def killing(who: str, number: int) -> Inject:
 
 
 async def loop_blocked(chain: Chain, rng: random.Random) -> int:
-    await chain.tell_robot(f"{rng.choice(['block', 'sleep'])} 1.5")
+    await chain.tell_robot(f"{rng.choice(['block', 'sleep'])} 4")
     return time.monotonic_ns()
 
 
