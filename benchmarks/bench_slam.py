@@ -22,6 +22,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from scipy.stats import chi2
+from threadpoolctl import threadpool_limits
 
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.errors import RobotSystemError
@@ -284,4 +285,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    with threadpool_limits(limits=1):  # small matrices: more threads only wait for each other
+        raise SystemExit(main())
