@@ -9,6 +9,7 @@ import platform
 from dataclasses import asdict, replace
 
 import cv2
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import scipy
@@ -453,7 +454,7 @@ class UkfBackend:
                 "scipy": scipy.__version__,
                 "opencv": cv2.__version__,
             },
-            config=asdict(self._config),
+            config=msgspec.to_builtins(asdict(self._config)),
             messages=tuple(messages),
         )
 
