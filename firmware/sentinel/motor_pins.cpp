@@ -17,12 +17,13 @@ const uint8_t TIMER_STANDS_4 = _BV(WGM43) | _BV(WGM42);
 inline void put(uint16_t permille, volatile uint8_t& tccr_a, uint8_t com, volatile uint16_t& ocr, volatile uint8_t& port,
                 uint8_t bit) {
   if (permille == 0 || permille >= sentinel::FULL) {
+    // First off the timer, then the level: its last edge must not come after it (bench_stop saw one in 80 in the emulator).
+    tccr_a &= static_cast<uint8_t>(~com);
     if (permille == 0) {
       port &= static_cast<uint8_t>(~bit);
     } else {
       port |= bit;
     }
-    tccr_a &= static_cast<uint8_t>(~com);
   } else {
     ocr = static_cast<uint16_t>(static_cast<uint32_t>(permille) * (PWM_TOP + 1) / 1000 - 1);
     tccr_a |= com;

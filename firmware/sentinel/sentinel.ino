@@ -168,6 +168,8 @@ void setup() {
   EIMSK |= _BV(INT4);
   wdt_enable(WDTO_120MS);
   set_sleep_mode(SLEEP_MODE_IDLE);
+  const uint8_t delimiter = 0;  // ends what the reset or the bootloader left half said, or it would swallow the hello
+  uart_send(&delimiter, 1);
   send_hello();
 }
 
