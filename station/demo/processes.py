@@ -37,8 +37,14 @@ class Programs:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for name in reversed(list(self._running)):
-            self.end(name)
+        # A second Ctrl-C must not leave programs behind: ending them is bounded in time.
+        before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            for name in reversed(list(self._running)):
+                self.end(name)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def start(self, name: str, module: str, *arguments: str) -> None:
         """Run `python -m module arguments` with its output in LOG_DIR/name.log."""
@@ -73,6 +79,10 @@ class Programs:
         if code != 0:
             raise RobotSystemError(f"{name} ended with code {code}: {self.last_words(name)}")
         return code
+
+    def pid(self, name: str) -> int:
+        """The process id of a running program."""
+        return self._running[name][0].pid
 
     def is_known(self, name: str) -> bool:
         """Whether the program was started and neither waited for nor ended."""
