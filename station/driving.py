@@ -176,7 +176,9 @@ class Driving:
             wait_ns = min(wait_ns, left_ns)
         self._changed.clear()
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._changed.wait(), wait_ns / 1e9)
+            # Not wait_for: before Python 3.12 it can swallow a cancellation, and the station would never end.
+            async with asyncio.timeout(wait_ns / 1e9):
+                await self._changed.wait()
 
     def _require_drive(self) -> Capabilities:
         able = self._capabilities()
