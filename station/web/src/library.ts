@@ -3,6 +3,10 @@ import { call } from "./api";
 import { ask, attempt, by, duration, make, setText, show } from "./dom";
 import type { JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
 
+// States only move forward. The answer to a call may arrive after an event that already told more: it must not win.
+const RANK: Record<NavigationModel["state"] | JobModel["state"], number> =
+  { recording: 0, running: 0, finishing: 1, ready: 2, failed: 2, done: 2, cancelled: 2 };
+
 export class Library {
   navigations = new Map<string, NavigationModel>();
   maps: MapModel[] = [];
@@ -36,12 +40,14 @@ export class Library {
   }
 
   update(navigation: NavigationModel): void {
-    this.navigations.set(navigation.id, navigation);
+    const known = this.navigations.get(navigation.id);
+    if (!known || RANK[navigation.state] >= RANK[known.state]) this.navigations.set(navigation.id, navigation);
     this.draw();
   }
 
   updateJob(job: JobModel): void {
-    this.jobs.set(job.id, job);
+    const known = this.jobs.get(job.id);
+    if (!known || RANK[job.state] >= RANK[known.state]) this.jobs.set(job.id, job);
     this.draw();
   }
 
