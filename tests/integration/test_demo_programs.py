@@ -17,6 +17,7 @@ SCRIPT = """
 import signal, sys
 from pathlib import Path
 from station.demo.processes import Programs
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job starts with it ignored
 try:
     with Programs(Path(sys.argv[1])) as programs:
         programs.start("server", "http.server", "--bind", "127.0.0.1", "0")
@@ -38,12 +39,15 @@ def is_alive(pid: int) -> bool:
 def test_programs_end_also_at_a_second_interrupt(tmp_path: Path) -> None:
     command = [sys.executable, "-c", SCRIPT, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demo:
-        assert demo.stdout is not None
-        server = int(demo.stdout.readline())
-        assert is_alive(server)
-        demo.send_signal(signal.SIGINT)
-        demo.send_signal(signal.SIGINT)
-        demo.wait(30)
+        try:
+            assert demo.stdout is not None
+            server = int(demo.stdout.readline())
+            assert is_alive(server)
+            demo.send_signal(signal.SIGINT)
+            demo.send_signal(signal.SIGINT)
+            demo.wait(30)
+        finally:
+            demo.kill()
     assert not is_alive(server)
 
 
