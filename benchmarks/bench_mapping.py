@@ -1,0 +1,210 @@
+"""How good is a backend's map for places? Maps simulated flats, then looks for the pictures of a second drive in it.
+
+    python -m benchmarks.bench_mapping --backend ukf --seeds 101-106 [--scratch DIR] [--step 1] [--out FILE.jsonl]
+
+Per seed, as in the demo but without waiting for the clock: the mapping route through a flat of world `small`, the map
+and its places, then 30 s of another route from a random spot, its pictures localised four times a second. Drives
+are rendered where they are missing, with all imperfections on. The truth only judges: `ate` after alignment by position
+and yaw; `localised`: share of the second drive's pictures with a verified pose; `position_m`: error of those poses
+(median, 90 %, worst) after the map was laid on the truth; `right`: answers "known" that name the nearest place, ties
+within 10 %.
+One JSON line per seed, failures too; seeds that FILE already has are left out, so an interrupted run can go on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from shared.errors import RobotSystemError
+from shared.geometry import FloatArray, transform
+from station.datasets import Dataset, open_dataset
+from station.demo.judge import is_right
+from station.evaluation.alignment import align_points
+from station.evaluation.trajectory import absolute_trajectory_error, interpolate_poses, path_length
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.maps.map import PlaceMap
+from station.navigation import Navigation, Trajectory
+from station.places.build import build_map
+from station.places.localizer import Localizer
+from station.places.tracker import PlaceTracker
+from station.slam.backends import BACKENDS, make_backend
+from station.slam.run import run_backend
+
+LOOK_EVERY_NS = 250_000_000
+SECOND_DRIVE_S = 30.0
+
+
+def render(out: Path, seed: int, world: str, *arguments: str) -> Path:
+    """A simulated drive in the flat of this seed, made where it is missing."""
+    if not out.exists():
+        command = [sys.executable, "-m", "robot.simulation.cli", "dataset", "--world", world, "--seed", str(seed)]
+        subprocess.run([*command, *arguments, "--out", str(out)], check=True)
+    return out
+
+
+def trajectory_of(data: Dataset) -> Trajectory:
+    """The truth as a trajectory."""
+    truth = data.truth()
+    if truth is None:
+        raise SystemExit(f"{data.path} has no truth; it cannot be judged")
+    return Trajectory(truth.t_robot_ns, truth.T_world_body)
+
+
+def map_drive(path: Path, backend: str, step: int) -> tuple[Navigation, dict[str, Any]]:
+    """The navigation of the mapping drive, and how far it is from the truth."""
+    data = open_dataset(path, None, None, step)
+    after = [0.0]
+    nav = run_backend(
+        make_backend(backend, data.calibration, 0, 1),
+        data.events(),
+        before_finish=lambda: after.append(time.process_time()),
+    )
+    truth = trajectory_of(data)
+    free = absolute_trajectory_error(nav.trajectory, truth, "sim3")
+    fixed = absolute_trajectory_error(nav.trajectory, truth, "yaw")
+    return nav, {
+        "path_m": round(path_length(truth), 1),
+        "ate_m": round(fixed.rmse_m, 4),
+        "ate_max_m": round(fixed.max_m, 4),
+        "ate_sim3_m": round(free.rmse_m, 4),
+        "rotation_deg": round(float(np.degrees(fixed.rotation_rmse_rad)), 2),
+        "scale_error": round(1.0 / free.alignment.scale - 1.0, 4),
+        "keyframes": len(nav.keyframes),
+        "landmarks": len(nav.landmarks),
+        "observations": len(nav.landmarks.observed_keyframe),
+        "lost_s": round(nav.report.tracking_lost_s, 2),
+        "cpu_s": round(nav.report.cpu_s, 1),
+        "cpu_after_s": round(time.process_time() - after[-1], 1),
+        "duration_s": round(nav.report.duration_s, 1),
+        "messages": nav.report.messages,
+    }
+
+
+def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: FloatArray) -> dict[str, Any]:
+    """Pictures of another drive, looked for in the map as the station does it, judged by the truth."""
+    data = open_dataset(path, None, None, 1)
+    truth = trajectory_of(data)
+    camera = data.calibration.camera
+    assert camera is not None
+    shift_ns = round(1e9 * camera.time_shift_s)
+    tracker = PlaceTracker(place_map, data.calibration, Localizer(place_map))
+    live = make_backend(backend, data.calibration, 0, 1) if backend == "ukf" else None  # gives the odometry
+    centroids = {p.id: transform(T_truth_map, p.centroid_map[None])[0] for p in place_map.places}
+    looked = localised = 0
+    errors: list[float] = []
+    answers = {"right": 0, "wrong": 0, "not_known": 0}
+    live_lost = 0
+    next_look = 0
+    for event in data.events():
+        if isinstance(event, ImuBatch):
+            tracker.on_imu(event)
+        elif isinstance(event, DriveSample):
+            tracker.on_drive(event)
+        if live is not None:
+            if isinstance(event, ImuBatch):
+                live.add_imu(event)
+            elif isinstance(event, DriveSample):
+                live.add_drive(event)
+            else:
+                update = live.add_frame(event)
+                if update.T_world_body is not None:
+                    tracker.on_odometry(event.t_robot_ns + shift_ns, update.T_world_body, update.segment)
+                live_lost += update.state == "lost"
+        if not isinstance(event, ImageFrame) or event.t_robot_ns < next_look:
+            continue
+        next_look = event.t_robot_ns + LOOK_EVERY_NS
+        attempt = tracker.on_frame(event)
+        at = np.array([event.t_robot_ns + shift_ns], dtype=np.int64)
+        T_true, known = interpolate_poses(truth, at)
+        if not len(known):
+            continue
+        looked += 1
+        if attempt is not None and attempt.localization is not None:
+            localised += 1
+            T = attempt.localization.T_map_cam @ camera.T_cam_body_matrix
+            errors.append(float(np.linalg.norm(transform(T_truth_map, T[None, :3, 3])[0] - T_true[0, :3, 3])))
+        answer = tracker.answer(int(at[0]))
+        if answer.state != "known" or answer.place is None:
+            answers["not_known"] += 1
+        else:
+            answers["right" if is_right(answer.place.id, centroids, T_true[0, :3, 3]) else "wrong"] += 1
+    return {
+        "looked": looked,
+        "localised": round(localised / max(looked, 1), 3),
+        "position_m": [round(float(x), 3) for x in np.percentile(errors, [50, 90, 100])] if errors else None,
+        **answers,
+        "live_frames_lost": live_lost,
+    }
+
+
+def run_seed(seed: int, world: str, backend: str, step: int, scratch: Path) -> dict[str, Any]:
+    """One flat: map it, look for another drive in it."""
+    row: dict[str, Any] = {"world": world, "seed": seed, "backend": backend, "step": step}
+    first = render(scratch / f"{world}{seed}-mapping", seed, world, "--route", "mapping", "--drive-seed", str(seed))
+    second = render(
+        scratch / f"{world}{seed}-second", seed, world, "--route", "second", "--drive-seed", str(seed + 1000),
+        "--put-down", str(seed), "--fps", "10", "--max-duration", str(SECOND_DRIVE_S),
+    )  # fmt: skip
+    try:
+        nav, figures = map_drive(first, backend, step)
+        row |= figures
+        place_map = build_map(nav)
+        row["places"] = len(place_map.places)
+        truth = trajectory_of(open_dataset(first, None, None, 1))
+        T_true, known = interpolate_poses(truth, nav.trajectory.t_robot_ns)
+        laid = align_points(T_true[:, :3, 3], nav.trajectory.T_world_body[known, :3, 3], kind="sim3")
+        row |= second_drive(second, backend, place_map, laid.T_target_source)
+    except RobotSystemError as exc:
+        row["failed"] = str(exc)
+    return row
+
+
+def parse_seeds(text: str) -> list[int]:
+    """`101-106` or `3,5,8`."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        begin, _, end = part.partition("-")
+        seeds.extend(range(int(begin), int(end or begin) + 1))
+    return seeds
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--backend", action="append", choices=BACKENDS)
+    parser.add_argument("--seeds", default="101-106")
+    parser.add_argument("--world", default="small")
+    parser.add_argument("--step", type=int, default=1, help="use every step-th picture of the mapping drive")
+    parser.add_argument("--scratch", type=Path, default=Path("benchmarks/results/drives"))
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    arguments.scratch.mkdir(parents=True, exist_ok=True)
+    known = set()
+    if arguments.out and arguments.out.exists():
+        rows = [json.loads(line) for line in arguments.out.read_text().splitlines()]
+        known = {(r["world"], r["seed"], r["backend"], r["step"]) for r in rows}
+    failed = 0
+    for seed in parse_seeds(arguments.seeds):
+        for backend in arguments.backend or ["ukf"]:
+            if (arguments.world, seed, backend, arguments.step) in known:
+                continue
+            row = run_seed(seed, arguments.world, backend, arguments.step, arguments.scratch)
+            failed += "failed" in row
+            print(json.dumps(row, default=str), flush=True)
+            if arguments.out:
+                with arguments.out.open("a") as file:
+                    file.write(json.dumps(row, default=str) + "\n")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    with threadpool_limits(limits=1):
+        raise SystemExit(main())

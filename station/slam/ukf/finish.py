@@ -1,0 +1,117 @@
+"""The end of a drive: keyframes refined, tracks triangulated, everything as a Navigation (docs/slam.md, sec. 10)."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import asdict, replace
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import scipy
+
+from shared.calibration import Calibration
+from shared.geometry import se3
+from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.inertial import ImuCounts
+from station.slam.ukf.intake import FrameIntake
+from station.slam.ukf.keyframes import Keyframe
+from station.slam.ukf.landmark_map import Observations, assemble, make_landmarks
+from station.slam.ukf.measurement import CameraModel
+from station.slam.ukf.memory import DriveMemory
+from station.slam.ukf.refine import refine_segment
+
+
+def refine(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -> list[str]:
+    """Better keyframes by least squares; the frames between follow their keyframes. What was not refined, in words."""
+    assert calibration.imu is not None
+    refined: list[Keyframe] = []
+    messages: list[str] = []
+    for number in range(memory.segment + 1):
+        part = memory.keyframes.segment(number)
+        better, failed = refine_segment(part, camera, calibration.imu, calibration.gravity)
+        messages += failed
+        memory.poses.follow(
+            [k.image.index for k in part],
+            np.array([k.T_world_body for k in part]),
+            np.array([k.T_world_body for k in better]),
+            number,
+        )
+        refined += better
+    memory.keyframes.items = refined
+    return messages
+
+
+def make_navigation(
+    navigation_id: str,
+    memory: DriveMemory,
+    camera: CameraModel,
+    calibration: Calibration,
+    config: UkfConfig,
+    report: NavigationReport,
+) -> Navigation:
+    """Trajectory, keyframes and landmarks of the drive; fills in the report's number of landmarks."""
+    keyframes = memory.keyframes.items
+    landmarks = _landmarks(memory, keyframes, camera, config)
+    times, poses = memory.poses.arrays()
+    T_body_cam = se3(camera.R_body_cam, camera.t_body_cam)
+    return Navigation(
+        id=navigation_id,
+        calibration=calibration,
+        trajectory=Trajectory(times, poses),
+        keyframes=Keyframes(
+            frame_index=np.array([k.image.index for k in keyframes], dtype=np.int64),
+            t_robot_ns=np.array([k.image.t_robot_ns for k in keyframes], dtype=np.int64),
+            T_world_cam=np.array([k.T_world_body for k in keyframes]) @ T_body_cam,
+            encoded=tuple(k.image.encoded for k in keyframes),
+            segment=np.array([k.segment for k in keyframes], dtype=np.int64),
+        ),
+        landmarks=landmarks,
+        report=replace(report, landmarks=len(landmarks)),
+    )
+
+
+def _landmarks(memory: DriveMemory, keyframes: list[Keyframe], camera: CameraModel, config: UkfConfig) -> Landmarks:
+    if config.landmarks == "thesis":
+        ids, p, cov = memory.live.as_entered()
+        return assemble(ids, p, cov, Observations.of(keyframes))
+    return make_landmarks(keyframes, camera, config.quality)
+
+
+def make_report(
+    intake: FrameIntake, imu: ImuCounts, lost_s: float, seed: int, config: UkfConfig, messages: list[str]
+) -> NavigationReport:
+    """What a person should know of the run; times and the number of landmarks are filled in by others."""
+    refused = {
+        "IMU samples that were no numbers or absurd": imu.not_finite,
+        "IMU samples that were repeated or late": imu.out_of_order,
+        "IMU samples at the sensor's range": imu.saturated,
+        "gaps in the IMU data": imu.gaps,
+        "images out of order": intake.out_of_order,
+        "images that could not be decoded": intake.undecodable,
+        "images without IMU samples": intake.without_imu,
+    }
+    plain: dict[str, Any] = msgspec.to_builtins(asdict(config))
+    return NavigationReport(
+        backend="ukf",
+        frames=intake.used,
+        duration_s=intake.elapsed_s,
+        wall_s=0.0,
+        realtime_factor=0.0,
+        cpu_s=0.0,
+        landmarks=0,
+        tracking_lost_s=lost_s,
+        scale="metric",
+        gravity_aligned=True,
+        seed=seed,
+        versions={
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "opencv": cv2.__version__,
+        },
+        config=plain,
+        messages=(*messages, *(f"{count} {what}" for what, count in refused.items() if count)),
+    )

@@ -1,0 +1,117 @@
+"""What stays of the frames: recent ones while their clones are in the filter, then poses, keyframes, live points."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.calibration import ImuNoise
+from shared.geometry import FloatArray, se3
+from station.frames import ImageFrame
+from station.slam.frontend.tracker import TrackedFrame
+from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.filter import RetiredClone, VioFilter
+from station.slam.ukf.inertial import ImuBuffer
+from station.slam.ukf.keyframes import Keyframe, KeyframeStore, sample_colours
+from station.slam.ukf.live_map import LiveMap
+from station.slam.ukf.measurement import CameraModel
+from station.slam.ukf.pose_log import PoseLog
+from station.slam.ukf.preintegration import Preintegration, chain, preintegrate
+from station.slam.ukf.propagation import ImuSegment
+from station.slam.ukf.state import FilterState
+from station.slam.ukf.update import is_finite
+
+NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
+WAITING_NS = 4 * 10**9  # frames older than that no longer wait for a start
+Points = tuple[FloatArray, FloatArray]  # (n, 3) positions, (n, 3) colours
+
+
+@dataclass(slots=True, eq=False)
+class RecentFrame:
+    """A frame whose clone is in the filter, or that waits for a start."""
+
+    frame: ImageFrame
+    tracked: TrackedFrame
+    t_imu_ns: int
+    link: Preintegration | None  # IMU since the frame before it in the window
+    wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
+    rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
+
+
+class DriveMemory:
+    """Poses of all frames, keyframes, and the frames that may still become keyframes."""
+
+    def __init__(self, camera: CameraModel, noise: ImuNoise, config: UkfConfig) -> None:
+        self._noise = noise
+        self.recent: dict[int, RecentFrame] = {}  # by ImageFrame.index, ascending
+        self.poses = PoseLog()
+        self.keyframes = KeyframeStore(config.max_keyframes)
+        self.live = LiveMap(camera, config.quality)
+        self.segment = 0  # number of the present piece of unbroken tracking
+
+    def add(self, item: RecentFrame) -> None:
+        self.recent[item.frame.index] = item
+
+    def forget_waiting(self, t_imu_ns: int) -> None:
+        """Drop the frames that waited too long for a start."""
+        for index in [i for i, w in self.recent.items() if w.t_imu_ns < t_imu_ns - WAITING_NS]:
+            del self.recent[index]
+
+    def link_by(self, segment: ImuSegment, state: FilterState) -> Preintegration | None:
+        """The IMU between two frames as one residual; None where too much of it is missing."""
+        if not len(segment.dt_s) or segment.dt_s.sum() * 1e9 > NO_LINK_NS:
+            return None
+        return preintegrate(segment, np.concatenate([state.bias_gyro, state.bias_accel]), self._noise)
+
+    def adopt(self, state: FilterState, clones: list[int], imu: ImuBuffer) -> list[RecentFrame]:
+        """After a start in motion: only the frames of its window stay, linked to each other, with their poses."""
+        kept = [self.recent[i] for i in clones]
+        bias = np.concatenate([state.bias_gyro, state.bias_accel])
+        for before, item in itertools.pairwise(kept):
+            item.link = preintegrate(imu.segment(before.t_imu_ns, item.t_imu_ns), bias, self._noise)
+        for k, item in enumerate(kept):
+            self.poses.add(item.frame.index, item.t_imu_ns, se3(state.clone_R[k], state.clone_x[k]), self.segment)
+        self.recent = {item.frame.index: item for item in kept}
+        return kept
+
+    def retire(self, retired: RetiredClone, state: FilterState) -> Points | None:
+        """A pose left the window: log it, keep it as keyframe or join its IMU link to the next; new map points."""
+        old = self.recent.pop(retired.frame_index, None)
+        self.poses.improve(retired.frame_index, retired.T_world_body)
+        if old is None:
+            return None
+        if not retired.is_keyframe:
+            after = self.recent.get(min((i for i in self.recent if i > retired.frame_index), default=-1))
+            if after is not None:
+                after.link = None if old.link is None or after.link is None else chain(old.link, after.link)
+            return None
+        keyframe = Keyframe(
+            image=old.frame,
+            tracked=old.tracked,
+            rgb=old.rgb if old.rgb is not None else sample_colours(old.frame.bgr(), old.tracked.uv_px),
+            T_world_body=retired.T_world_body,
+            v_world=retired.v_world,
+            omega_body=retired.omega_body,
+            bias=np.concatenate([state.bias_gyro, state.bias_accel]),
+            segment=self.segment,
+            link=old.link,
+            wheels=old.wheels,
+        )
+        self.keyframes.add(keyframe)
+        return self.live.add(keyframe)
+
+    def flush(self, vio: VioFilter, outage_since: int | None) -> None:
+        """All poses still in the window become keyframes: nothing will improve them any more."""
+        state = vio.state
+        if not is_finite(state):
+            return
+        for k in range(state.num_clones):
+            index = int(state.clone_frame[k])
+            item = self.recent.get(index)
+            if item is not None and outage_since is not None and item.t_imu_ns >= outage_since:
+                continue
+            T = se3(state.clone_R[k], state.clone_x[k])
+            self.retire(RetiredClone(index, T, True, state.clone_v[k], state.clone_omega[k]), state)

@@ -1,0 +1,60 @@
+"""Is tracking still sound? The reasons to give it up, in words (docs/slam.md, sec. 8)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from station.slam.frontend.tracker import TrackedFrame
+from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.filter import FrameResult
+from station.slam.ukf.state import FilterState
+from station.slam.ukf.update import is_finite
+
+MIN_JUDGED = 6  # landmarks; fewer cannot outvote the IMU
+FEW_PASSED = 0.3  # share of the landmarks that pass their gate
+LIFTED_FRAMES = 3  # consecutive
+
+
+class TrackingMonitor:
+    """Watches state and measurements of every frame."""
+
+    def __init__(self, config: UkfConfig) -> None:
+        self._config = config
+        self.reset()
+
+    def reset(self) -> None:
+        """Tracking begins."""
+        self.outage_since: int | None = None  # IMU time since when the image shows too little
+        self._disagreements = 0
+        self._lifted = 0
+
+    def why_lost(
+        self, state: FilterState, frame: TrackedFrame, t_imu_ns: int, has_wheels: bool, result: FrameResult
+    ) -> str | None:
+        """The reason to give up tracking; None while it is sound."""
+        config = self._config
+        if not is_finite(state):
+            return "the estimate stopped making sense"
+        if frame.num_tracked < config.min_features:
+            if self.outage_since is None:
+                self.outage_since = t_imu_ns
+            limit = config.max_outage_wheels_s if has_wheels else config.max_outage_s
+            if (t_imu_ns - self.outage_since) * 1e-9 > limit:
+                return "the image shows nothing to follow"
+        else:
+            self.outage_since = None
+        if has_wheels:
+            climbs = abs(float(state.v[2])) > config.max_climb_m_s
+            tilts = float(state.R[2, 2]) < config.min_upright
+            self._lifted = self._lifted + 1 if climbs or tilts else 0
+            if self._lifted >= LIFTED_FRAMES:
+                return "the robot is being lifted"
+        speed = float(np.linalg.norm(state.v))
+        if speed > config.max_speed_m_s:
+            return f"the estimated speed of {speed:.0f} m/s is impossible"
+        tried = result.num_landmarks_observed
+        disagrees = tried >= MIN_JUDGED and result.num_landmarks_passed < FEW_PASSED * tried
+        self._disagreements = self._disagreements + 1 if disagrees else 0
+        if self._disagreements >= config.max_disagreements:
+            return "image and IMU contradict each other"
+        return None
