@@ -18,7 +18,7 @@ from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice
 from station.config import StationConfig
 from station.drive_library import DriveLibrary, DriveRecord
 from station.driving import Driving
-from station.events import Events
+from station.events import EventKind, Events
 from station.jobs import Job, Jobs
 from station.link import LinkState, RobotLink
 from station.locating import Locating
@@ -31,6 +31,7 @@ from station.refusals import Conflict, NoRobot, NotCapable
 from station.workers import Worker
 
 logger = logging.getLogger(__name__)
+STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place")
 HIJACK_NOTICE = "the simulated robot was put down elsewhere, as asked"
 
 
@@ -83,6 +84,8 @@ class Station:
             self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
         await self.maps.open()
         await self._look_in_active_map()
+        for kind in STATES:
+            self.events.changed(kind)  # who listens from now on is first told how everything is
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.driving.run(), name="drive timer")

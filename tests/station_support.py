@@ -90,7 +90,7 @@ async def running_station(
         robot=RobotConfig("127.0.0.1", robot_port),
         api=ApiConfig(port=0),
         slam=SlamConfig(backend=backend),
-        localization=LocalizationConfig(rate_hz=10),
+        localization=LocalizationConfig(rate_hz=4),
     )
     station = Station(config, place_servant="tests.made_up_workers:AlwaysFirstPlace")
     listener = bind(config.api)

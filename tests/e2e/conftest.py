@@ -33,7 +33,7 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
 ]
 LAPTOP = {"viewport": {"width": 1440, "height": 900}}
-expect.set_options(timeout=30_000)  # a loaded machine; only a failing test waits so long
+expect.set_options(timeout=90_000)  # a loaded machine; only a failing test waits so long
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 
 
@@ -81,16 +81,21 @@ class Room:
         return bool(self.bench.motors.history) and self.bench.motors.are_off
 
     async def open(self, **options: Any) -> Page:
-        """A page of its own browser profile, with live video. Requests to other hosts fail the test."""
-        context = await self.browser.new_context(**(options or LAPTOP))
-        self.contexts.append(context)
-        page = await context.new_page()
-        page.set_default_timeout(30_000)
-        page.on("request", lambda request: self._check(request.url))
+        """A page of its own browser profile, with live video."""
+        page = await self.new_page(**options)
         await page.goto(self.desk.address)
         await page.wait_for_selector("#video[data-seq]")
         await page.wait_for_selector("#link[data-state=good]")
         await page.wait_for_selector(".age:not(.bad)")
+        return page
+
+    async def new_page(self, **options: Any) -> Page:
+        """A blank page of its own browser profile. Requests to other hosts fail the test."""
+        context = await self.browser.new_context(**(options or LAPTOP))
+        self.contexts.append(context)
+        page = await context.new_page()
+        page.set_default_timeout(90_000)
+        page.on("request", lambda request: self._check(request.url))
         return page
 
     def _check(self, url: str) -> None:

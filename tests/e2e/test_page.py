@@ -11,7 +11,7 @@ from tests.e2e.conftest import LAPTOP, PHONE, Room
 from tests.link_support import until
 from tests.station_support import store_map
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(240), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
 DIST = Path(__file__).parents[2] / "station" / "web" / "dist"
 
 

@@ -8,6 +8,7 @@ const MAX_LINES = 100;
 export class HealthView {
   private robot: RobotModel | null = null;
   private slam: SlamModel | null = null;
+  private lines = new Map<number, LogModel>(); // by their number, newest first
   private guideText = "";
   stationOpen = false;
 
@@ -31,15 +32,25 @@ export class HealthView {
     this.draw();
   }
 
-  addLine(line: LogModel): void {
+  /** New lines, or old ones; a line that is shown already is not shown twice. */
+  addLines(lines: LogModel[]): void {
+    for (const line of lines) this.lines.set(line.number, line);
+    const newest = [...this.lines.values()].sort((a, b) => b.number - a.number).slice(0, MAX_LINES);
+    this.lines = new Map(newest.map((line) => [line.number, line]));
     const log = by("log");
-    const item = make("li", { class: line.level }, make("time", {}, clock(line.unix_s)), line.text);
-    item.dataset["topic"] = line.topic;
-    log.prepend(item);
-    while (log.children.length > MAX_LINES) log.lastElementChild!.remove();
+    const shown = new Map([...log.children].map((item) => [Number((item as HTMLElement).dataset["number"]), item]));
+    for (const [number, item] of shown) if (!this.lines.has(number)) item.remove();
+    let before: Element | null = null; // the log is a live region: only what is new may be added to it
+    for (const line of newest.reverse()) {
+      const item: Element = shown.get(line.number) ?? logItem(line);
+      if (!item.isConnected) log.insertBefore(item, before ?? null);
+      before = item;
+    }
   }
 
+  /** Another station's lines, or the same one's since its start, are counted from 1 again. */
   clearLog(): void {
+    this.lines.clear();
     by("log").replaceChildren();
   }
 
@@ -98,4 +109,11 @@ export class HealthView {
       ),
     );
   }
+}
+
+function logItem(line: LogModel): HTMLElement {
+  const item = make("li", { class: line.level }, make("time", {}, clock(line.unix_s)), line.text);
+  item.dataset["topic"] = line.topic;
+  item.dataset["number"] = String(line.number);
+  return item;
 }

@@ -1,16 +1,16 @@
 // Drives and maps: record, stop, build, choose, delete.
 import { call } from "./api";
 import { ask, attempt, by, duration, make, setText, show } from "./dom";
+import { Refresh } from "./refresh";
 import type { JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
-
-// States only move forward. The answer to a call may arrive after an event that already told more: it must not win.
-const RANK: Record<NavigationModel["state"] | JobModel["state"], number> =
-  { recording: 0, running: 0, finishing: 1, ready: 2, failed: 2, done: 2, cancelled: 2 };
 
 export class Library {
   navigations = new Map<string, NavigationModel>();
   maps: MapModel[] = [];
   private jobs = new Map<string, JobModel>();
+  private told = new Set<string>(); // navigations that an event told of since their list was asked for
+  private readonly navigationList = new Refresh(() => this.fetchNavigations());
+  private readonly mapList = new Refresh(() => this.fetchMaps());
   private connected = false;
   onChange: () => void = () => {};
 
@@ -23,12 +23,26 @@ export class Library {
   }
 
   async reload(): Promise<void> {
-    const navigations = await call<NavigationModel[]>("GET", "/navigations");
-    this.navigations = new Map(navigations.map((n) => [n.id, n]));
-    await this.reloadMaps();
+    await Promise.all([this.navigationList.ask(), this.mapList.ask()]);
   }
 
-  async reloadMaps(): Promise<void> {
+  reloadNavigations(): Promise<void> {
+    return this.navigationList.ask();
+  }
+
+  reloadMaps(): Promise<void> {
+    return this.mapList.ask();
+  }
+
+  private async fetchNavigations(): Promise<void> {
+    this.told.clear();
+    const listed = await call<NavigationModel[]>("GET", "/navigations");
+    const newer = [...this.navigations.values()].filter((n) => this.told.has(n.id));
+    this.navigations = new Map([...listed, ...newer].map((n) => [n.id, n]));
+    this.draw();
+  }
+
+  private async fetchMaps(): Promise<void> {
     this.maps = await call<MapModel[]>("GET", "/maps");
     this.draw();
   }
@@ -40,14 +54,13 @@ export class Library {
   }
 
   update(navigation: NavigationModel): void {
-    const known = this.navigations.get(navigation.id);
-    if (!known || RANK[navigation.state] >= RANK[known.state]) this.navigations.set(navigation.id, navigation);
+    this.told.add(navigation.id);
+    this.navigations.set(navigation.id, navigation);
     this.draw();
   }
 
   updateJob(job: JobModel): void {
-    const known = this.jobs.get(job.id);
-    if (!known || RANK[job.state] >= RANK[known.state]) this.jobs.set(job.id, job);
+    this.jobs.set(job.id, job);
     this.draw();
   }
 
@@ -58,12 +71,12 @@ export class Library {
 
   private async toggleRecording(): Promise<void> {
     const running = this.recording;
-    if (running) this.update(await call("POST", `/navigations/${running.id}/stop`));
-    else this.update(await call("POST", "/navigations", {}));
+    // The answer is not shown: events tell every change, and in order.
+    await call("POST", running ? `/navigations/${running.id}/stop` : "/navigations", running ? undefined : {});
   }
 
   private async build(navigation: NavigationModel): Promise<void> {
-    this.updateJob(await call("POST", "/maps", { navigations: [navigation.id], name: `Map of ${navigation.name}` }));
+    await call("POST", "/maps", { navigations: [navigation.id], name: `Map of ${navigation.name}` });
   }
 
   private async remove(path: string, name: string): Promise<void> {

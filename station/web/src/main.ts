@@ -28,13 +28,8 @@ function makeMap(): MapView | null {
 }
 
 if (map) map.onPlace = openPlace;
+if (map) map.onGraph = (graph) => places.setGraph(graph);
 library.onChange = () => health.draw();
-
-async function showMap(active: string | null): Promise<void> {
-  await map?.showMap(active);
-  places.setGraph(map?.graph ?? null);
-  await library.reloadMaps();
-}
 
 function take(message: EventMessage): void {
   switch (message.type) {
@@ -59,11 +54,12 @@ function take(message: EventMessage): void {
       break;
     case "navigation":
       if (message.navigation) library.update(message.navigation);
-      else attempt(() => library.reload());
+      else attempt(() => library.reloadNavigations());
       break;
     case "map":
       if (message.active) map?.suggest("map");
-      attempt(() => showMap(message.active));
+      if (map) attempt(() => map.showMap(message.active));
+      attempt(() => library.reloadMaps());
       break;
     case "job":
       library.updateJob(message.job);
@@ -73,7 +69,7 @@ function take(message: EventMessage): void {
       map?.showPlace(message.place);
       break;
     case "log":
-      health.addLine(message.line);
+      health.addLines([message.line]);
       break;
   }
 }
@@ -87,20 +83,18 @@ new LastingSocket(
   },
 );
 
-/** The state that events only change: after opening the page, and after the station was away. */
+/**
+ * What the event stream does not tell from its beginning: lists and the past. After opening the page, and after the
+ * station was away. States (robot, pose, active map, place) come by events alone, so that nothing can undo them.
+ */
 async function load(): Promise<void> {
-  const lines = await call<LogModel[]>("GET", "/log");
   health.clearLog();
-  lines.forEach((line) => health.addLine(line));
-  await library.reload();
-  take({ type: "robot", robot: await call("GET", "/robot") });
-  take({ type: "pose", slam: await call("GET", "/pose") });
-  await showMap(library.maps.find((m) => m.active)?.id ?? null);
-  take({ type: "place", place: await call("GET", "/place/current"), visit: null });
-  await map?.updateLive(null, 0);
+  await Promise.all([
+    library.reload(),
+    places.reload(),
+    call<LogModel[]>("GET", "/log").then((lines) => health.addLines(lines)),
+  ]);
 }
-
-attempt(() => places.start());
 
 by("hijack").addEventListener("click", () =>
   attempt(async () => {

@@ -4,6 +4,7 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { call } from "./api";
 import { type Cloud, extent, fetchCloud, PALETTE, setPointSize, toPoints } from "./cloud";
 import { by, make, setText, show } from "./dom";
+import { Refresh } from "./refresh";
 import type { CurrentPlace, GraphModel, PlaceModel, SlamModel, TrajectoryModel } from "./messages";
 
 type View = "follow" | "top" | "free";
@@ -13,7 +14,8 @@ const MAX_CHUNKS = 40; // then the live cloud is fetched whole again: fewer, lar
 
 export class MapView {
   onPlace: (place: PlaceModel) => void = () => {};
-  graph: GraphModel | null = null;
+  onGraph: (graph: GraphModel | null) => void = () => {};
+  private graph: GraphModel | null = null;
   private readonly host = by("scene");
   private readonly labels = by("labels");
   private readonly renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, powerPreference: "low-power" });
@@ -36,7 +38,11 @@ export class MapView {
   private soon = 0;
   private isHeld = false; // a hand turns or moves the view
   private mapId: string | null = null;
-  private live = { navigation: "", total: 0, chunks: 0, fetching: false, again: false };
+  private wantedMap: string | null = null;
+  private readonly mapContent = new Refresh(() => this.fetchMap());
+  private live = { navigation: "", total: 0, chunks: 0 };
+  private wantedLive = { navigation: "", total: 0 };
+  private readonly liveContent = new Refresh(() => this.fetchLive());
   private currentPlaceId: string | null = null;
   frames = 0; // drawn so far, for tests and measurements
 
@@ -76,17 +82,38 @@ export class MapView {
     this.setView("top", true);
   }
 
-  /** Show another active map, or its new names. */
-  async showMap(mapId: string | null): Promise<void> {
+  /** Show another active map, or its new names. The newest call wins. */
+  showMap(mapId: string | null): Promise<void> {
+    this.wantedMap = mapId;
+    return this.mapContent.ask();
+  }
+
+  private async fetchMap(): Promise<void> {
+    const mapId = this.wantedMap;
+    if (mapId === null) {
+      this.takeMap(null, null, null);
+      return;
+    }
+    const isNew = mapId !== this.mapId;
+    const [graph, cloud] = await Promise.all([
+      call<GraphModel>("GET", "/graph").catch((error: unknown) => error),
+      isNew ? fetchCloud(`/maps/${mapId}/landmarks`).catch((error: unknown) => error) : null,
+    ]);
+    if (this.wantedMap !== mapId) return; // asked for again since
+    if (graph instanceof Error) throw graph;
+    if (cloud instanceof Error) throw cloud;
+    if ((graph as GraphModel).map === mapId) this.takeMap(mapId, graph as GraphModel, cloud as Cloud | null);
+    // else another map was chosen meanwhile, and its event is on the way
+  }
+
+  private takeMap(mapId: string | null, graph: GraphModel | null, cloud: Cloud | null): void {
     const isNew = mapId !== this.mapId;
     this.mapId = mapId;
-    this.graph = mapId === null ? null : await call<GraphModel>("GET", "/graph");
+    this.graph = graph;
+    this.onGraph(graph);
     if (isNew) {
       this.clear("map");
-      if (mapId !== null) {
-        const cloud = await fetchCloud(`/maps/${mapId}/landmarks`);
-        if (cloud && this.mapId === mapId) this.addCloud("map", cloud);
-      }
+      if (cloud) this.addCloud("map", cloud);
       if (!this.chosenLayer) this.setLayer(mapId === null ? "live" : "map");
       this.frameAll();
     }
@@ -121,35 +148,32 @@ export class MapView {
   }
 
   /** There are new landmarks, or another navigation runs. */
-  async updateLive(navigation: string | null, total: number): Promise<void> {
+  updateLive(navigation: string | null, total: number): Promise<void> {
+    this.wantedLive = { navigation: navigation ?? "", total };
+    return this.liveContent.ask();
+  }
+
+  private async fetchLive(): Promise<void> {
     const live = this.live;
-    if (live.fetching) {
-      live.again = true;
-      return;
+    const wanted = this.wantedLive;
+    const isNew = wanted.navigation !== live.navigation || wanted.total < live.total || live.chunks > MAX_CHUNKS;
+    if (!isNew && wanted.total === live.total) return;
+    const since = isNew ? 0 : live.total;
+    const cloud = await fetchCloud(`/landmarks?since=${since}&navigation=${encodeURIComponent(live.navigation)}`);
+    if (!cloud) return;
+    if (isNew || cloud.first === 0) {
+      const trajectory = await call<TrajectoryModel>("GET", "/trajectory?limit=4000");
+      if ((trajectory.navigation ?? "") !== cloud.source) return; // another drive began: its event is on the way
+      this.clear("live");
+      live.chunks = 0;
+      this.track.push(...trajectory.p_world.map((p) => new THREE.Vector3(p[0], p[1], p[2])));
+      this.showTrack();
     }
-    live.fetching = true;
-    try {
-      const isNew = (navigation ?? "") !== live.navigation || total < live.total || live.chunks > MAX_CHUNKS;
-      const since = isNew ? 0 : live.total;
-      const cloud = await fetchCloud(`/landmarks?since=${since}&navigation=${encodeURIComponent(live.navigation)}`);
-      if (!cloud) return;
-      if (isNew || cloud.first === 0) {
-        this.clear("live");
-        live.chunks = 0;
-        await this.loadTrack();
-      }
-      live.navigation = cloud.source;
-      live.total = cloud.total;
-      live.chunks += 1;
-      this.addCloud("live", cloud);
-      if (isNew) this.frameAll();
-    } finally {
-      live.fetching = false;
-      if (live.again) {
-        live.again = false;
-        void this.updateLive(navigation, total);
-      }
-    }
+    live.navigation = cloud.source;
+    live.total = cloud.total;
+    live.chunks += 1;
+    this.addCloud("live", cloud);
+    if (isNew) this.frameAll();
   }
 
   /** The layer that has something new to show, unless the person chose one. */
@@ -261,12 +285,6 @@ export class MapView {
     } else {
       this.graphLines = null;
     }
-  }
-
-  private async loadTrack(): Promise<void> {
-    const trajectory = await call<TrajectoryModel>("GET", "/trajectory?limit=4000");
-    this.track.push(...trajectory.p_world.map((p) => new THREE.Vector3(p[0], p[1], p[2])));
-    this.showTrack();
   }
 
   private showTrack(): void {

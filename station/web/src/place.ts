@@ -10,10 +10,18 @@ export class PlaceView {
   private visits: VisitModel[] = [];
   private colours = new Map<string, number>();
 
-  async start(): Promise<void> {
-    this.visits = await call<VisitModel[]>("GET", "/place/timeline");
-    this.drawTimeline();
+  constructor() {
     setInterval(() => this.drawTimeline(), 1000);
+  }
+
+  /** The visits before now; those that events told while the answer came are newer than the answer. */
+  async reload(): Promise<void> {
+    this.visits = [];
+    const earlier = await call<VisitModel[]>("GET", "/place/timeline");
+    const known = new Set(this.visits.map((v) => v.start_unix_s));
+    this.visits = [...earlier.filter((v) => !known.has(v.start_unix_s)), ...this.visits];
+    this.visits.sort((a, b) => a.start_unix_s - b.start_unix_s);
+    this.drawTimeline();
   }
 
   setGraph(graph: GraphModel | null): void {
