@@ -86,9 +86,11 @@ class CountingGuard:
     commands: int = 0
     worst: Velocity = field(default_factory=Velocity)
 
-    def command(self, wish: Velocity, ttl_ms: int) -> bool:
+    now_ns: int = 0
+
+    def command(self, wish: Velocity, until_ns: int) -> bool:
         assert abs(wish.linear_m_s) <= 0.5 and abs(wish.angular_rad_s) <= 2.5, f"{wish} is beyond the robot's limits"
-        assert 0 <= ttl_ms <= 250, f"{ttl_ms} ms is longer than a command may last"
+        assert 0 < until_ns - self.now_ns <= 250_000_000, f"{until_ns} ns is longer than a command may last"
         self.commands += 1
         return True
 
@@ -113,7 +115,7 @@ def fuzz_tcp_decoder(inputs: int, seed: int) -> dict[str, Any]:
     }
     t_ns = 0
     for number in range(inputs):
-        guard = CountingGuard()
+        guard = CountingGuard(now_ns=t_ns + 1_000_000)
         desk = CommandDesk(devices, guard, DriveConfig())  # type: ignore[arg-type]
         session = Session("robot", t_ns)
         joins = number % 4 != 0
@@ -122,6 +124,8 @@ def fuzz_tcp_decoder(inputs: int, seed: int) -> dict[str, Any]:
             session.receive(encode_payload(encode_message(join), MAX_STATION_PAYLOAD))
             session.next_message(t_ns)
             session.send(Welcome(client_id=1))
+            past_ns = t_ns - 60_000_000  # a command counts only where an earlier message tells how late it is
+            desk.handle(1, Heartbeat(seq=-1, t_station_ns=past_ns), past_ns)
         messages = (
             Drive(seq=number, t_station_ns=t_ns, linear=0.4, angular=-2.0, ttl_ms=250),
             Stop(seq=number),

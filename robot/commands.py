@@ -41,7 +41,11 @@ class CommandDesk:
         )
 
     def handle(self, client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
-        """Carry out one message; the answer is a notice when it was refused."""
+        """Carry out one message; the answer is a notice when it was refused.
+
+        Args:
+            now_ns: when its bytes were read, the same for all that were read together.
+        """
         order = self._orders.setdefault(client, CommandOrder())
         match message:
             case Heartbeat():
@@ -71,8 +75,11 @@ class CommandDesk:
     def _drive(self, client: int, order: CommandOrder, message: Drive, now_ns: int) -> ErrorNotice | None:
         if self.watchdog is None:
             return self._refuse("not_capable", "this robot has no motors")
-        if not order.is_fresh(message, now_ns):
+        wish = Velocity(message.linear, message.angular)
+        if (until_ns := order.until_ns(message, now_ns)) is None:
             self.stale += 1
+            if wish.is_zero and self.lease.driver == client:
+                self.watchdog.stop()  # letting go counts however late it comes
             return None  # the past needs no answer; what counts comes next
         limits = self.limits
         is_within = abs(message.linear) <= limits.max_linear_m_s and abs(message.angular) <= limits.max_angular_rad_s
@@ -82,10 +89,9 @@ class CommandDesk:
                 f"drive command ({message.linear:g} m/s, {message.angular:g} rad/s) exceeds this robot's limits"
                 f" of {limits.max_linear_m_s:g} m/s and {limits.max_angular_rad_s:g} rad/s",
             )
-        wish = Velocity(message.linear, message.angular)
         if reason := self.lease.request(client, wish.is_zero, now_ns):
             return self._refuse("not_driver", reason)
-        if not self.watchdog.command(wish, message.ttl_ms):
+        if not self.watchdog.command(wish, until_ns):
             return self._refuse("device", "the motors are shut down; restart robot-server")
         return None
 

@@ -150,7 +150,7 @@ class RobotServer:
         if isinstance(message, Heartbeat):
             t_robot_ns = self._devices.clock()
             client.put(reply_to(message, t_robot_ns, t_robot_ns))
-        if (refusal := self.desk.handle(client.id, message, self._now_ns())) is not None:
+        if (refusal := self.desk.handle(client.id, message, client.read_ns)) is not None:
             client.put(refusal)
 
     def _welcome(self, client: StationClient, join: Join) -> None:

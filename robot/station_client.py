@@ -39,6 +39,7 @@ class StationClient:
         self.imu: ImuCursor | None = None
         self.frames: FrameCursor | None = None
         self.messages_dropped = 0
+        self.read_ns = now_ns()  # when the bytes now being taken in were read
         self.session = Session("robot", now_ns())
         self._reader = reader
         self._writer = writer
@@ -118,6 +119,7 @@ class StationClient:
 
     async def _read(self, handle: Callable[[StationClient, Join | StationMessage], None]) -> None:
         while data := await self._reader.read(READ_BYTES):
+            self.read_ns = self._now_ns()
             self.session.receive(data)
             try:
                 while not self._ending.is_set() and (message := self.session.next_message(self._now_ns())) is not None:

@@ -47,13 +47,17 @@ class DriveGuard:
         self.num_commands = 0
         self.stops = 0  # how often silence ended a motion
 
-    def command(self, wish: Velocity, ttl_ns: int, now_ns: int) -> bool:
-        """Hold a velocity for a time, at most MAX_TTL_NS. False after `close`."""
+    def command(self, wish: Velocity, until_ns: int, now_ns: int) -> bool:
+        """Hold a velocity until a time, MAX_TTL_NS from now at most; what has lived already moves nothing.
+
+        False after `close`.
+        """
         if self._closed:
             return False
-        self._wish = wish
-        self._until_ns = now_ns + min(max(ttl_ns, 0), MAX_TTL_NS)
-        self.num_commands += 1
+        if wish.is_zero or until_ns > now_ns:
+            self._wish = wish
+            self._until_ns = min(until_ns, now_ns + MAX_TTL_NS)
+            self.num_commands += 1
         return True
 
     def stop(self) -> None:
@@ -109,13 +113,16 @@ class MotorWatchdog:
         """What the motors were told last."""
         return self._applied
 
-    def command(self, wish: Velocity, ttl_ms: int) -> bool:
-        """Hold a velocity for `ttl_ms`. False when closed or when the watchdog's thread died: then nothing may move."""
+    def command(self, wish: Velocity, until_ns: int) -> bool:
+        """Hold a velocity until a monotonic time. False when closed or when our thread died: then nothing may move.
+
+        A time, not a duration: this process may have been stopped since the caller looked at the clock.
+        """
         if not self._thread.is_alive():
             self._motors.stop()
             return False
         with self._changed:
-            accepted = self._guard.command(wish, ttl_ms * 1_000_000, self._now_ns())
+            accepted = self._guard.command(wish, until_ns, self._now_ns())
             self._changed.notify()
         return accepted
 

@@ -297,7 +297,7 @@ class RobotLink:
             now_ns = self._now_ns()
             for duty in session.tick(now_ns):
                 if duty is Tick.SEND_HEARTBEAT:
-                    self._put(Heartbeat(seq=self._count(), t_station_ns=now_ns))
+                    self._beat()
                     self._confirm()
                 elif duty is Tick.CLOSE:
                     raise _Ended
@@ -331,12 +331,16 @@ class RobotLink:
             case Welcome():
                 self._connected = True
                 self._connections += 1
+                self._beat()  # at once: the robot needs something to tell late commands by
                 if self._hello is not None:
                     self._listener.on_connected(self._hello)
             case Refusal():
                 self._session.close_reason = f"the robot refused this station: {message.reason}"
             case _:
                 pass
+
+    def _beat(self) -> None:
+        self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
 
     def _confirm(self) -> None:
         self._put(Received(frame_seq=self._newest_frame, next_imu_sequence=self._next_imu_sequence))

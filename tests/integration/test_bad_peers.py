@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import random
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
@@ -111,9 +113,17 @@ async def test_a_station_that_turns_bad_while_driving_leaves_the_motors_off() ->
             decoder.receive(await reader.read(65536))
             while (payload := decoder.next_payload()) is not None and not isinstance(welcome, Welcome):
                 welcome = decode_robot_message(payload)
-        writer.write(packed(Drive(seq=1, t_station_ns=0, linear=0.2, angular=0.0, ttl_ms=250)))
-        await until(lambda: not bench.motors.are_off)
-        writer.write(packed_map(type="drive", seq=2, t_station_ns=0, linear=float("nan"), angular=0.0, ttl_ms=250))
+        seq = itertools.count(1)
+
+        def drives() -> bool:
+            now_ns = time.monotonic_ns()
+            writer.write(packed(Drive(seq=next(seq), t_station_ns=now_ns, linear=0.2, angular=0.0, ttl_ms=250)))
+            return not bench.motors.are_off
+
+        await until(drives)
+        writer.write(
+            packed_map(type="drive", seq=next(seq), t_station_ns=0, linear=float("nan"), angular=0.0, ttl_ms=250)
+        )
         last = (await all_until_closed(reader))[-1]
         assert isinstance(last, ErrorNotice) and "linear nan is outside" in last.message
         assert bench.motors.are_off

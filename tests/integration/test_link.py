@@ -46,8 +46,7 @@ async def test_the_robots_clock_is_known_soon() -> None:
 
 async def test_commands_reach_the_devices() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
-        assert link.drive(0.2, -0.5, 200)
-        await until(lambda: any(h[1:] == (0.2, -0.5) for h in bench.motors.history))
+        await until(lambda: link.drive(0.2, -0.5, 200) and any(h[1:] == (0.2, -0.5) for h in bench.motors.history))
         await until(lambda: any((a.linear, a.angular) == (0.2, -0.5) for a in notes.applied))
         assert link.point(0.3, -0.1) and link.hijack(1.0, 2.0, 0.5)
         await until(lambda: bench.head.pointed and bench.head.moved)
@@ -69,8 +68,7 @@ async def test_a_held_joystick_keeps_the_robot_moving_and_stop_stops_it() -> Non
 
 async def test_a_command_beyond_the_robots_own_limits_is_refused_in_a_sentence() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
-        assert link.drive(1.5, 0.0, 200)
-        await until(lambda: notes.notices)
+        await until(lambda: link.drive(1.5, 0.0, 200) and notes.notices)
         assert notes.notices[0].code == "out_of_range"
         assert "1.5 m/s" in notes.notices[0].message
         assert bench.motors.are_off and link.state.connected
@@ -90,10 +88,8 @@ async def test_one_station_drives_and_any_may_stop() -> None:
         linked(bench.port, "a") as (a, notes_a),
         linked(bench.port, "b") as (b, notes_b),
     ):
-        assert a.drive(0.1, 0.0, 250)
-        await until(lambda: not bench.motors.are_off)
-        b.drive(0.3, 0.0, 250)
-        await until(lambda: notes_b.notices)
+        await until(lambda: a.drive(0.1, 0.0, 250) and not bench.motors.are_off)
+        await until(lambda: a.drive(0.1, 0.0, 250) and b.drive(0.3, 0.0, 250) and notes_b.notices)
         assert notes_b.notices[0].code == "not_driver"
         await until(lambda: a.drive(0.1, 0.0, 250) and notes_b.statuses[-1].driver == "a")
         assert not notes_b.statuses[-1].you_drive

@@ -47,6 +47,10 @@ class FakeMotors:
             return self.told.wait_for(lambda: bool(self.history) and self.history[-1] == (linear, angular), 10)
 
 
+def later_ns(ms: int) -> int:
+    return time.monotonic_ns() + ms * MS
+
+
 def wait_until_rests(watchdog: MotorWatchdog) -> None:
     while not watchdog.applied.is_zero:
         time.sleep(0.001)
@@ -69,7 +73,7 @@ def test_nothing_ever_moves_longer_than_the_limit_after_the_last_command(
             guard.stop()
             assert guard.velocity(now_ns) == STANDSTILL
         else:
-            guard.command(AHEAD if kind == "drive" else STANDSTILL, ttl_ns, now_ns)
+            guard.command(AHEAD if kind == "drive" else STANDSTILL, now_ns + ttl_ns, now_ns)
             last_drive_ns = now_ns if kind == "drive" else last_drive_ns
     now_ns += ask_after_ns
     if last_drive_ns is None or now_ns - last_drive_ns >= MAX_TTL_NS:
@@ -82,8 +86,19 @@ def test_guard_starts_at_standstill_and_counts_what_silence_ended() -> None:
     guard.command(AHEAD, 100 * MS, 0)
     assert guard.velocity(99 * MS) == AHEAD
     assert guard.velocity(100 * MS) == STANDSTILL and guard.stops == 1
-    guard.command(STANDSTILL, 100 * MS, 200 * MS)
+    guard.command(STANDSTILL, 300 * MS, 200 * MS)
     assert guard.velocity(500 * MS) == STANDSTILL and guard.stops == 1
+
+
+def test_a_command_that_has_lived_already_moves_nothing_but_zero_always_counts() -> None:
+    guard = DriveGuard()
+    guard.command(AHEAD, 100 * MS, 100 * MS)
+    assert guard.velocity(100 * MS) == STANDSTILL
+    guard.command(AHEAD, 200 * MS, 100 * MS)
+    guard.command(Velocity(0.5, 0.0), 90 * MS, 110 * MS)
+    assert guard.velocity(120 * MS) == AHEAD
+    guard.command(STANDSTILL, 90 * MS, 130 * MS)
+    assert guard.velocity(131 * MS) == STANDSTILL
 
 
 def test_closed_guard_refuses_commands() -> None:
@@ -102,7 +117,7 @@ def test_motors_are_stopped_when_taken_over() -> None:
 def test_silence_stops_the_motors_without_anybodys_help() -> None:
     motors = FakeMotors()
     watchdog = MotorWatchdog(motors)
-    watchdog.command(AHEAD, 30)
+    watchdog.command(AHEAD, later_ns(30))
     assert motors.wait_for_last(0.3, 0.1)
     assert motors.wait_for_last(0.0, 0.0)
     assert watchdog.stops == 1
@@ -113,7 +128,7 @@ def test_every_command_reaches_the_motors_also_an_unchanged_one() -> None:
     motors = FakeMotors()
     watchdog = MotorWatchdog(motors)
     for count in range(1, 4):
-        watchdog.command(AHEAD, 250)
+        watchdog.command(AHEAD, later_ns(250))
         with motors.told:
             assert motors.told.wait_for(lambda count=count: motors.history.count((0.3, 0.1)) == count, 10)
     watchdog.close()
@@ -122,9 +137,9 @@ def test_every_command_reaches_the_motors_also_an_unchanged_one() -> None:
 def test_changes_are_reported_once_each() -> None:
     motors, reported = FakeMotors(), []
     watchdog = MotorWatchdog(motors, reported.append)
-    watchdog.command(AHEAD, 250)
+    watchdog.command(AHEAD, later_ns(250))
     assert motors.wait_for_last(0.3, 0.1)
-    watchdog.command(AHEAD, 20)
+    watchdog.command(AHEAD, later_ns(20))
     assert motors.wait_for_last(0.0, 0.0)
     wait_until_rests(watchdog)
     watchdog.close()
@@ -135,7 +150,7 @@ def test_stop_reaches_the_motors_while_the_thread_hangs_in_a_driver() -> None:
     motors = FakeMotors()
     motors.may_go_on.clear()
     watchdog = MotorWatchdog(motors)
-    watchdog.command(AHEAD, 250)
+    watchdog.command(AHEAD, later_ns(250))
     assert motors.wait_for_last(0.3, 0.1)
     watchdog.stop()
     assert motors.history[-1] == (0.0, 0.0)
@@ -147,12 +162,12 @@ def test_stop_reaches_the_motors_while_the_thread_hangs_in_a_driver() -> None:
 def test_check_stops_what_a_hanging_thread_cannot() -> None:
     motors, now_ns = FakeMotors(), [0]
     watchdog = MotorWatchdog(motors, now_ns=lambda: now_ns[0])
-    watchdog.command(AHEAD, 250)
+    watchdog.command(AHEAD, 250 * MS)
     assert motors.wait_for_last(0.3, 0.1)
     while watchdog.applied.is_zero:
         time.sleep(0.001)
     motors.may_go_on.clear()
-    watchdog.command(Velocity(0.2, 0.0), 250)
+    watchdog.command(Velocity(0.2, 0.0), 250 * MS)
     assert motors.wait_for_last(0.2, 0.0)  # the thread hangs now
     now_ns[0] = 251 * MS
     watchdog.check()
@@ -165,14 +180,14 @@ def test_motors_that_fail_are_stopped_and_named() -> None:
     motors = FakeMotors()
     motors.failure = DeviceLost("the serial line is gone")
     watchdog = MotorWatchdog(motors)
-    watchdog.command(AHEAD, 250)
+    watchdog.command(AHEAD, later_ns(250))
     with motors.told:
         assert motors.told.wait_for(lambda: (0.3, 0.1) in motors.history and motors.history[-1] == (0.0, 0.0), 10)
     while not watchdog.fault:
         time.sleep(0.001)
     assert "serial line is gone" in watchdog.fault
     motors.failure = None
-    watchdog.command(AHEAD, 250)
+    watchdog.command(AHEAD, later_ns(250))
     while watchdog.fault:
         time.sleep(0.001)
     watchdog.close()
@@ -183,5 +198,5 @@ def test_after_close_nothing_moves_any_more() -> None:
     watchdog = MotorWatchdog(motors)
     watchdog.close()
     watchdog.close()
-    assert not watchdog.command(AHEAD, 250)
+    assert not watchdog.command(AHEAD, later_ns(250))
     assert set(motors.history) == {(0.0, 0.0)}
