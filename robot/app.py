@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Literal
 
 from robot.announce import Announcement, announced_addresses
-from robot.config import RobotConfig, ServerConfig
+from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
 from shared.errors import ConfigError, DeviceUnavailable
+from shared.listening import bind
 
 logger = logging.getLogger(__name__)
 
@@ -31,7 +32,7 @@ EXTRA = {
 
 def run(kind: DeviceKind, config: RobotConfig) -> None:
     """Serve until SIGINT or SIGTERM. The port is taken first: a second robot-server must not touch the devices."""
-    listener = bind(config.server)
+    listener = bind(config.server.host, config.server.port)
     with listener:
         server = RobotServer(open_devices(kind, config), config, starts_with_first_station=kind == "recorded")
         atexit.register(server.stop_motors)
@@ -81,27 +82,6 @@ def _adapter(kind: str, opener: str) -> Callable[..., DeviceSet]:
         ) from exc
     found: Callable[..., DeviceSet] = getattr(module, opener)
     return found
-
-
-def bind(config: ServerConfig) -> socket.socket:
-    """A listening socket. Raises ConfigError in one sentence when the address cannot be used."""
-    try:
-        family, *_, address = socket.getaddrinfo(config.host, config.port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, socket.SOCK_STREAM)
-    except OSError as exc:
-        raise ConfigError(f"--host {config.host} cannot be used ({exc}); give an address of this machine") from exc
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(128)
-    except OSError as exc:
-        listener.close()
-        raise ConfigError(
-            f"cannot listen on {config.host}:{config.port} ({exc.strerror});"
-            " stop the program that uses the port or choose another with --port"
-        ) from exc
-    listener.setblocking(False)
-    return listener
 
 
 async def serve_until_signal(server: RobotServer, listener: socket.socket) -> None:

@@ -11,10 +11,8 @@ from collections.abc import Callable, Iterator
 
 import uvicorn
 
-from shared.errors import ConfigError
 from station.api.server import make_api
 from station.app import Station
-from station.config import ApiConfig
 
 logger = logging.getLogger(__name__)
 END_WITHIN_S = 2  # open video streams never end by themselves
@@ -26,26 +24,6 @@ class _Server(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
-
-
-def bind(config: ApiConfig) -> socket.socket:
-    """A listening socket. Raises ConfigError in one sentence when the address cannot be used."""
-    try:
-        family, *_, address = socket.getaddrinfo(config.host, config.port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, socket.SOCK_STREAM)
-    except OSError as exc:
-        raise ConfigError(f"--host {config.host} cannot be used ({exc}); give an address of this machine") from exc
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(128)
-    except OSError as exc:
-        listener.close()
-        raise ConfigError(
-            f"cannot serve on {config.host}:{config.port} ({exc.strerror});"
-            " stop the program that uses the port or choose another with --port"
-        ) from exc
-    return listener
 
 
 async def serve(station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None) -> None:

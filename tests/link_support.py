@@ -8,11 +8,11 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
-from robot.app import bind
 from robot.config import RobotConfig, ServerConfig
 from robot.devices.ports import BatteryState, CapturedFrame, DeviceSet, ImuReading
 from robot.server import RobotServer
 from shared.calibration import REFERENCE_ROBOT
+from shared.listening import bind
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.link import RobotLink
 
@@ -152,7 +152,7 @@ class Bench:
 
     async def start(self) -> None:
         """Start, or start again on the same port."""
-        listener = bind(ServerConfig(port=self.port))
+        listener = bind("127.0.0.1", self.port)
         self.port = listener.getsockname()[1]
         self.server = RobotServer(self.devices(), self.config)
         self.task = asyncio.create_task(self.server.serve(listener))

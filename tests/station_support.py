@@ -14,12 +14,13 @@ import httpx
 import numpy as np
 
 from robot.devices.ports import CapturedFrame
+from shared.listening import bind
 from station.app import Station
 from station.config import ApiConfig, LocalizationConfig, RobotConfig, SlamConfig, StationConfig
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore
 from station.places.build import build_map
-from station.serving import bind, serve
+from station.serving import serve
 from tests.link_support import Bench, until
 from tests.made_up_workers import made_up_navigation
 
@@ -93,7 +94,7 @@ async def running_station(
         localization=LocalizationConfig(rate_hz=4),
     )
     station = Station(config, place_servant="tests.made_up_workers:AlwaysFirstPlace")
-    listener = bind(config.api)
+    listener = bind(config.api.host, config.api.port)
     address = f"http://127.0.0.1:{listener.getsockname()[1]}"
     started = asyncio.Event()
     serving = asyncio.create_task(serve(station, listener, started.set))

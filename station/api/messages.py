@@ -95,6 +95,7 @@ class DriveCommand(Model):
     linear: Number
     angular: Number
     ttl_ms: int = Field(default=250, ge=1, le=1000)
+    heard_ms: int | None = Field(default=None, ge=0, le=2**53, description="t_ms of the newest `time` heard before")
 
 
 class StopCommand(Model):
@@ -150,4 +151,11 @@ class DriveReply(Model):
     you_drive: bool
 
 
-DriveAnswer = Annotated[DriveAccepted | DriveRefused | DriveReply, Field(discriminator="type")]
+class TimeReply(Model):
+    """The station's clock, ten times a second. A drive command that repeats it shows by it that it is not old."""
+
+    type: Literal["time"] = "time"
+    t_ms: int
+
+
+DriveAnswer = Annotated[DriveAccepted | DriveRefused | DriveReply | TimeReply, Field(discriminator="type")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
@@ -19,6 +20,7 @@ from station.api.messages import (
     ReleaseCommand,
     StopCommand,
     TakeOverCommand,
+    TimeReply,
     drive_request,
 )
 from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel
@@ -31,6 +33,8 @@ from station.mailbox import MessageReader
 from station.refusals import NoRobot
 
 router = APIRouter(tags=["robot"])
+TIME_PERIOD_S = 0.1
+LATE_MS = 500  # a drive command said longer ago (a frozen network or station delivers the past in one burst) counts not
 
 
 @router.get("/robot", summary="Link, battery, rates, losses, clock offset, who drives")
@@ -83,22 +87,25 @@ async def hijack(order: HijackOrder, station: StationDep) -> Accepted:
 async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "") -> None:
     """The joystick: commands in (`DriveRequest`), answers out (`DriveAnswer`). `?driver=` names who drives.
 
-    When the socket closes, the robot stops if its driver drove.
+    When the socket closes, the robot stops if its driver drove. Commands that repeat our `time` are refused silently
+    when they are old; others cannot be told from fresh ones.
     """
     await socket.accept()
     name = driver[:MAX_DRIVER_NAME] or (f"page at {socket.client.host}" if socket.client else "page")
     lost_socket = (WebSocketDisconnect, RuntimeError)
     with station.events.hub.subscribe() as changes:
-        telling = asyncio.create_task(_tell_driver(socket, station, name, changes))
+        telling = [asyncio.create_task(c) for c in (_tell_driver(socket, station, name, changes), _tell_time(socket))]
         try:
             while True:
                 await _obey(socket, station, name, await socket.receive_text())
         except lost_socket:
             pass
         finally:
-            telling.cancel()
-            with contextlib.suppress(asyncio.CancelledError, *lost_socket):
-                await telling
+            for task in telling:
+                task.cancel()
+            for task in telling:
+                with contextlib.suppress(asyncio.CancelledError, *lost_socket):
+                    await task
             if station.driving.driver == name:
                 station.driving.release(name)
 
@@ -111,6 +118,8 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str) -> No
         return
     try:
         match command:
+            case DriveCommand() if _is_late(command):
+                pass
             case DriveCommand():
                 station.driving.drive(name, command.linear, command.angular, command.ttl_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
@@ -137,3 +146,17 @@ async def _tell_driver(socket: WebSocket, station: Station, name: str, changes: 
             await socket.send_text(DriveReply(driver=driver, you_drive=driver == name).model_dump_json())
         while (await changes.get()).kind != "driver":
             pass
+
+
+async def _tell_time(socket: WebSocket) -> None:
+    while True:
+        await socket.send_text(TimeReply(t_ms=_now_ms()).model_dump_json())
+        await asyncio.sleep(TIME_PERIOD_S)
+
+
+def _is_late(command: DriveCommand) -> bool:
+    return command.heard_ms is not None and _now_ms() - command.heard_ms > LATE_MS
+
+
+def _now_ms() -> int:
+    return time.monotonic_ns() // 1_000_000

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from shared.listening import bind
 from station.config import ApiConfig, RobotConfig, StationConfig, load_config, parse_address
 
 
@@ -31,13 +32,13 @@ def serve(
 ) -> None:
     """Serve the page and the API: drive, map, and ask which place the robot is at."""
     from station.app import Station  # the web and estimation libraries load only for this command
-    from station.serving import bind, serve_until_signal
+    from station.serving import serve_until_signal
 
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="station: %(levelname)s: %(message)s"
     )
     settings = _settings(load_config(config), robot, host, port, data, backend)
-    listener = bind(settings.api)
+    listener = bind(settings.api.host, settings.api.port)
     with listener:
         name, number = listener.getsockname()[:2]
         address = f"http://{f'[{name}]' if ':' in name else name}:{number}"

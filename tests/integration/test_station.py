@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 import websockets
 
-from station.config import ApiConfig
-from station.serving import bind
+from shared.listening import bind
 from tests.link_support import Bench, running_robot, until
 from tests.station_support import Desk, Film, running_station, store_map
 
@@ -41,6 +40,13 @@ async def wait_for(desk: Desk, path: str, condition: Any) -> Any:
         if condition(answer):
             return answer
         await asyncio.sleep(0.05)
+
+
+async def heard(socket: websockets.ClientConnection) -> Any:
+    """The next answer on the drive socket; the clock, which ticks all the time, is passed over."""
+    while (answer := json.loads(await socket.recv()))["type"] == "time":
+        continue
+    return answer
 
 
 def is_problem(answer: Any, status: int) -> bool:
@@ -148,9 +154,9 @@ async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -
 async def test_closing_the_drive_socket_stops_the_robot(tmp_path: Path) -> None:
     async with at_work(tmp_path) as (desk, bench, _):
         async with websockets.connect(desk.socket("/ws/drive?driver=page")) as socket:
-            assert json.loads(await socket.recv()) == {"type": "driver", "driver": None, "you_drive": False}
+            assert await heard(socket) == {"type": "driver", "driver": None, "you_drive": False}
             await socket.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.2, "angular": 0, "ttl_ms": 1000}))
-            told = [json.loads(await socket.recv()) for _ in range(2)]
+            told = [await heard(socket) for _ in range(2)]
             assert {"type": "accepted", "seq": 1} in told
             assert {"type": "driver", "driver": "page", "you_drive": True} in told
             await until(lambda: bench.motors.history and not bench.motors.are_off)
@@ -164,11 +170,31 @@ async def test_nonsense_on_the_drive_socket_is_refused_and_the_socket_lives(tmp_
         running_station(1, tmp_path) as desk,
         websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
     ):
-        await socket.recv()
+        await heard(socket)
         await socket.send(text)
-        assert json.loads(await socket.recv())["type"] == "refused"
+        assert (await heard(socket))["type"] == "refused"
         await socket.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0}))
-        assert json.loads(await socket.recv())["problem"] == "no-robot"
+        assert (await heard(socket))["problem"] == "no-robot"
+
+
+async def test_what_a_page_said_before_everything_froze_moves_nothing_after(tmp_path: Path) -> None:
+    """The station stood still, or the network did; the page's commands wait in the socket and then come all at once."""
+    async with (
+        at_work(tmp_path) as (desk, bench, _),
+        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
+    ):
+        while (answer := json.loads(await socket.recv()))["type"] != "time":
+            continue
+        order = {"type": "drive", "linear": 0.2, "angular": 0.0}
+        for seq in range(60):
+            await socket.send(json.dumps({**order, "seq": seq, "heard_ms": answer["t_ms"] - 501}))
+        await socket.send(json.dumps({"type": "release"}))
+        await socket.send(json.dumps({**order, "seq": 60}))
+        # The first accepted one is the one that was said after it all.
+        while (answer := await heard(socket))["type"] != "accepted":
+            continue
+        assert answer["seq"] == 60
+        await until(lambda: not bench.motors.are_off)
 
 
 async def test_pages_of_other_sites_get_no_socket(tmp_path: Path) -> None:
@@ -335,8 +361,8 @@ async def test_a_running_job_can_be_cancelled(tmp_path: Path) -> None:
 def test_a_port_in_use_is_one_sentence() -> None:
     from shared.errors import ConfigError
 
-    with bind(ApiConfig(port=0)) as taken, pytest.raises(ConfigError, match="choose another with --port"):
-        bind(ApiConfig(port=taken.getsockname()[1]))
+    with bind("127.0.0.1", 0) as taken, pytest.raises(ConfigError, match="choose another with --port"):
+        bind("127.0.0.1", taken.getsockname()[1])
 
 
 async def test_the_example_client_says_the_place(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ export class DriveControl {
   private pad: [number, number] | null = null;
   private padMustRest = false;
   private seq = 0;
+  private heardMs: number | null = null; // the station's clock: shows that a command is not old when it arrives
   private isDriving = false;
   private youDrive = false;
   private able: CapabilitiesModel | null = null;
@@ -36,6 +37,7 @@ export class DriveControl {
       `/ws/drive?driver=${encodeURIComponent(driverName)}`,
       (data) => this.take(JSON.parse(data as string) as DriveAnswer),
       (open) => {
+        this.heardMs = null; // of another station, perhaps
         if (!open) this.halt("the station does not answer");
       },
     );
@@ -79,7 +81,8 @@ export class DriveControl {
   }
 
   private take(answer: DriveAnswer): void {
-    if (answer.type === "driver") this.showDriver(answer.driver);
+    if (answer.type === "time") this.heardMs = answer.t_ms;
+    else if (answer.type === "driver") this.showDriver(answer.driver);
     else if (answer.type === "refused") this.halt(answer.text);
   }
 
@@ -118,7 +121,7 @@ export class DriveControl {
     const linear = y * limit * this.able.max_linear_m_s;
     const angular = -x * limit * this.able.max_angular_rad_s;
     this.seq += 1;
-    if (!this.send({ type: "drive", seq: this.seq, linear, angular, ttl_ms: TTL_MS })) {
+    if (!this.send({ type: "drive", seq: this.seq, linear, angular, ttl_ms: TTL_MS, heard_ms: this.heardMs })) {
       this.halt("the station does not answer");
       return;
     }

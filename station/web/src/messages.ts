@@ -70,6 +70,8 @@ export interface DriveCommand {
   linear: number;
   angular: number;
   ttl_ms: number;
+  /** t_ms of the newest `time` heard before */
+  heard_ms: number | null;
 }
 
 /** Hold this velocity, then stop. */
@@ -388,6 +390,12 @@ export interface TakeOverCommand {
   type: "take_over";
 }
 
+/** The station's clock, ten times a second. A drive command that repeats it shows by it that it is not old. */
+export interface TimeReply {
+  type: "time";
+  t_ms: number;
+}
+
 /** Poses so far, oldest first; thinned to `limit` poses. */
 export interface TrajectoryModel {
   navigation: string | null;
@@ -426,4 +434,5 @@ export type DriveRequest =
 export type DriveAnswer =
   | DriveAccepted
   | DriveRefused
-  | DriveReply;
+  | DriveReply
+  | TimeReply;

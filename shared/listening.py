@@ -1,0 +1,32 @@
+"""Takes the port a program serves on, before it touches anything else."""
+
+from __future__ import annotations
+
+import socket
+
+from shared.errors import ConfigError
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A listening, non-blocking socket; port 0 takes a free one.
+
+    Raises:
+        ConfigError: the address cannot be used, or another program has the port.
+    """
+    try:
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, socket.SOCK_STREAM)
+    except OSError as exc:
+        raise ConfigError(f"--host {host} cannot be used ({exc}); give an address of this machine") from exc
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(128)
+    except OSError as exc:
+        listener.close()
+        raise ConfigError(
+            f"cannot listen on {host}:{port} ({exc.strerror});"
+            " stop the program that uses the port or choose another with --port"
+        ) from exc
+    listener.setblocking(False)
+    return listener
