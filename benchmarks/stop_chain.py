@@ -10,15 +10,25 @@ import signal
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import websockets
 
-from robot.devices.emulated import EmulatedBoard
+from robot.devices.emulated.board import BoardEvent, EmulatedBoard
 
 ROOT = Path(__file__).parents[1]
 START_TIMEOUT_S = 90.0
 REPEAT_S = 0.05  # as the page does while the joystick is held
+
+
+@dataclass(frozen=True, slots=True)
+class LineEntry:
+    """A line of benchmarks/stop_robot.py's log: stamped before and after (our monotonic clock), and what."""
+
+    before_ns: int
+    after_ns: int
+    what: str
 
 
 class Cable:
@@ -81,11 +91,14 @@ class Page:
         self._address, self._name, self._linear = address, name, linear
         self._socket: websockets.ClientConnection | None = None
         self._tasks: list[asyncio.Task[None]] = []
+        self.is_open = False
         self.holds = False
         self.refused = 0
+        self._heard_ms: int | None = None  # as the page repeats it
 
     async def open(self) -> None:
         self._socket = await websockets.connect(f"{self._address}/ws/drive?driver={self._name}")
+        self.is_open = True
         self._tasks = [asyncio.create_task(self._hold(self._socket)), asyncio.create_task(self._hear(self._socket))]
 
     async def _hold(self, socket: websockets.ClientConnection) -> None:
@@ -95,17 +108,21 @@ class Page:
                 if self.holds:
                     seq += 1
                     command = {"type": "drive", "seq": seq, "linear": self._linear, "angular": 0.0, "ttl_ms": 250}
-                    await socket.send(json.dumps(command))
+                    await socket.send(json.dumps({**command, "heard_ms": self._heard_ms}))
                 await asyncio.sleep(REPEAT_S)
 
     async def _hear(self, socket: websockets.ClientConnection) -> None:
         with contextlib.suppress(websockets.ConnectionClosed):
             async for answer in socket:
-                self.refused += json.loads(answer)["type"] == "refused"
+                message = json.loads(answer)
+                self.refused += message["type"] == "refused"
+                if message["type"] == "time":
+                    self._heard_ms = message["t_ms"]
+        self.is_open = False
 
     def vanish(self) -> None:
         """The tab is closed: the connection ends without a word."""
-        self.holds = False
+        self.holds = self.is_open = False
         if self._socket is not None:
             self._socket.transport.abort()
 
@@ -126,13 +143,19 @@ class Chain:
         self.board.command("sample 0 0 9.81 0 0 0")
         self.cable = Cable()
         self.motor_log = self.folder / "motors"
+        self.motor_log.touch()
+        self._log_from = 0
+        self._marks = 0
         self.robot: asyncio.subprocess.Process | None = None
         self.station: asyncio.subprocess.Process | None = None
         self.page: Page | None = None
         self.address = ""
+        self._canary: asyncio.subprocess.Process | None = None
 
     async def start(self) -> None:
         await self.cable.start()
+        command = [sys.executable, "-m", "benchmarks.stop_canary", str(self.folder / "canary")]
+        self._canary = await self._spawn(command)
         await self.start_robot()
         await self.start_station()
         await self.open_page()
@@ -169,40 +192,58 @@ class Chain:
             await asyncio.sleep(0.01)
         await asyncio.sleep(0.1)
 
-    def pins_zero_ns(self, since_ns: int) -> int | None:
-        """When the pins went to zero for good since a time (our clock); None while they move."""
-        if self.board.pins != (0, 0):
-            return None
-        last = since_ns
-        for event in reversed(list(self.board.events)):
-            if event.t_ns < since_ns:
-                break
-            if event.text.startswith("pins ") and event.text != "pins 0 0":
-                break
-            if event.text == "pins 0 0":
-                last = event.t_ns
-        return last
+    def forget(self) -> None:
+        """Begin a new trial: only what happens from now on counts."""
+        self.board.events.clear()
+        self._log_from = self.motor_log.stat().st_size
 
-    def slips_between(self, start_ns: int, end_ns: int) -> int:
-        """How often the board had to give up real time because this PC was busy."""
-        events = list(self.board.events)
-        return sum(e.text.startswith("slip ") and start_ns <= e.t_ns <= end_ns for e in events)
+    async def mark(self) -> int:
+        """The Mega's time now (us): asked and answered before this returns, so nothing later has an earlier time."""
+        self._marks += 1
+        text = f"mark {self._marks}"
+        self.board.command(text)
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline:
+            for event in reversed(list(self.board.events)):
+                if event.text == text:
+                    return event.t_mega_us
+            await asyncio.sleep(0.002)
+        raise RuntimeError("the emulated board does not answer")
 
-    def server_stop_ns(self, since_ns: int) -> int | None:
-        """When robot-server told the motors to stop for good since a time; None while it has not."""
-        calls = [line.split() for line in self.motor_log.read_text().splitlines()[-400:] if line.count(" ") == 1]
-        drives = [int(t) for t, what in calls if what == "drive"]
-        after = max([since_ns, *drives])
-        stops = [int(t) for t, what in calls if what == "stop" and int(t) > after]
-        if stops:
-            return stops[0]
-        # It may have stood already when the fault came.
-        return since_ns if calls and calls[-1][1] == "stop" else None
+    async def pass_mega_s(self, seconds: float) -> None:
+        """Let this much of the Mega's time go by, however long it takes here."""
+        until_us = await self.mark() + seconds * 1e6
+        await asyncio.sleep(seconds)
+        while await self.mark() < until_us:
+            await asyncio.sleep(0.02)
+
+    def events(self) -> list[BoardEvent]:
+        """What the board told since `forget`."""
+        return list(self.board.events)
+
+    def starved_ms(self, start_ns: int, end_ns: int) -> float:
+        """The longest a waiting process had to wait for a core between two of our times."""
+        file = self.folder / "canary"
+        lines = file.read_text().rpartition("\n")[0].splitlines()[-2000:] if file.exists() else []
+        waits = [(int(woken), int(late)) for woken, late in (line.split() for line in lines)]
+        return max((late * 1e-6 for woken, late in waits if woken >= start_ns and woken - late <= end_ns), default=0.0)
+
+    def slipped_ms(self, start_ns: int, end_ns: int) -> float:
+        """By how much the emulated Mega fell behind the clock between two of our times."""
+        slips = [e.text.split() for e in self.events() if start_ns <= e.t_ns <= end_ns]
+        return float(sum(int(words[1]) for words in slips if words[0] == "slip"))
+
+    def line_log(self) -> list[LineEntry]:
+        """What robot-server wrote to the serial line since `forget`."""
+        with self.motor_log.open() as log:
+            log.seek(self._log_from)
+            whole = log.read().rpartition("\n")[0].splitlines()
+        return [LineEntry(int(b), int(a), what) for b, a, what in (line.split() for line in whole)]
 
     async def close(self) -> None:
         if self.page is not None:
             await self.page.close()
-        for process in (self.station, self.robot):
+        for process in (self.station, self.robot, self._canary):
             if process is not None:
                 await self.kill(process)
         await self.cable.close()

@@ -1,7 +1,8 @@
-"""robot-server for bench_stop: the real server and Mega adapters, a camera that can misbehave, and a log of the motors.
+"""robot-server for bench_stop: the real server and Mega adapters, a camera that can misbehave, and a log of the line.
 
 Lines on stdin break it: `block S` (busy event loop), `sleep S` (blocked event loop), `camera hang|flood|normal`,
-`clock S` (the wall clock jumps). The log has one line per motor call: monotonic ns and `drive` or `stop`.
+`clock S` (the wall clock jumps). The log has one line per drive or stop frame, stamped around the write to the serial
+line (`before after drive|stop`, monotonic ns), and `begin end block` for each blocked event loop.
 """
 
 from __future__ import annotations
@@ -14,38 +15,49 @@ import threading
 import time
 from collections.abc import Callable
 
-from robot.app import bind, serve_until_signal
+from robot.app import serve_until_signal
 from robot.config import PiConfig, RobotConfig, ServerConfig
-from robot.devices.pi.adapter import geometry_of, open_mega
+from robot.devices.pi.adapter import geometry_of, mega_settings
+from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaImu, MegaMotors
-from robot.devices.ports import CapturedFrame, DeviceSet, Motors
+from robot.devices.pi.serial_line import PySerialLine
+from robot.devices.ports import CapturedFrame, DeviceSet
 from robot.server import RobotServer
 from shared.calibration import REFERENCE_ROBOT
+from shared.listening import bind
+from shared.serial_protocol import Type
 
 FRAME_BYTES = 30_000
 FLOOD_BYTES = 200_000
 
 
-class LoggedMotors:
-    """Passes on, and notes when."""
+class Log:
+    """Lines that are in the file when `note` returns."""
 
-    def __init__(self, motors: Motors, path: str) -> None:
-        self._motors = motors
+    def __init__(self, path: str) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
-    def _note(self, what: bytes) -> None:
-        os.write(self._fd, b"%d %s\n" % (time.monotonic_ns(), what))
+    def note(self, before_ns: int, what: str) -> None:
+        os.write(self._fd, f"{before_ns} {time.monotonic_ns()} {what}\n".encode())
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
-        self._motors.drive(linear_m_s, angular_rad_s)
-        self._note(b"drive")
 
-    def stop(self) -> None:
-        self._motors.stop()
-        self._note(b"stop")
+class LoggedLine:
+    """A serial line that notes what the motors were told, and when."""
+
+    def __init__(self, line: PySerialLine, log: Log) -> None:
+        self._line, self._log = line, log
+
+    def read(self) -> bytes:
+        return self._line.read()
+
+    def write(self, data: bytes) -> None:
+        before_ns = time.monotonic_ns()
+        self._line.write(data)
+        if data[1] in (Type.DRIVE, Type.STOP):
+            self._log.note(before_ns, "drive" if data[1] == Type.DRIVE else "stop")
 
     def close(self) -> None:
-        self._motors.close()
+        self._line.close()
 
 
 class BenchCamera:
@@ -55,8 +67,8 @@ class BenchCamera:
         self.mode = "normal"
 
     async def capture(self) -> CapturedFrame:
-        if self.mode == "hang":
-            await asyncio.sleep(3600)
+        while self.mode == "hang":
+            await asyncio.sleep(0.05)
         flood = self.mode == "flood"
         await asyncio.sleep(0.0 if flood else 0.1)
         size = FLOOD_BYTES if flood else FRAME_BYTES
@@ -72,15 +84,21 @@ def busy(seconds: float) -> None:
         pass
 
 
-def listen(loop: asyncio.AbstractEventLoop, camera: BenchCamera) -> None:
+def hold(log: Log, how: Callable[[float], None], seconds: float) -> None:
+    """Runs on the event loop, and says so first."""
+    begin_ns = time.monotonic_ns()
+    log.note(begin_ns, "block")
+    how(seconds)
+    log.note(begin_ns, "unblock")
+
+
+def listen(loop: asyncio.AbstractEventLoop, camera: BenchCamera, log: Log) -> None:
     """Obey stdin in a thread of its own."""
     real_time: Callable[[], float] = time.time
     for line in sys.stdin:
         word, _, value = line.strip().partition(" ")
-        if word == "block":
-            loop.call_soon_threadsafe(busy, float(value))
-        elif word == "sleep":
-            loop.call_soon_threadsafe(time.sleep, float(value))
+        if word in ("block", "sleep"):
+            loop.call_soon_threadsafe(hold, log, busy if word == "block" else time.sleep, float(value))
         elif word == "camera":
             camera.mode = value
         elif word == "clock":
@@ -95,17 +113,18 @@ async def main() -> None:
     parser.add_argument("--log", required=True)
     options = parser.parse_args()
     config = PiConfig(serial_port=options.serial)
-    mega = open_mega(config)
+    log = Log(options.log)
+    mega = Mega(lambda: LoggedLine(PySerialLine(config.serial_port), log), *mega_settings(config))
     camera = BenchCamera()
     devices = DeviceSet(
         calibration=REFERENCE_ROBOT,
         camera=camera,
         imu=MegaImu(mega),
-        motors=LoggedMotors(MegaMotors(mega, geometry_of(config)), options.log),
+        motors=MegaMotors(mega, geometry_of(config)),
     )
     server_config = RobotConfig(server=ServerConfig(port=0))
-    listener = bind(server_config.server)
-    threading.Thread(target=listen, args=(asyncio.get_running_loop(), camera), daemon=True).start()
+    listener = bind("127.0.0.1", 0)
+    threading.Thread(target=listen, args=(asyncio.get_running_loop(), camera, log), daemon=True).start()
     print(f"port {listener.getsockname()[1]}", flush=True)
     await serve_until_signal(RobotServer(devices, server_config), listener)
 

@@ -132,6 +132,21 @@ void serial_plug(int plugged) {
   if (!options.pty) return;
   if (plugged && master < 0) open_pty();
   if (!plugged) serial_close();
+  event("serial %s", plugged ? "plugged" : "unplugged");
+}
+
+/* Says when a drive (0x10) or stop (0x11) frame has come: a frame's second byte is its type, which is never zero. */
+static void watch_frames(const uint8_t *bytes, ssize_t n) {
+  static int length = 0;
+  static uint8_t type = 0;
+  for (ssize_t i = 0; i < n; ++i) {
+    if (bytes[i] == 0) {
+      if (length > 1 && (type == 0x10 || type == 0x11)) event("in %02x", type);
+      length = 0;
+    } else if (++length == 2) {
+      type = bytes[i];
+    }
+  }
 }
 
 void serial_poll(void) {
@@ -147,7 +162,10 @@ void serial_poll(void) {
   if (p.revents & POLLIN) {
     uint8_t bytes[1024];
     const ssize_t n = read(master, bytes, sizeof bytes);
-    if (n > 0) serial_send(bytes, (int)n);
+    if (n > 0) {
+      watch_frames(bytes, n);
+      serial_send(bytes, (int)n);
+    }
   }
 }
 

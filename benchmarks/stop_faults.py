@@ -1,0 +1,123 @@
+"""What breaks between the page and the Mega, and since when the robot must stop."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import signal
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from benchmarks.stop_chain import Chain, Page
+
+BLOCK_S = 1.6  # longer than a trial watches before the joystick is let go
+
+
+@dataclass(frozen=True)
+class Instant:
+    """The fault's moment by both clocks; each is taken before the fault acts, so no figure is flattered."""
+
+    since_ns: int  # our monotonic clock
+    mega_us: int
+
+
+Inject = Callable[[Chain, random.Random], Awaitable[Instant]]
+
+
+async def now(chain: Chain) -> Instant:
+    mega_us = await chain.mark()
+    return Instant(time.monotonic_ns(), mega_us)
+
+
+async def page_closed(chain: Chain, _rng: random.Random) -> Instant:
+    assert chain.page is not None
+    instant = await now(chain)
+    chain.page.vanish()
+    return instant
+
+
+async def page_frozen(chain: Chain, _rng: random.Random) -> Instant:
+    assert chain.page is not None
+    instant = await now(chain)
+    chain.page.holds = False  # the connection stays, nothing comes
+    return instant
+
+
+async def network_cut(chain: Chain, _rng: random.Random) -> Instant:
+    instant = await now(chain)
+    chain.cable.is_cut = True
+    return instant
+
+
+def killing(who: str, number: int) -> Inject:
+    async def inject(chain: Chain, _rng: random.Random) -> Instant:
+        instant = await now(chain)
+        chain.signal(getattr(chain, who), number)
+        return instant
+
+    return inject
+
+
+async def loop_blocked(chain: Chain, rng: random.Random) -> Instant:
+    instant = await now(chain)
+    await chain.tell_robot(f"{rng.choice(['block', 'sleep'])} {BLOCK_S}")
+    while not (blocks := [e for e in chain.line_log() if e.what == "block"]):
+        await asyncio.sleep(0.005)
+    return Instant(blocks[0].before_ns, instant.mega_us)  # stamped by the loop itself, as its last deed
+
+
+async def serial_unplugged(chain: Chain, _rng: random.Random) -> Instant:
+    instant = await now(chain)
+    chain.board.command("serial 0")
+    return instant
+
+
+def then_silent(line: str) -> Inject:
+    """A fault that need not stop a driven robot; it must not keep it from stopping once the driver is silent."""
+
+    async def inject(chain: Chain, rng: random.Random) -> Instant:
+        await chain.tell_robot(line)
+        await asyncio.sleep(0.1 + 0.1 * rng.random())
+        return await page_frozen(chain, rng)
+
+    return inject
+
+
+async def two_drivers(chain: Chain, rng: random.Random) -> Instant:
+    other = Page(chain.address, "other", -0.3)
+    await other.open()
+    other.holds = True
+    await asyncio.sleep(0.15 + 0.1 * rng.random())
+    if any(event.text.startswith("pins -") for event in chain.events()):
+        raise RuntimeError("the second driver moved the robot")
+    await other.close()
+    return await page_frozen(chain, rng)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One row of the table."""
+
+    name: str
+    count: int
+    inject: Inject
+    is_above_server: bool = True  # robot-server itself and its line are whole: it must stop, and says when it did
+    lasts: bool = False  # until it is mended; then its end is watched as well
+
+
+FAULTS = [
+    Fault("page closed", 60, page_closed),
+    Fault("page frozen", 60, page_frozen),
+    Fault("network cut (half-open)", 45, network_cut, lasts=True),
+    Fault("station SIGKILL", 10, killing("station", signal.SIGKILL), lasts=True),
+    Fault("station SIGSTOP", 50, killing("station", signal.SIGSTOP), lasts=True),
+    Fault("robot-server's loop blocked", 45, loop_blocked, lasts=True),
+    Fault("robot-server SIGSTOP", 60, killing("robot", signal.SIGSTOP), is_above_server=False, lasts=True),
+    Fault("robot-server SIGKILL", 30, killing("robot", signal.SIGKILL), is_above_server=False, lasts=True),
+    Fault("serial unplugged", 45, serial_unplugged, is_above_server=False, lasts=True),
+    Fault("camera hung, driver silent", 45, then_silent("camera hang")),
+    Fault("flood of frames, driver silent", 45, then_silent("camera flood")),
+    Fault("two drivers, both silent", 45, two_drivers),
+    Fault("wall clock jumped, driver silent", 45, then_silent("clock 86400")),
+]
