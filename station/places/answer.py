@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
-from shared.geometry import FloatArray
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray
 
 PlaceState = Literal["known", "unknown", "lost"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Localization:
-    """One image, found in a map by geometry: verified, or it would not exist."""
+    """One image, found in a map by geometry: verified, or it would not exist. Look-alikes may give it several."""
 
     t_robot_ns: int
     T_map_cam: FloatArray  # (4, 4)
@@ -21,6 +23,7 @@ class Localization:
     sigma_position: float  # map units, 1 sigma per axis
     keyframe_index: int  # the map's keyframe with the most inliers: the evidence image
     map_id: str
+    landmarks: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (i,) of the map, recognised
 
 
 @dataclass(frozen=True, slots=True)

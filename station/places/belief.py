@@ -18,9 +18,12 @@ class BeliefConfig:
     prior_unmapped: float = 0.4  # of a robot that was just put down somewhere
     prior_lost: float = 0.6
     unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
-    false_localization: float = 0.02  # of a verified pose that is wrong, at the fewest inliers
-    false_localization_floor: float = 2e-4
+    false_localization: float = 0.45  # that no candidate of an image is right, at the fewest inliers
+    false_localization_inliers: float = 40.0  # ... and e times less with this many more
+    false_localization_floor: float = 0.02
     fewest_inliers: int = 16
+    candidate_exponent: float = 1.5  # a candidate's share of the belief grows with its inliers to this power
+    landmark_memory_s: float = 15.0  # landmarks seen again within this time are no new evidence
     fail_known_view: float = 0.35  # no localisation although a keyframe looks this way from here
     fail_other_view: float = 0.9  # ... where the map has no such view
     fail_lost: float = 0.6  # ... somewhere in the map
@@ -29,6 +32,7 @@ class BeliefConfig:
     new_view_rad: float = 0.2  # turning or driving this far makes an image independent of the last one
     new_view_m: float = 0.3
     same_view: float = 0.1  # weight of the evidence of an unchanged view
+    same_landmarks: float = 0.02  # ... of an image that recognises nothing new
     same_view_per_s: float = 0.25  # without odometry: how fast views become independent
     covered_m: float = 2.5  # from the mapping drive's path: beyond it the map does not know
     covered_softness_m: float = 0.25
@@ -41,6 +45,9 @@ class BeliefConfig:
     pose_floor_m: float = 0.04  # map errors that no image's covariance knows
     pose_floor_rad: float = 0.03
     max_hypotheses: int = 8
+    believed_from: float = 0.9  # weight of a hypothesis that counts as where the robot is
+    jump_m: float = 1.0  # two believed positions this far apart are a jump
+    jump_rad: float = 0.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +63,7 @@ class Hypothesis:
     evidence_t_robot_ns: int
     evidence_keyframe: int
     inliers: int
+    number: int = 0  # stays when the hypothesis is moved, so that one can be told from another
 
     def pose(self, T_nav_body: FloatArray) -> FloatArray:
         """T_map_body (4, 4) for an odometry pose in metres."""

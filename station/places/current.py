@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse, so3_log
 from station.maps.map import PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
-from station.places.belief import BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
+from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
 from station.places.coverage import Coverage, units_per_metre
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
@@ -55,6 +56,24 @@ class Belief:
     lost: float  # share of `place` that is mere prior: somewhere in a map
 
 
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """The robot is where it cannot have driven: somebody moved it, or it was somewhere else all the time."""
+
+    distance_m: float
+    is_other_map: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """A localisation in the terms of this estimator."""
+
+    localization: Localization
+    map_index: int
+    T_map_body: FloatArray  # (4, 4) map units
+    sigma_m: float
+
+
 class CurrentPlaceEstimator:
     """Fed with events in any order of arrival; answers for a time. No clock, no I/O."""
 
@@ -79,6 +98,9 @@ class CurrentPlaceEstimator:
         self._segment = 0
         self._t_ns: int | None = None  # up to which time the hypotheses were carried
         self._last_view: _OdometryPose | None = None  # of the last image that was evidence
+        self._evidence: dict[tuple[str, int], int] = {}  # landmark of a map -> robot time it was last recognised
+        self._numbers = count(1)
+        self._believed: Hypothesis | None = None  # where the robot was known to be
         self._hijack_reason = ""
 
     # -- events ---------------------------------------------------------------------------------------------------
@@ -100,18 +122,25 @@ class CurrentPlaceEstimator:
         self._hypotheses = [grown(h, distance, turn, seconds, self.config) for h in self._hypotheses]
         self._carry(t_robot_ns)
 
-    def on_localization(self, localization: Localization, t_robot_ns: int | None = None) -> None:
+    def on_localization(self, localization: Localization, t_robot_ns: int | None = None) -> Jump | None:
         """A verified pose of an image; `t_robot_ns`: its time in the odometry's clock, where that differs."""
-        index = self._index.get(localization.map_id)
-        if index is None:
-            return
-        t = localization.t_robot_ns if t_robot_ns is None else t_robot_ns
+        return self.on_candidates((localization,), t_robot_ns)
+
+    def on_candidates(self, candidates: Sequence[Localization], t_robot_ns: int | None = None) -> Jump | None:
+        """The verified poses of one image, the best first: of look-alikes at most one is true.
+
+        Returns the jump when the belief went over to where the robot cannot have driven.
+        """
+        ours = [z for z in candidates if z.map_id in self._index]
+        if not ours:
+            return None
+        t = ours[0].t_robot_ns if t_robot_ns is None else t_robot_ns
         self._advance(t)
-        T_measured = localization.T_map_cam @ self._T_cam_body
         T_nav_body = self._nav_body_at(t)
-        freshness = self._freshness(t, T_nav_body)
-        self._weigh_localization(index, localization, T_measured, T_nav_body, freshness)
+        freshness = min(self._freshness(t, T_nav_body), self._novelty(ours, t))
+        self._weigh_candidates(ours, T_nav_body, freshness)
         self._last_view = _OdometryPose(t, T_nav_body)
+        return self._believe(T_nav_body)
 
     def on_failure(self, t_robot_ns: int, num_features: int | None = None) -> None:
         """An image that could not be localised. With few features (dark, covered, a white wall) it says nothing."""
@@ -144,6 +173,8 @@ class CurrentPlaceEstimator:
         self._unmapped = self._unmapped * (1 - confidence) + known * c.prior_unmapped
         self._normalise()
         self._last_view = None
+        self._evidence.clear()
+        self._believed = None
         self._hijack_reason = reason
 
     # -- answers --------------------------------------------------------------------------------------------------
@@ -241,59 +272,112 @@ class CurrentPlaceEstimator:
         covered = float(np.mean(1.0 / (1.0 + np.exp(np.clip(away, -50, 50)))))
         return share, tied, covered
 
-    def _weigh_localization(
-        self, index: int, z: Localization, T_measured: FloatArray, T_nav_body: FloatArray, freshness: float
-    ) -> None:
-        """Bayes' rule for a verified pose: it confirms a hypothesis, or starts one from "lost"."""
+    def _weigh_candidates(self, candidates: Sequence[Localization], T_nav_body: FloatArray, freshness: float) -> None:
+        """Bayes' rule for an image that was taken at one of several poses, or (`false`) at none of them.
+
+        Its likelihood at a pose is a mixture of the candidates' normal densities and a uniform one. A candidate that
+        no hypothesis expects becomes a hypothesis, with its share of what was "lost".
+        """
         c = self.config
-        view = self._maps[index]
-        extra = max(0, z.num_inliers - c.fewest_inliers)
-        false = max(c.false_localization * float(np.exp(-extra / 10.0)), c.false_localization_floor)
-        sigma_z = float(np.hypot(z.sigma_position / view.unit, c.pose_floor_m))
-        matched = False
+        extra = max(0, candidates[0].num_inliers - c.fewest_inliers)
+        false = c.false_localization * float(np.exp(-extra / c.false_localization_inliers))
+        false = max(false, c.false_localization_floor)
+        share = np.array([float(z.num_inliers) for z in candidates]) ** c.candidate_exponent
+        share *= (1 - false) / share.sum()
+        measured = [self._measured(z) for z in candidates]
+        expected = [False] * len(candidates)
         weighed = []
         for h in self._hypotheses:
-            if h.map_index != index:
-                weighed.append(replace(h, weight=h.weight * false**freshness))
-                continue
-            T_expected = h.pose(T_nav_body)
-            sigma_m = float(np.hypot(h.sigma_m, sigma_z))
-            sigma_rad = float(np.hypot(h.sigma_rad, c.pose_floor_rad))
-            fit = agreement(T_expected, T_measured, sigma_m, sigma_rad, view.area_m2, view.unit)
-            likelihood = (1 - false) * fit.density + false
+            fits = [self._fit(h, m, T_nav_body) for m in measured]
+            likelihood = false + sum(p * fit.density for p, fit in zip(share, fits, strict=True))
             h = replace(h, weight=h.weight * likelihood**freshness)
-            if fit.squared < 16.0:  # 4 sigma
-                matched = True
-                gain = h.sigma_m**2 / sigma_m**2
-                gain_heading = h.sigma_rad**2 / sigma_rad**2
-                T = fused(T_expected, T_measured, gain, gain_heading)
-                h = replace(
-                    h.moved_to(T, T_nav_body),
-                    sigma_m=float(np.sqrt(max(1 - gain, 0.05))) * h.sigma_m,
-                    sigma_rad=float(np.sqrt(max(1 - gain_heading, 0.05))) * h.sigma_rad,
-                    evidence_t_robot_ns=z.t_robot_ns,
-                    evidence_keyframe=z.keyframe_index,
-                    inliers=z.num_inliers,
-                )
+            best = int(np.argmax([p * fit.density for p, fit in zip(share, fits, strict=True)]))
+            if fits[best].squared < 16.0:  # 4 sigma
+                expected[best] = True
+                h = self._corrected(h, measured[best], T_nav_body)
             weighed.append(h)
-        found = self._lost * (1 - false)
+        believed = 1 - false**freshness  # of the weight of "lost" that turns to the candidates
+        for m, p, is_expected in zip(measured, share / share.sum(), expected, strict=True):
+            if not is_expected:
+                weighed.append(self._started(m, T_nav_body, self._lost * believed * float(p)))
         self._lost *= false**freshness
         self._unmapped *= false**freshness
-        if not matched:
-            new = Hypothesis(
-                map_index=index,
-                T_map_nav=T_measured @ inverse(in_units(T_nav_body, view.unit)),
-                unit=view.unit,
-                sigma_m=sigma_z,
-                sigma_rad=c.pose_floor_rad,
-                weight=found,
-                evidence_t_robot_ns=z.t_robot_ns,
-                evidence_keyframe=z.keyframe_index,
-                inliers=z.num_inliers,
-            )
-            weighed.append(new)
         self._hypotheses = weighed
         self._normalise()
+
+    def _believe(self, T_nav_body: FloatArray) -> Jump | None:
+        """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere."""
+        c = self.config
+        best = max(self._hypotheses, key=lambda h: h.weight, default=None)
+        if best is None or best.weight < c.believed_from:
+            return None
+        before, self._believed = self._believed, best
+        if before is None or before.number == best.number:
+            return None
+        if before.map_index != best.map_index:
+            return Jump(0.0, is_other_map=True)
+        distance, turn = _motion(before.pose(T_nav_body), best.pose(T_nav_body))
+        distance_m = distance / best.unit
+        return Jump(distance_m, is_other_map=False) if distance_m > c.jump_m or turn > c.jump_rad else None
+
+    def _measured(self, z: Localization) -> _Measured:
+        index = self._index[z.map_id]
+        sigma_m = float(np.hypot(z.sigma_position / self._maps[index].unit, self.config.pose_floor_m))
+        return _Measured(z, index, z.T_map_cam @ self._T_cam_body, sigma_m)
+
+    def _fit(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray) -> Agreement:
+        """How well a measured pose fits a hypothesis; in another map not at all."""
+        if h.map_index != m.map_index:
+            return Agreement(np.inf, 0.0)
+        view = self._maps[h.map_index]
+        sigma_m = float(np.hypot(h.sigma_m, m.sigma_m))
+        sigma_rad = float(np.hypot(h.sigma_rad, self.config.pose_floor_rad))
+        return agreement(h.pose(T_nav_body), m.T_map_body, sigma_m, sigma_rad, view.area_m2, view.unit)
+
+    def _corrected(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray) -> Hypothesis:
+        """The hypothesis after a measurement that it expected."""
+        gain = h.sigma_m**2 / (h.sigma_m**2 + m.sigma_m**2)
+        gain_heading = h.sigma_rad**2 / (h.sigma_rad**2 + self.config.pose_floor_rad**2)
+        T = fused(h.pose(T_nav_body), m.T_map_body, gain, gain_heading)
+        return replace(
+            h.moved_to(T, T_nav_body),
+            sigma_m=float(np.sqrt(max(1 - gain, 0.05))) * h.sigma_m,
+            sigma_rad=float(np.sqrt(max(1 - gain_heading, 0.05))) * h.sigma_rad,
+            evidence_t_robot_ns=m.localization.t_robot_ns,
+            evidence_keyframe=m.localization.keyframe_index,
+            inliers=m.localization.num_inliers,
+        )
+
+    def _started(self, m: _Measured, T_nav_body: FloatArray, weight: float) -> Hypothesis:
+        """A new hypothesis: the robot is where this measurement says."""
+        unit = self._maps[m.map_index].unit
+        return Hypothesis(
+            map_index=m.map_index,
+            T_map_nav=m.T_map_body @ inverse(in_units(T_nav_body, unit)),
+            unit=unit,
+            sigma_m=m.sigma_m,
+            sigma_rad=self.config.pose_floor_rad,
+            weight=weight,
+            evidence_t_robot_ns=m.localization.t_robot_ns,
+            evidence_keyframe=m.localization.keyframe_index,
+            inliers=m.localization.num_inliers,
+            number=next(self._numbers),
+        )
+
+    def _novelty(self, candidates: Sequence[Localization], t_robot_ns: int) -> float:
+        """Share of the recognised landmarks that were not evidence a moment ago.
+
+        A piece of furniture that looks like another one deceives every image of it in the same way: it counts once.
+        """
+        c = self.config
+        seen = {(z.map_id, int(i)) for z in candidates for i in z.landmarks}
+        if not seen:
+            return 1.0
+        forget_ns = t_robot_ns - round(c.landmark_memory_s * 1e9)
+        self._evidence = {k: t for k, t in self._evidence.items() if t > forget_ns}
+        new = sum(key not in self._evidence for key in seen)
+        self._evidence.update(dict.fromkeys(seen, t_robot_ns))
+        return float(max(c.same_landmarks, new / len(seen)))
 
     def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray) -> float:
         """Weight 0..1 of an image as evidence: near zero while it shows what the last one showed."""
@@ -346,6 +430,8 @@ class CurrentPlaceEstimator:
         self._hypotheses = [
             blurred(h.moved_to(h.pose(before), T_nav_body), gap_s, self.config) for h in self._hypotheses
         ]
+        if self._believed is not None:
+            self._believed = self._believed.moved_to(self._believed.pose(before), T_nav_body)
         last = self._odometry[-1]
         self._odometry.clear()
         self._odometry.append(last)

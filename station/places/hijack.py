@@ -2,7 +2,7 @@
 
 - IMU: lifted (velocity along the vertical), tilted, or turned while the motors rest. A robot on a floor does none.
 - Vision: what was seen a moment ago is gone although the gyro says it did not turn, and the new view stays.
-- Position: two images in a row are found where the robot cannot have driven.
+- Position: the estimate of the current place goes over to where the robot cannot have driven (`current.py`).
 Pure: times come with the data. docs/localisation.md has the thresholds' origin and false alarm rates.
 """
 
@@ -13,9 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from shared.geometry import FloatArray, inverse, so3_log
+from shared.geometry import FloatArray
 from station.frames import DriveSample, ImuBatch
-from station.places.answer import Localization
 from station.places.features import Features, to_floats
 
 HijackCue = Literal["imu", "vision", "position"]
@@ -56,11 +55,6 @@ class HijackConfig:
     view_stays: int = 25
     view_turn_rad: float = 0.25
     view_gap_s: float = 3.0
-    jump_m: float = 1.2
-    jump_share: float = 0.3  # of the way driven since the last localisation
-    jump_speed_m_s: float = 0.6  # where nothing tells the way
-    jump_rad: float = 0.7
-    jump_inliers: int = 40
 
 
 class HijackDetector:
@@ -70,7 +64,6 @@ class HijackDetector:
         self.config = config or HijackConfig()
         self._inertial = _InertialCue(self.config)
         self._views = _ViewCue(self.config)
-        self._jumps = _JumpCue(self.config)
         self._quiet_until_ns = 0
 
     @property
@@ -91,18 +84,16 @@ class HijackDetector:
             return None
         return self._once(self._views.add(t_robot_ns, features, self._inertial.turned))
 
-    def on_localization(
-        self, localization: Localization, T_map_body: FloatArray, T_nav_body: FloatArray | None, unit: float = 1.0
-    ) -> HijackEvent | None:
-        """A verified pose, and odometry's pose (metres) at its time; `unit`: map units per metre."""
-        return self._once(self._jumps.add(localization, T_map_body, T_nav_body, unit))
+    def on_jump(self, t_robot_ns: int, distance_m: float, is_other_map: bool) -> HijackEvent | None:
+        """The current place's estimate went over to a position where the robot cannot have driven."""
+        where = "in another map" if is_other_map else f"{distance_m:.1f} m away"
+        return self._once(HijackEvent(t_robot_ns, "position", f"recognised {where} from where it was", 0.99))
 
     def _once(self, event: HijackEvent | None) -> HijackEvent | None:
         """Cues of the same hijack within five seconds are one event."""
         if event is None or event.t_robot_ns < self._quiet_until_ns:
             return None
         self._quiet_until_ns = event.t_robot_ns + 5_000_000_000
-        self._jumps.forget()
         self._views.forget()
         return event
 
@@ -249,54 +240,3 @@ def _common(a: Features, b: Features, ratio: float) -> int:
     second = table.max(axis=1)
     clear = 2 - 2 * first < ratio**2 * np.maximum(2 - 2 * second, 1e-9)
     return int(np.count_nonzero(mutual & clear))
-
-
-class _JumpCue:
-    """Images say the robot is where it cannot have driven."""
-
-    def __init__(self, config: HijackConfig) -> None:
-        self._c = config
-        self._last: _Fix | None = None
-        self._odd: _Fix | None = None
-
-    def forget(self) -> None:
-        self._last = self._odd = None
-
-    def add(
-        self, z: Localization, T_map_body: FloatArray, T_nav_body: FloatArray | None, unit: float
-    ) -> HijackEvent | None:
-        if z.num_inliers < self._c.jump_inliers:
-            return None
-        now = _Fix(z.t_robot_ns, z.map_id, T_map_body, T_nav_body, unit)
-        if self._last is None or self._fits(self._last, now):
-            self._last, self._odd = now, None
-            return None
-        if self._odd is None or not self._fits(self._odd, now):
-            self._odd = now
-            return None
-        gap = float(np.linalg.norm(now.T_map_body[:3, 3] - self._last.T_map_body[:3, 3])) / unit
-        other = "in another map" if now.map_id != self._last.map_id else f"{gap:.1f} m away"
-        return HijackEvent(z.t_robot_ns, "position", f"recognised {other} from where it was", 0.99)
-
-    def _fits(self, a: _Fix, b: _Fix) -> bool:
-        """Whether the robot can have driven from a to b."""
-        if a.map_id != b.map_id:
-            return False
-        c = self._c
-        moved = inverse(a.T_map_body) @ b.T_map_body
-        if a.T_nav_body is None or b.T_nav_body is None:
-            allowed = c.jump_m + c.jump_speed_m_s * abs(b.t_robot_ns - a.t_robot_ns) / 1e9
-            return float(np.linalg.norm(moved[:3, 3])) / a.unit < allowed
-        driven = inverse(a.T_nav_body) @ b.T_nav_body
-        gap = float(np.linalg.norm(moved[:3, 3] / a.unit - driven[:3, 3]))
-        turn = float(np.linalg.norm(so3_log(moved[:3, :3] @ driven[:3, :3].T)))
-        return gap < c.jump_m + c.jump_share * float(np.linalg.norm(driven[:3, 3])) and turn < c.jump_rad
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fix:
-    t_robot_ns: int
-    map_id: str
-    T_map_body: FloatArray
-    T_nav_body: FloatArray | None
-    unit: float

@@ -57,7 +57,8 @@ class _Keyframe:
 class Attempt:
     """What one image gave, also when it was no answer."""
 
-    localization: Localization | None
+    localization: Localization | None  # the pose, where only one explains the image
+    candidates: tuple[Localization, ...]  # every verified pose, the best first: look-alikes give several
     reason: str  # why not, in a sentence; or what speaks for it
     num_features: int
     best_inliers: int
@@ -93,12 +94,10 @@ class Localizer:
         features = self._extractor.extract(frame.grey())
         n = len(features)
         if n < self.config.min_inliers:
-            return Attempt(
-                None, f"only {n} features in the image: dark, covered, blurred or featureless", n, 0, 0.0, features
-            )
+            return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", features)
         images, similarity = self.index.query(features.descriptors, self.config.num_proposals)
         if not len(images):
-            return Attempt(None, "nothing in the map resembles the image", n, 0, 0.0, features)
+            return _nothing("nothing in the map resembles the image", features)
         rays = to_rays(camera, features.uv_px)
         poses = []
         for group in self._groups(images):
@@ -107,21 +106,27 @@ class Localizer:
                 poses.append(pose)
         best_similarity = float(similarity[0])
         if not poses:
+            return _nothing("no keyframe that resembles the image agrees with it in space", features, best_similarity)
+        poses = self._distinct(poses)
+        best_inliers = poses[0].pose.num_inliers
+        objections = [self._objection(pose, features, camera) for pose in poses]
+        verified = [pose for pose, objection in zip(poses, objections, strict=True) if objection is None]
+        candidates = tuple(self._answer(pose, frame) for pose in verified)
+        if not candidates:
+            return Attempt(None, (), objections[0] or "", n, best_inliers, best_similarity, features)
+        rival = self._rival(verified[0], poses)
+        if rival is None:
             return Attempt(
-                None, "no keyframe that resembles the image agrees with it in space", n, 0, best_similarity, features
+                candidates[0],
+                candidates,
+                f"{verified[0].pose.num_inliers} landmarks of the map found where they belong",
+                n,
+                best_inliers,
+                best_similarity,
+                features,
             )
-        poses.sort(key=lambda p: -p.pose.num_inliers)
-        against = self._objection(poses, features, camera)
-        if against is not None:
-            return Attempt(None, against, n, poses[0].pose.num_inliers, best_similarity, features)
-        return Attempt(
-            self._answer(poses[0], frame),
-            f"{poses[0].pose.num_inliers} landmarks of the map found where they belong",
-            n,
-            poses[0].pose.num_inliers,
-            best_similarity,
-            features,
-        )
+        reason = f"another part of the map fits as well ({rival} against {verified[0].pose.num_inliers} landmarks)"
+        return Attempt(None, candidates, reason, n, best_inliers, best_similarity, features)
 
     def _groups(self, images: IntArray) -> list[list[int]]:
         """Proposed keyframes by region: each of the best ones with those that share landmarks with it."""
@@ -176,10 +181,22 @@ class Localizer:
             num_matches=len(query),
         )
 
-    def _objection(self, poses: list[_FoundPose], features: Features, camera: CameraCalibration) -> str | None:
-        """Why the best pose may not be believed; None when it may."""
+    def _distinct(self, poses: list[_FoundPose]) -> list[_FoundPose]:
+        """The poses by their inliers; of those that say the same, the best one."""
+        out: list[_FoundPose] = []
+        for found in sorted(poses, key=lambda p: -p.pose.num_inliers):
+            if all(self._differ(found, other) for other in out):
+                out.append(found)
+        return out
+
+    def _rival(self, best: _FoundPose, poses: list[_FoundPose]) -> int | None:
+        """Inliers of another pose that explains the image nearly as well; None when there is none."""
+        enough = self.config.max_rival * best.pose.num_inliers
+        return next((p.pose.num_inliers for p in poses if p is not best and p.pose.num_inliers > enough), None)
+
+    def _objection(self, best: _FoundPose, features: Features, camera: CameraCalibration) -> str | None:
+        """Why a pose may not be believed; None when it may."""
         c = self.config
-        best = poses[0]
         pose = best.pose
         n = pose.num_inliers
         if n < c.min_inliers:
@@ -192,15 +209,13 @@ class Localizer:
         depth = pose.median_depth
         if pose.sigma_position > c.max_sigma * depth:
             return f"the position is only known to {pose.sigma_position:.2f} at {depth:.1f} depth"
-        for rival in poses[1:]:
-            if rival.pose.num_inliers > c.max_rival * n and self._differ(best, rival, 0.3 * depth):
-                return f"another part of the map fits as well ({rival.pose.num_inliers} against {n} landmarks)"
         support = self._support(best, camera)
         if support < c.min_support:
             return f"only {support:.0%} of the landmarks that should be in view are there"
         return None
 
-    def _differ(self, a: _FoundPose, b: _FoundPose, gap: float) -> bool:
+    def _differ(self, a: _FoundPose, b: _FoundPose) -> bool:
+        gap = 0.3 * max(a.pose.median_depth, b.pose.median_depth)
         if a.map_index != b.map_index:
             return True
         A, B = a.pose.T_map_cam, b.pose.T_map_cam
@@ -240,7 +255,12 @@ class Localizer:
             sigma_position=found.pose.sigma_position,
             keyframe_index=self._keyframes[evidence].keyframe_index,
             map_id=self.maps[found.map_index].id,
+            landmarks=np.unique(found.landmark),
         )
+
+
+def _nothing(reason: str, features: Features, similarity: float = 0.0) -> Attempt:
+    return Attempt(None, (), reason, len(features), 0, similarity, features)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,6 @@ Main path of the live answer: `on_imu`, `on_drive` as they come, `on_frame` for 
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +15,6 @@ from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
 from station.places.answer import PlaceAnswer
-from station.places.coverage import units_per_metre
 from station.places.current import CurrentPlaceEstimator
 from station.places.dead_reckoning import DeadReckoning
 from station.places.hijack import HijackDetector, HijackEvent
@@ -24,7 +22,6 @@ from station.places.localizer import Attempt, Localizer
 
 ODOMETRY_EVERY_NS = 50_000_000
 SLAM_SILENCE_NS = 1_000_000_000  # without a SLAM pose for this long, dead reckoning takes over
-HISTORY = 400
 
 
 class PlaceTracker:
@@ -36,7 +33,6 @@ class PlaceTracker:
         """`localizer`: one that was made for these maps, to save describing their keyframes again."""
         given = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
         self._calibration = calibration
-        self._units = {m.id: units_per_metre(m) for m in given}
         self.localizer = localizer or Localizer(given)
         self.estimator = CurrentPlaceEstimator(given, calibration)
         self.hijacks = HijackDetector()
@@ -44,7 +40,7 @@ class PlaceTracker:
         self._segment = 0
         self._slam_t_ns: int | None = None
         self._slam_segment: tuple[str, int] | None = None
-        self._poses: deque[tuple[int, FloatArray, int]] = deque(maxlen=HISTORY)
+        self._odometry_t_ns: int | None = None
         self._events: list[HijackEvent] = []
         self.last_attempt: Attempt | None = None
         camera = calibration.camera
@@ -56,7 +52,8 @@ class PlaceTracker:
         self._reckoning.add_imu(imu)
         t = self._reckoning.t_robot_ns
         slam_is_silent = self._slam_t_ns is None or (t is not None and t - self._slam_t_ns > SLAM_SILENCE_NS)
-        due = not self._poses or (t is not None and t - self._poses[-1][0] >= ODOMETRY_EVERY_NS)
+        last = self._odometry_t_ns
+        due = last is None or (t is not None and t - last >= ODOMETRY_EVERY_NS)
         if t is not None and slam_is_silent and due:
             self._odometry(t, self._reckoning.T_nav_body, ("dead reckoning", 0))
 
@@ -78,13 +75,13 @@ class PlaceTracker:
         self.last_attempt = attempt
         if attempt.features is not None:
             self._note(self.hijacks.on_view(t, attempt.features))
-        if attempt.localization is None:
+        if not attempt.candidates:
             self.estimator.on_failure(t, attempt.num_features)
             return attempt
-        z = attempt.localization
-        T_map_body = z.T_map_cam @ self._T_cam_body
-        self._note(self.hijacks.on_localization(z, T_map_body, self._pose_at(t), self._units[z.map_id]))
-        self.estimator.on_localization(z, t)
+        jump = self.estimator.on_candidates(attempt.candidates, t)
+        event = self.hijacks.on_jump(t, jump.distance_m, jump.is_other_map) if jump is not None else None
+        if event is not None:
+            self._events.append(event)  # the estimate is there already
         return attempt
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:
@@ -105,10 +102,5 @@ class PlaceTracker:
         if segment != self._slam_segment:  # another frame: SLAM began, ended, or lost its track
             self._slam_segment = segment
             self._segment += 1
-        self._poses.append((t, T_nav_body, self._segment))
+        self._odometry_t_ns = t
         self.estimator.on_odometry(t, T_nav_body, self._segment)
-
-    def _pose_at(self, t_robot_ns: int) -> FloatArray | None:
-        """Odometry of the present frame nearest to a time."""
-        mine = [(abs(t - t_robot_ns), k) for k, (t, _, segment) in enumerate(self._poses) if segment == self._segment]
-        return self._poses[min(mine)[1]][1] if mine else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,7 +57,9 @@ def make_map(map_id: str = "map", places: int = 3) -> PlaceMap:
     return PlaceMap(map_id, map_id, navigation, made, (), {})
 
 
-def seen(t_s: float, T_map_body: FloatArray, inliers: int = 60, map_id: str = "map") -> Localization:
+def seen(
+    t_s: float, T_map_body: FloatArray, inliers: int = 200, map_id: str = "map", landmarks: tuple[int, ...] = ()
+) -> Localization:
     return Localization(
         t_robot_ns=int(t_s * SECOND),
         T_map_cam=T_map_body @ se3(R_BODY_CAM, np.zeros(3)),
@@ -64,6 +68,7 @@ def seen(t_s: float, T_map_body: FloatArray, inliers: int = 60, map_id: str = "m
         sigma_position=0.03,
         keyframe_index=4,
         map_id=map_id,
+        landmarks=np.array(landmarks, dtype=np.int64),
     )
 
 
@@ -81,7 +86,7 @@ def test_a_verified_image_names_the_nearest_place() -> None:
     assert answer.place is not None and answer.place.id == "map-1"
     assert answer.place.probability > 0.9
     assert answer.distance == pytest.approx(np.linalg.norm([0.2, 0.2, 0.3]))
-    assert answer.evidence_keyframe == 4 and answer.inliers == 60
+    assert answer.evidence_keyframe == 4 and answer.inliers == 200
 
 
 def test_odometry_carries_the_robot_to_the_next_place() -> None:
@@ -149,6 +154,64 @@ def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
     estimator.on_localization(seen(9.5, pose(6.0, 0.0), inliers=16))
     answer = estimator.answer(10 * SECOND)
     assert answer.place is not None and answer.place.id == "map-0"
+
+
+def test_of_look_alikes_the_one_that_odometry_expects_is_believed() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
+    for k in range(1, 6):
+        estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.3 * k))
+        look_alike = seen(k, pose(6.0, 0.0, 2.0 + 0.3 * k), inliers=120)
+        estimator.on_candidates([look_alike, seen(k, pose(0.05 * k, 0, 0.3 * k), inliers=100)])
+    answer = estimator.answer(5 * SECOND)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+
+
+def test_after_a_hijack_look_alikes_leave_it_open_until_a_view_decides() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_hijack(0, "lifted")
+    estimator.on_candidates([seen(1.0, pose(0.0, 0.0), inliers=120), seen(1.0, pose(6.0, 0.0, 1.0), inliers=110)])
+    assert estimator.answer(SECOND).state == "lost"
+    estimator.on_odometry(2 * SECOND, pose(0.0, 0.0, 0.5))
+    estimator.on_localization(seen(2.0, pose(6.0, 0.0, 1.5)))
+    answer = estimator.answer(2 * SECOND)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-2"
+
+
+def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    for k in range(8):
+        estimator.on_odometry(k * SECOND, pose(0.8 * k, 0))
+        assert estimator.on_localization(seen(k, pose(0.75 * k, 0))) is None
+    jumps = []
+    for k in range(8, 12):
+        estimator.on_odometry(k * SECOND, pose(5.6, 0, 0.4 * (k - 8)))
+        jumps.append(estimator.on_localization(seen(k, pose(0.5, 0, 0.4 * (k - 8)))))
+    told = [jump for jump in jumps if jump is not None]
+    assert len(told) == 1 and told[0].distance_m == pytest.approx(4.75, abs=0.3)
+
+
+def deceived_by(landmarks_of_view: Callable[[int], tuple[int, ...]]) -> CurrentPlaceEstimator:
+    """Tracked at x = 0, then eight views in a row that say x = 6."""
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    for k in range(3):
+        estimator.on_odometry(k * SECOND + 1, pose(0, 0, 0.3 * k))
+        estimator.on_localization(seen(k, pose(0, 0, 0.3 * k), landmarks=(1000 + k,)))
+    for k in range(3, 11):
+        estimator.on_odometry(k * SECOND + 1, pose(0, 0, 0.3 * k))
+        estimator.on_localization(seen(k, pose(6.0, 0.0, 0.3 * k), inliers=60, landmarks=landmarks_of_view(k)))
+    return estimator
+
+
+def test_one_piece_of_furniture_deceives_once_but_many_things_convince() -> None:
+    one = deceived_by(lambda k: tuple(range(60))).answer(11 * SECOND)
+    assert one.place is not None and one.place.id == "map-0"
+    many = deceived_by(lambda k: tuple(range(60 * k, 60 * k + 60))).answer(11 * SECOND)
+    assert many.place is not None and many.place.id == "map-2"
 
 
 def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:

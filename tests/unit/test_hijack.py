@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.geometry import FloatArray, se3, yaw_rotation
+from shared.geometry import FloatArray, yaw_rotation
 from station.frames import DriveSample, ImuBatch
-from station.places.answer import Localization
 from station.places.dead_reckoning import DeadReckoning
 from station.places.features import Features, to_bytes
 from station.places.hijack import HijackDetector, HijackEvent
@@ -103,26 +102,13 @@ def test_a_covered_lens_and_a_passing_person_are_no_hijack() -> None:
     assert all(detector.on_view(k * SECOND // 3, view) is None for k, view in enumerate(views))
 
 
-def found(t_s: float, x: float, inliers: int = 60) -> tuple[Localization, FloatArray]:
-    T = se3(np.eye(3), np.array([x, 0.0, 0.0]))
-    return Localization(int(t_s * SECOND), T, inliers, 0.5, 0.02, 0, "map"), T
-
-
-def test_two_images_far_from_where_the_robot_can_be_are_a_hijack_and_one_is_not() -> None:
-    detector, still = HijackDetector(), np.eye(4)
-    assert detector.on_localization(*found(0, 0.0), still) is None
-    assert detector.on_localization(*found(1, 5.0), still) is None
-    assert detector.on_localization(*found(2, 0.1), still) is None
-    assert detector.on_localization(*found(3, 5.0), still) is None
-    event = detector.on_localization(*found(4, 5.0), still)
-    assert event is not None and event.cue == "position" and "4.9 m" in event.reason
-
-
-def test_driving_explains_a_new_position() -> None:
+def test_a_jump_of_the_estimate_is_one_event() -> None:
     detector = HijackDetector()
-    for k in range(6):
-        z, T = found(k, 0.8 * k)
-        assert detector.on_localization(z, T, se3(np.eye(3), np.array([0.85 * k, 0.0, 0.0]))) is None
+    event = detector.on_jump(SECOND, 4.93, is_other_map=False)
+    assert event is not None and event.cue == "position" and "4.9 m" in event.reason
+    assert detector.on_jump(2 * SECOND, 3.0, is_other_map=False) is None
+    other = detector.on_jump(9 * SECOND, 0.0, is_other_map=True)
+    assert other is not None and "another map" in other.reason
 
 
 def test_dead_reckoning_follows_gyro_and_commands() -> None:
