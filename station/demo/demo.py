@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from shared.errors import RobotSystemError
+from shared.errors import ConfigError, RobotSystemError
 from shared.geometry import FloatArray
 from station.demo.judge import Sample, Verdict, judge
 from station.demo.processes import Programs, free_port
@@ -27,6 +27,7 @@ SLAM_TIMEOUT_S = 300.0
 MAP_TIMEOUT_S = 120.0
 SECOND_DRIVE_S = 20.0  # Navigation2 lasts this long after the robot was put down
 ASK_EVERY_S = 0.5
+MARKER = ".sentinel-demo"
 Say = Callable[[str], None]
 
 
@@ -71,39 +72,59 @@ def run_demo(options: DemoOptions, say: Say) -> bool:
     """Run the demo; True when the current place was answered correctly. Without `once` it then serves until Ctrl-C."""
     data = fresh_folder(options.out)
     timings = Timings()
-    with Programs(options.out / "logs") as programs:
-        with timings.step("start"):
-            demo = start_programs(options, programs, data, say)
-        try:
-            with timings.step("navigation1"):
-                navigation1 = record_drive(demo, "Navigation1", "mapping")
-            with timings.step("slam"):
-                wait_for_slam(demo, navigation1)
-            with timings.step("map"):
-                places = build_map(demo, navigation1)
-            with timings.step("localisation"):
-                wait_for_localisation(demo)
-            with timings.step("navigation2"):
-                put_down_ns, samples = hijack_and_drive_again(demo)
-            trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
-            centroids: dict[str, FloatArray] = {p["id"]: np.array(p["centroid_map"]) for p in places}
-            verdict = judge(trajectory, centroids, demo.simulator.truth_log(), samples, put_down_ns)
-            write_results(options, verdict, timings, places, samples)
-            say(describe(verdict))
-            if not options.once:
-                serve_until_interrupted(demo)
-        finally:
-            demo.simulator.close()
+    try:
+        with Programs(options.out / "logs") as programs:
+            return run_steps(options, programs, data, timings, say)
+    except RobotSystemError as exc:
+        write_json(options.out / "results.json", {"passed": False, "seed": options.seed, "error": str(exc)})
+        raise
+
+
+def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Timings, say: Say) -> bool:
+    """The demo's main path."""
+    with timings.step("start"):
+        demo = start_programs(options, programs, data, say)
+    try:
+        with timings.step("navigation1"):
+            navigation1 = record_drive(demo, "Navigation1", "mapping")
+        with timings.step("slam"):
+            wait_for_slam(demo, navigation1)
+        with timings.step("map"):
+            places = build_map(demo, navigation1)
+        with timings.step("localisation"):
+            wait_for_localisation(demo)
+        with timings.step("navigation2"):
+            put_down_ns, samples = hijack_and_drive_again(demo)
+        trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
+        centroids: dict[str, FloatArray] = {p["id"]: np.array(p["centroid_map"]) for p in places}
+        verdict = judge(trajectory, centroids, demo.simulator.truth_log(), samples, put_down_ns)
+        write_results(options, verdict, timings, places, samples)
+        say(describe(verdict))
+        if not options.once:
+            serve_until_interrupted(demo)
+    finally:
+        demo.simulator.close()
     return verdict.passed
 
 
 def fresh_folder(out: Path) -> Path:
-    """The demo's data folder, empty; the run before is kept beside it as `previous`."""
+    """The demo's data folder, empty; the run before is kept beside it as `previous`. Others' folders are left alone.
+
+    Raises ConfigError when `out` cannot be used.
+    """
     data, previous = out / "data", out / "previous"
-    if data.exists():
-        shutil.rmtree(previous, ignore_errors=True)
-        data.rename(previous)
-    data.mkdir(parents=True)
+    try:
+        for folder in (data, previous):
+            if folder.exists() and not (folder / MARKER).exists():
+                raise ConfigError(f"{folder} was not made by a demo and is left alone: choose another --out")
+        if data.exists():
+            shutil.rmtree(previous, ignore_errors=True)
+            data.rename(previous)
+        data.mkdir(parents=True)
+        (data / MARKER).write_text("made by station demo; the next demo moves it to `previous`\n")
+        (out / "results.json").unlink(missing_ok=True)
+    except OSError as exc:
+        raise ConfigError(f"--out {out} cannot be used: {exc.strerror}") from exc
     return data
 
 
@@ -200,7 +221,7 @@ def hijack_and_drive_again(demo: Demo) -> tuple[int, list[Sample]]:
     told = ""
     end_ns = put_down_ns + round(SECOND_DRIVE_S * 1e9)
     while demo.simulator.ask(cmd="truth")["t_robot_ns"] < end_ns:
-        demo.programs.check(except_for="driver")
+        demo.programs.check(may_end="driver")
         sample, told = ask(demo, told)
         if sample is not None:
             samples.append(sample)
@@ -238,7 +259,7 @@ def serve_until_interrupted(demo: Demo) -> None:
     told = ""
     try:
         while True:
-            demo.programs.check(except_for="driver")
+            demo.programs.check(may_end="driver")
             _, told = ask(demo, told)
             time.sleep(ASK_EVERY_S)
     except KeyboardInterrupt:
@@ -268,9 +289,13 @@ def write_results(
         "seconds": timings.seconds | {"total": round(sum(timings.seconds.values()), 1)},
         "answers": [asdict(sample) for sample in samples],
     }
-    path = options.out / "results.json"
+    write_json(options.out / "results.json", results)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Whole or not at all: a reader never sees half a file."""
     draft = path.with_suffix(".tmp")
-    draft.write_text(json.dumps(results, indent=1) + "\n")
+    draft.write_text(json.dumps(content, indent=1) + "\n")
     draft.replace(path)
 
 

@@ -61,10 +61,11 @@ class Programs:
         )
         self._running[name] = (process, log)
 
-    def check(self, except_for: str = "") -> None:
-        """Raise when a program that should run has ended (`except_for` one that may)."""
+    def check(self, may_end: str = "") -> None:
+        """Raise when a program has failed, or has ended although it should run (all but `may_end`)."""
         for name, (process, _) in self._running.items():
-            if process.poll() is not None and name != except_for:
+            code = process.poll()
+            if code is not None and (code != 0 or name != may_end):
                 raise RobotSystemError(f"{name} ended with code {process.returncode}: {self.last_words(name)}")
 
     def wait(self, name: str, timeout_s: float) -> int:

@@ -19,6 +19,7 @@ DescriptorArray = npt.NDArray[np.uint8]
 Float32Array = npt.NDArray[np.float32]
 
 MAX_FEATURES = 800
+LARGE_WIDTH_PX = 500  # from here on an image is described at half its size; docs/localisation.md has the comparison
 # Root of a share of the L1 norm, times this: a unit vector of length 512 whose entries rarely reach 255.
 BYTE_SCALE = 512.0
 
@@ -42,10 +43,15 @@ class FeatureExtractor:
 
     def extract(self, grey: ImageArray) -> Features:
         """Features of an image (H, W); none on a featureless one."""
-        keypoints, raw = self._sift.detectAndCompute(grey, None)
+        # SIFT doubles an image before it looks for details: of a large one, that octave is noise and costs most.
+        scale = 0.5 if grey.shape[1] >= LARGE_WIDTH_PX else 1.0
+        seen = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        keypoints, raw = self._sift.detectAndCompute(seen, None)
         if raw is None or not len(keypoints):
             return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8))
-        uv = np.array([k.pt for k in keypoints], dtype=np.float64)
+        uv = (
+            np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5
+        ) / scale - 0.5  # centres of pixels stay centres
         return Features(uv, to_bytes(np.asarray(raw, dtype=np.float32)))
 
 

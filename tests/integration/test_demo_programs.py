@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from shared.errors import RobotSystemError
+from shared.errors import ConfigError, RobotSystemError
+from station.demo.demo import fresh_folder
 from station.demo.processes import Programs
 
 SCRIPT = """
@@ -56,3 +57,39 @@ def test_a_program_that_ends_early_is_named_with_its_last_words(tmp_path: Path) 
         programs.start("server", "http.server", "--bind", "127.0.0.1", "no-port")
         with pytest.raises(RobotSystemError, match=r"server ended with code 2: .*invalid"):
             programs.wait("server", 30)
+
+
+def test_a_program_that_may_end_must_not_fail(tmp_path: Path) -> None:
+    with Programs(tmp_path) as programs:
+        programs.start("driver", "this_module_does_not_exist")
+        os.waitid(os.P_PID, programs.pid("driver"), os.WEXITED | os.WNOWAIT)
+        with pytest.raises(RobotSystemError, match=r"driver ended with code 1"):
+            programs.check(may_end="driver")
+
+
+def test_a_second_demo_keeps_the_one_before_and_forgets_its_verdict(tmp_path: Path) -> None:
+    first = fresh_folder(tmp_path)
+    (first / "maps").mkdir()
+    (tmp_path / "results.json").write_text('{"passed": true}')
+    assert fresh_folder(tmp_path) == first
+    assert (tmp_path / "previous" / "maps").is_dir() and not (first / "maps").exists()
+    assert not (tmp_path / "results.json").exists()
+
+
+@pytest.mark.parametrize("name", ["data", "previous"])
+def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path, name: str) -> None:
+    fresh_folder(tmp_path)
+    for folder in ("data", "previous"):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / ".sentinel-demo").touch()
+    (tmp_path / name / ".sentinel-demo").unlink()
+    (tmp_path / name / "letters.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=name):
+        fresh_folder(tmp_path)
+    assert (tmp_path / name / "letters.txt").read_text() == "mine"
+
+
+def test_an_out_that_is_a_file_is_said_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "demo").write_text("")
+    with pytest.raises(ConfigError, match="--out"):
+        fresh_folder(tmp_path / "demo")
