@@ -11,11 +11,13 @@ keyframes/          NNNNNN.jpg|png as recorded, and observations.npz: poses, seg
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
 import tempfile
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +28,13 @@ from shared.calibration import Calibration
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, IntArray, quat_from_rotation, rotation_from_quat, se3
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.ply import read_ply, write_ply
+from station.ply import decode_ply, encode_ply
 
-OUR_ENTRIES = {"trajectory.tum", "landmarks.ply", "navigation.json", "calibration.json", "keyframes"}
+TRAJECTORY, LANDMARKS, REPORT, CALIBRATION = "trajectory.tum", "landmarks.ply", "navigation.json", "calibration.json"
+IMAGES = "keyframes"
+OBSERVATIONS = f"{IMAGES}/observations.npz"
+OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES}
 PNG_MAGIC = b"\x89PNG"
-OBSERVATIONS = "observations.npz"
 UPPER = np.triu_indices(3)
 COV_COLUMNS = [f"cov_{'xyz'[i]}{'xyz'[j]}" for i, j in zip(*UPPER, strict=True)]
 
@@ -65,10 +69,49 @@ def save_navigation(nav: Navigation, folder: Path) -> None:
 
 def load_navigation(folder: Path) -> Navigation:
     """Read what save_navigation wrote. Raises DataError naming the file that is missing or damaged."""
-    report_path = folder / "navigation.json"
-    if not report_path.is_file():
-        raise DataError(f"{folder} holds no navigation (no navigation.json); give a folder written by `station slam`")
-    content = _read_json(report_path)
+    if not (folder / REPORT).is_file():
+        raise DataError(f"{folder} holds no navigation (no {REPORT}); give a folder written by `station slam`")
+    return decode_navigation(lambda name: (folder / name).read_bytes(), folder)
+
+
+def encode_navigation(nav: Navigation) -> dict[str, bytes]:
+    """The files of a navigation: their paths in its folder, and what is in them. Equal navigations give equal bytes."""
+    report = {"id": nav.id, **msgspec.to_builtins(nav.report)}
+    names = []
+    for i, encoded in enumerate(nav.keyframes.encoded):
+        suffix = ".png" if encoded.startswith(PNG_MAGIC) else ".jpg"
+        names.append(f"{i:06d}{suffix}" if encoded else "")
+    observations = io.BytesIO()
+    np.savez(
+        observations,
+        frame_index=nav.keyframes.frame_index,
+        t_robot_ns=nav.keyframes.t_robot_ns,
+        T_world_cam=nav.keyframes.T_world_cam,
+        segment=nav.keyframes.segment,
+        names=np.array(names, dtype=np.str_),
+        observed_landmark=nav.landmarks.observed_landmark,
+        observed_keyframe=nav.landmarks.observed_keyframe,
+        observed_uv_px=nav.landmarks.observed_uv_px,
+    )
+    files = {
+        TRAJECTORY: format_tum(nav.trajectory).encode(),
+        REPORT: (json.dumps(report, indent=2, default=str) + "\n").encode(),
+        CALIBRATION: msgspec.json.format(msgspec.json.encode(nav.calibration)),
+        LANDMARKS: encode_ply(_landmark_columns(nav)),
+        OBSERVATIONS: observations.getvalue(),
+    }
+    images = zip(names, nav.keyframes.encoded, strict=True)
+    return files | {f"{IMAGES}/{name}": encoded for name, encoded in images if name}
+
+
+def decode_navigation(read: Callable[[str], bytes], folder: Path) -> Navigation:
+    """A navigation from its files; `read` gives the bytes of one by its path, `folder` is what messages call the whole.
+
+    Raises:
+        DataError: a file is missing (`read` raised OSError) or damaged; names it.
+    """
+    report_path = folder / REPORT
+    content = _json(read, report_path)
     if not isinstance(content, dict):
         raise DataError(f"{report_path} holds no report; make the navigation again")
     identity = str(content.pop("id", folder.name))
@@ -76,14 +119,15 @@ def load_navigation(folder: Path) -> Navigation:
         report = msgspec.convert(content, NavigationReport)
     except msgspec.ValidationError as exc:
         raise DataError(f"{report_path} is damaged ({exc}); make the navigation again") from exc
-    calibration_path = folder / "calibration.json"
+    calibration_path = folder / CALIBRATION
     try:
-        calibration = msgspec.convert(_without_nulls(_read_json(calibration_path)), Calibration)
+        calibration = msgspec.convert(_without_nulls(_json(read, calibration_path)), Calibration)
     except (msgspec.ValidationError, ConfigError) as exc:
         raise DataError(f"{calibration_path} is damaged ({exc}); make the navigation again") from exc
-    keyframes, observations = _read_keyframes(folder / "keyframes")
-    landmarks = _read_landmarks(folder, observations, len(keyframes))
-    return Navigation(identity, calibration, read_tum(folder / "trajectory.tum"), keyframes, landmarks, report)
+    keyframes, observations = _decode_keyframes(read, folder)
+    landmarks = _decode_landmarks(read, folder, observations, len(keyframes))
+    trajectory = parse_tum(_text(read, folder / TRAJECTORY), folder / TRAJECTORY)
+    return Navigation(identity, calibration, trajectory, keyframes, landmarks, report)
 
 
 def write_tum(trajectory: Trajectory, path: Path) -> None:
@@ -109,13 +153,14 @@ def format_seconds(t_ns: int) -> str:
 
 def read_tum(path: Path) -> Trajectory:
     """Poses from a TUM file. Raises DataError naming the line that is wrong."""
-    try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as exc:
-        raise DataError(f"{path} cannot be read as text ({exc}); make it again") from exc
+    return parse_tum(_text(lambda _: path.read_bytes(), path), path)
+
+
+def parse_tum(text: str, path: Path) -> Trajectory:
+    """Poses from the text of a TUM file; `path` is what messages call it. Raises DataError naming the line."""
     times: list[int] = []
     poses: list[FloatArray] = []
-    for line_number, line in enumerate(lines, start=1):
+    for line_number, line in enumerate(text.splitlines(), start=1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
@@ -132,33 +177,10 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def _write(nav: Navigation, folder: Path) -> None:
-    images = folder / "keyframes"
-    images.mkdir(parents=True)
-    write_tum(nav.trajectory, folder / "trajectory.tum")
-    report = {"id": nav.id, **msgspec.to_builtins(nav.report)}
-    (folder / "navigation.json").write_text(json.dumps(report, indent=2, default=str) + "\n")
-    (folder / "calibration.json").write_bytes(msgspec.json.format(msgspec.json.encode(nav.calibration)))
-    _write_landmarks(nav, folder / "landmarks.ply")
-    names = []
-    for i, encoded in enumerate(nav.keyframes.encoded):
-        suffix = ".png" if encoded.startswith(PNG_MAGIC) else ".jpg"
-        names.append(f"{i:06d}{suffix}" if encoded else "")
-        if encoded:
-            (images / names[-1]).write_bytes(encoded)
-    np.savez(
-        images / OBSERVATIONS,
-        frame_index=nav.keyframes.frame_index,
-        t_robot_ns=nav.keyframes.t_robot_ns,
-        T_world_cam=nav.keyframes.T_world_cam,
-        segment=nav.keyframes.segment,
-        names=np.array(names, dtype=np.str_),
-        observed_landmark=nav.landmarks.observed_landmark,
-        observed_keyframe=nav.landmarks.observed_keyframe,
-        observed_uv_px=nav.landmarks.observed_uv_px,
-    )
-    for file in (*folder.iterdir(), images / OBSERVATIONS):
-        if file.is_file():
-            _flush(file)
+    (folder / IMAGES).mkdir(parents=True)
+    for name, content in encode_navigation(nav).items():
+        (folder / name).write_bytes(content)
+        _flush(folder / name)
 
 
 def _flush(file: Path) -> None:
@@ -170,7 +192,7 @@ def _flush(file: Path) -> None:
         os.close(descriptor)
 
 
-def _write_landmarks(nav: Navigation, path: Path) -> None:
+def _landmark_columns(nav: Navigation) -> dict[str, Any]:
     landmarks = nav.landmarks
     first = landmarks.first_keyframe()
     seen = first >= 0
@@ -179,10 +201,9 @@ def _write_landmarks(nav: Navigation, path: Path) -> None:
     columns: dict[str, Any] = {axis: landmarks.p_world[:, i].astype(np.float64) for i, axis in enumerate("xyz")}
     columns |= {name: landmarks.rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
     columns |= {"first_frame": frames, "num_observations": landmarks.num_observations.astype(np.int32)}
-    columns |= {
+    return columns | {
         name: landmarks.cov_world[:, i, j].astype(np.float32) for name, i, j in zip(COV_COLUMNS, *UPPER, strict=True)
     }
-    write_ply(path, columns)
 
 
 def _without_nulls(content: Any) -> Any:
@@ -195,23 +216,33 @@ def _without_nulls(content: Any) -> Any:
     }
 
 
-def _read_json(path: Path) -> Any:
+def _text(read: Callable[[str], bytes], path: Path) -> str:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as exc:
+        return read(path.name).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as exc:
         raise DataError(f"{path} is missing or damaged ({exc}); make the navigation again") from exc
 
 
-def _read_keyframes(folder: Path) -> tuple[Keyframes, tuple[IntArray, IntArray, FloatArray]]:
+def _json(read: Callable[[str], bytes], path: Path) -> Any:
+    try:
+        return json.loads(_text(read, path))
+    except ValueError as exc:
+        raise DataError(f"{path} is missing or damaged ({exc}); make the navigation again") from exc
+
+
+def _decode_keyframes(
+    read: Callable[[str], bytes], folder: Path
+) -> tuple[Keyframes, tuple[IntArray, IntArray, FloatArray]]:
     path = folder / OBSERVATIONS
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with io.BytesIO(read(OBSERVATIONS)) as file, np.load(file, allow_pickle=False) as archive:
             content = {key: archive[key] for key in archive.files}
+        images = [f"{IMAGES}/{Path(str(name)).name}" if name else "" for name in content["names"]]
         keyframes = Keyframes(
             frame_index=content["frame_index"].astype(np.int64),
             t_robot_ns=content["t_robot_ns"].astype(np.int64),
             T_world_cam=content["T_world_cam"].astype(np.float64).reshape(-1, 4, 4),
-            encoded=tuple((folder / Path(str(name)).name).read_bytes() if name else b"" for name in content["names"]),
+            encoded=tuple(read(name) if name else b"" for name in images),
             segment=content["segment"].astype(np.int64),
         )
         observations = (
@@ -229,9 +260,17 @@ def _read_keyframes(folder: Path) -> tuple[Keyframes, tuple[IntArray, IntArray, 
     return keyframes, observations
 
 
-def _read_landmarks(folder: Path, observations: tuple[IntArray, IntArray, FloatArray], num_keyframes: int) -> Landmarks:
-    path = folder / "landmarks.ply"
-    columns = read_ply(path)
+def _decode_landmarks(
+    read: Callable[[str], bytes],
+    folder: Path,
+    observations: tuple[IntArray, IntArray, FloatArray],
+    num_keyframes: int,
+) -> Landmarks:
+    path = folder / LANDMARKS
+    try:
+        columns = decode_ply(read(LANDMARKS), path)
+    except OSError as exc:
+        raise DataError(f"{path} is missing or damaged ({exc.strerror}); make the navigation again") from exc
     p_world = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
     count = len(p_world)
     grey = np.full(count, 128, dtype=np.uint8)

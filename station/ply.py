@@ -70,6 +70,11 @@ def read_ply(path: Path) -> Columns:
         content = path.read_bytes()
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a PLY file") from exc
+    return decode_ply(content, path)
+
+
+def decode_ply(content: bytes, path: Path) -> Columns:
+    """As read_ply, from the bytes of a PLY file; `path` is what messages call it."""
     file_format, elements, body = _parse_header(path, content)
     for name, count, properties in elements:
         if any(kind == "list" for _, kind in properties):
