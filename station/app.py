@@ -25,6 +25,7 @@ from station.locating import Locating
 from station.mailbox import Broadcast
 from station.map_library import Maps
 from station.maps.map import Place
+from station.maps.store import StoreAddress
 from station.recorder import Recorder
 from station.recording import DriveRecorder, Drives
 from station.refusals import Conflict, NoRobot, NotCapable
@@ -68,8 +69,9 @@ class Station:
         )
         self.applied: DriveApplied | None = None
         self.jobs = Jobs(self.events)
-        self.maps = Maps(config.data_dir / "maps", self.events)
-        self.locating = Locating(config.data_dir / "maps", config.localization, self.events, place_servant)
+        store = StoreAddress(config.data_dir / "maps", config.store.database, config.store.blobs, config.name)
+        self.maps = Maps(store, self.events)
+        self.locating = Locating(store, config.localization, self.events, place_servant)
         self.drives = Drives(
             DriveLibrary(config.data_dir / "navigations"),
             config.slam,
@@ -138,7 +140,7 @@ class Station:
         title = f"map of {', '.join(drive.name for drive in drives)}"
 
         async def work(worker: Worker) -> dict[str, Any]:
-            built = await worker.call("build_map", folders, self.maps.root, name or title, mode)
+            built = await worker.call("build_map", folders, self.maps.address, name or title, mode)
             self.maps.changed()
             if activate:
                 await self.use_map(built.map_id)

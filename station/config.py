@@ -70,6 +70,14 @@ class LocalizationConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class StoreConfig:
+    """Where maps are kept; by default in the data folder."""
+
+    database: str = ""  # postgresql://user:password@host/name; stations may share one
+    blobs: str = ""  # a URL that fsspec knows, such as s3://bucket/maps; stations that share a database share this too
+
+
+@dataclass(frozen=True, slots=True)
 class StationConfig:
     """Everything. Each part of the station gets only its own piece."""
 
@@ -80,6 +88,7 @@ class StationConfig:
     drive: DriveConfig = field(default_factory=DriveConfig)
     slam: SlamConfig = field(default_factory=SlamConfig)
     localization: LocalizationConfig = field(default_factory=LocalizationConfig)
+    store: StoreConfig = field(default_factory=StoreConfig)
 
     def __post_init__(self) -> None:
         for key, port, least in (("robot.port", self.robot.port, 1), ("api.port", self.api.port, 0)):

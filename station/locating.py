@@ -7,7 +7,6 @@ import logging
 import time
 from collections import OrderedDict, deque
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shared.calibration import Calibration
@@ -18,6 +17,7 @@ from station.config import LocalizationConfig
 from station.events import Events
 from station.frames import DriveSample, ImageFrame
 from station.mailbox import Latest
+from station.maps.store import StoreAddress
 from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceState
 from station.workers import Worker, WorkerDied
@@ -48,13 +48,13 @@ class Locating:
 
     def __init__(
         self,
-        store_root: Path,
+        store: StoreAddress,
         config: LocalizationConfig,
         events: Events,
         servant: str = "station.place_servant:PlaceServant",
     ) -> None:
         self._servant = servant
-        self._store_root = store_root
+        self._store = store
         self._config = config
         self._events = events
         self._frames: Latest[CameraFrame] = Latest()
@@ -159,7 +159,7 @@ class Locating:
         self._worker = worker
         try:
             await worker.start()
-            await worker.call("load", self._store_root, map_id)
+            await worker.call("load", self._store, map_id)
             frame = await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
                 await worker.call("calibrate", self._calibration)

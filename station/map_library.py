@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +17,11 @@ from shared.errors import DataError, RobotSystemError
 from station.events import Events
 from station.live import NO_PLACE
 from station.maps.map import Place, PlaceMap
-from station.maps.store import MapStore, MapSummary
+from station.maps.store import MapStore, MapSummary, StoreAddress
 from station.places.evidence import gather_evidence
 from station.refusals import Conflict, Unknown
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +42,11 @@ class ActiveMap:
 class Maps:
     """The store and the active map. Reading and writing maps happens in threads."""
 
-    def __init__(self, root: Path, events: Events) -> None:
-        self.root = root
-        self._store = MapStore(root)
+    def __init__(self, address: StoreAddress, events: Events) -> None:
+        self.address = address
+        self._store = MapStore(address, self._found_damage)
         self._events = events
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._active: ActiveMap | None = None
         self._changing = asyncio.Lock()
 
@@ -61,8 +65,9 @@ class Maps:
 
     async def open(self) -> None:
         """Activate the map that was active when the station ended; says so when it cannot be read any more."""
+        self._loop = asyncio.get_running_loop()
         try:
-            map_id = json.loads((self.root / "active.json").read_text())["id"]
+            map_id = json.loads((self.address.root / "active.json").read_text())["id"]
         except (OSError, ValueError, KeyError, TypeError):
             return
         if map_id is None:
@@ -80,7 +85,7 @@ class Maps:
             else:
                 await self._require(map_id)
                 self._active = await asyncio.to_thread(_derive, self._store, map_id)
-            await asyncio.to_thread(_remember, self.root, map_id)
+            await asyncio.to_thread(_remember, self.address.root, map_id)
         self._events.changed("map")
         if self._active is not None:
             self._events.say("map", f"using {self._active.place_map.name}")
@@ -103,6 +108,12 @@ class Maps:
             self._active = ActiveMap(place_map, active.place_of_point)
             self._events.changed("map")
             return self._active.place(place_id)
+
+    def _found_damage(self, sentence: str) -> None:
+        """The store found something wrong, in whatever thread it was read."""
+        logger.warning("%s", sentence)
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._events.say, "map", sentence, "warning")
 
     def changed(self) -> None:
         """A map was added to the store."""

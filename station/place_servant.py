@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
-from station.maps.store import MapStore
+from station.maps.store import MapStore, StoreAddress
 from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceCandidate
 from station.places.hijack import HijackEvent
@@ -33,7 +32,7 @@ class PlaceServant:
         self._names: dict[str, str] = {}  # of places renamed since the map was read
         self._report: PlaceReport | None = None
 
-    def load(self, store: Path, map_id: str) -> None:
+    def load(self, store: StoreAddress, map_id: str) -> None:
         """Read a map and index its pictures: some 60 ms per keyframe."""
         self._place_map = MapStore(store).load(map_id)
         self._localizer = Localizer(self._place_map)

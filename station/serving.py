@@ -40,10 +40,11 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
         server_header=False,
     )
     server = _Server(settings)
-    running = asyncio.create_task(station.run(), name="station")
+    opened = asyncio.Event()  # before it the last active map is not active yet
+    running = asyncio.create_task(station.run(opened.set), name="station")
     serving = asyncio.create_task(server.serve(sockets=[listener]), name="API")
     try:
-        while not server.started and not serving.done() and not running.done():
+        while not (server.started and opened.is_set()) and not serving.done() and not running.done():
             await asyncio.sleep(0.01)
         if not running.done():
             started()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
-from station.maps.store import MapStore
+from station.maps.store import MapStore, StoreAddress
 from station.navigation import Navigation
 from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceCandidate
@@ -66,7 +65,7 @@ class AlwaysFirstPlace:
         self._report: PlaceReport | None = None
         self._names: dict[str, str] = {}
 
-    def load(self, store: Path, map_id: str) -> None:
+    def load(self, store: StoreAddress, map_id: str) -> None:
         self._map = MapStore(store).load(map_id)
 
     def rename(self, place_id: str, name: str) -> PlaceReport | None:

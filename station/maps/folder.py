@@ -1,16 +1,31 @@
-"""One map as a folder of its own, as `station map build --out` writes it: the store's format without its numbering."""
+"""One map as a folder of its own, as `station map build --out` writes it.
+
+```
+map.json               sha256 of its content, names, places, edges, and the sha256 of every other file
+navigation/            the navigation the map was made from (station/navigation_files.py)
+```
+The map store of the first release kept maps this way too; the present one imports them (opening.py).
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from shared.errors import DataError
-from station.maps.map import PlaceMap
-from station.maps.store import read_map, write_map
+from station.maps.bucket import flush
+from station.maps.map import PlaceEdge, PlaceMap
+from station.maps.record import decode_place, encode_place
+from station.navigation_files import load_navigation, save_navigation
+
+FORMAT = 1
 
 
 def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str] | None = None) -> None:
@@ -26,7 +41,7 @@ def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str]
         folder.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
-            write_map(place_map, scratch / "new")
+            _write_map(place_map, scratch / "new")
             for name, text in (extras or {}).items():
                 (scratch / "new" / name).write_text(text, encoding="utf-8")
             if folder.exists():
@@ -40,4 +55,76 @@ def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str]
 
 def load_map_folder(folder: Path) -> PlaceMap:
     """Read a map folder. Raises DataError naming the file that is missing or damaged."""
-    return read_map(folder)
+    return _read_map(folder)
+
+
+def _write_map(place_map: PlaceMap, folder: Path) -> None:
+    """Write a map into a new folder and wait until it is on the disk."""
+    folder.mkdir(parents=True)
+    save_navigation(place_map.navigation, folder / "navigation")
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    content = {
+        "format": FORMAT,
+        "id": place_map.id,
+        "name": place_map.name,
+        "navigation": place_map.navigation.id,
+        "places": [encode_place(place) for place in place_map.places],
+        "edges": [
+            {"a": e.a, "b": e.b, "bearing_rad": e.bearing_rad, "distance": e.distance, "kind": e.kind}
+            for e in place_map.edges
+        ],
+        "config": place_map.config,
+        "files": {str(path.relative_to(folder)): _sha256(path.read_bytes()) for path in files},
+    }
+    for path in [*files, *{path.parent for path in files}]:
+        flush(path)
+    _write_content(content, folder)
+
+
+def _read_map(folder: Path) -> PlaceMap:
+    """Read a folder written by write_map. Raises DataError naming the file that is missing or damaged."""
+    content = _read_content(folder)
+    for name, expected in content["files"].items():
+        path = folder / name
+        if not path.is_file():
+            raise DataError(f"{path} is missing; restore the map from a copy or build it again")
+        if _sha256(path.read_bytes()) != expected:
+            raise DataError(f"{path} is damaged (its checksum differs); restore the map or build it again")
+    navigation = load_navigation(folder / "navigation")
+    return PlaceMap(
+        id=content["id"],
+        name=content["name"],
+        navigation=replace(navigation, id=content["navigation"]),
+        places=tuple(decode_place(place) for place in content["places"]),
+        edges=tuple(PlaceEdge(**edge) for edge in content["edges"]),
+        config=content["config"],
+    )
+
+
+def _write_content(content: dict[str, Any], folder: Path) -> None:
+    body = json.dumps(content, indent=1)
+    scratch = folder / ".map.json"
+    scratch.write_text(json.dumps({"sha256": _sha256(body.encode())}) + "\n" + body)
+    flush(scratch)
+    os.replace(scratch, folder / "map.json")
+    flush(folder)
+
+
+def _read_content(folder: Path) -> dict[str, Any]:
+    path = folder / "map.json"
+    try:
+        head, _, body = path.read_text().partition("\n")
+        if json.loads(head)["sha256"] != _sha256(body.encode()):
+            raise DataError(f"{path} is damaged (its checksum differs); restore the map or build it again")
+        content: dict[str, Any] = json.loads(body)
+    except FileNotFoundError as exc:
+        raise DataError(f"{folder} holds no map (no map.json); give a folder written by `station map build`") from exc
+    except (ValueError, KeyError, TypeError, OSError) as exc:
+        raise DataError(f"{path} is damaged; restore the map from a copy or build it again") from exc
+    if content.get("format") != FORMAT:
+        raise DataError(f"{path} has format {content.get('format')}, this program reads {FORMAT}; update the station")
+    return content
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,34 +1,50 @@
-"""Maps on disk, one folder each: whole or not at all, whatever kills the process (docs/places.md, "Store").
-
-```
-<root>/<map id>.000001/    the newest number that exists is the map; older ones are being replaced
-    map.json               sha256 of its content, names, places, edges, and the sha256 of every other file
-    navigation/            the navigation the map was made from (station/navigation_files.py)
-```
-"""
+"""Maps that survive: versions of documents and checksummed files, indexed in SQL (docs/maps.md, decision 4)."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
-import re
-import shutil
-import tempfile
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.maps.map import Place, PlaceEdge, PlaceMap
-from station.navigation_files import load_navigation, save_navigation
+from station.maps import opening, versions
+from station.maps.blobs import Blobs, Damaged, Tell, read_checked
+from station.maps.bucket import open_bucket
+from station.maps.database import Database
+from station.maps.editing import with_place_renamed
+from station.maps.map import PlaceMap
+from station.maps.record import (
+    MAP_ID,
+    FileRef,
+    Kind,
+    MapRecord,
+    content_hash,
+    decode_record,
+    describe_map,
+    encode_record,
+    read_map,
+    record_name,
+)
+from station.maps.versions import Rows, VersionRow, row_of
+from station.navigation_files import REPORT, encode_navigation
 
-FORMAT = 1
-MAX_NAME = 80  # characters
-_FoldersOfMap = dict[str, list[Path]]  # every number there is of each map
-_FOLDER = re.compile(r"(?P<id>[A-Za-z0-9][A-Za-z0-9_-]{0,99})\.(?P<number>\d{6})")
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class StoreAddress:
+    """Where a store is. Picklable: worker processes are given it."""
+
+    root: Path  # the folder of maps.db, blobs and records where no URL says otherwise
+    database: str = ""  # postgresql://user@host/name; empty: SQLite in the folder
+    blobs: str = ""  # a URL that fsspec knows; empty: in the folder
+    author: str = ""  # the station's name, kept with every version it writes
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,194 +58,285 @@ class MapSummary:
 
 
 class MapStore:
-    """Maps by id, in one folder."""
+    """Maps by id. Methods block: call them in a thread. Several stores, processes and stations may share one address.
 
-    def __init__(self, root: Path) -> None:
-        self._root = root
+    All methods raise DataError when the store cannot be read or written, in a sentence; nothing is left half-written.
+    """
 
-    def save(self, place_map: PlaceMap) -> None:
-        """Write a map; it replaces one of the same id. Raises DataError when the folder cannot be written."""
-        if not _FOLDER.fullmatch(f"{place_map.id}.000000"):
+    def __init__(self, where: Path | StoreAddress, tell: Tell = logger.warning) -> None:
+        """`tell` hears a sentence about everything found damaged, whether it was put right or not."""
+        self.address = StoreAddress(where) if isinstance(where, Path) else where
+        self.tell = tell
+        self.database = Database(self.address.database, self.address.root)
+        self.bucket = open_bucket(self.address.blobs, self.address.root)
+        self.blobs = Blobs(self.bucket, tell)
+        self._written = threading.local()  # .names: records of the transaction under way
+        self._opening = threading.Lock()
+        self._is_open = False
+        self._not_imported: dict[str, str] = {}  # maps in the old format that cannot be read: id → why
+
+    def save(self, place_map: PlaceMap, why: str = "saved") -> None:
+        """Keep a map as the newest version of its id; nothing happens when that is the same already."""
+        if not MAP_ID.fullmatch(place_map.id):
             raise DataError(f'map id "{place_map.id}" is no file name; use letters, digits, "-" and "_"')
-        previous = self._folders().get(place_map.id, [])
-        number = 1 + max((_number(folder) for folder in previous), default=0)
-        try:
-            self._root.mkdir(parents=True, exist_ok=True)
-            scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=self._root))
-            try:
-                write_map(place_map, scratch / "map")
-                os.rename(scratch / "map", self._root / f"{place_map.id}.{number:06d}")
-            finally:
-                shutil.rmtree(scratch, ignore_errors=True)
-            _sync(self._root)
-            for folder in previous:
-                shutil.rmtree(folder, ignore_errors=True)
-        except OSError as exc:
-            raise DataError(f"{self._root} cannot be written ({exc.strerror}); free space or choose another") from exc
+        self.open(writes=True)
+        self.keep(place_map, why)
 
-    def load(self, map_id: str) -> PlaceMap:
-        """Read a map. Raises DataError when there is none of this id, or naming the file that is damaged."""
-        return read_map(self._newest(map_id))
+    def keep(self, place_map: PlaceMap, why: str) -> None:
+        """As save, of a store that is open."""
+        contents = encode_navigation(place_map.navigation)
+        addresses = self.blobs.put(contents.values())
+        files = {
+            name: FileRef(address, len(data))
+            for (name, data), address in zip(contents.items(), addresses, strict=True)
+        }  # fmt: skip
+        fresh = replace(describe_map(place_map, files), why=why)
+        with self._changing(place_map.id) as connection:
+            rows = versions.history(connection, place_map.id)
+            newest = self._readable(rows)
+            if newest is not None and newest.kind != "deleted" and _same_content(newest, fresh):
+                return
+            self._append(connection, rows, fresh, newest, "saved")
 
-    def list(self) -> tuple[MapSummary, ...]:
-        """All maps, by name; a damaged one says so instead of hiding the others."""
-        summaries = []
-        for map_id, folders in self._folders().items():
-            try:
-                content = _read_content(max(folders))
-                summaries.append(MapSummary(map_id, str(content["name"]), len(content["places"])))
-            except DataError as exc:
-                summaries.append(MapSummary(map_id, map_id, 0, damaged=str(exc)))
-        return tuple(sorted(summaries, key=lambda s: (s.name, s.id)))
-
-    def delete(self, map_id: str) -> None:
-        """Forget a map. Raises DataError when there is none of this id."""
-        self._newest(map_id)
-        for folder in sorted(self._folders()[map_id]):  # the oldest first: an interrupted delete revives nothing old
-            shutil.rmtree(folder)
+    def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> PlaceMap:
+        """Change places, edges or names of a map and return it. Two stations that edit at once keep both changes."""
+        self.open(writes=True)
+        with self._changing(map_id) as connection:
+            rows = versions.history(connection, map_id)
+            record = self._present(rows, map_id)
+            place_map = change(read_map(record, self.blobs))
+            fresh = replace(describe_map(place_map, record.files), why=why)
+            if not _same_content(record, fresh):
+                self._append(connection, rows, fresh, record, "edited")
+        return place_map
 
     def rename_place(self, map_id: str, place_id: str, name: str) -> PlaceMap:
         """Give a place another name, and return the map. Raises DataError for an unknown place or a name in use."""
-        folder = self._newest(map_id)
-        place_map = with_place_renamed(read_map(folder), place_id, name)
-        content = _read_content(folder)
-        content["places"] = [_encode_place(place) for place in place_map.places]
-        _write_content(content, folder)
-        return place_map
+        why = f"{place_id} is now {name.strip()}"[:200]
+        return self.edit(map_id, lambda place_map: with_place_renamed(place_map, place_id, name), why)
 
-    def _newest(self, map_id: str) -> Path:
-        folders = self._folders()
-        if map_id not in folders:
-            known = ", ".join(sorted(folders)) or "none"
-            raise DataError(f'{self._root} holds no map "{map_id}"; its maps: {known}')
-        return max(folders[map_id])
+    def load(self, map_id: str, number: int | None = None) -> PlaceMap:
+        """Read a map, or one of its versions. Where the newest is damaged the last good one is read, and it is told.
 
-    def _folders(self) -> _FoldersOfMap:
-        found: _FoldersOfMap = {}
-        for folder in sorted(self._root.iterdir()) if self._root.is_dir() else []:
-            if (match := _FOLDER.fullmatch(folder.name)) and folder.is_dir():
-                found.setdefault(match["id"], []).append(folder)
-        return found
+        Raises:
+            DataError: no map of this id, or Damaged: no version of it can be read; names the file.
+        """
+        rows = self._history(map_id)
+        if number is not None:
+            rows = [row for row in rows if row.number == number]
+            if not rows:
+                raise DataError(f"map {map_id} has no version {number}; `station map history` lists them")
+        elif not rows or rows[0].kind == "deleted":
+            raise self._no_map(map_id)
+        failure: Damaged | None = None
+        for row in rows:
+            try:
+                place_map = read_map(self.record(row), self.blobs)
+            except Damaged as exc:
+                failure = failure or exc
+                continue
+            if failure is not None:
+                self.tell(f"{failure}. Version {row.number} of the map is used instead")
+            return place_map
+        assert failure is not None
+        raise failure
+
+    def newest_of_drive(self, drive_id: str) -> PlaceMap | None:
+        """The map changed last of those that were made from this drive, alone or with others behind it."""
+        if not self.open():
+            return None
+        with self.database.reading() as connection:
+            rows = versions.of_drive(connection, drive_id)
+        for row in rows:
+            if row.kind != "deleted":
+                return self.load(row.map_id)
+        return None
+
+    def list(self) -> tuple[MapSummary, ...]:
+        """All maps, by name; a damaged one says so instead of hiding the others."""
+        if not self.open():
+            return ()
+        with self.database.reading() as connection:
+            rows = versions.newest_of_all(connection)
+        summaries = [
+            MapSummary(row.map_id, row.name, row.places, "" if row.is_sealed else self._unsealed(row))
+            for row in rows
+            if row.kind != "deleted"
+        ]
+        summaries += [MapSummary(map_id, map_id, 0, damaged=why) for map_id, why in self._not_imported.items()]
+        return tuple(sorted(summaries, key=lambda s: (s.name, s.id)))
+
+    def history(self, map_id: str) -> tuple[MapRecord, ...]:
+        """The versions of a map that can be read, the newest first. Raises DataError when there is none of this id."""
+        rows = self._history(map_id)
+        if not rows:
+            raise self._no_map(map_id)
+        records = []
+        for row in rows:
+            try:
+                records.append(self.record(row))
+            except Damaged as exc:
+                self.tell(str(exc))
+        return tuple(records)
+
+    def deleted(self) -> tuple[MapSummary, ...]:
+        """Maps that `undo` brings back."""
+        if not self.open():
+            return ()
+        with self.database.reading() as connection:
+            rows = versions.newest_of_all(connection)
+        return tuple(MapSummary(row.map_id, row.name, row.places) for row in rows if row.kind == "deleted")
+
+    def delete(self, map_id: str) -> None:
+        """Forget a map; `undo` brings it back until it is purged. Raises DataError when there is none of this id."""
+        self.open(writes=True)
+        with self._changing(map_id) as connection:
+            rows = versions.history(connection, map_id)
+            record = self._present(rows, map_id)
+            self._append(connection, rows, replace(record, why="deleted"), record, "deleted")
+
+    def undo(self, map_id: str, to: int | None = None) -> MapRecord:
+        """Take back the last change, also a deletion; again: the one before. `to`: go to this version instead.
+
+        Raises:
+            DataError: there is nothing to take back, or no such version.
+        """
+        self.open(writes=True)
+        with self._changing(map_id) as connection:
+            rows = versions.history(connection, map_id)
+            newest = self._readable(rows)
+            if newest is None:
+                raise self._no_map(map_id)
+            target = to if to is not None else self._before(rows, newest)
+            row = next((row for row in rows if row.number == target), None)
+            if row is None:
+                wanted = f"has no version {to}" if to is not None else "has no earlier version"
+                raise DataError(f"map {map_id} {wanted}; `station map history` lists them")
+            record = self.record(row)
+            why = f"version {record.content} again"
+            return self._append(connection, rows, replace(record, why=why), record, "restored")
+
+    def content_hash(self, map_id: str) -> str:
+        """What the newest version is, whoever made it and when (record.content_hash)."""
+        record = self._present(self._history(map_id), map_id)
+        return content_hash(record, self.blobs.get(record.files[REPORT].address, f"map {map_id}: {REPORT}"))
+
+    def record(self, row: VersionRow) -> MapRecord:
+        """The record of a row, checked. Raises Damaged."""
+        if not row.is_sealed:
+            raise Damaged(self._unsealed(row))
+        what = f"map {row.map_id}, version {row.number}"
+        data = read_checked(self.bucket, row.record_name, row.record, what, self.tell)
+        record = decode_record(data, what)
+        if (record.map_id, record.number) != (row.map_id, row.number):
+            raise Damaged(
+                f"{what}: its record is of {record.map_id}, version {record.number}; run `station map repair`"
+            )
+        return record
+
+    def open(self, *, writes: bool = False) -> bool:
+        """Once: check, migrate, take in what is there. False when there is nothing yet and nothing is to be written."""
+        with self._opening:
+            if self._is_open:
+                return True
+            if not writes and not self.database.exists and not opening.has_content(self):
+                return False
+            self._not_imported = opening.open_store(self)
+            self._is_open = True
+            return True
+
+    def close(self) -> None:
+        self.database.close()
+
+    @contextlib.contextmanager
+    def _changing(self, map_id: str) -> Iterator[Connection]:
+        """A transaction, alone on this map. Where it fails its records go too, or the next start would take them in."""
+        written: list[str] = []
+        self._written.names = written
+        try:
+            with self.database.writing(map_id) as connection:
+                yield connection
+        except Exception:
+            for name in written:
+                with contextlib.suppress(DataError):
+                    self.bucket.remove(name)
+            raise
+
+    def _append(
+        self,
+        connection: Connection,
+        rows: Rows,
+        content: MapRecord,
+        before: MapRecord | None,
+        kind: Kind,
+    ) -> MapRecord:
+        """Write a new version: its record first, then its row; the caller's transaction commits it."""
+        number = rows[0].number + 1 if rows else 1
+        is_new = kind in ("saved", "edited")
+        record = replace(
+            content,
+            number=number,
+            kind=kind,
+            author=self.address.author,
+            created_ms=time.time_ns() // 1_000_000,
+            previous=None if before is None else before.content,
+            content=number if is_new else content.content,
+        )
+        data = encode_record(record)
+        self._written.names.append(record_name(record, data))
+        self.bucket.put({record_name(record, data): data})
+        versions.add(connection, [row_of(record, data)])
+        return record
+
+    def _before(self, rows: Rows, newest: MapRecord) -> int | None:
+        """The version that undoing the newest leads to."""
+        if newest.kind == "deleted":
+            return newest.content
+        if newest.kind != "restored":
+            return newest.previous
+        first = next((row for row in rows if row.number == newest.content), None)
+        return None if first is None else self.record(first).previous
+
+    def _history(self, map_id: str) -> Rows:
+        if not self.open():
+            return []
+        with self.database.reading() as connection:
+            return versions.history(connection, map_id)
+
+    def _readable(self, rows: Rows) -> MapRecord | None:
+        """The newest record that can be read. Raises Damaged when there are some and none can."""
+        failure: Damaged | None = None
+        for row in rows:
+            try:
+                return self.record(row)
+            except Damaged as exc:
+                failure = failure or exc
+                self.tell(str(exc))
+        if failure is not None:
+            raise failure
+        return None
+
+    def _present(self, rows: Rows, map_id: str) -> MapRecord:
+        record = self._readable(rows)
+        if record is None or record.kind == "deleted":
+            raise self._no_map(map_id)
+        return record
+
+    def _no_map(self, map_id: str) -> DataError:
+        known = ", ".join(sorted(summary.id for summary in self.list())) or "none"
+        return DataError(f'{self.bucket.place} holds no map "{map_id}"; its maps: {known}')
+
+    def _unsealed(self, row: VersionRow) -> str:
+        return (
+            f"{self.database.place}: version {row.number} of map {row.map_id} is damaged (its seal differs); "
+            "run `station map repair`"
+        )
 
 
-def with_place_renamed(place_map: PlaceMap, place_id: str, name: str) -> PlaceMap:
-    """The map with one place named otherwise. Names are unique in a map, upper and lower case being one."""
-    name = " ".join(name.split())
-    if not 0 < len(name) <= MAX_NAME:
-        raise DataError(f"a place's name needs 1 to {MAX_NAME} characters, not {len(name)}")
-    if place_id not in {place.id for place in place_map.places}:
-        raise DataError(f'map "{place_map.name}" has no place with id "{place_id}"')
-    if any(place.name.casefold() == name.casefold() and place.id != place_id for place in place_map.places):
-        raise DataError(f'map "{place_map.name}" has another place named "{name}"; choose a different name')
-    places = tuple(replace(place, name=name) if place.id == place_id else place for place in place_map.places)
-    return replace(place_map, places=places)
+def _same_content(a: MapRecord, b: MapRecord) -> bool:
+    """Whether two records say the same of the map."""
+    unplaced = replace(b, **{key: getattr(a, key) for key in _HISTORY})
+    return encode_record(a) == encode_record(unplaced)
 
 
-def write_map(place_map: PlaceMap, folder: Path) -> None:
-    """Write a map into a new folder and wait until it is on the disk."""
-    folder.mkdir(parents=True)
-    save_navigation(place_map.navigation, folder / "navigation")
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    content = {
-        "format": FORMAT,
-        "id": place_map.id,
-        "name": place_map.name,
-        "navigation": place_map.navigation.id,
-        "places": [_encode_place(place) for place in place_map.places],
-        "edges": [
-            {"a": e.a, "b": e.b, "bearing_rad": e.bearing_rad, "distance": e.distance, "kind": e.kind}
-            for e in place_map.edges
-        ],
-        "config": place_map.config,
-        "files": {str(path.relative_to(folder)): _sha256(path.read_bytes()) for path in files},
-    }
-    for path in [*files, *{path.parent for path in files}]:
-        _sync(path)
-    _write_content(content, folder)
-
-
-def read_map(folder: Path) -> PlaceMap:
-    """Read a folder written by write_map. Raises DataError naming the file that is missing or damaged."""
-    content = _read_content(folder)
-    for name, expected in content["files"].items():
-        path = folder / name
-        if not path.is_file():
-            raise DataError(f"{path} is missing; restore the map from a copy or build it again")
-        if _sha256(path.read_bytes()) != expected:
-            raise DataError(f"{path} is damaged (its checksum differs); restore the map or build it again")
-    navigation = load_navigation(folder / "navigation")
-    return PlaceMap(
-        id=content["id"],
-        name=content["name"],
-        navigation=replace(navigation, id=content["navigation"]),
-        places=tuple(_decode_place(place) for place in content["places"]),
-        edges=tuple(PlaceEdge(**edge) for edge in content["edges"]),
-        config=content["config"],
-    )
-
-
-def _encode_place(place: Place) -> dict[str, Any]:
-    return {
-        "id": place.id,
-        "name": place.name,
-        "centroid_map": place.centroid_map.tolist(),
-        "radius": place.radius,
-        "landmark_index": place.landmark_index.tolist(),
-        "keyframe_index": place.keyframe_index.tolist(),
-        "representative_keyframe": place.representative_keyframe,
-        "quality": place.quality,
-    }
-
-
-def _decode_place(values: dict[str, Any]) -> Place:
-    return Place(
-        id=values["id"],
-        name=values["name"],
-        centroid_map=np.array(values["centroid_map"], dtype=np.float64),
-        radius=values["radius"],
-        landmark_index=np.array(values["landmark_index"], dtype=np.int64),
-        keyframe_index=np.array(values["keyframe_index"], dtype=np.int64),
-        representative_keyframe=values["representative_keyframe"],
-        quality=values["quality"],
-    )
-
-
-def _write_content(content: dict[str, Any], folder: Path) -> None:
-    body = json.dumps(content, indent=1)
-    scratch = folder / ".map.json"
-    scratch.write_text(json.dumps({"sha256": _sha256(body.encode())}) + "\n" + body)
-    _sync(scratch)
-    os.replace(scratch, folder / "map.json")
-    _sync(folder)
-
-
-def _read_content(folder: Path) -> dict[str, Any]:
-    path = folder / "map.json"
-    try:
-        head, _, body = path.read_text().partition("\n")
-        if json.loads(head)["sha256"] != _sha256(body.encode()):
-            raise DataError(f"{path} is damaged (its checksum differs); restore the map or build it again")
-        content: dict[str, Any] = json.loads(body)
-    except FileNotFoundError as exc:
-        raise DataError(f"{folder} holds no map (no map.json); give a folder written by `station map build`") from exc
-    except (ValueError, KeyError, TypeError, OSError) as exc:
-        raise DataError(f"{path} is damaged; restore the map from a copy or build it again") from exc
-    if content.get("format") != FORMAT:
-        raise DataError(f"{path} has format {content.get('format')}, this program reads {FORMAT}; update the station")
-    return content
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def _number(folder: Path) -> int:
-    return int(folder.name.rpartition(".")[2])
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+_HISTORY = ("number", "kind", "why", "author", "created_ms", "previous", "content")

@@ -1,0 +1,74 @@
+"""Bytes kept under their address, and never given back unless they are what the address says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from shared.errors import DataError
+from station.maps.address import address_of, heal, is_whole
+from station.maps.bucket import SCRATCH, Bucket
+
+FOLDER = "blobs"
+Tell = Callable[[str], None]
+
+
+class Damaged(DataError):
+    """Some bytes are not what they were; the sentence names the file."""
+
+
+class Blobs:
+    """Content-addressed files in a bucket. `tell` hears a sentence about every file that was wrong and put right."""
+
+    def __init__(self, bucket: Bucket, tell: Tell = lambda _: None) -> None:
+        self._bucket = bucket
+        self._tell = tell
+
+    @property
+    def bucket(self) -> Bucket:
+        return self._bucket
+
+    def put(self, contents: Iterable[bytes]) -> list[str]:
+        """Their addresses, in order. What is there already, whole, is not written again."""
+        named = [(address_of(data), data) for data in contents]
+        missing = {
+            blob_name(address): data
+            for address, data in dict(named).items()
+            if (there := self._bucket.get(blob_name(address))) is None or not is_whole(there, address)
+        }
+        self._bucket.put(missing)
+        return [address for address, _ in named]
+
+    def get(self, address: str, what: str) -> bytes:
+        """The bytes; `what` is what the sentence calls them. Raises Damaged when they are missing or wrong."""
+        return read_checked(self._bucket, blob_name(address), address, what, self._tell)
+
+    def addresses(self) -> Iterator[tuple[str, float]]:
+        """All that are there, with their age in seconds."""
+        for name, age_s in self._bucket.names(FOLDER):
+            if not (last := name.rpartition("/")[2]).startswith(SCRATCH):
+                yield last, age_s
+
+
+def blob_name(address: str) -> str:
+    return f"{FOLDER}/{address[:2]}/{address}"
+
+
+def read_checked(bucket: Bucket, name: str, address: str, what: str, tell: Tell) -> bytes:
+    """A file of a bucket, checked; one wrong bit is put right, in the bucket too where it can be written."""
+    data = bucket.get(name)
+    if data is None:
+        raise Damaged(f"{what} ({bucket.place}/{name}) is missing; run `station map repair` or restore a backup")
+    if is_whole(data, address):
+        return data
+    healed = heal(data, address)
+    if healed is None:
+        raise Damaged(
+            f"{what} ({bucket.place}/{name}) is damaged (its checksum differs); run `station map repair` or restore a"
+            " backup"
+        )
+    try:
+        bucket.put({name: healed})
+        tell(f"{what} ({bucket.place}/{name}) had one wrong bit; it is put right. Check the disk")
+    except DataError:
+        tell(f"{what} ({bucket.place}/{name}) has one wrong bit and cannot be written; it is used put right")
+    return healed

@@ -1,0 +1,180 @@
+"""Where a store's files lie: a folder, or anything fsspec reaches by URL. A file is there whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from shared.errors import ConfigError, DataError
+
+SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
+
+
+class Bucket(Protocol):
+    """Named files, `part/of/the/path`. All methods raise DataError when the place cannot be used."""
+
+    @property
+    def place(self) -> str:
+        """What messages call it."""
+        ...
+
+    def put(self, files: Mapping[str, bytes]) -> None:
+        """Write them; when this returns they survive a power cut."""
+        ...
+
+    def get(self, name: str) -> bytes | None:
+        """A file's bytes; None when it is not there."""
+        ...
+
+    def names(self, prefix: str) -> Iterator[tuple[str, float]]:
+        """The files whose name begins with `prefix/`, with their age in seconds."""
+        ...
+
+    def remove(self, name: str) -> None:
+        """Forget a file, if it is there."""
+        ...
+
+
+class FolderBucket:
+    """A folder: written beside, flushed, renamed."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+
+    @property
+    def place(self) -> str:
+        return str(self._root)
+
+    def put(self, files: Mapping[str, bytes]) -> None:
+        try:
+            for name, data in files.items():
+                self._put(self._root / name, data)
+            for folder in {(self._root / name).parent for name in files}:
+                flush(folder)
+        except OSError as exc:
+            raise DataError(f"{self._root} cannot be written ({exc.strerror}); free space or choose another") from exc
+
+    def get(self, name: str) -> bytes | None:
+        try:
+            return (self._root / name).read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as exc:
+            raise DataError(f"{self._root / name} cannot be read ({exc.strerror}); check the disk") from exc
+
+    def names(self, prefix: str) -> Iterator[tuple[str, float]]:
+        now = time.time()
+        for folder, _, files in os.walk(self._root / prefix):
+            for file in sorted(files):
+                path = Path(folder, file)
+                with contextlib.suppress(FileNotFoundError):  # taken away meanwhile
+                    yield path.relative_to(self._root).as_posix(), now - path.stat().st_mtime
+
+    def remove(self, name: str) -> None:
+        try:
+            (self._root / name).unlink(missing_ok=True)
+        except OSError as exc:
+            raise DataError(f"{self._root / name} cannot be removed ({exc.strerror}); check its permissions") from exc
+
+    def _put(self, path: Path, data: bytes) -> None:
+        if not path.parent.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            flush(path.parent.parent)
+        descriptor, scratch = tempfile.mkstemp(prefix=SCRATCH, dir=path.parent)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(descriptor)
+            os.replace(scratch, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(scratch)
+            raise
+
+
+class UrlBucket:
+    """An object store, by fsspec. An object there appears whole when its upload ends."""
+
+    def __init__(self, url: str) -> None:
+        import fsspec  # loaded only where a URL is given
+
+        self.place = url
+        try:
+            self._files, self._root = fsspec.core.url_to_fs(url)
+        except (ImportError, ValueError, OSError) as exc:
+            raise ConfigError(f"store.blobs = {url!r} cannot be used ({exc}); give a URL that fsspec knows") from exc
+
+    def put(self, files: Mapping[str, bytes]) -> None:
+        try:
+            for folder in {self._path(name).rpartition("/")[0] for name in files}:
+                self._files.makedirs(folder, exist_ok=True)
+            for name, data in files.items():
+                self._files.pipe_file(self._path(name), data)
+        except OSError as exc:
+            raise self._unusable(exc) from exc
+
+    def get(self, name: str) -> bytes | None:
+        try:
+            data: bytes = self._files.cat_file(self._path(name))
+        except FileNotFoundError:
+            return None
+        except OSError as exc:
+            raise self._unusable(exc) from exc
+        return data
+
+    def names(self, prefix: str) -> Iterator[tuple[str, float]]:
+        now = time.time()
+        try:
+            found: dict[str, dict[str, Any]] = self._files.find(self._path(prefix), detail=True)
+        except FileNotFoundError:
+            return
+        except OSError as exc:
+            raise self._unusable(exc) from exc
+        for path, detail in sorted(found.items()):
+            yield path[len(self._root) :].lstrip("/"), now - _changed_s(detail, now)
+
+    def remove(self, name: str) -> None:
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                self._files.rm_file(self._path(name))
+        except OSError as exc:
+            raise self._unusable(exc) from exc
+
+    def _path(self, name: str) -> str:
+        return f"{self._root.rstrip('/')}/{name}"
+
+    def _unusable(self, exc: OSError) -> DataError:
+        return DataError(f"{self.place} cannot be used ({exc}); check the address and the connection")
+
+
+def open_bucket(place: str, root: Path) -> Bucket:
+    """The bucket at a URL; without one the folder `root`."""
+    if not place:
+        return FolderBucket(root)
+    if "://" not in place or place.startswith("file://"):
+        return FolderBucket(Path(place.removeprefix("file://")))
+    return UrlBucket(place)
+
+
+def flush(path: Path) -> None:
+    """Wait until a file or folder is on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _changed_s(detail: dict[str, Any], now: float) -> float:
+    """When an object was written; now where its file system does not say, so that it is never taken for old."""
+    for key in ("LastModified", "mtime", "created", "last_modified"):
+        value = detail.get(key)
+        if value is not None:
+            return float(value.timestamp()) if hasattr(value, "timestamp") else float(value)
+    return now

@@ -1,0 +1,231 @@
+"""The index of the map store in SQLite or PostgreSQL: transactions, migrations, and sentences for what goes wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import BigInteger, Column, Integer, MetaData, String, Table, Text, create_engine, event, inspect, text
+from sqlalchemy.engine import URL, Connection, Engine, make_url
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy.pool import NullPool
+
+from shared.errors import ConfigError, DataError
+
+HEAD = "0002"  # the newest migration in migrations/versions
+LOCK_WAIT_S = 30
+_MIGRATIONS_LOCK = 7_400_001  # advisory lock numbers of ours in PostgreSQL
+_SQLITE_IS_BROKEN = re.compile(
+    r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding", re.IGNORECASE
+)
+
+METADATA = MetaData()
+VERSIONS = Table(
+    "map_version",
+    METADATA,
+    Column("map_id", String(100), primary_key=True),
+    Column("number", Integer, primary_key=True, autoincrement=False),
+    Column("kind", String(20), nullable=False),
+    Column("name", String(400), nullable=False),
+    Column("places", Integer, nullable=False),
+    Column("navigation", Text, nullable=False),  # the drive or drives it was made from
+    Column("created_ms", BigInteger, nullable=False),
+    Column("record", String(80), nullable=False),  # its address
+    Column("seal", String(64), nullable=False),  # of the columns above
+    Column("author", String(200), nullable=False, server_default=""),  # the station that wrote it
+)
+
+
+class IndexDamaged(DataError):
+    """The database file is not what was written."""
+
+
+class Database:
+    """Connections to the index. `lock` names what a writer holds: one map, or everything in SQLite."""
+
+    def __init__(self, url: str, folder: Path) -> None:
+        self._url = _url(url, folder)
+        self._folder = folder
+        self.is_sqlite = self._url.get_backend_name() == "sqlite"
+        self.path = Path(self._url.database or "") if self.is_sqlite else None
+        self._engine = _engine(self._url)
+
+    @property
+    def place(self) -> str:
+        """What messages call it, without a password."""
+        return str(self.path) if self.path else self._url.render_as_string(hide_password=True)
+
+    @property
+    def exists(self) -> bool:
+        return self.path is None or (self.path.is_file() and self.path.stat().st_size > 0)
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[Connection]:
+        with self._in_words(), self._engine.connect() as connection, connection.begin():
+            yield connection
+
+    @contextlib.contextmanager
+    def writing(self, lock: str) -> Iterator[Connection]:
+        """One transaction, alone on this lock; committed when the block ends, undone when it raises."""
+        with self._in_words(), self._not_rebuilt(), self._engine.connect() as plain:
+            connection = plain.execution_options(writes=True)
+            with connection.begin():
+                if not self.is_sqlite:
+                    connection.execute(
+                        text("SELECT pg_advisory_xact_lock(:kind, hashtext(:name))"),
+                        {"kind": _MIGRATIONS_LOCK, "name": lock},
+                    )
+                yield connection
+
+    def revision(self, connection: Connection) -> str | None:
+        """The migration the database is at; None for an empty one."""
+        if not inspect(connection).has_table("alembic_version"):
+            return None
+        return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+
+    def migrate(self) -> bool:
+        """Bring the tables to what this program uses; True when they were made just now.
+
+        Raises:
+            DataError: a newer program wrote them.
+        """
+        if self.path is not None:
+            with self._in_words():
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.reading() as connection:
+            revision = self.revision(connection)
+        if revision == HEAD:
+            return False
+        if revision is not None and not re.fullmatch(r"\d{4}", revision):
+            raise IndexDamaged(f"{self.place} is damaged (it says it is at migration {revision!r})")
+        if revision is not None and revision > HEAD:
+            raise DataError(
+                f"{self.place} was written by a newer station (migration {revision}, this one knows {HEAD}); update"
+                " this station"
+            )
+        with self.writing("migrations") as connection:
+            was_empty = self.revision(connection) is None
+            upgrade(connection)
+        return was_empty
+
+    def check(self) -> None:
+        """SQLite: compare pages and indices. Raises IndexDamaged, in words. Nothing to do in PostgreSQL."""
+        if not self.is_sqlite:
+            return
+        with self.reading() as connection:
+            answers = connection.execute(text("PRAGMA integrity_check(3)")).scalars().all()
+        if answers != ["ok"]:
+            raise IndexDamaged(f"{self.place} is damaged ({'; '.join(answers)})")
+
+    def set_aside(self) -> Path:
+        """Give a broken SQLite file another name, so that a new one can be made; the new name."""
+        assert self.path is not None
+        with _flock(self._folder, exclusive=True):
+            aside = self.path.with_name(f"{self.path.name}.damaged-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}")
+            try:
+                os.replace(self.path, aside)
+                self.path.with_name(f"{self.path.name}-journal").unlink(missing_ok=True)
+            except OSError as exc:
+                raise DataError(f"{self.path} is damaged and cannot be set aside ({exc.strerror})") from exc
+        return aside
+
+    def close(self) -> None:
+        self._engine.dispose()
+
+    @contextlib.contextmanager
+    def _not_rebuilt(self) -> Iterator[None]:
+        """While this is held nobody sets the file aside that is being written."""
+        if not self.is_sqlite:
+            yield
+            return
+        with _flock(self._folder, exclusive=False):
+            yield
+
+    @contextlib.contextmanager
+    def _in_words(self) -> Iterator[None]:
+        try:
+            yield
+        except DBAPIError as exc:
+            reason = str(exc.orig).strip().splitlines()[0] if str(exc.orig).strip() else type(exc.orig).__name__
+            if self.is_sqlite and _SQLITE_IS_BROKEN.search(reason):
+                raise IndexDamaged(f"{self.place} is damaged ({reason})") from exc
+            if isinstance(exc, OperationalError):
+                raise DataError(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc
+            raise IndexDamaged(f"{self.place} is damaged ({reason})") from exc
+        except OSError as exc:
+            raise DataError(f"{self.place} cannot be used ({exc.strerror}); free space or choose another") from exc
+
+    def _remedy(self, reason: str) -> str:
+        if not self.is_sqlite:
+            return "check that PostgreSQL runs there and takes this user"
+        if "locked" in reason:
+            return "another program holds it; end that, or wait"
+        return "free space, or choose a folder that can be written"
+
+
+def upgrade(connection: Connection, revision: str = HEAD) -> None:
+    """Run the migrations up to a revision, in this connection's transaction."""
+    from alembic.command import upgrade as run  # half a second to load, and seldom needed
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+    config.attributes["connection"] = connection
+    run(config, revision)
+
+
+def _url(url: str, folder: Path) -> URL:
+    if not url:
+        return URL.create("sqlite+pysqlite", database=str((folder / "maps.db").absolute()))
+    try:
+        made = make_url(url)
+    except ArgumentError as exc:
+        raise ConfigError("store.database is no database URL; give postgresql://user@host/name") from exc
+    if made.drivername in ("postgresql", "postgres"):
+        made = made.set(drivername="postgresql+psycopg")
+    if made.get_backend_name() not in ("sqlite", "postgresql"):
+        raise ConfigError(f"store.database: {made.get_backend_name()} is not supported; use postgresql or sqlite")
+    return made
+
+
+def _engine(url: URL) -> Engine:
+    if url.get_backend_name() != "sqlite":
+        try:
+            return create_engine(url, poolclass=NullPool, connect_args={"connect_timeout": 10})
+        except (NoSuchModuleError, ImportError) as exc:
+            raise ConfigError(
+                "store.database: PostgreSQL needs psycopg; run: pip install 'sentinel-robot[fleet]'"
+            ) from exc
+    # A connection per transaction: no process keeps a file open that another one may set aside.
+    engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": LOCK_WAIT_S})
+
+    @event.listens_for(engine, "connect")
+    def _on_connect(connection: Any, _: object) -> None:
+        connection.isolation_level = None  # the driver's own way of beginning would leave DDL outside transactions
+        connection.execute("PRAGMA synchronous=EXTRA")  # also the journal's removal survives a power cut
+
+    @event.listens_for(engine, "begin")
+    def _on_begin(connection: Connection) -> None:
+        writes = connection.get_execution_options().get("writes", False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+    return engine
+
+
+@contextlib.contextmanager
+def _flock(folder: Path, *, exclusive: bool) -> Iterator[None]:
+    """A lock between processes of this machine; released when its holder dies, however."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: the narrow race this closes stays open there
+        yield
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH)
+        yield

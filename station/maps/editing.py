@@ -1,0 +1,23 @@
+"""Changes a person makes to a map. Pure: a map in, another one out; MapStore.edit keeps it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from shared.errors import DataError
+from station.maps.map import PlaceMap
+
+MAX_NAME = 80  # characters
+
+
+def with_place_renamed(place_map: PlaceMap, place_id: str, name: str) -> PlaceMap:
+    """The map with one place named otherwise. Names are unique in a map, upper and lower case being one."""
+    name = " ".join(name.split())
+    if not 0 < len(name) <= MAX_NAME:
+        raise DataError(f"a place's name needs 1 to {MAX_NAME} characters, not {len(name)}")
+    if place_id not in {place.id for place in place_map.places}:
+        raise DataError(f'map "{place_map.name}" has no place with id "{place_id}"')
+    if any(place.name.casefold() == name.casefold() and place.id != place_id for place in place_map.places):
+        raise DataError(f'map "{place_map.name}" has another place named "{name}"; choose a different name')
+    places = tuple(replace(place, name=name) if place.id == place_id else place for place in place_map.places)
+    return replace(place_map, places=places)

@@ -1,0 +1,1 @@
+"""Changes of the map store's tables, in order; run by station/maps/database.py."""

@@ -1,0 +1,120 @@
+"""The first use of a map store: check, migrate, take in records without a row, import folders of the old format."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shared.errors import DataError
+from station.maps import versions
+from station.maps.blobs import Damaged, read_checked
+from station.maps.database import IndexDamaged
+from station.maps.folder import load_map_folder
+from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
+from station.maps.versions import VersionRow, row_of
+
+if TYPE_CHECKING:
+    from station.maps.store import MapStore
+
+IMPORTED = "imported"  # where folders of the old format go when their map is in the store
+_OLD = re.compile(r"(?P<id>[A-Za-z0-9][A-Za-z0-9_-]{0,99})\.(?P<number>\d{6})")
+
+
+def has_content(store: MapStore) -> bool:
+    """Whether there is anything to open."""
+    return bool(_old_folders(store.address.root)) or next(iter(store.bucket.names(FOLDER)), None) is not None
+
+
+def open_store(store: MapStore) -> dict[str, str]:
+    """Make a store usable. Returns the maps of the old format that could not be read: id → why."""
+    try:
+        was_empty = store.database.migrate()
+        if not was_empty:
+            store.database.check()
+        take_in_records(store)
+    except IndexDamaged as exc:
+        if not store.database.is_sqlite:
+            raise
+        aside = store.database.set_aside()
+        store.tell(f"{exc}; it is set aside as {aside.name} and made again from the records")
+        store.database.migrate()
+        take_in_records(store)
+    return _import_folders(store)
+
+
+def take_in_records(store: MapStore) -> list[VersionRow]:
+    """Rows for whole records that have none and are newer than those that have.
+
+    Such a record was written by a program that was killed before it could commit, or its row was lost with the index.
+    SQLite only: there the transaction keeps every other writer out, so that none of them is in between.
+    """
+    if not store.database.is_sqlite:
+        return []
+    with store.database.reading() as connection:
+        rows = versions.all_rows(connection)
+    if any(not row.is_sealed for row in rows):
+        raise IndexDamaged(f"{store.database.place} is damaged (a row's seal differs)")
+    if not _without_row(store, rows):
+        return []
+    with store.database.writing(FOLDER) as connection:
+        found: dict[tuple[str, int], tuple[MapRecord, VersionRow]] = {}
+        there = {address for address, _ in store.blobs.addresses()}
+        for name, address in _without_row(store, versions.all_rows(connection)):
+            try:
+                data = read_checked(store.bucket, name, address, name, store.tell)
+                record = decode_record(data, name)
+            except Damaged as exc:
+                store.tell(str(exc))
+                continue
+            other = found.get((record.map_id, record.number))
+            # Two of one number: the later one was committed, the other's writer was killed before.
+            if {ref.address for ref in record.files.values()} <= there and (
+                other is None or other[0].created_ms < record.created_ms
+            ):
+                found[record.map_id, record.number] = record, row_of(record, data)
+        taken = [row for _, row in found.values()]
+        versions.add(connection, taken)
+    return taken
+
+
+def _without_row(store: MapStore, rows: list[VersionRow]) -> list[tuple[str, str]]:
+    """(file name, address) of the records that no row names and that may still count."""
+    newest: dict[str, int] = {}
+    for row in rows:
+        newest[row.map_id] = max(row.number, newest.get(row.map_id, 0))
+    found = []
+    for name, _ in store.bucket.names(FOLDER):
+        parsed = parse_record_name(name)
+        if parsed is not None and parsed[1] > newest.get(parsed[0], 0):
+            found.append((name, parsed[2]))
+    return found
+
+
+def _import_folders(store: MapStore) -> dict[str, str]:
+    """Maps of the old format, a folder each. The folders are kept, under another name."""
+    failed = {}
+    root = store.address.root
+    for map_id, folders in _old_folders(root).items():
+        try:
+            store.keep(load_map_folder(max(folders)), f"imported from {max(folders).name}")
+        except DataError as exc:
+            failed[map_id] = str(exc)
+            continue
+        try:
+            (root / IMPORTED).mkdir(exist_ok=True)
+            for folder in folders:
+                os.rename(folder, root / IMPORTED / folder.name)
+        except OSError as exc:
+            store.tell(f"{folders[0]} was imported but cannot be moved away ({exc.strerror})")
+    return failed
+
+
+def _old_folders(root: Path) -> dict[str, list[Path]]:
+    """Map id → its folders: every number there is."""
+    found: dict[str, list[Path]] = {}
+    for folder in sorted(root.iterdir()) if root.is_dir() else []:
+        if (match := _OLD.fullmatch(folder.name)) and folder.is_dir():
+            found.setdefault(match["id"], []).append(folder)
+    return found

@@ -1,0 +1,190 @@
+"""One version of a map as a document: what places there are, and the addresses of the files they were made from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from shared.errors import DataError
+from station.maps.address import ADDRESS, address_of
+from station.maps.blobs import Blobs, Damaged
+from station.maps.map import Place, PlaceEdge, PlaceMap
+from station.navigation_files import REPORT, decode_navigation, encode_navigation
+
+FORMAT = 2  # 1 was a folder per map (station/maps/folder.py)
+FOLDER = "records"
+Kind = Literal["saved", "edited", "restored", "deleted"]
+MAP_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
+_NAME = re.compile(rf"(?P<map>[A-Za-z0-9][A-Za-z0-9_-]{{0,99}})\.(?P<number>\d{{6,}})\.(?P<address>{ADDRESS.pattern})")
+_MEASURED = ("wall_s", "cpu_s", "realtime_factor", "versions", "id")  # differ between runs that gave the same
+
+
+@dataclass(frozen=True, slots=True)
+class FileRef:
+    """A file of the map's navigation."""
+
+    address: str
+    size: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapRecord:
+    """A version. `number` counts a map's versions from 1; the highest is the map."""
+
+    map_id: str
+    number: int
+    kind: Kind
+    why: str  # "saved", "Place 3 is now Sofa": for a person
+    author: str  # the station that wrote it
+    created_ms: int  # since 1970
+    previous: int | None  # the version whose content this one changed; undo goes back there
+    content: int  # the version that first had this content: its own number, or of the one it restores
+    name: str
+    navigation: str  # its id
+    places: tuple[Place, ...]
+    edges: tuple[PlaceEdge, ...]
+    config: dict[str, Any]
+    files: dict[str, FileRef] = field(default_factory=dict)
+
+
+def describe_map(place_map: PlaceMap, files: dict[str, FileRef]) -> MapRecord:
+    """A record of this content, still without place in a history."""
+    return MapRecord(
+        map_id=place_map.id,
+        number=0,
+        kind="saved",
+        why="saved",
+        author="",
+        created_ms=0,
+        previous=None,
+        content=0,
+        name=place_map.name,
+        navigation=place_map.navigation.id,
+        places=place_map.places,
+        edges=place_map.edges,
+        config=place_map.config,
+        files=files,
+    )
+
+
+def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
+    """The map of a record. Raises Damaged naming the file that cannot be had."""
+    what = Path(f"map {record.map_id}, version {record.number}")
+
+    def read(name: str) -> bytes:
+        if name not in record.files:
+            raise Damaged(f"{what}: its record names no {name}; run `station map repair` or restore a backup")
+        return blobs.get(record.files[name].address, f"{what}: {name}")
+
+    navigation = decode_navigation(read, what)
+    return PlaceMap(
+        id=record.map_id,
+        name=record.name,
+        navigation=replace(navigation, id=record.navigation),
+        places=record.places,
+        edges=record.edges,
+        config=record.config,
+    )
+
+
+def encode_record(record: MapRecord) -> bytes:
+    """As JSON."""
+    content = {
+        "format": FORMAT,
+        **{key: getattr(record, key) for key in _PLAIN},
+        **_content(record),
+        "files": {name: asdict(ref) for name, ref in record.files.items()},
+    }
+    return json.dumps(content, indent=1).encode()
+
+
+def decode_record(data: bytes, what: str) -> MapRecord:
+    """Raises Damaged when these bytes are no record."""
+    try:
+        content = json.loads(data)
+        if content["format"] > FORMAT:
+            raise DataError(f"{what} has format {content['format']}, this program reads {FORMAT}; update the station")
+        return MapRecord(
+            **{key: content[key] for key in _PLAIN},
+            places=tuple(decode_place(place) for place in content["places"]),
+            edges=tuple(PlaceEdge(**edge) for edge in content["edges"]),
+            config=content["config"],
+            files={name: FileRef(**ref) for name, ref in content["files"].items()},
+        )
+    except (ValueError, KeyError, TypeError) as exc:
+        raise Damaged(f"{what} is no record of a map ({exc!r}); run `station map repair`") from exc
+
+
+def record_name(record: MapRecord, data: bytes) -> str:
+    """The file a record is kept in: what a lost index is made from again."""
+    return f"{FOLDER}/{record.map_id}.{record.number:06d}.{address_of(data)}"
+
+
+def parse_record_name(name: str) -> tuple[str, int, str] | None:
+    """Map id, number and address; None for a file that is no record."""
+    match = _NAME.fullmatch(name.removeprefix(f"{FOLDER}/"))
+    return None if match is None else (match["map"], int(match["number"]), match["address"])
+
+
+def content_hash(record: MapRecord, report: bytes) -> str:
+    """SHA-256 over what the map is: places, edges, settings, files; not when, by whom or how fast it was made.
+
+    `report` is the content of its navigation.json. Two runs that gave the same map give the same hash.
+    """
+    files = {name: ref.address.partition("-")[0] for name, ref in record.files.items()}
+    files[REPORT] = json.dumps({k: v for k, v in json.loads(report).items() if k not in _MEASURED}, sort_keys=True)
+    return hashlib.sha256(json.dumps([_content(record), sorted(files.items())], sort_keys=True).encode()).hexdigest()
+
+
+def map_content_hash(place_map: PlaceMap) -> str:
+    """As content_hash, of a map that was not stored (or not read back: files round poses to nine digits)."""
+    files = encode_navigation(place_map.navigation)
+    refs = {name: FileRef(address_of(data), len(data)) for name, data in files.items()}
+    return content_hash(describe_map(place_map, refs), files[REPORT])
+
+
+def _content(record: MapRecord) -> dict[str, Any]:
+    return {
+        "name": record.name,
+        "navigation": record.navigation,
+        "places": [encode_place(place) for place in record.places],
+        "edges": [asdict(edge) for edge in record.edges],
+        "config": record.config,
+    }
+
+
+_PLAIN = ("map_id", "number", "kind", "why", "author", "created_ms", "previous", "content", "name", "navigation")
+
+
+def encode_place(place: Place) -> dict[str, Any]:
+    """A place in plain types."""
+    return {
+        "id": place.id,
+        "name": place.name,
+        "centroid_map": place.centroid_map.tolist(),
+        "radius": place.radius,
+        "landmark_index": place.landmark_index.tolist(),
+        "keyframe_index": place.keyframe_index.tolist(),
+        "representative_keyframe": place.representative_keyframe,
+        "quality": place.quality,
+    }
+
+
+def decode_place(values: dict[str, Any]) -> Place:
+    """The reverse. Raises KeyError, TypeError or ValueError."""
+    return Place(
+        id=values["id"],
+        name=values["name"],
+        centroid_map=np.array(values["centroid_map"], dtype=np.float64),
+        radius=values["radius"],
+        landmark_index=np.array(values["landmark_index"], dtype=np.int64),
+        keyframe_index=np.array(values["keyframe_index"], dtype=np.int64),
+        representative_keyframe=values["representative_keyframe"],
+        quality=values["quality"],
+    )

@@ -1,0 +1,119 @@
+"""The rows of the index: one per version of a map, each sealed with a hash over what it says."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+from sqlalchemy import Row, delete, func, insert, select
+from sqlalchemy.engine import Connection
+
+from station.maps.address import address_of
+from station.maps.database import VERSIONS
+from station.maps.record import FOLDER, Kind, MapRecord
+
+
+@dataclass(frozen=True, slots=True)
+class VersionRow:
+    """What the index says of a version."""
+
+    map_id: str
+    number: int
+    kind: Kind
+    name: str
+    places: int
+    navigation: str  # id of the drive, or of several joined by "+"
+    created_ms: int  # since 1970
+    record: str  # its address
+    author: str
+    is_sealed: bool = True  # False: the row is not what was written
+
+    @property
+    def record_name(self) -> str:
+        return f"{FOLDER}/{self.map_id}.{self.number:06d}.{self.record}"
+
+    @property
+    def seal(self) -> str:
+        """Hash over the row."""
+        said: list[str | int] = [self.map_id, self.number, self.kind, self.name, self.places, self.navigation]
+        said += [self.created_ms, self.record]
+        said += [self.author] if self.author else []  # rows written before there were authors
+        return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+
+
+Rows = list[VersionRow]  # of one map: the newest first
+
+
+def row_of(record: MapRecord, data: bytes) -> VersionRow:
+    """The row of a record, and of the bytes it was written as."""
+    return VersionRow(
+        record.map_id,
+        record.number,
+        record.kind,
+        record.name,
+        len(record.places),
+        record.navigation,
+        record.created_ms,
+        address_of(data),
+        record.author,
+    )
+
+
+def add(connection: Connection, rows: Iterable[VersionRow]) -> None:
+    """Raises DataError (by the transaction) for a number that is taken."""
+    values = [{**{key: getattr(row, key) for key in _COLUMNS}, "seal": row.seal} for row in rows]
+    if values:
+        connection.execute(insert(VERSIONS), values)
+
+
+def newest_of_all(connection: Connection) -> list[VersionRow]:
+    """The newest row of every map, deleted ones too."""
+    newest = select(VERSIONS.c.map_id, func.max(VERSIONS.c.number).label("number")).group_by(VERSIONS.c.map_id)
+    found = newest.subquery()
+    joined = VERSIONS.join(
+        found, (VERSIONS.c.map_id == found.c.map_id) & (VERSIONS.c.number == found.c.number)
+    )  # fmt: skip
+    return _rows(connection.execute(select(VERSIONS).select_from(joined)).all())
+
+
+def history(connection: Connection, map_id: str) -> list[VersionRow]:
+    """All versions of a map, the newest first."""
+    found = select(VERSIONS).where(VERSIONS.c.map_id == map_id).order_by(VERSIONS.c.number.desc())
+    return _rows(connection.execute(found).all())
+
+
+def of_drive(connection: Connection, drive_id: str) -> list[VersionRow]:
+    """Newest rows of the maps whose first drive is this one, the newest first; deleted ones too."""
+    navigation = VERSIONS.c.navigation
+    found = select(VERSIONS.c.map_id).where(
+        (navigation == drive_id) | navigation.startswith(f"{drive_id}+", autoescape=True)
+    )
+    maps = {str(map_id) for (map_id,) in connection.execute(found.distinct())}
+    newest = [history(connection, map_id)[0] for map_id in maps]
+    return sorted(newest, key=lambda row: -row.created_ms)
+
+
+def all_rows(connection: Connection) -> list[VersionRow]:
+    return _rows(connection.execute(select(VERSIONS).order_by(VERSIONS.c.map_id, VERSIONS.c.number)).all())
+
+
+def forget(connection: Connection, map_id: str, below: int) -> None:
+    """Take away the rows of a map with smaller numbers."""
+    connection.execute(delete(VERSIONS).where((VERSIONS.c.map_id == map_id) & (VERSIONS.c.number < below)))
+
+
+_COLUMNS = ("map_id", "number", "kind", "name", "places", "navigation", "created_ms", "record", "author")
+
+
+def _rows(found: Sequence[Row[tuple[object, ...]]]) -> list[VersionRow]:
+    rows = []
+    for values in found:
+        said = values._mapping
+        row = VersionRow(**{key: said[key] for key in _COLUMNS})
+        if row.seal != cast(str, said["seal"]):
+            row = VersionRow(**{key: said[key] for key in _COLUMNS}, is_sealed=False)
+        rows.append(row)
+    return rows
