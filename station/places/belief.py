@@ -34,8 +34,8 @@ class BeliefConfig:
     same_view: float = 0.1  # weight of the evidence of an unchanged view
     same_landmarks: float = 0.02  # ... of an image that recognises nothing new
     same_view_per_s: float = 0.25  # without odometry: how fast views become independent
-    covered_m: float = 2.5  # from the mapping drive's path: beyond it the map does not know
-    covered_softness_m: float = 0.25
+    covered_m: float = 1.0  # from the mapping drive's path: beyond it the map does not know
+    covered_softness_m: float = 0.15
     drift_per_m: float = 0.05  # odometry: position error per metre
     drift_rad_per_rad: float = 0.02
     drift_rad_per_m: float = 0.01
