@@ -19,9 +19,10 @@ class BeliefConfig:
     prior_lost: float = 0.6
     unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
     false_localization: float = 0.45  # that no candidate of an image is right, at the fewest inliers
-    false_localization_inliers: float = 40.0  # ... and e times less with this many more
+    false_localization_inliers: float = 60.0  # ... and e times less with this many more
     false_localization_floor: float = 0.02
     fewest_inliers: int = 16
+    deceived_again: float = 0.5  # of the wrong images: deceived by what deceived an earlier one, at a pose that fits it
     candidate_exponent: float = 1.5  # a candidate's share of the belief grows with its inliers to this power
     landmark_memory_s: float = 15.0  # landmarks seen again within this time are no new evidence
     fail_known_view: float = 0.35  # no localisation although a keyframe looks this way from here

@@ -275,33 +275,38 @@ class CurrentPlaceEstimator:
     def _weigh_candidates(self, candidates: Sequence[Localization], T_nav_body: FloatArray, freshness: float) -> None:
         """Bayes' rule for an image that was taken at one of several poses, or (`false`) at none of them.
 
-        Its likelihood at a pose is a mixture of the candidates' normal densities and a uniform one. A candidate that
-        no hypothesis expects becomes a hypothesis, with its share of what was "lost".
+        Its likelihood at a pose is a mixture: the candidates' normal densities there; a uniform one; and, as what looks
+        alike deceives again and again, the candidates' densities at the pose of another hypothesis.
+        A candidate that no hypothesis expects becomes one, with its share of what was "lost".
         """
         c = self.config
         extra = max(0, candidates[0].num_inliers - c.fewest_inliers)
         false = c.false_localization * float(np.exp(-extra / c.false_localization_inliers))
         false = max(false, c.false_localization_floor)
         share = np.array([float(z.num_inliers) for z in candidates]) ** c.candidate_exponent
-        share *= (1 - false) / share.sum()
+        share /= share.sum()
         measured = [self._measured(z) for z in candidates]
+        fits = [[self._fit(h, m, T_nav_body) for m in measured] for h in self._hypotheses]
+        density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(measured)) * share
+        at = density.sum(axis=1)  # of the image, at each hypothesis
         expected = [False] * len(candidates)
         weighed = []
-        for h in self._hypotheses:
-            fits = [self._fit(h, m, T_nav_body) for m in measured]
-            likelihood = false + sum(p * fit.density for p, fit in zip(share, fits, strict=True))
-            h = replace(h, weight=h.weight * likelihood**freshness)
-            best = int(np.argmax([p * fit.density for p, fit in zip(share, fits, strict=True)]))
-            if fits[best].squared < 16.0:  # 4 sigma
+        for i, h in enumerate(self._hypotheses):
+            elsewhere = float(np.delete(at, i).max(initial=0.0))
+            likelihood = (1 - false) * at[i] + false * (1 - c.deceived_again + c.deceived_again * elsewhere)
+            h = replace(h, weight=h.weight * float(likelihood) ** freshness)
+            best = int(np.argmax(density[i]))
+            if fits[i][best].squared < 16.0:  # 4 sigma
                 expected[best] = True
                 h = self._corrected(h, measured[best], T_nav_body)
             weighed.append(h)
+        deceived = false * (1 - c.deceived_again + c.deceived_again * float(at.max(initial=0.0)))
         believed = 1 - false**freshness  # of the weight of "lost" that turns to the candidates
-        for m, p, is_expected in zip(measured, share / share.sum(), expected, strict=True):
+        for m, p, is_expected in zip(measured, share, expected, strict=True):
             if not is_expected:
                 weighed.append(self._started(m, T_nav_body, self._lost * believed * float(p)))
-        self._lost *= false**freshness
-        self._unmapped *= false**freshness
+        self._lost *= deceived**freshness
+        self._unmapped *= deceived**freshness
         self._hypotheses = weighed
         self._normalise()
 

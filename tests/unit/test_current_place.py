@@ -187,7 +187,7 @@ def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() ->
         estimator.on_odometry(k * SECOND, pose(0.8 * k, 0))
         assert estimator.on_localization(seen(k, pose(0.75 * k, 0))) is None
     jumps = []
-    for k in range(8, 12):
+    for k in range(8, 15):
         estimator.on_odometry(k * SECOND, pose(5.6, 0, 0.4 * (k - 8)))
         jumps.append(estimator.on_localization(seen(k, pose(0.5, 0, 0.4 * (k - 8)))))
     told = [jump for jump in jumps if jump is not None]
