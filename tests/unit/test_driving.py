@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from robot.commands import CommandDesk
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
@@ -132,33 +130,31 @@ def test_drifting_clocks_do_not_make_commands_stale() -> None:
         assert step < 2 or until_ns is not None
 
 
-def desk() -> tuple[CommandDesk, FakeMotors]:
+def desk(now_ns: int) -> tuple[CommandDesk, FakeMotors]:
+    """A desk whose motors' clock stands at `now_ns`; station 1 has been heard long enough."""
     motors = FakeMotors()
     devices = DeviceSet(calibration=REFERENCE_ROBOT, camera=None, imu=None, motors=motors)
-    return CommandDesk(devices, MotorWatchdog(motors), DriveConfig()), motors
+    command_desk = CommandDesk(devices, MotorWatchdog(motors, now_ns=lambda: now_ns), DriveConfig())
+    for t in (8 * S, 9 * S):
+        command_desk.handle(1, Heartbeat(seq=0, t_station_ns=t), t)
+    return command_desk, motors
 
 
 def test_letting_go_counts_however_late_it_is_read() -> None:
-    command_desk, motors = desk()
+    command_desk, motors = desk(9 * S)
     assert command_desk.watchdog is not None
-    now = time.monotonic_ns()
-    for t in (now - 100 * MS, now):
-        command_desk.handle(1, Heartbeat(seq=0, t_station_ns=t), t)
-    command_desk.handle(1, Drive(seq=1, t_station_ns=now, linear=0.1, angular=0.0, ttl_ms=250), now)
+    command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
     assert motors.wait_for_last(0.1, 0.0)
-    late = Drive(seq=2, t_station_ns=now - 900 * MS, linear=0.0, angular=0.0, ttl_ms=100)
-    command_desk.handle(1, late, now)
+    late = Drive(seq=2, t_station_ns=8 * S, linear=0.0, angular=0.0, ttl_ms=100)
+    command_desk.handle(1, late, 9 * S)
     assert motors.wait_for_last(0.0, 0.0)
     command_desk.watchdog.close()
 
 
 def test_a_command_read_before_and_carried_out_after_a_standstill_moves_nothing() -> None:
     """SIGSTOP between reading and the motors: the clock has gone on when the command is carried out."""
-    command_desk, motors = desk()
+    command_desk, motors = desk(11 * S)
     assert command_desk.watchdog is not None
-    read_ns = time.monotonic_ns() - 2 * S
-    for t in (read_ns - 100 * MS, read_ns):
-        command_desk.handle(1, Heartbeat(seq=0, t_station_ns=t), t)
-    command_desk.handle(1, Drive(seq=1, t_station_ns=read_ns, linear=0.1, angular=0.0, ttl_ms=250), read_ns)
+    command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
     command_desk.watchdog.close()
     assert (0.1, 0.0) not in motors.history
