@@ -59,7 +59,7 @@ class FakeLine:
 
 
 @contextmanager
-def opened(*lines: FakeLine) -> Iterator[Mega]:
+def opened(*lines: FakeLine, now_ns: Callable[[], int] = time.monotonic_ns) -> Iterator[Mega]:
     waiting = list(lines)
 
     def open_line() -> FakeLine:
@@ -67,7 +67,7 @@ def opened(*lines: FakeLine) -> Iterator[Mega]:
             raise DeviceUnavailable("no such device")
         return waiting.pop(0)
 
-    mega = Mega(open_line, sp.ConfigImu(), sp.ConfigMotors())
+    mega = Mega(open_line, sp.ConfigImu(), sp.ConfigMotors(), now_ns)
     try:
         yield mega
     finally:
@@ -114,7 +114,7 @@ def test_samples_keep_their_numbers_and_a_restart_shows_as_a_hole() -> None:
 
 def test_a_lost_line_is_opened_again_and_nothing_drives_meanwhile() -> None:
     first, second = FakeLine(1), FakeLine(2)
-    with opened(first, second) as mega:
+    with opened(first, second, now_ns=lambda: 0) as mega:
         motors = MegaMotors(mega, DriveGeometry())
         motors.drive(0.2, 0.0)
         first.incoming.put(DeviceLost("pulled out"))
@@ -133,9 +133,25 @@ def test_a_silent_mega_is_dropped() -> None:
         until(lambda: "said nothing" in mega.lost or "no such device" in mega.lost)
 
 
+def test_nothing_is_written_to_a_line_that_stands_still() -> None:
+    """It would wait there and move the robot when the line flows again."""
+    line, now_ns = FakeLine(1), [0]
+    with opened(line, now_ns=lambda: now_ns[0]) as mega:
+        motors = MegaMotors(mega, DriveGeometry())
+        motors.drive(0.2, 0.0)
+        told = len(line.written)
+        now_ns[0] = 501_000_000
+        with pytest.raises(DeviceLost, match=r"silent for 0\.5 s"):
+            motors.drive(0.2, 0.0)
+        assert len(line.written) == told
+        line.say(STATUS)
+        until(lambda: mega.silence_ns == 0)
+        motors.drive(0.2, 0.0)
+
+
 def test_motors_say_that_the_battery_is_low() -> None:
     line = FakeLine(1)
-    with opened(line) as mega:
+    with opened(line, now_ns=lambda: 0) as mega:
         low = sp.Status(200, int(sp.Flag.LOW_BATTERY), 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 6100, 0, 0, 100, 6000)
         line.say(low)
         until(lambda: mega.status == low)

@@ -9,6 +9,7 @@ import select
 import subprocess
 import sys
 import threading
+import time
 
 from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.pi.mega_parts import FIRMWARE_TTL_MS
@@ -71,7 +72,8 @@ class GpioMotors:
 
     def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
         left, right = self._geometry.duties(linear_m_s, angular_rad_s)
-        self._process.send(f"drive {left} {right} {FIRMWARE_TTL_MS}")
+        until_ms = time.monotonic_ns() // 1_000_000 + FIRMWARE_TTL_MS
+        self._process.send(f"drive {left} {right} {until_ms}")
 
     def stop(self) -> None:
         try:

@@ -2,7 +2,8 @@
 
 Runs as a process of its own (`python -m robot.devices.pi.gpio_pins`), because these motors have no firmware watchdog:
 it stops them when commands stop coming, also when robot-server was stopped or killed. Lines on stdin:
-`drive LEFT RIGHT TTL_MS` (permille), `stop`, `servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off.
+`drive LEFT RIGHT UNTIL_MS` (permille; monotonic clock of this computer: a line that waited is old), `stop`,
+`servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off.
 """
 
 from __future__ import annotations
@@ -46,13 +47,13 @@ class Guard:
         self._until_s: float | None = None
 
     def line(self, text: str, now_s: float) -> None:
-        """One command. What cannot be understood stops the motors."""
+        """One command. What is old or cannot be understood stops the motors."""
         words = text.split()
         try:
             numbers = [int(w) for w in words[1:]]
-            if words[0] == "drive" and len(numbers) == 3:
+            if words[0] == "drive" and len(numbers) == 3 and numbers[2] > 1000.0 * now_s:
                 self._pins.drive(numbers[0], numbers[1])
-                self._until_s = now_s + min(numbers[2], 400) / 1000.0
+                self._until_s = min(numbers[2] / 1000.0, now_s + 0.4)
             elif words[0] == "servo" and len(numbers) == 2:
                 self._pins.servo(*numbers)
             else:

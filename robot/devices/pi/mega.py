@@ -71,6 +71,7 @@ class Mega:
         self.status: Status | None = None
         self.lost: str = ""  # why nothing comes at present, in a sentence
         self.restarts = 0  # how often the firmware started anew under us
+        self._heard_ns = now_ns()
         self._reported = threading.Event()
         self._connect()
         self._thread = threading.Thread(target=self._run, name="mega", daemon=True)
@@ -98,6 +99,11 @@ class Mega:
             except DeviceLost as exc:
                 self._drop(str(exc))
                 raise
+
+    @property
+    def silence_ns(self) -> int:
+        """How long nothing whole has come from the Mega."""
+        return self._now_ns() - self._heard_ns
 
     def take_readings(self) -> list[ImuReading]:
         """All samples since the last call."""
@@ -176,6 +182,7 @@ class Mega:
         for config in self._configs:
             line.write(encode(config))
         self.hello = hello
+        self._heard_ns = self._now_ns()
         self._decoder = decoder
         self._clock = MegaClock()
         self._sequence_offset = None
@@ -206,6 +213,7 @@ class Mega:
                 message = parse(payload)
                 if message is not None:
                     silent_s = 0.0
+                    self._heard_ns = now_ns
                     self._sort(line, message, now_ns)
             if silent_s > SILENCE_S:
                 with self._write_lock:

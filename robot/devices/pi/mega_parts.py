@@ -16,6 +16,9 @@ logger = logging.getLogger(__name__)
 # What the firmware lets a motor run without another command. The server repeats commands at least four times a second
 # and stops by itself after 250 ms; this is for its own death.
 FIRMWARE_TTL_MS = 300
+# Ten reports a second: a longer silence is a line that stands still, and what is written to it now would move the robot
+# when it flows again. The same when this whole process stood still.
+SILENT_NS = 500_000_000
 
 
 class MegaImu:
@@ -39,7 +42,9 @@ class MegaMotors:
         self._geometry = geometry
 
     def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Raises DeviceLost when the Mega is away or holds the motors off."""
+        """Raises DeviceLost when the Mega is away, silent, or holds the motors off."""
+        if (silence_ns := self._mega.silence_ns) > SILENT_NS:
+            raise DeviceLost(f"the Mega has been silent for {silence_ns / 1e9:.1f} s; not driving until it is heard")
         left, right = self._geometry.duties(linear_m_s, angular_rad_s)
         self._mega.send(Drive(left, right, FIRMWARE_TTL_MS))
         status = self._mega.status
