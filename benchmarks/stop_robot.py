@@ -1,8 +1,9 @@
 """robot-server for bench_stop: the real server and Mega adapters, a camera that can misbehave, and a log of the line.
 
 Lines on stdin break it: `block S` (busy event loop), `sleep S` (blocked event loop), `camera hang|flood|normal`,
-`clock S` (the wall clock jumps). The log has one line per drive or stop frame, stamped around the write to the serial
-line (`before after drive|stop`, monotonic ns), and `begin end block` for each blocked event loop.
+`clock S` (the wall clock jumps); `count` prints the frames made. The log has one line per drive or stop frame, stamped
+around the write to the serial line (`before after drive|stop`, monotonic ns), and `begin end block` or `unblock` for
+each blocked event loop.
 """
 
 from __future__ import annotations
@@ -27,7 +28,6 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.listening import bind
 from shared.serial_protocol import Type
 
-FRAME_BYTES = 30_000
 FLOOD_BYTES = 200_000
 
 
@@ -61,17 +61,23 @@ class LoggedLine:
 
 
 class BenchCamera:
-    """Ten frames a second; or none; or as many as the loop takes."""
+    """Frames at their rate; or none; or as many as the loop takes."""
 
-    def __init__(self) -> None:
+    def __init__(self, rate_hz: float, frame_bytes: int) -> None:
         self.mode = "normal"
+        self._period_s, self._bytes = 1.0 / rate_hz, frame_bytes
+        self._due_s = time.monotonic()
+        self.count = 0
 
     async def capture(self) -> CapturedFrame:
         while self.mode == "hang":
             await asyncio.sleep(0.05)
         flood = self.mode == "flood"
-        await asyncio.sleep(0.0 if flood else 0.1)
-        size = FLOOD_BYTES if flood else FRAME_BYTES
+        now_s = time.monotonic()
+        self._due_s = max(self._due_s + self._period_s, now_s)
+        await asyncio.sleep(0.0 if flood else self._due_s - now_s)
+        self.count += 1
+        size = FLOOD_BYTES if flood else self._bytes
         return CapturedFrame(time.monotonic_ns(), 5_000_000, 640, 480, bytes(size))
 
     async def close(self) -> None: ...
@@ -101,6 +107,8 @@ def listen(loop: asyncio.AbstractEventLoop, camera: BenchCamera, log: Log) -> No
             loop.call_soon_threadsafe(hold, log, busy if word == "block" else time.sleep, float(value))
         elif word == "camera":
             camera.mode = value
+        elif word == "count":
+            print(f"frames {camera.count}", flush=True)
         elif word == "clock":
             offset = float(value)
             time.time = lambda offset=offset: real_time() + offset  # type: ignore[misc]
@@ -111,11 +119,13 @@ async def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--serial", required=True)
     parser.add_argument("--log", required=True)
+    parser.add_argument("--rate-hz", type=float, default=10.0)
+    parser.add_argument("--frame-bytes", type=int, default=30_000)
     options = parser.parse_args()
     config = PiConfig(serial_port=options.serial)
     log = Log(options.log)
     mega = Mega(lambda: LoggedLine(PySerialLine(config.serial_port), log), *mega_settings(config))
-    camera = BenchCamera()
+    camera = BenchCamera(options.rate_hz, options.frame_bytes)
     devices = DeviceSet(
         calibration=REFERENCE_ROBOT,
         camera=camera,
