@@ -67,6 +67,14 @@ uint8_t pack_time(uint32_t token, uint32_t t_us, uint8_t* out) {
   return w.length();
 }
 
+uint8_t pack_quaternion(uint32_t sequence, uint32_t t_us, const int32_t* q_wxyz, uint8_t* out) {
+  Writer w(out, Type::QUATERNION);
+  w.u32(sequence);
+  w.u32(t_us);
+  for (uint8_t i = 0; i < 4; ++i) w.u32(static_cast<uint32_t>(q_wxyz[i]));
+  return w.length();
+}
+
 // A drive body repeats its six bytes inverted: among 65536 damaged frames one passes a CRC-16, and it must not move a robot.
 Result parse(const uint8_t* body, uint8_t length, Drive* m) {
   if (length != 12) return Result::BAD_LENGTH;

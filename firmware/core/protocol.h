@@ -17,7 +17,7 @@ enum class Type : uint8_t {
   STATUS = 0x03,
   ACK = 0x04,
   TIME = 0x05,
-  QUATERNION = 0x06,  // only with the vendor's DMP library (docs/firmware.md)
+  QUATERNION = 0x06,  // only with the DMP option (docs/firmware.md)
   // Pi to Mega
   DRIVE = 0x10,
   STOP = 0x11,
@@ -128,6 +128,7 @@ uint8_t pack(const ImuPacket& m, uint8_t* out);
 uint8_t pack(const Status& m, uint8_t* out);
 uint8_t pack_ack(uint8_t asked, Result result, uint8_t* out);
 uint8_t pack_time(uint32_t token, uint32_t t_us, uint8_t* out);
+uint8_t pack_quaternion(uint32_t sequence, uint32_t t_us, const int32_t* q_wxyz, uint8_t* out);  // Q30, wxyz
 
 // Bodies (without type) of commands. DONE where the message was understood and every value is in range.
 Result parse(const uint8_t* body, uint8_t length, Drive* m);

@@ -6,6 +6,9 @@
 #include <util/atomic.h>
 
 #include "board.h"
+#ifdef SENTINEL_DMP
+#include "dmp.h"
+#endif
 #include "imu.h"
 #include "motor_pins.h"
 #include "motors.h"
@@ -36,8 +39,22 @@ extern "C" void __attribute__((naked, used, section(".init3"))) keep_reset_cause
   wdt_disable();
 }
 
+#ifdef SENTINEL_DMP
+static const uint16_t DMP_PERIOD_MS = 5;  // its FIFO is asked so often; the DMP computes 55 quaternions a second
+static bool dmp_runs = false;
+static bool imu_runs() { return dmp_runs; }
+static bool mag_runs() { return true; }  // not asked for
+static bool imu_has_work() { return false; }
+static uint16_t bus_recoveries_seen() { return 0; }
+#else
 // The sample's time is that of this interrupt's start: 2 to 20 us after the pin, when another interrupt ran.
 ISR(INT4_vect) { imu.data_ready(clock_us_in_isr()); }
+
+static bool imu_runs() { return imu.running(); }
+static bool mag_runs() { return imu.mag_present(); }
+static bool imu_has_work() { return bus_has_result() || imu.sample_waits(); }
+static uint16_t bus_recoveries_seen() { return bus_recoveries(); }
+#endif
 
 static void send(const uint8_t* payload, uint8_t length) {
   uint8_t frame[MAX_FRAME];
@@ -69,15 +86,15 @@ static void send_status(uint32_t now_ms) {
     if (motors.ttl_stop()) s.flags |= FLAG_TTL_STOP;
     if (motors.low_battery()) s.flags |= FLAG_LOW_BATTERY;
   }
-  if (!imu.running()) s.flags |= FLAG_IMU_MISSING;
-  if (imu.running() && !imu.mag_present()) s.flags |= FLAG_MAG_MISSING;
+  if (!imu_runs()) s.flags |= FLAG_IMU_MISSING;
+  if (imu_runs() && !mag_runs()) s.flags |= FLAG_MAG_MISSING;
   if (imu.errors() != 0 && now_ms - imu.last_error_ms() < 1000) s.flags |= FLAG_BUS_ERROR;
   if (motor_driver_fault()) s.flags |= FLAG_DRIVER_FAULT;
   // One sample may be on its way from the chip to the line.
   const uint32_t open = s.samples - imu.sent();
   s.samples_lost = open > 0 ? open - 1 : 0;
   s.bus_errors = imu.errors();
-  s.bus_recoveries = bus_recoveries();
+  s.bus_recoveries = bus_recoveries_seen();
   s.imu_starts = imu.starts();
   s.rx_frames = parser.frames();
   s.rx_bad = parser.bad();
@@ -144,6 +161,18 @@ static void handle(const uint8_t* payload, uint8_t length) {
   send_ack(payload[0], result);
 }
 
+#ifdef SENTINEL_DMP
+// Wire waits for each transfer (0.7 ms): the motors do not, their interrupt is not masked meanwhile.
+static void serve_imu(uint32_t now_ms, uint32_t now_us) {
+  static uint32_t last_ms = 0, sequence = 0;
+  int32_t q_wxyz[4];
+  if (!dmp_runs || now_ms - last_ms < DMP_PERIOD_MS) return;
+  last_ms = now_ms;
+  if (!dmp_read(q_wxyz)) return;
+  uint8_t payload[MAX_PAYLOAD];
+  send(payload, pack_quaternion(sequence++, now_us, q_wxyz, payload));
+}
+#else
 static void serve_imu(uint32_t now_ms, uint32_t now_us) {
   bool ok;
   if (bus_finished(now_us, &ok)) imu.done(now_ms, ok, bus_data());
@@ -156,6 +185,8 @@ static void serve_imu(uint32_t now_ms, uint32_t now_us) {
   }
 }
 
+#endif
+
 void setup() {
   ++boot_id;
   motors_begin();
@@ -163,9 +194,14 @@ void setup() {
   uart_begin();
   servos_begin();
   adc_begin();
+#ifdef SENTINEL_DMP
+  sei();
+  dmp_runs = dmp_begin();  // takes a second, before the AVR's watchdog is on; the motors are off
+#else
   bus_begin();
   EICRB |= _BV(ISC41) | _BV(ISC40);  // rising edge
   EIMSK |= _BV(INT4);
+#endif
   wdt_enable(WDTO_120MS);
   set_sleep_mode(SLEEP_MODE_IDLE);
   const uint8_t delimiter = 0;  // ends what the reset or the bootloader left half said, or it would swallow the hello
@@ -206,7 +242,7 @@ void loop() {
 
   // Sleep until the next interrupt, unless one has left work since: on an AVR the instruction after sei() still runs first.
   cli();
-  if (!uart_has_input() && !bus_has_result() && !imu.sample_waits() && clock_ms() == last_tick) {
+  if (!uart_has_input() && !imu_has_work() && clock_ms() == last_tick) {
     sleep_enable();
     sei();
     sleep_cpu();

@@ -1,3 +1,5 @@
+#include "board.h"
+#ifndef SENTINEL_DMP  // Wire has the bus then
 #include "twi_bus.h"
 
 #include <avr/interrupt.h>
@@ -131,3 +133,4 @@ bool bus_finished(uint32_t now_us, bool* ok) {
 bool bus_has_result() { return phase == Phase::DONE || phase == Phase::FAILED; }
 const uint8_t* bus_data() { return data; }
 uint16_t bus_recoveries() { return recoveries; }
+#endif

@@ -1,6 +1,7 @@
 """The real firmware binary in the emulated board. Only the MCU's time is judged, never the PC's."""
 
 import random
+import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
@@ -222,8 +223,19 @@ def test_a_flood_of_frames_neither_loses_imu_samples_nor_keeps_motors_running(tm
     assert run.statuses()[-1].samples_lost == 0
 
 
+def test_the_dmp_option_compiles(tmp_path: Path) -> None:
+    """Against declarations only: the library that brings the vendor's image is not ours to ship."""
+    stand_in = Path(__file__).parents[1] / "emulator" / "dmp_stand_in"
+    targets = [str(tmp_path / "sentinel" / name) for name in ("sentinel.ino.o", "dmp.o", "twi_bus.o")]
+    run = subprocess.run(
+        ["make", "-s", "-C", str(board.ROOT / "firmware"), f"DMP={stand_in}", f"BUILD={tmp_path}", *targets],
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
 def test_firmware_stays_small() -> None:
-    import subprocess
 
     text, data, bss = map(
         int,
