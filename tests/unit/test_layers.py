@@ -44,3 +44,23 @@ def test_package_imports_only_what_lies_below_it(package: str) -> None:
         for module in imported_modules(path):
             for prefix in FORBIDDEN[package]:
                 assert module != prefix and not module.startswith(prefix + "."), f"{path} imports {module}"
+
+
+VENDORS = {  # a part's library → the one file of robot-server that may import it
+    "picamera2": "robot/devices/pi/camera.py",
+    "simplejpeg": "robot/devices/pi/camera.py",
+    "gpiozero": "robot/devices/pi/gpio_pins.py",
+    "smbus2": "robot/devices/pi/ina219.py",
+    "serial": "robot/devices/pi/serial_line.py",
+}
+
+
+@pytest.mark.parametrize("library", VENDORS)
+def test_a_parts_library_is_imported_in_its_adapter_only(library: str) -> None:
+    users = {
+        str(path.relative_to(ROOT))
+        for package in ("robot", "station", "shared")
+        for path in (ROOT / package).rglob("*.py")
+        if any(m == library or m.startswith(library + ".") for m in imported_modules(path))
+    }
+    assert users == {VENDORS[library]}
