@@ -142,8 +142,7 @@ async def mend(chain: Chain, fault: Fault) -> None:
     if fault.name == "serial unplugged":
         chain.board.command("serial 1")
     if fault.name.startswith("robot-server's loop"):
-        while not any(entry.what == "unblock" for entry in chain.line_log()):
-            await asyncio.sleep(0.02)
+        await chain.logged("unblock")
     with contextlib.suppress(TimeoutError):  # a killed process is told to us a moment later
         await asyncio.wait_for(chain.robot.wait(), 2.0 if fault.name == "robot-server SIGKILL" else 0.001)
     with contextlib.suppress(TimeoutError):
@@ -175,7 +174,7 @@ async def run_chain(work: list[Fault], seed: int, results: Path, commit: str) ->
                 judged = await trial(chain, fault, rng)
             except (RuntimeError, OSError, TimeoutError) as exc:
                 judged = Judged(fault.name, not_judged=f"{type(exc).__name__}: {exc}")
-                print(f"\nbench_stop: {fault.name}: {exc}; a new chain", file=sys.stderr, flush=True)
+                print(f"\nbench_stop: {fault.name}: {exc!r}; a new chain", file=sys.stderr, flush=True)
             stop_report.append(results, replace(judged, commit=commit))
             if chain is not None and (not judged.is_good or judged.not_judged):
                 keep_evidence(chain, judged, results)

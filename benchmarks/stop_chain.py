@@ -240,6 +240,16 @@ class Chain:
             whole = log.read().rpartition("\n")[0].splitlines()
         return [LineEntry(int(b), int(a), what) for b, a, what in (line.split() for line in whole)]
 
+    async def logged(self, what: str) -> LineEntry:
+        """The first such entry of robot-server's log since `forget`."""
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline:
+            for entry in self.line_log():
+                if entry.what == what:
+                    return entry
+            await asyncio.sleep(0.005)
+        raise RuntimeError(f"robot-server does not log {what!r}")
+
     async def close(self) -> None:
         if self.page is not None:
             await self.page.close()

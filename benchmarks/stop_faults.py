@@ -62,9 +62,9 @@ def killing(who: str, number: int) -> Inject:
 async def loop_blocked(chain: Chain, rng: random.Random) -> Instant:
     instant = await now(chain)
     await chain.tell_robot(f"{rng.choice(['block', 'sleep'])} {BLOCK_S}")
-    while not (blocks := [e for e in chain.line_log() if e.what == "block"]):
-        await asyncio.sleep(0.005)
-    return Instant(blocks[0].before_ns, instant.mega_us)  # stamped by the loop itself, as its last deed
+    return Instant(
+        (await chain.logged("block")).before_ns, instant.mega_us
+    )  # stamped by the loop itself, as its last deed
 
 
 async def serial_unplugged(chain: Chain, _rng: random.Random) -> Instant:
