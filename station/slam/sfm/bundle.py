@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from shared.geometry import FloatArray, IntArray, so3_log
 from station.slam.sfm.inertial import exp_many
-from station.slam.sfm.odometry import Odometry
+from station.slam.sfm.odometry import RelativeMotions
 
 NUM_SHARED = 4  # drive scale, gyroscope bias (3)
 # Scale is a free gauge of the pictures, and noise would shrink it: held here, measured afterwards (metric.py).
@@ -64,7 +64,7 @@ class _Linear:
 
 
 def adjust(
-    state: BundleState, seen: Observations, odometry: Odometry, cauchy_px: float, max_iterations: int = 10
+    state: BundleState, seen: Observations, odometry: RelativeMotions, cauchy_px: float, max_iterations: int = 10
 ) -> BundleState:
     """Minimise reprojection (Cauchy loss of scale cauchy_px) and odometry residuals."""
     damping = 1e-4
@@ -125,7 +125,7 @@ def _project(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatA
     return residual, depth, (p_body, p_cam)
 
 
-def _cost(state: BundleState, seen: Observations, odometry: Odometry, cauchy_px: float) -> float:
+def _cost(state: BundleState, seen: Observations, odometry: RelativeMotions, cauchy_px: float) -> float:
     residual, _, _ = _project(state, seen)
     visual = float((cauchy_px**2 * np.log1p((residual**2).sum(axis=1) / cauchy_px**2)).sum())
     weighted = _odometry_residual(state, odometry)[0]
@@ -139,7 +139,7 @@ def _prior_cost(state: BundleState) -> float:
     return ((state.drive_scale - 1.0) / DRIVE_SCALE_SIGMA) ** 2 + float(bias @ bias)
 
 
-def _odometry_residual(state: BundleState, odometry: Odometry) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _odometry_residual(state: BundleState, odometry: RelativeMotions) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(N-1, 6) weighted residuals; relative rotations and translations as estimated."""
     R_a, R_b = state.R_world_body[:-1], state.R_world_body[1:]
     R_rel = np.swapaxes(R_a, 1, 2) @ R_b
@@ -165,7 +165,7 @@ def log_many(R: FloatArray) -> FloatArray:
 
 
 def _linearise(
-    state: BundleState, seen: Observations, odometry: Odometry, cauchy_px: float, by_point: IntArray
+    state: BundleState, seen: Observations, odometry: RelativeMotions, cauchy_px: float, by_point: IntArray
 ) -> _Linear:
     n, m = len(state.R_world_body), len(state.points)
     residual, depth, (p_body, p_cam) = _project(state, seen)
@@ -214,7 +214,7 @@ def _sum_by(index: IntArray, values: FloatArray, size: int) -> FloatArray:
     return out
 
 
-def _odometry_normal(state: BundleState, odometry: Odometry) -> tuple[csc_matrix, FloatArray]:
+def _odometry_normal(state: BundleState, odometry: RelativeMotions) -> tuple[csc_matrix, FloatArray]:
     """Normal equations of odometry and priors, over poses and the shared unknowns."""
     n = len(state.R_world_body)
     size = 6 * n + NUM_SHARED

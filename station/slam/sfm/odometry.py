@@ -22,15 +22,21 @@ VERTICAL_SIGMA_M = 0.003  # floors are flat; carpets and thresholds are not quit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Odometry:
+class RelativeMotions:
     """Relative motion between consecutive keyframes, in the body frame of the first of the two."""
 
-    T_world_body: FloatArray  # (N, 4, 4) dead reckoned; z up as the accelerometer says, first keyframe at the origin
-    R: FloatArray  # (N-1, 3, 3) R_k_next by gyroscope
-    R_sum: FloatArray  # (N-1, 3, 3) s: rotation changes by -R^T R_sum @ bias change
-    p: FloatArray  # (N-1, 3) m, by drive commands
+    T_world_body: FloatArray  # (N, 4, 4) the same chained, z up
+    R: FloatArray  # (N-1, 3, 3) R_k_next
+    R_sum: FloatArray  # (N-1, 3, 3) s: rotation changes by -R^T R_sum @ gyroscope bias change
+    p: FloatArray  # (N-1, 3) m
     sigma_rotation: FloatArray  # (N-1,) rad
     sigma_position: FloatArray  # (N-1, 3) m, body axes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry(RelativeMotions):
+    """Dead reckoned: turned by the gyroscope, moved by drive commands, first keyframe at the origin."""
+
     track: InertialTrack
 
 

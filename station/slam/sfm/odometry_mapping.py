@@ -21,7 +21,7 @@ from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.features import Features
 from station.slam.sfm.inertial import InertialTrack, exp_many
 from station.slam.sfm.loops import find_loops
-from station.slam.sfm.odometry import Odometry
+from station.slam.sfm.odometry import Odometry, RelativeMotions
 from station.slam.sfm.tracks import Pairs, Tracks, build_tracks, longest, triangulate
 
 # Cauchy scales (px): wide while poses are dead reckoned or a loop has just been closed, then as sharp as the pictures.
@@ -59,6 +59,23 @@ def map_with_odometry(
         matches: unverified descriptor matches of keyframes near in time.
     """
     rays = [straight_rays(f, int(t), odometry.track, camera) for f, t in zip(features, t_imu_ns, strict=True)]
+    return map_with_motions(features, rays, matches, odometry, camera, config)
+
+
+def map_with_motions(
+    features: Sequence[Features],
+    rays: Sequence[FloatArray],
+    matches: Sequence[Pairs],
+    odometry: RelativeMotions,
+    camera: CameraCalibration,
+    config: SfmConfig,
+) -> OdometryMap:
+    """The same for relative motions from anywhere.
+
+    Args:
+        rays: (n, 2) of each keyframe: its features' normalised coordinates as if all rows had been exposed at once, at
+            the time its pose is for.
+    """
     T_body_cam = camera.T_body_cam_matrix
     threshold = config.matching.max_error_px / camera.fx
     rng = np.random.default_rng(config.seed)
@@ -126,7 +143,7 @@ def refine(
     state: BundleState,
     tracks: Tracks,
     rays: Sequence[FloatArray],
-    odometry: Odometry,
+    odometry: RelativeMotions,
     camera: CameraCalibration,
     scales: Sequence[float],
 ) -> tuple[BundleState, Tracks]:

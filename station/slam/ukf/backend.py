@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -34,6 +35,9 @@ from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingF
 from station.slam.ukf.state import FilterState
 from station.slam.ukf.stillness import Standstill, StillnessDetector
 from station.slam.ukf.update import is_finite
+
+if TYPE_CHECKING:
+    from station.slam.ukf.views import MapViews
 
 IMU_REACH_S = 0.05  # the IMU may end that long before the frame: its last reading is held
 
@@ -73,14 +77,14 @@ class UkfBackend:
         )
         self._filter: VioFilter | None = None
         self._monitor = TrackingMonitor(self._config)
-        self._memory = DriveMemory(self._camera, calibration.imu, self._config)
+        self._messages: list[str] = []
+        self._memory = DriveMemory(self._camera, calibration.imu, self._config, self._make_views())
         self._anchor = ORIGIN
         self._drive: DriveSample | None = None  # the newest command
         self._speed_since = 0  # when the commanded speed last changed
         self._previous_t: int | None = None  # IMU time of the frame before
         self._lost_since: int | None = None
         self._lost_ns = 0
-        self._messages: list[str] = []
         self._last_message = "no image came"
 
     def add_imu(self, imu: ImuBatch) -> None:
@@ -244,7 +248,7 @@ class UkfBackend:
             raise EstimationError("no usable image came; the ukf backend needs images and IMU samples")
         if not len(memory.poses) or not memory.keyframes.items:
             raise EstimationError(f"tracking never started: {self._last_message}")
-        if config.refine and config.landmarks == "default":
+        if memory.views is None and config.refine and config.landmarks == "default":
             self._messages += refine(memory, self._camera, self._calibration)
         report = make_report(intake, self._imu.counts, self._lost_ns * 1e-9, self._seed, config, self._messages)
         return make_navigation(
@@ -252,6 +256,21 @@ class UkfBackend:
         )  # fmt: skip
 
     # ---- small helpers
+
+    def _make_views(self) -> MapViews | None:
+        """Where the map's views are collected; None when the map is made from tracks."""
+        config = self._config
+        wanted = config.map == "views" or (config.map == "auto" and self._calibration.robot_kind == "sentinel")
+        if not wanted or config.landmarks == "thesis":
+            return None
+        try:
+            from station.slam.ukf.views import MapViews
+        except ImportError as exc:
+            if config.map == "views":
+                raise ConfigError(f"a map from views needs {exc.name}, which is not installed here") from exc
+            self._messages.append(f"{exc.name} is not installed: loops are not closed, landmarks are fewer")
+            return None
+        return MapViews(self._camera.lens, config.views, self._seed)
 
     def _update(
         self,

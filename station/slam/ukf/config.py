@@ -37,6 +37,17 @@ class FilterConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class ViewConfig:
+    """Which keyframes become views."""
+
+    min_flow: float = 0.2  # median motion of common features since the last view, as a fraction of the image width
+    min_common: float = 0.5  # or fewer than that share of the last view's features are left
+    max_interval_s: float = 2.0
+    num_previous: int = 4  # views before, that each one is matched with
+    capacity: int = 300  # beyond, every second view goes and the spacing grows by half
+
+
+@dataclass(frozen=True, slots=True)
 class UkfConfig:
     """Everything of the backend."""
 
@@ -46,6 +57,10 @@ class UkfConfig:
     wheels: WheelConfig = field(default_factory=WheelConfig)  # used for robot_kind "sentinel" only, but standstill
     quality: LandmarkQuality = field(default_factory=LandmarkQuality)
     landmarks: Literal["default", "thesis"] = "default"  # thesis: each landmark as it first entered the filter
+    # views: loops are closed and landmarks come from SIFT features; it costs about as much as the filter does.
+    # auto: views for a robot with wheels, which comes back to where it was; tracks else, or where pycolmap is missing.
+    map: Literal["auto", "tracks", "views"] = "auto"
+    views: ViewConfig = field(default_factory=ViewConfig)
     refine: bool = True  # visual-inertial least squares over the keyframes when the drive ends
     max_keyframes: int = 500
     max_outage_s: float = 0.6  # without features for longer, tracking is lost

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import msgspec
@@ -22,6 +22,9 @@ from station.slam.ukf.landmark_map import Observations, assemble, make_landmarks
 from station.slam.ukf.measurement import CameraModel
 from station.slam.ukf.memory import DriveMemory
 from station.slam.ukf.refine import refine_segment
+
+if TYPE_CHECKING:
+    from station.slam.ukf.views import MapViews
 
 
 def refine(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -> list[str]:
@@ -53,24 +56,43 @@ def make_navigation(
     report: NavigationReport,
 ) -> Navigation:
     """Trajectory, keyframes and landmarks of the drive; fills in the report's number of landmarks."""
-    keyframes = memory.keyframes.items
-    landmarks = _landmarks(memory, keyframes, camera, config)
-    times, poses = memory.poses.arrays()
-    T_body_cam = se3(camera.R_body_cam, camera.t_body_cam)
+    made = None
+    if memory.views is not None:
+        made = _map_from_views(memory, memory.views, camera, calibration)
+    if made is not None:
+        keyframes, landmarks, facts = made
+        report = replace(report, config=report.config | facts)
+    else:
+        items = memory.keyframes.items
+        keyframes = Keyframes(
+            frame_index=np.array([k.image.index for k in items], dtype=np.int64),
+            t_robot_ns=np.array([k.image.t_robot_ns for k in items], dtype=np.int64),
+            T_world_cam=np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam),
+            encoded=tuple(k.image.encoded for k in items),
+            segment=np.array([k.segment for k in items], dtype=np.int64),
+        )
+        landmarks = _landmarks(memory, items, camera, config)
     return Navigation(
         id=navigation_id,
         calibration=calibration,
-        trajectory=Trajectory(times, poses),
-        keyframes=Keyframes(
-            frame_index=np.array([k.image.index for k in keyframes], dtype=np.int64),
-            t_robot_ns=np.array([k.image.t_robot_ns for k in keyframes], dtype=np.int64),
-            T_world_cam=np.array([k.T_world_body for k in keyframes]) @ T_body_cam,
-            encoded=tuple(k.image.encoded for k in keyframes),
-            segment=np.array([k.segment for k in keyframes], dtype=np.int64),
-        ),
+        trajectory=Trajectory(*memory.poses.arrays()),
+        keyframes=keyframes,
         landmarks=landmarks,
         report=replace(report, landmarks=len(landmarks)),
     )
+
+
+def _map_from_views(
+    memory: DriveMemory, views: MapViews, camera: CameraModel, calibration: Calibration
+) -> tuple[Keyframes, Landmarks, dict[str, Any]] | None:
+    """Loops closed and everything refined; moves the poses of all frames along."""
+    from station.slam.ukf.view_map import map_views  # needs pycolmap, which is here when there are views
+
+    assert calibration.camera is not None and calibration.imu is not None
+    made = map_views(views, memory.poses, camera, calibration.camera, calibration.imu)
+    if made is None:
+        return None
+    return made.keyframes, made.landmarks, {"loops": made.num_loops, "median_error_px": made.median_error_px}
 
 
 def _landmarks(memory: DriveMemory, keyframes: list[Keyframe], camera: CameraModel, config: UkfConfig) -> Landmarks:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,9 @@ from station.slam.ukf.preintegration import Preintegration, chain, preintegrate
 from station.slam.ukf.propagation import ImuSegment
 from station.slam.ukf.state import FilterState
 from station.slam.ukf.update import is_finite
+
+if TYPE_CHECKING:  # needs pycolmap, which not every machine has
+    from station.slam.ukf.views import MapViews
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
 WAITING_NS = 4 * 10**9  # frames older than that no longer wait for a start
@@ -44,8 +48,10 @@ class RecentFrame:
 class DriveMemory:
     """Poses of all frames, keyframes, and the frames that may still become keyframes."""
 
-    def __init__(self, camera: CameraModel, noise: ImuNoise, config: UkfConfig) -> None:
+    def __init__(self, camera: CameraModel, noise: ImuNoise, config: UkfConfig, views: MapViews | None = None) -> None:
+        """Args: views: where the map's views are collected; None: the map is made from tracks."""
         self._noise = noise
+        self.views = views
         self.recent: dict[int, RecentFrame] = {}  # by ImageFrame.index, ascending
         self.poses = PoseLog()
         self.keyframes = KeyframeStore(config.max_keyframes)
@@ -101,6 +107,8 @@ class DriveMemory:
             wheels=old.wheels,
         )
         self.keyframes.add(keyframe)
+        if self.views is not None:
+            self.views.add(keyframe)
         return self.live.add(keyframe)
 
     def flush(self, vio: VioFilter, outage_since: int | None) -> None:

@@ -1,0 +1,72 @@
+"""Views for the map: keyframes that differ from each other, with SIFT features matched to the views before.
+
+The filter's corners are followed from frame to frame; nobody finds them again from elsewhere. These features are found
+again: when the robot comes back, and when it looks for its place in the map another day (docs/slam.md, sec. 10).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.slam.frontend.lens import Lens
+from station.slam.sfm.config import SfmConfig
+from station.slam.sfm.features import Features, SiftExtractor
+from station.slam.sfm.matching import match_descriptors
+from station.slam.sfm.tracks import Pairs
+from station.slam.ukf.config import ViewConfig
+from station.slam.ukf.keyframes import Keyframe
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    frame_index: int  # ImageFrame.index
+    segment: int
+    keyframe: Keyframe
+    features: Features
+
+
+class MapViews:
+    """Grows while the robot drives; bounded."""
+
+    def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
+        self._lens, self._config = lens, config
+        self.sfm = SfmConfig(seed=seed, threads=1)
+        self._extractor = SiftExtractor(self.sfm.features)
+        self._spacing = 1.0
+        self.items: list[View] = []
+        self.pairs: list[Pairs] = []  # indices into items, unverified
+
+    def add(self, keyframe: Keyframe) -> None:
+        """Take a keyframe in; it becomes a view when it shows something else than the last one."""
+        if not self._is_new(keyframe):
+            return
+        features = self._extractor.extract(keyframe.image.grey(), self._lens)
+        b = len(self.items)
+        self.items.append(View(keyframe.image.index, keyframe.segment, keyframe, features))
+        for a in range(max(0, b - self._config.num_previous), b):
+            if self.items[a].segment == keyframe.segment:
+                before = self.items[a].features
+                pairs = match_descriptors(before.descriptors, features.descriptors, self.sfm.matching.max_ratio)
+                self.pairs.append((a, b, pairs))
+        if len(self.items) > self._config.capacity:
+            self._thin()
+
+    def _is_new(self, keyframe: Keyframe) -> bool:
+        if not self.items or self.items[-1].segment != keyframe.segment:
+            return True
+        last, config = self.items[-1].keyframe, self._config
+        _, i, j = np.intersect1d(last.tracked.ids, keyframe.tracked.ids, assume_unique=True, return_indices=True)
+        if len(i) == 0 or len(i) < config.min_common / self._spacing * len(last.tracked.ids):
+            return True
+        flow = float(np.median(np.linalg.norm(last.tracked.uv_px[i] - keyframe.tracked.uv_px[j], axis=1)))
+        waited = (keyframe.image.t_robot_ns - last.image.t_robot_ns) * 1e-9 > config.max_interval_s * self._spacing
+        enough = self._spacing * config.min_flow * self._lens.camera.width
+        return flow > enough or (waited and flow > 0.2 * enough)
+
+    def _thin(self) -> None:
+        """Every second view stays, with the matches among those that stay."""
+        self.items = self.items[::2]
+        self.pairs = [(a // 2, b // 2, pairs) for a, b, pairs in self.pairs if a % 2 == 0 and b % 2 == 0]
+        self._spacing *= 1.5
