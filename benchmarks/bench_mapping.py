@@ -46,9 +46,13 @@ SECOND_DRIVE_S = 30.0
 def render(out: Path, seed: int, world: str, *arguments: str) -> Path:
     """A simulated drive in the flat of this seed, made where it is missing."""
     if not out.exists():
-        command = [sys.executable, "-m", "robot.simulation.cli", "dataset", "--world", world, "--seed", str(seed)]
-        subprocess.run([*command, *arguments, "--out", str(out)], check=True)
+        run_program("dataset", "--world", world, "--seed", str(seed), *arguments, "--out", str(out))
     return out
+
+
+def run_program(*arguments: str) -> None:
+    """Run robot-sim; raises CalledProcessError when it fails."""
+    subprocess.run([sys.executable, "-m", "robot.simulation.cli", *arguments], check=True)
 
 
 def trajectory_of(data: Dataset) -> Trajectory:
