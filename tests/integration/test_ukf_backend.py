@@ -9,6 +9,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.errors import ConfigError, EstimationError
@@ -59,7 +60,10 @@ def test_real_flight_from_its_own_start_in_motion() -> None:
     assert ate(nav.trajectory, data) <= 0.025
     assert len(nav.landmarks) > 200
     assert (nav.landmarks.num_observations >= 3).all()
-    again, _ = run(data, UkfBackend(data.calibration))
+    # Bit for bit the same, whatever the number of threads around it.
+    cv2.setNumThreads(2)
+    with threadpool_limits(limits=2):
+        again, _ = run(data, UkfBackend(data.calibration))
     assert np.array_equal(again.trajectory.T_world_body, nav.trajectory.T_world_body)
     assert np.array_equal(again.landmarks.p_world, nav.landmarks.p_world)
 
@@ -91,6 +95,17 @@ def test_real_standstill_does_not_drift() -> None:
 
 
 # ---- wrong input
+
+
+@needs_data
+def test_a_wrong_focal_length_is_said() -> None:
+    data = open_dataset(DATA / "euroc_v1_01_flight", None, None, 1)
+    camera = data.calibration.camera
+    assert camera is not None
+    wrong = msgspec.structs.replace(camera, fx=1.4 * camera.fx, fy=1.4 * camera.fy)
+    nav, updates = run(data, UkfBackend(msgspec.structs.replace(data.calibration, camera=wrong)))
+    assert any("image and IMU contradict each other" in message for message in nav.report.messages)
+    assert any(u.state == "lost" for u in updates)
 
 
 def frames(count: int, texture: bool = True, shape: tuple[int, int] = (480, 640)) -> Iterator[ImageFrame]:

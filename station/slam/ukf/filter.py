@@ -36,6 +36,7 @@ class FrameResult:
     num_landmarks_observed: int
     num_window_used: int
     num_window_tried: int
+    num_window_misfits: int  # tracks with parallax that no point explains, so that they were not even tried
     rejected_ids: IntArray  # tracks the gates threw out
     new_landmark_ids: IntArray
     retired: tuple[RetiredClone, ...]  # poses that left the window, as last estimated
@@ -60,12 +61,13 @@ class WindowMeasurement:
     distance2: FloatArray  # (t,) of all tracks tried
     dof: IntArray  # (t,)
     num_used: int
+    num_misfits: int
     rejected_ids: IntArray
 
     @classmethod
-    def none(cls, state: FilterState) -> WindowMeasurement:
+    def none(cls, state: FilterState, num_misfits: int = 0) -> WindowMeasurement:
         empty = np.zeros(0, dtype=np.int64)
-        return cls(Measurements.none(state), np.zeros(0), empty, 0, empty)
+        return cls(Measurements.none(state), np.zeros(0), empty, 0, num_misfits, empty)
 
 
 class SoftConstraint(Protocol):
@@ -140,6 +142,7 @@ class VioFilter:
             num_landmarks_observed=len(landmarks.index),
             num_window_used=window.num_used,
             num_window_tried=len(window.distance2),
+            num_window_misfits=window.num_misfits,
             rejected_ids=rejected,
             new_landmark_ids=new_ids,
             retired=retired,
@@ -207,14 +210,16 @@ class VioFilter:
 
         uv, xy, seen = tracks.uv_px[chosen], tracks.xy[chosen], tracks.seen[chosen]
         points = triangulate_window(self.camera, state, uv, xy, seen)
-        good = points.is_good & (points.depth_sigma < config.window_depth_sigma) & (points.rms < config.max_track_rms)
+        good = points.is_good & (points.depth_sigma < config.window_depth_sigma)
+        misfits = int((good & (points.rms >= config.max_track_rms)).sum())
+        good &= points.rms < config.max_track_rms
         is_landmark = coming[chosen] & good & (points.depth_sigma < config.landmark_depth_sigma)
         is_landmark &= np.cumsum(is_landmark) <= wanted
         good &= is_landmark | due[chosen]  # a track that is neither waits for more views
         chosen, is_landmark, points = chosen[good], is_landmark[good], points.take(good)
         if not len(chosen):
             self._forget(tracks.ids[~is_live])
-            return WindowMeasurement.none(state)
+            return WindowMeasurement.none(state, misfits)
         rows = window_rows(self.camera, config.error, state, uv[good], xy[good], seen[good], points.p)
         measured, passed, distance2 = gated_window_rows(rows, self._window_gate, config.window_gate_slack)
         ids = tracks.ids[chosen]
@@ -223,6 +228,7 @@ class VioFilter:
             distance2=distance2,
             dof=rows.dof,
             num_used=int(passed.sum()),
+            num_misfits=misfits,
             rejected_ids=ids[~passed],
         )
         self._coming = ids[is_landmark & passed]

@@ -12,6 +12,9 @@ from station.slam.ukf.update import is_finite
 
 MIN_JUDGED = 6  # landmarks; fewer cannot outvote the IMU
 FEW_PASSED = 0.3  # share of the landmarks that pass their gate
+FEW_FIT = 0.4  # of landmarks and tracks over a second; 0.98 on a real flight
+MEMORY = 0.95  # per frame: about a second of measurements
+MIN_REMEMBERED = 25  # landmarks and tracks
 LIFTED_FRAMES = 3  # consecutive
 
 
@@ -27,6 +30,7 @@ class TrackingMonitor:
         self.outage_since: int | None = None  # IMU time since when the image shows too little
         self._disagreements = 0
         self._lifted = 0
+        self._tried = self._passed = 0.0
 
     def why_lost(
         self, state: FilterState, frame: TrackedFrame, t_imu_ns: int, has_wheels: bool, result: FrameResult
@@ -55,6 +59,14 @@ class TrackingMonitor:
         tried = result.num_landmarks_observed
         disagrees = tried >= MIN_JUDGED and result.num_landmarks_passed < FEW_PASSED * tried
         self._disagreements = self._disagreements + 1 if disagrees else 0
-        if self._disagreements >= config.max_disagreements:
+        if self._disagreements >= config.max_disagreements or self._seldom_fits(result):
             return "image and IMU contradict each other"
         return None
+
+    def _seldom_fits(self, result: FrameResult) -> bool:
+        """Over the last second most of what the camera saw was refused, as with a calibration that is wrong."""
+        tried = result.num_landmarks_observed + result.num_window_tried + result.num_window_misfits
+        passed = result.num_landmarks_passed + result.num_window_used
+        self._tried = MEMORY * self._tried + tried
+        self._passed = MEMORY * self._passed + passed
+        return self._tried > MIN_REMEMBERED and self._passed < FEW_FIT * self._tried
