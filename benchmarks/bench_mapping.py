@@ -132,9 +132,9 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
         if not len(known):
             continue
         looked += 1
-        if attempt is not None and attempt.localization is not None:
+        if attempt is not None and attempt.candidates:
             localised += 1
-            T = attempt.localization.T_map_cam @ camera.T_cam_body_matrix
+            T = attempt.candidates[0].T_map_cam @ camera.T_cam_body_matrix
             errors.append(float(np.linalg.norm(transform(T_truth_map, T[None, :3, 3])[0] - T_true[0, :3, 3])))
         answer = tracker.answer(int(at[0]))
         if answer.state != "known" or answer.place is None:

@@ -23,7 +23,7 @@ from station.slam.ukf import lie
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.constraints import BodyVelocity, wheel_velocity
 from station.slam.ukf.filter import SoftConstraint, VioFilter
-from station.slam.ukf.finish import make_navigation, make_report, refine
+from station.slam.ukf.finish import make_navigation, make_report
 from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.keyframes import is_grey, sample_grey
@@ -248,8 +248,6 @@ class UkfBackend:
             raise EstimationError("no usable image came; the ukf backend needs images and IMU samples")
         if not len(memory.poses) or not memory.keyframes.items:
             raise EstimationError(f"tracking never started: {self._last_message}")
-        if memory.views is None and config.refine and config.landmarks == "default":
-            self._messages += refine(memory, self._camera, self._calibration)
         report = make_report(intake, self._imu.counts, self._lost_ns * 1e-9, self._seed, config, self._messages)
         return make_navigation(
             f"ukf-{intake.first_t_ns}", memory, self._camera, self._calibration, config, report

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import cv2
 import msgspec
@@ -23,11 +23,71 @@ from station.slam.ukf.measurement import CameraModel
 from station.slam.ukf.memory import DriveMemory
 from station.slam.ukf.refine import refine_segment
 
-if TYPE_CHECKING:
-    from station.slam.ukf.views import MapViews
+
+def make_navigation(
+    navigation_id: str,
+    memory: DriveMemory,
+    camera: CameraModel,
+    calibration: Calibration,
+    config: UkfConfig,
+    report: NavigationReport,
+) -> Navigation:
+    """Trajectory, keyframes and landmarks of the drive; completes the report."""
+    made = _from_views(memory, camera, calibration) or _from_tracks(memory, camera, calibration, config)
+    report = replace(
+        report,
+        landmarks=len(made.landmarks),
+        messages=(*report.messages, *made.messages),
+        config=report.config | made.facts,
+    )
+    trajectory = Trajectory(*memory.poses.arrays())
+    return Navigation(navigation_id, calibration, trajectory, made.keyframes, made.landmarks, report)
 
 
-def refine(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -> list[str]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Made:
+    """The map of a drive; the pose log has followed."""
+
+    keyframes: Keyframes
+    landmarks: Landmarks
+    facts: dict[str, Any]  # for navigation.json
+    messages: list[str]
+
+
+def _from_views(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -> _Made | None:
+    """Loops closed and everything refined; None where there are no views, or they share too little."""
+    if memory.views is None:
+        return None
+    from station.slam.ukf.view_map import map_views  # needs pycolmap, which is here when there are views
+
+    assert calibration.camera is not None and calibration.imu is not None
+    made = map_views(memory.views, memory.poses, camera, calibration.camera, calibration.imu)
+    if made is None:
+        return None
+    facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}
+    return _Made(made.keyframes, made.landmarks, facts, [])
+
+
+def _from_tracks(memory: DriveMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
+    """Keyframes refined window by window, every good track a landmark; or the landmarks as they entered the filter."""
+    is_thesis = config.landmarks == "thesis"
+    messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
+    items = memory.keyframes.items
+    keyframes = Keyframes(
+        frame_index=np.array([k.image.index for k in items], dtype=np.int64),
+        t_robot_ns=np.array([k.image.t_robot_ns for k in items], dtype=np.int64),
+        T_world_cam=np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam),
+        encoded=tuple(k.image.encoded for k in items),
+        segment=np.array([k.segment for k in items], dtype=np.int64),
+    )
+    if is_thesis:
+        landmarks = assemble(*memory.live.as_entered(), Observations.of(items))
+    else:
+        landmarks = make_landmarks(items, camera, config.quality)
+    return _Made(keyframes, landmarks, {"mapped_from": "tracks"}, messages)
+
+
+def _refine(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -> list[str]:
     """Better keyframes by least squares; the frames between follow their keyframes. What was not refined, in words."""
     assert calibration.imu is not None
     refined: list[Keyframe] = []
@@ -45,61 +105,6 @@ def refine(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -
         refined += better
     memory.keyframes.items = refined
     return messages
-
-
-def make_navigation(
-    navigation_id: str,
-    memory: DriveMemory,
-    camera: CameraModel,
-    calibration: Calibration,
-    config: UkfConfig,
-    report: NavigationReport,
-) -> Navigation:
-    """Trajectory, keyframes and landmarks of the drive; fills in the report's number of landmarks."""
-    made = None
-    if memory.views is not None:
-        made = _map_from_views(memory, memory.views, camera, calibration)
-    if made is not None:
-        keyframes, landmarks, facts = made
-        report = replace(report, config=report.config | facts)
-    else:
-        items = memory.keyframes.items
-        keyframes = Keyframes(
-            frame_index=np.array([k.image.index for k in items], dtype=np.int64),
-            t_robot_ns=np.array([k.image.t_robot_ns for k in items], dtype=np.int64),
-            T_world_cam=np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam),
-            encoded=tuple(k.image.encoded for k in items),
-            segment=np.array([k.segment for k in items], dtype=np.int64),
-        )
-        landmarks = _landmarks(memory, items, camera, config)
-    return Navigation(
-        id=navigation_id,
-        calibration=calibration,
-        trajectory=Trajectory(*memory.poses.arrays()),
-        keyframes=keyframes,
-        landmarks=landmarks,
-        report=replace(report, landmarks=len(landmarks)),
-    )
-
-
-def _map_from_views(
-    memory: DriveMemory, views: MapViews, camera: CameraModel, calibration: Calibration
-) -> tuple[Keyframes, Landmarks, dict[str, Any]] | None:
-    """Loops closed and everything refined; moves the poses of all frames along."""
-    from station.slam.ukf.view_map import map_views  # needs pycolmap, which is here when there are views
-
-    assert calibration.camera is not None and calibration.imu is not None
-    made = map_views(views, memory.poses, camera, calibration.camera, calibration.imu)
-    if made is None:
-        return None
-    return made.keyframes, made.landmarks, {"loops": made.num_loops, "median_error_px": made.median_error_px}
-
-
-def _landmarks(memory: DriveMemory, keyframes: list[Keyframe], camera: CameraModel, config: UkfConfig) -> Landmarks:
-    if config.landmarks == "thesis":
-        ids, p, cov = memory.live.as_entered()
-        return assemble(ids, p, cov, Observations.of(keyframes))
-    return make_landmarks(keyframes, camera, config.quality)
 
 
 def make_report(

@@ -23,6 +23,7 @@ from station.slam.ukf.pose_log import PoseLog
 from station.slam.ukf.views import MapViews, View
 
 MIN_VIEWS = 3
+MIN_LANDMARKS_PER_VIEW = 10  # a furnished flat gives a hundred
 # How wrong the filter's motion between neighbouring views may be; one sigma.
 SIGMA_SHARE = 0.05  # of the way: before a blank wall only commands and accelerometer know it
 SIGMA_PER_RADIAN_M = 0.01
@@ -45,9 +46,12 @@ class ViewMap:
 def map_views(
     views: MapViews, poses: PoseLog, camera: CameraModel, calibration: CameraCalibration, noise: ImuNoise
 ) -> ViewMap | None:
-    """Map every segment and move its poses along; None when no landmark could be triangulated."""
-    parts: list[Reconstructed] = []
-    loops, errors, segments = 0, [], []
+    """Map every segment and move its poses along.
+
+    None where views have too few landmarks: SIFT cannot tell the fields of a chessboard apart, tracks can.
+    """
+    parts: list[tuple[Reconstructed, list[View], FloatArray]] = []
+    loops, errors = 0, []
     for number in sorted({v.segment for v in views.items}):
         at = [i for i, v in enumerate(views.items) if v.segment == number]
         if len(at) < MIN_VIEWS:
@@ -55,24 +59,23 @@ def map_views(
         items = [views.items[i] for i in at]
         pairs = [(a - at[0], b - at[0], p) for a, b, p in views.pairs if a >= at[0] and b <= at[-1]]
         motions = relative_motions(items, noise)
-        rays = [straight_rays(v, camera) for v in items]
         features = [v.features for v in items]
+        rays = [straight_rays(v, camera) for v in items]
         made = map_with_motions(features, rays, pairs, motions, calibration, views.sfm)
         if made.tracks.num_points == 0:
             continue
         frames = [v.keyframe.image for v in items]
-        part = level(
-            read_odometry_map(made, frames, features, calibration, views.sfm), motions.T_world_body, calibration
-        )
-        T_new = part.keyframes.T_world_cam @ inverse(calibration.T_body_cam_matrix)
-        poses.follow([v.frame_index for v in items], motions.T_world_body, T_new, number)
-        parts.append(part)
-        segments += [number] * len(items)
+        part = read_odometry_map(made, frames, features, calibration, views.sfm)
+        parts.append((level(part, motions.T_world_body, calibration), items, motions.T_world_body))
         loops += made.num_loops
         errors.append(made.median_error_px)
-    if not parts:
+    num_views = sum(len(items) for _, items, _ in parts)
+    if not parts or sum(len(part.landmarks) for part, _, _ in parts) < MIN_LANDMARKS_PER_VIEW * num_views:
         return None
-    return ViewMap(*_join(parts, segments), loops, float(np.mean(errors)))
+    for part, items, T_filter in parts:
+        T_new = part.keyframes.T_world_cam @ inverse(calibration.T_body_cam_matrix)
+        poses.follow([v.frame_index for v in items], T_filter, T_new, items[0].segment)
+    return ViewMap(*_join(parts), loops, float(np.mean(errors)))
 
 
 def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
@@ -139,10 +142,10 @@ def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibrat
     )
 
 
-def _join(parts: list[Reconstructed], segments: list[int]) -> tuple[Keyframes, Landmarks]:
+def _join(parts: list[tuple[Reconstructed, list[View], FloatArray]]) -> tuple[Keyframes, Landmarks]:
     """Segments one after the other."""
-    k = [p.keyframes for p in parts]
-    m = [p.landmarks for p in parts]
+    k = [part.keyframes for part, _, _ in parts]
+    m = [part.landmarks for part, _, _ in parts]
     first_keyframe = np.cumsum([0, *(len(x) for x in k)])
     first_landmark = np.cumsum([0, *(len(x) for x in m)])
     return Keyframes(
@@ -150,7 +153,7 @@ def _join(parts: list[Reconstructed], segments: list[int]) -> tuple[Keyframes, L
         t_robot_ns=np.concatenate([x.t_robot_ns for x in k]),
         T_world_cam=np.concatenate([x.T_world_cam for x in k]),
         encoded=tuple(file for x in k for file in x.encoded),
-        segment=np.array(segments, dtype=np.int64),
+        segment=np.array([v.segment for _, items, _ in parts for v in items], dtype=np.int64),
     ), Landmarks(
         p_world=np.concatenate([x.p_world for x in m]),
         rgb=np.concatenate([x.rgb for x in m]),
