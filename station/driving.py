@@ -12,10 +12,11 @@ from typing import Protocol
 
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.config import DriveConfig
-from station.refusals import NoRobot, NotCapable, NotDriver, OutOfRange
+from station.refusals import Conflict, NoRobot, NotCapable, NotDriver, OutOfRange
 
 MAX_TTL_MS = 1000  # how long one command of the API may hold; the joystick repeats its own every 50 ms
 MAX_DRIVER_NAME = 64
+LET_GO_NS = 500_000_000  # after a stop by somebody else the driver says nothing for so long, or zero, or stop
 
 
 class DriverLease:
@@ -25,6 +26,7 @@ class DriverLease:
         self._lease_ns = lease_ns
         self._driver: str | None = None
         self._heard_ns = 0
+        self._held: str | None = None  # who was stopped by somebody else and has not let go since
 
     def driver(self, now_ns: int) -> str | None:
         """Who drives now."""
@@ -41,8 +43,27 @@ class DriverLease:
         """Take the wheel whoever has it."""
         self._driver, self._heard_ns = driver, now_ns
 
+    def stop(self, by: str | None, now_ns: int) -> None:
+        """A stop by somebody else holds until the driver lets go; our own is letting go.
+
+        The robot has the same rule for its stations (robot/driving.py); to it all pages of this station are one.
+        """
+        if by is not None and by == self._held:
+            self._held = None
+        elif (driver := self.driver(now_ns)) is not None and driver != by:
+            self._held = driver
+            self._heard_ns = now_ns  # the silence that counts begins now
+
+    def must_let_go(self, driver: str, is_zero: bool, now_ns: int) -> bool:
+        """Somebody else stopped this driver, who has held on since. To be asked before the claim, which is a word."""
+        if driver == self._held and (is_zero or now_ns - self._heard_ns >= LET_GO_NS):
+            self._held = None
+        return driver == self._held
+
     def release(self, driver: str) -> None:
         """Let go, if it is ours."""
+        if self._held == driver:
+            self._held = None
         if self._driver == driver:
             self._driver = None
 
@@ -102,24 +123,34 @@ class Driving:
         """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
 
         Raises:
-            NoRobot, NotCapable, NotDriver, OutOfRange: in words for a person.
+            NoRobot, NotCapable, NotDriver, OutOfRange, Conflict (was stopped and holds on): in words for a person.
         """
         able = self._require_drive()
         _check("linear", linear, able.max_linear_m_s, "m/s")
         _check("angular", angular, able.max_angular_rad_s, "rad/s")
         if not 1 <= ttl_ms <= MAX_TTL_MS:
             raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
+        is_still = linear == 0.0 and angular == 0.0
+        must_let_go = self._lease.must_let_go(driver, is_still, self._now_ns())
         self._claim(driver)
+        if must_let_go:
+            raise Conflict("somebody else stopped the robot; let go of the joystick once, then drive on")
         if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
         self._sent_ns = self._now_ns()
-        is_still = linear == 0.0 and angular == 0.0
         self._command = None if is_still else _Command(linear, angular, self._now_ns() + ttl_ms * 1_000_000)
         self._changed.set()
 
-    def stop(self) -> bool:
-        """Motors off now. Anyone may say it, also one who does not drive. False when no robot is connected."""
+    def stop(self, by: str | None = None) -> bool:
+        """Motors off now. Anyone may say it, also one who does not drive: then the driver must let go first.
+
+        Args:
+            by: who says it; None is the station itself.
+        Returns:
+            False when no robot is connected.
+        """
         self._command = None
+        self._lease.stop(by, self._now_ns())
         return self._link.stop()
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
@@ -138,14 +169,14 @@ class Driving:
     def take_over(self, driver: str) -> None:
         """Become the driver, whoever drives. The robot is stopped first: nobody inherits a moving robot."""
         if self.driver != driver:
-            self.stop()
+            self.stop(driver)
         self._lease.take_over(_named(driver), self._now_ns())
         self._tell()
 
     def release(self, driver: str) -> None:
         """Let go of the wheel; stops the robot when it was ours."""
         if self.driver == driver:
-            self.stop()
+            self.stop(driver)
         self._lease.release(driver)
         self._tell()
 

@@ -63,9 +63,9 @@ async def release(station: StationDep, driver: DriverDep) -> DriverModel:
 
 
 @router.post("/stop", summary="Motors off now", responses=responses(503))
-async def stop(station: StationDep) -> Accepted:
-    """Anyone may stop the robot, also one who does not drive."""
-    if not station.driving.stop():
+async def stop(station: StationDep, driver: DriverDep) -> Accepted:
+    """Anyone may stop the robot, also one who does not drive; then the driver must let go before driving on."""
+    if not station.driving.stop(driver):
         raise NoRobot("no robot is connected; its own watchdog stops it when the link is lost")
     return Accepted()
 
@@ -124,7 +124,7 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str) -> No
                 station.driving.drive(name, command.linear, command.angular, command.ttl_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
             case StopCommand():
-                station.driving.stop()
+                station.driving.stop(name)
                 if command.reason:
                     station.events.say("drive", f"{name} stopped: {command.reason}")
             case PanTiltCommand():

@@ -18,7 +18,7 @@ from station.driving import DriverLease, Driving
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.live import PointBuffer, pack_points
 from station.mailbox import Latest, MessageHub
-from station.refusals import NotDriver, OutOfRange
+from station.refusals import Conflict, NotDriver, OutOfRange
 from station.sequencer import HOLD_BACK_NS, Sequencer
 from station.workers import Outbox
 
@@ -77,6 +77,48 @@ def test_a_take_over_stops_the_robot_and_the_same_driver_does_not() -> None:
     assert link.told[-1] == "stop"
     with pytest.raises(NotDriver, match="ben drives"):
         desk.drive("anna", 0.1, 0.0, 200)
+
+
+def test_a_stop_by_somebody_else_holds_until_the_driver_lets_go() -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("anna", 0.1, 0.0, 1000)
+    clock[0] = 590 * MS  # a long command: she has been silent, but not since the stop
+    desk.stop("ben")
+    for _ in range(100):  # she holds on
+        clock[0] += 30 * MS
+        with pytest.raises(Conflict, match="let go of the joystick once"):
+            desk.drive("anna", 0.1, 0.0, 200)
+    assert link.told[-1] == "stop" and desk.driver == "anna" and not desk.is_moving
+    clock[0] += 500 * MS
+    desk.drive("anna", 0.1, 0.0, 200)
+    assert link.told[-1] == (0.1, 0.0, 200)
+
+
+@pytest.mark.parametrize("lets_go", ["zero", "stop", "release"])
+def test_zero_stop_and_release_are_letting_go(lets_go: str) -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.stop(None)
+    with pytest.raises(Conflict):
+        desk.drive("anna", 0.1, 0.0, 200)
+    {"zero": lambda: desk.drive("anna", 0.0, 0.0, 200), "stop": lambda: desk.stop("anna")}.get(
+        lets_go, lambda: desk.release("anna")
+    )()
+    desk.drive("anna", 0.1, 0.0, 200)
+    assert link.told[-1] == (0.1, 0.0, 200)
+
+
+def test_a_drivers_own_stop_holds_nobody() -> None:
+    link = Link()
+    desk = driving(link, [0])
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.stop("anna")
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.take_over("ben")
+    desk.drive("ben", 0.2, 0.0, 200)
+    assert link.told == [(0.1, 0.0, 200), "stop", (0.1, 0.0, 200), "stop", (0.2, 0.0, 200)]
 
 
 @pytest.mark.parametrize(
