@@ -155,8 +155,12 @@ class MotorWatchdog:
         try:
             while not self._closed:
                 self._apply_once()
+        except Exception as exc:
+            logger.exception("motor watchdog")
+            self.fault = f"the motors' watchdog failed ({type(exc).__name__}: {exc}); restart robot-server"
         finally:
             self._motors.stop()
+            self._note(STANDSTILL)
 
     def _apply_once(self) -> None:
         with self._changed:
@@ -194,6 +198,9 @@ class MotorWatchdog:
             velocity = STANDSTILL
         else:
             self.fault = ""
+        self._note(velocity)
+
+    def _note(self, velocity: Velocity) -> None:
         has_changed = velocity != self._applied
         self._applied = velocity
         if has_changed and self._on_applied is not None:

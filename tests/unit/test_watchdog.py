@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -191,6 +193,25 @@ def test_motors_that_fail_are_stopped_and_named() -> None:
     while watchdog.fault:
         time.sleep(0.001)
     watchdog.close()
+
+
+def test_a_watchdog_that_fails_itself_says_so_and_what_holds_is_standstill(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL + 1)
+    motors = FakeMotors()
+    reports: list[Velocity] = []
+    watchdog = MotorWatchdog(motors, reports.append)
+    while watchdog.applied.is_zero:
+        watchdog.command(AHEAD, later_ns(250))
+        time.sleep(0.001)
+    motors.failure = ZeroDivisionError("a bug in a driver")
+    while not watchdog.fault:
+        watchdog.command(AHEAD, later_ns(250))
+        time.sleep(0.001)
+    assert "a bug in a driver" in watchdog.fault and "restart robot-server" in watchdog.fault
+    wait_until_rests(watchdog)
+    assert motors.history[-1] == (0.0, 0.0) and reports[-1] == STANDSTILL
+    watchdog.close()
+    assert not watchdog.command(AHEAD, later_ns(250))
 
 
 def test_after_close_nothing_moves_any_more() -> None:
