@@ -117,7 +117,7 @@ class RobotServer:
     def _take_in(self, tasks: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         connection = writer.get_extra_info("socket")
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        client = StationClient(self._next_client_id, reader, writer, self._now_ns)
+        client = StationClient(self._next_client_id, reader, writer, self._now_ns, self._devices.clock)
         self._next_client_id += 1
         self._make_room()
         self._clients[client.id] = client
@@ -155,7 +155,8 @@ class RobotServer:
 
     def _welcome(self, client: StationClient, join: Join) -> None:
         limit = self._config.server.max_stations
-        if sum(c.is_joined for c in self._clients.values()) >= limit:
+        # Not is_joined: that counts only whose welcome was sent, and twenty may ask before the first one is.
+        if sum(c.has_place for c in self._clients.values()) >= limit:
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
             return
         client.station_name = join.station_name

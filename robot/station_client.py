@@ -7,10 +7,22 @@ import logging
 from collections import deque
 from collections.abc import Callable
 
+import msgspec
+
 from robot.commands import notice
 from robot.outbox import FrameCursor, ImuCursor
 from shared.errors import RemoteProtocolError
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Join, Message, Received, Refusal, StationMessage
+from shared.messages import (
+    CameraFrame,
+    DriveApplied,
+    ErrorNotice,
+    HeartbeatReply,
+    Join,
+    Message,
+    Received,
+    Refusal,
+    StationMessage,
+)
 from shared.session import Event, Session, State, Tick
 
 logger = logging.getLogger(__name__)
@@ -33,7 +45,9 @@ class StationClient:
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
         now_ns: Callable[[], int],
+        clock: Callable[[], int],
     ) -> None:
+        """`now_ns` is the program's monotonic clock, `clock` the robot's, which may be a recording's."""
         self.id = client_id
         self.station_name = ""
         self.imu: ImuCursor | None = None
@@ -44,6 +58,7 @@ class StationClient:
         self._reader = reader
         self._writer = writer
         self._now_ns = now_ns
+        self._clock = clock
         self._queue: deque[Message] = deque()
         self._wake = asyncio.Event()
         self._ending = asyncio.Event()
@@ -55,6 +70,11 @@ class StationClient:
     def is_joined(self) -> bool:
         """Whether it takes part: gets data, may command."""
         return self.session.state in (State.ACTIVE, State.QUIET)
+
+    @property
+    def has_place(self) -> bool:
+        """Whether it was taken in, although the welcome may not be sent yet."""
+        return self.frames is not None and self.session.state is not State.CLOSED
 
     @property
     def has_all(self) -> bool:
@@ -143,7 +163,10 @@ class StationClient:
         if self.session.state is State.CLOSED:
             return None
         if self._queue:
-            return self._queue.popleft()
+            message = self._queue.popleft()
+            if isinstance(message, HeartbeatReply):  # it leaves now, whatever it waited behind
+                message = msgspec.structs.replace(message, t_robot_sent_ns=self._clock())
+            return message
         if self.imu is not None and (batch := self.imu.next_batch()) is not None:
             return batch
         if self.frames is not None and (found := self.frames.next_frame()) is not None:

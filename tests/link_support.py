@@ -13,7 +13,7 @@ from robot.devices.ports import BatteryState, CapturedFrame, DeviceSet, ImuReadi
 from robot.server import RobotServer
 from shared.calibration import REFERENCE_ROBOT
 from shared.listening import bind
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, StationMessage, Status, Stop
 from station.link import RobotLink
 
 WAIT_S = 20.0  # for a condition; only a failing test waits so long
@@ -133,6 +133,7 @@ class Bench:
         self.port = 0
         self.server: RobotServer | None = None
         self.task: asyncio.Task[None] | None = None
+        self.heard: list[StationMessage] = []  # everything stations said, in order
 
     def devices(self) -> DeviceSet:
         return DeviceSet(
@@ -150,11 +151,23 @@ class Bench:
         """The robot's time; it may run fast or slow."""
         return round(time.monotonic_ns() * self._clock_rate)
 
+    @property
+    def stops_heard(self) -> int:
+        """How often a station said stop: motors also come to rest when nobody says anything."""
+        return sum(isinstance(message, Stop) for message in self.heard)
+
     async def start(self) -> None:
         """Start, or start again on the same port."""
         listener = bind("127.0.0.1", self.port)
         self.port = listener.getsockname()[1]
         self.server = RobotServer(self.devices(), self.config)
+        handle = self.server.desk.handle
+
+        def listen(client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
+            self.heard.append(message)
+            return handle(client, message, now_ns)
+
+        self.server.desk.handle = listen  # type: ignore[method-assign]
         self.task = asyncio.create_task(self.server.serve(listener))
 
     async def stop(self) -> None:

@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 import msgspec
 import pytest
 
+import robot.driving
 import shared.session
 from shared.calibration import REFERENCE_ROBOT
 from shared.framing import MAX_ROBOT_PAYLOAD, FrameDecoder, encode_payload
@@ -20,6 +21,8 @@ from shared.messages import (
     Capabilities,
     Drive,
     ErrorNotice,
+    Heartbeat,
+    HeartbeatReply,
     Hello,
     Join,
     Message,
@@ -104,26 +107,32 @@ async def test_a_peer_that_breaks_the_rules_is_told_why_and_closed(sent: bytes, 
         await assert_goes_on(bench, link, notes)
 
 
+async def drive_off(
+    bench: Bench, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, decoder: FrameDecoder | None = None
+) -> int:
+    """Join and drive until the motors turn; the number of the next command."""
+    writer.write(JOIN)
+    decoder = decoder or FrameDecoder(MAX_ROBOT_PAYLOAD)
+    welcome = None
+    while not isinstance(welcome, Welcome):
+        decoder.receive(await reader.read(65536))
+        while (payload := decoder.next_payload()) is not None and not isinstance(welcome, Welcome):
+            welcome = decode_robot_message(payload)
+    seq = itertools.count(1)
+
+    def drives() -> bool:
+        now_ns = time.monotonic_ns()
+        writer.write(packed(Drive(seq=next(seq), t_station_ns=now_ns, linear=0.2, angular=0.0, ttl_ms=250)))
+        return not bench.motors.are_off
+
+    await until(drives)
+    return next(seq)
+
+
 async def test_a_station_that_turns_bad_while_driving_leaves_the_motors_off() -> None:
     async with running_robot() as bench, wire(bench.port) as (reader, writer):
-        writer.write(JOIN)
-        decoder = FrameDecoder(MAX_ROBOT_PAYLOAD)
-        welcome = None
-        while not isinstance(welcome, Welcome):
-            decoder.receive(await reader.read(65536))
-            while (payload := decoder.next_payload()) is not None and not isinstance(welcome, Welcome):
-                welcome = decode_robot_message(payload)
-        seq = itertools.count(1)
-
-        def drives() -> bool:
-            now_ns = time.monotonic_ns()
-            writer.write(packed(Drive(seq=next(seq), t_station_ns=now_ns, linear=0.2, angular=0.0, ttl_ms=250)))
-            return not bench.motors.are_off
-
-        await until(drives)
-        writer.write(
-            packed_map(type="drive", seq=next(seq), t_station_ns=0, linear=float("nan"), angular=0.0, ttl_ms=250)
-        )
+        seq = await drive_off(bench, reader, writer)
+        writer.write(packed_map(type="drive", seq=seq, t_station_ns=0, linear=float("nan"), angular=0.0, ttl_ms=250))
         last = (await all_until_closed(reader))[-1]
         assert isinstance(last, ErrorNotice) and "linear nan is outside" in last.message
         assert bench.motors.are_off
@@ -144,9 +153,14 @@ async def test_a_station_that_falls_silent_loses_the_wheel_and_then_the_connecti
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(shared.session, "QUIET_AFTER_NS", 100_000_000)
-    monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 400_000_000)
+    monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 2_000_000_000)
+    monkeypatch.setattr(robot.driving, "LEASE_NS", 3_600_000_000_000)  # it is not the lease that ends
     async with running_robot() as bench, wire(bench.port) as (reader, writer):
-        writer.write(JOIN)
+        await drive_off(bench, reader, writer)
+        lease = bench.server.desk.lease if bench.server is not None else None
+        assert lease is not None and lease.driver is not None
+        await until(lambda: lease.driver is None)
+        assert bench.motors.are_off
         messages = await all_until_closed(reader)
         last = messages[-1]
         assert isinstance(last, ErrorNotice) and last.code == "silent" and "anything from the station" in last.message
@@ -165,6 +179,36 @@ async def test_two_hundred_connections_keep_no_real_station_out() -> None:
                 assert isinstance(messages[-1], Refusal)
                 assert "waited longest" in messages[-1].reason
             await assert_goes_on(bench, link, notes)
+        finally:
+            for _, writer in wires:
+                writer.transport.abort()
+
+
+async def test_the_answer_to_a_heartbeat_is_stamped_when_it_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = itertools.count(1)
+    monkeypatch.setattr(Bench, "clock", lambda _: next(ticks))  # each look at the clock gives a later time
+    async with running_robot() as bench, wire(bench.port) as (reader, writer):
+        decoder = FrameDecoder(MAX_ROBOT_PAYLOAD)
+        seq = await drive_off(bench, reader, writer, decoder)
+        writer.write(packed(Heartbeat(seq=seq, t_station_ns=time.monotonic_ns())))
+        reply: Message | None = None
+        while not isinstance(reply, HeartbeatReply):
+            decoder.receive(await reader.read(65536))
+            while (payload := decoder.next_payload()) is not None and not isinstance(reply, HeartbeatReply):
+                reply = decode_robot_message(payload)
+        assert reply.seq == seq and reply.t_robot_sent_ns > reply.t_robot_received_ns
+
+
+async def test_of_many_that_join_at_once_only_so_many_are_taken_in() -> None:
+    async with running_robot(max_stations=2) as bench:
+        assert bench.server is not None
+        wires = [await asyncio.open_connection("127.0.0.1", bench.port) for _ in range(20)]
+        try:
+            await until(lambda: bench.server is not None and len(bench.server._clients) == 20)
+            for _, writer in wires:
+                writer.write(JOIN)
+            await until(lambda: bench.server is not None and len(bench.server._clients) == 2)
+            assert all(client.is_joined for client in bench.server._clients.values())
         finally:
             for _, writer in wires:
                 writer.transport.abort()
