@@ -35,6 +35,7 @@ logger = logging.getLogger(__name__)
 CHUNK_BYTES = 512 * 1024  # what a crash may cost: about a third of a second of video
 MAX_WAITING_FRAMES = 120  # some seconds between the event loop and the disk; then frames are dropped, counted
 MAX_LATE = 100_000  # IMU samples and reports are never dropped; a disk that is minutes behind ends the recording
+CLOSE_WITHIN_S = 60.0  # a disk that hangs must not keep the station from ending
 MIN_FREE_BYTES = 256 * 1024 * 1024  # the disk also holds the maps: stop in time, with a proper end of the file
 CHECK_DISK_NS = 1_000_000_000
 
@@ -134,12 +135,17 @@ class Recorder:
         size = self.path.stat().st_size if self.path.is_file() else 0
         return RecordingReport(self.path, self._messages, size, self._frames_dropped, self._error)
 
-    def close(self) -> RecordingReport:
-        """Write what waits, finish the file. Safe to call twice."""
+    def close(self, within_s: float = CLOSE_WITHIN_S) -> RecordingReport:
+        """Write what waits, finish the file. Safe to call twice.
+
+        A disk that does not take it in that time is left to itself; the report says so.
+        """
         if not self._closed:
             self._closed = True
             self._waiting.put(None)
-        self._thread.join()
+        self._thread.join(within_s)
+        if self._thread.is_alive():
+            self._fail(f"the disk did not take what waited within {within_s:g} s")
         return self.report
 
     # LinkListener
@@ -224,6 +230,7 @@ class Recorder:
         if not self._error:
             self._error = f"recording {self.path} ended: {why}"
             logger.error("%s", self._error)
+            self._waiting.put(None)  # what was accepted until now is still written
 
     def _write_all(self) -> None:
         try:
@@ -240,7 +247,7 @@ class Recorder:
         writer.start(profile="", library="sentinel-robot")
         channels = _register_channels(writer)
         checked_ns = self._now_ns()
-        while not self._error and (entry := self._waiting.get()) is not None:
+        while (entry := self._waiting.get()) is not None:
             self._messages += 1
             self._frames_written += entry.topic == IMAGE_TOPIC
             content = entry.content if isinstance(entry.content, bytes) else msgspec.json.encode(entry.content)

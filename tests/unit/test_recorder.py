@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import logging
+import threading
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -14,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 import station.recorder
 from shared.calibration import REFERENCE_ROBOT
@@ -211,6 +214,47 @@ def test_a_disk_that_runs_full_ends_the_file_properly(
     assert "are kept free; delete old recordings" in report.error
     with report.path.open("rb") as file:
         assert make_reader(file).get_summary() is not None
+
+
+def test_closing_does_not_wait_for_a_disk_that_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL)
+    disk_works = threading.Event()
+    monkeypatch.setattr(Writer, "start", lambda *_, **__: disk_works.wait(60))
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+    assert "did not take what waited within 0 s" in recorder.close(within_s=0.0).error
+    disk_works.set()
+    recorder.close()
+
+
+def test_a_disk_that_is_too_far_behind_still_gets_what_was_accepted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL)
+    disk_works = threading.Event()
+    start = Writer.start
+
+    def late_start(*arguments: Any, **more: Any) -> None:
+        disk_works.wait(60)
+        start(*arguments, **more)
+
+    monkeypatch.setattr(Writer, "start", late_start)
+    monkeypatch.setattr(station.recorder, "MAX_LATE", 200)
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+    recorder.on_connected(HELLO)
+    n = 0
+    while not recorder.error:
+        recorder.on_imu(batch(10 * n))
+        n += 1
+    assert "messages behind" in recorder.error
+    recorder.close(within_s=0.0)  # does not hang
+    disk_works.set()
+    report = recorder.close()
+    with report.path.open("rb") as file:
+        reader = make_reader(file)
+        assert reader.get_summary() is not None
+        assert sum(1 for _ in reader.iter_messages(topics=[IMU_TOPIC])) >= 190
 
 
 def test_a_write_error_of_another_kind_is_told_too(
