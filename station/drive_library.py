@@ -36,6 +36,7 @@ class DriveRecord:
     frames_skipped: int = 0  # by a SLAM worker that was too slow; the recording has them
     imu_samples: int = 0
     imu_lost: int = 0
+    slam_failures: int = 0  # pictures or samples that SLAM refused
     landmarks: int = 0
     scale: Literal["metric", "arbitrary", ""] = ""
 
@@ -105,10 +106,18 @@ class DriveLibrary:
             os.replace(scratch, folder / "drive.json")
         except OSError as exc:
             raise DataError(f"{folder} cannot be written ({exc.strerror}); free space or choose another") from exc
+        self.remember(drive)
+
+    def remember(self, drive: DriveRecord) -> None:
+        """Know it as long as the station runs."""
         self._drives[drive.id] = drive
 
     def delete(self, drive_id: str) -> None:
         """Forget a drive and its files. Raises Unknown."""
         self.get(drive_id)
         del self._drives[drive_id]
+        self.discard(drive_id)
+
+    def discard(self, drive_id: str) -> None:
+        """Remove the files of a drive that is not known, or not any more."""
         shutil.rmtree(self.folder(drive_id), ignore_errors=True)

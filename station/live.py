@@ -71,6 +71,10 @@ class LiveSlam:
         return self.poses[-1] if self.poses else None
 
     def update(self, update: SlamUpdate) -> bool:
+    def say(self, message: str) -> None:
+        """How SLAM is, when no update can say it."""
+        self.message = message
+
         """Take in what a frame changed; True when there are new points."""
         self.frames += 1
         self.state, self.message, self.num_landmarks = update.state, update.message, update.num_landmarks

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
-from shared.errors import RobotSystemError
+from shared.errors import DataError, RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import SlamConfig
@@ -22,11 +22,12 @@ from station.live import LiveSlam
 from station.navigation_files import load_navigation
 from station.refusals import Conflict
 from station.slam.backend import SlamUpdate
-from station.workers import Worker
+from station.slam_process import SlamProcess
 
 logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1
-LIVE_BACKENDS = ("ukf",)
+OTHER_ROBOT = "another robot was connected; this drive ended there"
+OTHER_RUN = "the robot was started anew, its clock with it; this drive ended there"
 
 
 class DriveRecorder(LinkListener, Protocol):
@@ -48,7 +49,7 @@ class _Running:
     """The drive that is being recorded."""
 
     drive: DriveRecord
-    worker: Worker
+    slam: SlamProcess
     live: LiveSlam
     recorder: DriveRecorder | None
     hello: Hello
@@ -58,8 +59,6 @@ class _Running:
     num_imu: int = 0
     imu_lost: int = 0
     told_pose_s: float = 0.0
-    died: str = ""
-    beginning: asyncio.Task[None] | None = None
     lost_announced: set[str] = field(default_factory=set)
 
 
@@ -99,7 +98,7 @@ class Drives:
         return self.library.get(drive_id)
 
     def start(self, hello: Hello, name: str) -> DriveRecord:
-        """Begin a drive. Raises Conflict when one is being recorded."""
+        """Begin a drive. Raises Conflict when one is being recorded, DataError when there is no room for it."""
         if self._running is not None:
             raise Conflict(f"{self._running.drive.id} is being recorded; stop it first")
         drive_id = self.library.new_id()
@@ -113,24 +112,30 @@ class Drives:
             robot_id=hello.robot_id,
         )
         live = LiveSlam(drive_id)
-        worker = Worker(
-            f"SLAM {drive_id}",
-            "station.slam_servant:SlamServant",
-            limits=self._limits(),
-            on_event=lambda update: self._on_update(live, update),
-            on_death=lambda reason: self._on_death(drive_id, reason),
-        )
-        self.library.keep(drive)
-        recorder = self._make_recorder(self.library.folder(drive_id) / "recording.mcap")
+        # Before the drive is kept: one that cannot be recorded never was.
+        recorder: DriveRecorder | None = None
+        try:
+            recorder = self._make_recorder(self.library.folder(drive_id) / "recording.mcap")
+            self.library.keep(drive)
+        except RobotSystemError:
+            if recorder is not None:
+                recorder.close()
+            self.library.discard(drive_id)
+            raise
         if recorder is not None:
             recorder.on_connected(hello)
-        self._running = running = _Running(drive, worker, live, recorder, hello)
+        slam = SlamProcess(
+            f"SLAM {drive_id}",
+            self._config,
+            hello.calibration,
+            self._events,
+            on_update=lambda update: self._on_update(live, update),
+            on_trouble=live.say,
+        )
+        self._running = _Running(drive, slam, live, recorder, hello)
         self.live = live
         self._tell(drive)
         self._events.changed("landmarks")
-        # Asked before the first frame can come; what arrives until SLAM is up waits behind it.
-        begun = worker.ask("begin", self._config.backend, hello.calibration, self._config.seed)
-        running.beginning = asyncio.create_task(self._begin(running, begun), name=f"begin {drive_id}")
         self._events.say("navigation", f"recording {drive.name}")
         return drive
 
@@ -140,10 +145,17 @@ class Drives:
         running = self._running
         if running is None or running.drive.id != drive_id:
             raise Conflict(f"{drive_id} is not being recorded (it is {drive.state})")
+        return self._end(running, "")
+
+    def _end(self, running: _Running, why: str) -> DriveRecord:
+        """End recording; `why` in a sentence where it was not a person who asked."""
         self._running = None
-        drive = replace(self._counted(running), state="finishing", message="computing trajectory and landmarks")
+        drive = replace(self._counted(running), state="finishing", message=why or "computing trajectory and landmarks")
+        # First what closes recorder and SLAM: nothing that fails here may leave them open.
+        self._finishing[drive.id] = asyncio.create_task(self._finish(running, drive, why), name=f"finish {drive.id}")
+        if why:
+            self._events.say("navigation", f"{drive.name}: {why}", "warning")
         self._keep(drive)
-        self._finishing[drive_id] = asyncio.create_task(self._finish(running, drive), name=f"finish {drive_id}")
         return drive
 
     async def delete(self, drive_id: str) -> None:
@@ -160,8 +172,9 @@ class Drives:
         if self._running is not None:
             running, self._running = self._running, None
             await self._close_recorder(running)
-            await running.worker.close()
-            self.library.keep(replace(self._counted(running), state="failed", message="the station was stopped"))
+            await running.slam.close()
+            self._keep(replace(self._counted(running), state="failed", message="the station was stopped"))
+        await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
         for task in self._finishing.values():
             task.cancel()
         await asyncio.gather(*self._finishing.values(), return_exceptions=True)
@@ -177,7 +190,7 @@ class Drives:
         running.last_frame_ns = frame.t_robot_ns
         image = ImageFrame(running.num_frames, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
         running.num_frames += 1
-        running.worker.post("add_frame", image, kind="frame")
+        running.slam.post("add_frame", image, kind="frame")
 
     def on_imu(self, batch: ImuBatch) -> None:
         running = self._running
@@ -186,14 +199,14 @@ class Drives:
         if running.recorder is not None:
             running.recorder.on_imu(batch)
         running.num_imu += len(batch.samples)
-        kept = running.worker.post(
+        kept = running.slam.post(
             "add_imu",
             [s.t_robot_ns for s in batch.samples],
             [s.gyro_imu for s in batch.samples],
             [s.accel_imu for s in batch.samples],
             kind="imu",
         )
-        if not kept and not running.died and "imu" not in running.lost_announced:
+        if not kept and "imu" not in running.lost_announced:
             running.lost_announced.add("imu")
             self._events.say("slam", "SLAM is too slow: inertial samples wait too long and are lost to it", "warning")
 
@@ -210,9 +223,14 @@ class Drives:
             return
         if running.recorder is not None:
             running.recorder.on_drive_applied(applied)
-        running.worker.post("add_drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
+        running.slam.post("add_drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
 
     def on_connected(self, hello: Hello) -> None:
+        running = self._running
+        if running is not None and running.hello.robot_id != hello.robot_id:
+            self._end(running, OTHER_ROBOT)
+        elif running is not None and running.hello.session_id != hello.session_id:
+            self._end(running, OTHER_RUN)
         for recorder in self._recorders():
             recorder.on_connected(hello)
 
@@ -255,77 +273,36 @@ class Drives:
         if has_new_points:
             self._events.changed("landmarks")
 
-    def _on_death(self, drive_id: str, reason: str) -> None:
-        running = self._running
-        if running is None or running.drive.id != drive_id:
-            return
-        running.died = reason
-        running.live.message = "SLAM was lost; the recording goes on"
-        self._events.say("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
-        asyncio.get_running_loop().create_task(self._restart(running), name="restart SLAM")
-
-    async def _begin(self, running: _Running, begun: asyncio.Future[None]) -> None:
-        try:
-            await running.worker.start()
-            await begun
-        except RobotSystemError as exc:
-            # The recording goes on: a drive without live SLAM is better than none.
-            running.died = str(exc)
-            running.live.message = f"SLAM does not run: {exc}"
-            self._events.say("slam", running.live.message, "error")
-
-    async def _restart(self, running: _Running) -> None:
-        """A new process for the same drive: it knows only what comes from now on."""
-        worker = Worker(
-            running.worker.name,
-            "station.slam_servant:SlamServant",
-            limits=self._limits(),
-            on_event=lambda update: self._on_update(running.live, update),
-        )
-        try:
-            await worker.start()
-            await worker.call("begin", self._config.backend, running.hello.calibration, self._config.seed)
-        except RobotSystemError as exc:
-            self._events.say("worker", f"SLAM cannot be started again: {exc}", "error")
-            return
-        running.worker, running.died = worker, ""
-
-    async def _finish(self, running: _Running, drive: DriveRecord) -> None:
+    async def _finish(self, running: _Running, drive: DriveRecord, why: str) -> None:
         try:
             await self._close_recorder(running)
-            if running.beginning is not None:
-                await running.beginning
             folder = self.library.navigation_folder(drive.id)
-            report = await running.worker.call("finish", drive.id, folder)
+            report = await running.slam.finish(drive.id, folder)
             finished = await asyncio.to_thread(_view_of, folder)
+            said = [why, *report.messages, _refused(running.slam)]
             drive = replace(
                 drive,
                 state="ready",
                 landmarks=report.landmarks,
                 scale=report.scale,
-                message="; ".join(report.messages) or f"{report.landmarks} landmarks",
+                message="; ".join(filter(None, said)) or f"{report.landmarks} landmarks",
             )
             if self.live is running.live:
                 self.live = finished
             self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
-        except RobotSystemError as exc:
-            drive = replace(drive, state="failed", message=running.died or str(exc))
+        except (RobotSystemError, OSError) as exc:
+            said = [why, running.slam.trouble or str(exc), _refused(running.slam)]
+            drive = replace(drive, state="failed", message="; ".join(filter(None, said)))
             running.live.message = drive.message
             self._events.say("navigation", f"{drive.name}: {drive.message}", "error")
         finally:
             if drive.state == "finishing":
                 drive = replace(drive, state="failed", message="the station was stopped before this drive was finished")
-            await running.worker.close()
+            await running.slam.close()
             self._keep(drive)
             self._finishing.pop(drive.id, None)
             self._events.changed("pose")
             self._events.changed("landmarks")
-
-    def _limits(self) -> dict[str, int]:
-        """An offline backend may be behind, a live one may not."""
-        is_live = self._config.backend in LIVE_BACKENDS
-        frames = self._config.live_frame_backlog if is_live else self._config.frame_backlog
-        return {"frame": frames, "imu": self._config.imu_backlog}
 
     def _recorders(self) -> tuple[DriveRecorder, ...]:
         """The open recorder, or none."""
@@ -342,18 +319,28 @@ class Drives:
         return replace(
             running.drive,
             frames=running.num_frames,
-            frames_skipped=running.worker.dropped.get("frame", 0),
+            frames_skipped=running.slam.frames_dropped,
             imu_samples=running.num_imu,
             imu_lost=running.imu_lost,
+            slam_failures=running.slam.failures,
             duration_s=0.0 if first_ns is None else (running.last_frame_ns - first_ns) * 1e-9,
         )
 
     def _keep(self, drive: DriveRecord) -> None:
-        self.library.keep(drive)
+        """Also when the disk is full: then only this run of the station knows how the drive ended."""
+        try:
+            self.library.keep(drive)
+        except DataError as exc:
+            self.library.remember(drive)
+            self._events.say("navigation", str(exc), "error")
         self._tell(drive)
 
     def _tell(self, drive: DriveRecord) -> None:
         self._events.changed("navigation", drive, drive.id)
+
+
+def _refused(slam: SlamProcess) -> str:
+    return f"SLAM refused {slam.failures} pictures or samples: {slam.failure}" if slam.failures else ""
 
 
 def _view_of(folder: Path) -> LiveSlam:

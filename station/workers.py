@@ -23,6 +23,8 @@ from shared.errors import RobotSystemError
 logger = logging.getLogger(__name__)
 
 END_TIMEOUT_S = 1.5
+MAX_WAITING = 10_000  # requests of one kind that nobody gave a limit: then the oldest is dropped, counted
+MAX_CALLS = 1_000  # calls wait for an answer, so none is dropped: a further one is refused
 END = "<end>"  # the request that ends a worker
 _SPAWN = multiprocessing.get_context("spawn")  # fork would copy threads' locks and the event loop
 
@@ -49,7 +51,7 @@ class Outbox:
     def put(self, kind: str, item: tuple[Any, ...]) -> bool:
         """Add an item; False when an older one of its kind had to go for it."""
         with self._changed:
-            is_full = self._waiting[kind] >= self._limits.get(kind, 1 << 30)
+            is_full = self._waiting[kind] >= self._limits.get(kind, MAX_WAITING)
             if is_full:
                 oldest = next(i for i, (waiting, _) in enumerate(self._items) if waiting == kind)
                 del self._items[oldest]
@@ -93,17 +95,23 @@ class Worker:
         limits: Mapping[str, int] | None = None,
         on_event: Callable[[Any], None] | None = None,
         on_death: Callable[[str], None] | None = None,
+        on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        """`servant` is "package.module:Class"; its first argument is a function that sends an event here."""
+        """`servant` is "package.module:Class"; its first argument is a function that sends an event here.
+
+        `on_failure` is told in a sentence what a posted request raised: nobody waits for an answer to it.
+        """
         self.name = name
         self._servant = servant
         self._arguments = arguments
         self._outbox = Outbox(limits or {})
         self._on_event = on_event
         self._on_death = on_death
+        self._on_failure = on_failure
         self._calls: dict[int, asyncio.Future[Any]] = {}
         self._next_call = 0
         self._process: Any = None
+        self._spawning: asyncio.Future[None] | None = None
         self._connection: Connection | None = None
         self._closing = False
         self._dead = ""
@@ -124,7 +132,8 @@ class Worker:
     async def start(self) -> None:
         """Start the process; requests may be posted from now on, it answers when it is up."""
         loop = asyncio.get_running_loop()
-        await asyncio.to_thread(self._spawn)
+        self._spawning = asyncio.ensure_future(asyncio.to_thread(self._spawn))
+        await asyncio.shield(self._spawning)  # whoever is cancelled here: `close` finds the process
         for task in (self._write, self._read):
             threading.Thread(target=task, args=(loop,), name=f"{self.name} {task.__name__}", daemon=True).start()
 
@@ -144,6 +153,9 @@ class Worker:
         if self._dead or self._closing:
             future.set_exception(WorkerDied(self._dead or f"the {self.name} worker is ending"))
             return future
+        if len(self._calls) >= MAX_CALLS:
+            future.set_exception(WorkerFailed(f"{MAX_CALLS} calls wait for the {self.name} worker already"))
+            return future
         self._next_call += 1
         number = self._next_call
         self._calls[number] = future
@@ -155,7 +167,7 @@ class Worker:
         """End the process at once, whatever it computes."""
         self._closing = True
         self._outbox.close()
-        if self._process is not None and self._process.is_alive():
+        if self._process is not None and self._process.pid is not None and self._process.is_alive():
             self._process.kill()
         self._fail_calls(f"the {self.name} worker was stopped")
 
@@ -165,7 +177,11 @@ class Worker:
             # No SIGTERM: libraries in there install handlers that print stack traces.
             self._outbox.put("end", (None, END, ()))
         self._closing = True
-        if self._process is None:
+        if self._spawning is not None:
+            await asyncio.wait({self._spawning})
+        if self._process is None or self._process.pid is None:  # never started, or the system had no process for it
+            self._outbox.close()
+            self._fail_calls(f"the {self.name} worker was stopped")
             return
         await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
         if self._process.is_alive():
@@ -210,6 +226,8 @@ class Worker:
         if call is None:
             if not is_ok:
                 logger.error("%s worker: %s", self.name, value)
+                if self._on_failure is not None:
+                    self._on_failure(str(value))
             elif self._on_event is not None:
                 self._on_event(value)
             return

@@ -145,6 +145,7 @@ class NavigationModel(Model):
     frames_skipped: int = Field(description="by live SLAM; the recording has them")
     imu_samples: int
     imu_lost: int
+    slam_failures: int = Field(description="pictures or samples that SLAM refused; the message quotes it")
     landmarks: int
     scale: Literal["metric", "arbitrary", ""]
     recording: str | None = Field(description="where to download the MCAP file")

@@ -209,6 +209,7 @@ def navigation_model(drive: DriveRecord) -> NavigationModel:
         imu_samples=drive.imu_samples,
         imu_lost=drive.imu_lost,
         landmarks=drive.landmarks,
+        slam_failures=drive.slam_failures,
         scale=drive.scale,
         recording=None if drive.state == "recording" else f"/navigations/{drive.id}/recording.mcap",
     )

@@ -20,7 +20,8 @@ from station.live import PointBuffer, pack_points
 from station.mailbox import Latest, MessageHub
 from station.refusals import Conflict, NotDriver, OutOfRange
 from station.sequencer import HOLD_BACK_NS, Sequencer
-from station.workers import Outbox
+from station.slam.backends import check_backend
+from station.workers import Outbox, Worker, WorkerDied, WorkerFailed
 
 MS = 1_000_000
 
@@ -148,6 +149,24 @@ def test_outbox_drops_the_oldest_of_a_full_kind_only() -> None:
 
 @given(
     frames=st.lists(st.integers(0, 2000), unique=True, min_size=1, max_size=30).map(sorted),
+def test_an_outbox_nobody_gave_a_limit_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(station.workers, "MAX_WAITING", 2)
+    outbox = Outbox({})
+    assert [outbox.put("add_drive", (n,)) for n in range(3)] == [True, True, False]
+    assert outbox.dropped["add_drive"] == 1 and outbox.take() == (1,)
+
+
+async def test_a_worker_refuses_calls_beyond_what_can_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(station.workers, "MAX_CALLS", 1)
+    worker = Worker("test", "tests.made_up_workers:Nobody")
+    waiting = worker.ask("first")
+    with pytest.raises(WorkerFailed, match="1 calls wait"):
+        await worker.call("second")
+    await worker.close()  # never started: nothing to wait for
+    with pytest.raises(WorkerDied):
+        await waiting
+
+
     batch_ms=st.integers(5, 40),
     shift_ms=st.integers(-50, 50),
     late=st.lists(st.integers(0, 3), min_size=30, max_size=30),

@@ -249,6 +249,8 @@ export interface NavigationModel {
   imu_lost: number;
   landmarks: number;
   scale: "metric" | "arbitrary" | "";
+  /** pictures or samples that SLAM refused; the message quotes it */
+  slam_failures: number;
   /** where to download the MCAP file */
   recording: string | null;
 }

@@ -1,0 +1,129 @@
+"""SLAM of one drive in a worker process; when that dies, another takes its place and knows what comes from then on."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from shared.calibration import Calibration
+from shared.errors import RobotSystemError
+from station.config import SlamConfig
+from station.events import Events
+from station.navigation import NavigationReport
+from station.slam.backend import SlamUpdate
+from station.workers import Worker, WorkerDied
+
+LIVE_BACKENDS = ("ukf",)
+DRIVE_BACKLOG = 6000  # reports, 20 a second: five minutes
+MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives
+MAX_TOLD_FAILURES = 20  # different sentences; some hold numbers that never repeat
+
+
+class SlamProcess:
+    """Starts its worker, replaces one that dies, hands on what SLAM says. All methods belong on the event loop."""
+
+    def __init__(
+        self,
+        name: str,
+        config: SlamConfig,
+        calibration: Calibration,
+        events: Events,
+        on_update: Callable[[SlamUpdate], None],
+        on_trouble: Callable[[str], None],
+    ) -> None:
+        """`on_trouble` gets a sentence on how SLAM is when no update can say it."""
+        self._name = name
+        self._config = config
+        self._calibration = calibration
+        self._events = events
+        self._on_update = on_update
+        self._on_trouble = on_trouble
+        self._ended = False
+        self._deaths = 0
+        self._dropped: Counter[str] = Counter()  # by the workers that died
+        self._told: set[str] = set()
+        self.failures = 0  # requests that the backend refused
+        self.failure = ""  # the first one's sentence
+        self.trouble = ""  # why SLAM does not run, or did not until a moment ago; empty while it does
+        self._worker, self._starting = self._launch()
+
+    @property
+    def frames_dropped(self) -> int:
+        """Frames that found a full queue."""
+        return self._dropped["frame"] + self._worker.dropped.get("frame", 0)
+
+    def post(self, method: str, *arguments: Any, kind: str = "") -> bool:
+        """Hand on sensor data. False when older ones were dropped for them, and not only because SLAM is lost."""
+        return self._worker.post(method, *arguments, kind=kind) or bool(self.trouble)
+
+    async def finish(self, drive_id: str, folder: Path) -> NavigationReport:
+        """End the navigation. Raises what the backend raises, or WorkerDied."""
+        self._ended = True  # a process that dies now has nothing to come back for
+        await asyncio.wait({self._starting})
+        report: NavigationReport = await self._worker.call("finish", drive_id, folder)
+        return report
+
+    async def close(self) -> None:
+        """End the process, also one that is just being started."""
+        self._ended = True
+        await self._worker.close()
+        await asyncio.wait({self._starting})
+
+    def _launch(self) -> tuple[Worker, asyncio.Task[None]]:
+        is_live = self._config.backend in LIVE_BACKENDS  # an offline backend may be behind, a live one may not
+        limits = {
+            "frame": self._config.live_frame_backlog if is_live else self._config.frame_backlog,
+            "imu": self._config.imu_backlog,
+            "add_drive": DRIVE_BACKLOG,
+        }
+        worker = Worker(
+            self._name,
+            "station.slam_servant:SlamServant",
+            limits=limits,
+            on_event=self._on_update,
+            on_death=self._on_death,
+            on_failure=self._on_failure,
+        )
+        # Asked before the first frame can come; what arrives until SLAM is up waits behind it.
+        begun = worker.ask("begin", self._config.backend, self._calibration, self._config.seed)
+        return worker, asyncio.create_task(self._start(worker, begun), name=f"start {self._name}")
+
+    async def _start(self, worker: Worker, begun: asyncio.Future[None]) -> None:
+        try:
+            await worker.start()
+            await begun
+            self.trouble = ""
+        except WorkerDied:
+            pass  # told by _on_death, unless we closed it
+        except (RobotSystemError, OSError) as exc:
+            # The recording goes on: a drive without live SLAM is better than none.
+            begun.cancel()
+            self._say("slam", f"SLAM does not run: {exc}")
+
+    def _on_death(self, reason: str) -> None:
+        self.trouble = reason
+        if self._ended:
+            return
+        self._deaths += 1
+        if self._deaths >= MAX_DEATHS:
+            self._say("worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it")
+            return
+        self._on_trouble("SLAM was lost; the recording goes on")
+        self._events.say("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
+        self._dropped.update(self._worker.dropped)
+        self._worker, self._starting = self._launch()
+
+    def _on_failure(self, sentence: str) -> None:
+        self.failures += 1
+        self.failure = self.failure or sentence
+        if sentence not in self._told and len(self._told) < MAX_TOLD_FAILURES:
+            self._told.add(sentence)
+            self._events.say("slam", f"SLAM refused what it was given: {sentence}", "warning")
+
+    def _say(self, topic: str, sentence: str) -> None:
+        self.trouble = sentence
+        self._on_trouble(sentence)
+        self._events.say(topic, sentence, "error")

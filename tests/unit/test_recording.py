@@ -1,0 +1,231 @@
+"""Drives and their SLAM process, with workers that tests let live, fail and die."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import station.slam_process
+from shared.calibration import REFERENCE_ROBOT
+from shared.errors import DataError, EstimationError
+from shared.messages import PROTOCOL_VERSION, CameraFrame, Capabilities, Hello
+from station.config import SlamConfig
+from station.drive_library import DriveLibrary, DriveRecord
+from station.events import Events
+from station.recording import DriveRecorder, Drives
+from station.slam_process import MAX_DEATHS
+from station.workers import WorkerDied
+from tests.link_support import Notes, until
+
+
+class FakeWorker:
+    """A worker without a process. It begins when it may; `die` is what the operating system does to it."""
+
+    made: list[FakeWorker]
+    may_start: asyncio.Event
+
+    def __init__(self, name: str, servant: str, *, limits: Any, on_event: Any, on_death: Any, on_failure: Any) -> None:
+        self.on_death: Callable[[str], None] = on_death
+        self.on_failure: Callable[[str], None] = on_failure
+        self.dropped: dict[str, int] = {}
+        self.posted: list[str] = []
+        self.is_up = self.is_closed = self.is_dead = False
+        self._begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.made.append(self)
+
+    def ask(self, method: str, *_: object) -> asyncio.Future[None]:
+        return self._begun
+
+    async def start(self) -> None:
+        await self.may_start.wait()
+        self.is_up = not self.is_closed and not self.is_dead
+        if not self._begun.done():
+            self._begun.set_result(None)
+
+    def post(self, method: str, *_: object, kind: str = "") -> bool:
+        self.posted.append(method)
+        return not self.is_dead
+
+    async def call(self, method: str, *_: object) -> Any:
+        if self.is_dead:
+            raise WorkerDied("dead")
+        raise EstimationError("drive longer")
+
+    def die(self) -> None:
+        self.is_up, self.is_dead = False, True
+        if not self._begun.done():
+            self._begun.set_exception(WorkerDied("dead"))
+        self.on_death("the SLAM worker ended unexpectedly (exit code 7)")
+
+    async def close(self) -> None:
+        self.is_closed, self.is_up = True, False
+        if not self._begun.done():
+            self._begun.set_exception(WorkerDied("stopped"))
+
+
+class FakeRecorder(Notes):
+    """A recorder that knows whether it was closed."""
+
+    error = ""
+    is_closed = False
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+class FullDisk(DriveLibrary):
+    """A library whose disk fills up."""
+
+    is_full = False
+
+    def keep(self, drive: DriveRecord) -> None:
+        if self.is_full:
+            raise DataError("no space left")
+        super().keep(drive)
+
+
+class Room:
+    """Drives in a folder, and everything around them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.library = FullDisk(folder)
+        self.events = Events()
+        self.recorder = FakeRecorder()
+        self.drives = Drives(self.library, SlamConfig(), self.events, self._record, lambda *_: None)
+        self.cannot_record = ""
+
+    def _record(self, path: Path) -> DriveRecorder:
+        path.parent.mkdir(parents=True)
+        if self.cannot_record:
+            raise DataError(self.cannot_record)
+        return self.recorder
+
+    def said(self, text: str) -> int:
+        return sum(text in line.text for line in self.events.log)
+
+    async def over(self, drive_id: str) -> DriveRecord:
+        await until(lambda: self.library.get(drive_id).state in ("ready", "failed"))
+        return self.library.get(drive_id)
+
+
+def hello(session: str = "one", robot: str = "robot") -> Hello:
+    able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=True, battery=False, hijack=False)
+    return Hello(
+        protocol=PROTOCOL_VERSION,
+        robot_id=robot,
+        name=robot,
+        session_id=session,
+        capabilities=able,
+        calibration=REFERENCE_ROBOT,
+    )
+
+
+@pytest.fixture
+async def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Room:
+    monkeypatch.setattr(station.slam_process, "Worker", FakeWorker)
+    monkeypatch.setattr(FakeWorker, "made", [], raising=False)
+    monkeypatch.setattr(FakeWorker, "may_start", asyncio.Event(), raising=False)
+    FakeWorker.may_start.set()
+    return Room(tmp_path / "navigations")
+
+
+async def test_a_drive_that_cannot_be_recorded_never_was(room: Room, tmp_path: Path) -> None:
+    room.cannot_record = "cannot record there"
+    with pytest.raises(DataError, match="cannot record there"):
+        room.drives.start(hello(), "first")
+    assert room.drives.list() == [] and room.drives.running is None and FakeWorker.made == []
+    assert list((tmp_path / "navigations").iterdir()) == []
+    room.cannot_record, room.library.is_full = "", True
+    with pytest.raises(DataError, match="no space left"):
+        room.drives.start(hello(), "second")
+    assert room.drives.list() == [] and room.recorder.is_closed and FakeWorker.made == []
+
+
+async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room) -> None:
+    drive = room.drives.start(hello(), "")
+    room.library.is_full = True
+    assert room.drives.stop(drive.id).state == "finishing"
+    over = await room.over(drive.id)
+    assert over.message == "drive longer"
+    assert room.recorder.is_closed and FakeWorker.made[0].is_closed
+    assert room.said("no space left")
+    await room.drives.delete(drive.id)  # it is not stuck
+
+
+@pytest.mark.parametrize(
+    ("other", "sentence"),
+    [
+        (hello(session="two"), "started anew"),
+        (hello(robot="b"), "another robot"),
+        (hello(robot="b", session="two"), "another robot"),
+    ],
+)
+async def test_another_run_or_robot_ends_the_drive_and_keeps_its_recording(
+    room: Room, other: Hello, sentence: str
+) -> None:
+    drive = room.drives.start(hello(), "")
+    room.drives.on_connected(hello())  # the network was away for a moment
+    assert room.drives.running is not None
+    room.drives.on_connected(other)
+    assert room.drives.running is None
+    over = await room.over(drive.id)
+    assert sentence in over.message and room.said(sentence)
+    assert room.recorder.is_closed and [h.session_id for h in room.recorder.hellos] == ["one", "one"]
+    assert room.drives.start(other, "").robot_id == other.robot_id
+    await room.drives.close()
+
+
+async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(room: Room) -> None:
+    drive = room.drives.start(hello(), "")
+    for deaths in range(1, MAX_DEATHS):
+        await until(lambda: FakeWorker.made[-1].is_up)
+        FakeWorker.made[-1].die()
+        assert len(FakeWorker.made) == deaths + 1
+    room.drives.on_frame(CameraFrame(seq=1, t_robot_ns=1, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b""), 1)
+    assert FakeWorker.made[-1].posted == ["add_frame"]
+    FakeWorker.made[-1].die()
+    assert len(FakeWorker.made) == MAX_DEATHS and room.said("goes on without it") == 1
+    assert room.drives.running is not None and not room.recorder.is_closed
+    room.drives.stop(drive.id)
+    assert "goes on without it" in (await room.over(drive.id)).message
+
+
+@pytest.mark.parametrize("how", ["stop", "close"])
+async def test_a_process_that_is_still_starting_is_closed_with_its_drive(room: Room, how: str) -> None:
+    drive = room.drives.start(hello(), "")
+    await until(lambda: FakeWorker.made[0].is_up)
+    FakeWorker.may_start.clear()
+    FakeWorker.made[0].die()
+    if how == "stop":
+        room.drives.stop(drive.id)
+        FakeWorker.may_start.set()
+        await room.over(drive.id)
+    else:
+        asyncio.get_running_loop().call_soon(FakeWorker.may_start.set)
+        await room.drives.close()
+    assert len(FakeWorker.made) == 2
+    assert FakeWorker.made[1].is_closed and not FakeWorker.made[1].is_up
+    assert not [task for task in asyncio.all_tasks() if "SLAM" in task.get_name()]
+
+
+async def test_what_slam_refuses_is_told_once_and_counted(room: Room) -> None:
+    drive = room.drives.start(hello(), "")
+    for sentence in ("image 1 is 3x3", "image 1 is 3x3", "image 2 is not a readable JPEG"):
+        FakeWorker.made[0].on_failure(sentence)
+    assert room.said("image 1 is 3x3") == 1 and room.said("image 2") == 1
+    assert room.drives.get(drive.id).slam_failures == 3
+    room.drives.stop(drive.id)
+    over = await room.over(drive.id)
+    assert over.slam_failures == 3 and "SLAM refused 3" in over.message and "image 1 is 3x3" in over.message
+
+
+async def test_a_station_that_ends_at_once_after_a_drive_closes_it(room: Room) -> None:
+    drive = room.drives.start(hello(), "")
+    room.drives.stop(drive.id)
+    await room.drives.close()
+    assert room.recorder.is_closed and FakeWorker.made[0].is_closed
+    assert room.library.get(drive.id).state == "failed"
