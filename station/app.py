@@ -167,7 +167,7 @@ class Station:
 
     def on_connected(self, hello: Hello) -> None:
         self.drives.on_connected(hello)
-        self.locating.calibrate(hello.calibration)
+        self.locating.on_connected(hello)
         self.events.say("link", f"connected to {hello.name}")
         self.events.changed("robot")
 
@@ -196,6 +196,7 @@ class Station:
 
     def on_status(self, status: Status) -> None:
         self.drives.on_status(status)
+        self.locating.on_disconnected(reason)
         self.events.changed("robot")
 
     def on_notice(self, notice: ErrorNotice) -> None:
@@ -216,3 +217,4 @@ class Station:
 def open_recorder(path: Path) -> DriveRecorder | None:
     """The MCAP recorder of a drive. Raises DataError when the file cannot be made."""
     return Recorder(path)
+            self.locating.refresh()

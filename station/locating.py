@@ -6,13 +6,13 @@ import asyncio
 import logging
 import time
 from collections import OrderedDict, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
-from shared.messages import CameraFrame, DriveApplied, ImuBatch
+from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events
 from station.frames import DriveSample, ImageFrame
@@ -29,6 +29,8 @@ logger = logging.getLogger(__name__)
 KEPT_QUERY_IMAGES = 32
 KEPT_VISITS = 200
 RESTART_S = 1.0
+OLD_AFTER_S = 15.0  # an answer about a picture of so long ago says nothing of now; a busy machine needs seconds for one
+OLD_AFTER_PICTURES = 3  # or about one so many pictures ago, where few are asked for
 LIMITS = {"odometry": 300, "imu": 3000, "drive": 600}  # what waits for a busy worker: a minute and more
 
 
@@ -57,16 +59,21 @@ class Locating:
         self._store = store
         self._config = config
         self._events = events
-        self._frames: Latest[CameraFrame] = Latest()
+        self._frames: Latest[tuple[int, CameraFrame]] = Latest()  # with the robot run they belong to
         self._worker: Worker | None = None
         self._map_id: str | None = None
         self._wanted = asyncio.Event()
         self._calibration: Calibration | None = None
+        self._robot_run: tuple[str, str] | None = None  # robot, session: another one has another clock
+        self._runs = 0
         self._is_ready = False
         self._generation = 0  # counts the calls of use(): a worker that was killed for another map did not die
         self._lost = 0  # inertial samples
         self._queries: OrderedDict[int, bytes] = OrderedDict()
-        self.report: PlaceReport | None = None
+        self._report: PlaceReport | None = None
+        self._taken_s = 0.0  # when the report came
+        self._gone = ""  # why there is no robot, in a sentence
+        self._absent = ""  # why there can be no answer about now, in a sentence
         self.visits: deque[Visit] = deque(maxlen=KEPT_VISITS)
         self.status = "no map is active"
         self.answers = 0
@@ -75,11 +82,27 @@ class Locating:
     def pid(self) -> int | None:
         return None if self._worker is None else self._worker.pid
 
+    @property
+    def report(self) -> PlaceReport | None:
+        """The last answer; without a robot, or with an old picture only, that the place is lost, and why."""
+        if self._report is None or not self._absent:
+            return self._report
+        nowhere = replace(
+            self._report.answer,
+            state="lost",
+            place=None,
+            distance=None,
+            position_map=None,
+            alternatives=(),
+            reason=self._absent,
+        )
+        return replace(self._report, answer=nowhere, T_map_cam=None)
+
     async def use(self, map_id: str | None) -> None:
         """Look in this map from now on. Also after one of its places was renamed."""
         self._map_id = map_id
         self._generation += 1
-        self.report = None
+        self._forget()
         self.status = "no map is active" if map_id is None else "reading the map"
         self._events.changed("place")
         if self._worker is not None:
@@ -91,14 +114,42 @@ class Locating:
     async def rename(self, place_id: str, name: str) -> None:
         """Tell the worker of a new name, so that answers carry it at once."""
         if self._worker is not None:
-            self.report = await self._worker.call("rename", place_id, name)
+            self._report = await self._worker.call("rename", place_id, name)
             self._events.changed("place")
 
-    def calibrate(self, calibration: Calibration) -> None:
-        """A robot was connected."""
-        if calibration != self._calibration:
-            self._calibration = calibration
-            self._post("calibrate", calibration)
+    def on_connected(self, hello: Hello) -> None:
+        """A robot was connected. Nothing that was known of another robot, or in another clock, is of use for it."""
+        self._gone = ""
+        run = (hello.robot_id, hello.session_id)
+        if run != self._robot_run or hello.calibration != self._calibration:
+            self._robot_run, self._calibration = run, hello.calibration
+            self._runs += 1
+            self._forget()
+            self._post("calibrate", hello.calibration)
+            self._events.changed("place")
+
+    def on_disconnected(self, reason: str) -> None:
+        """The answer is about a robot that may be anywhere by now."""
+        self._gone = f"the robot is not connected: {reason}"
+        self._be_absent(self._gone)
+
+    def refresh(self) -> None:
+        """Now and then: an answer does not stay true by itself."""
+        age_s = time.monotonic() - self._taken_s
+        if not self._absent and age_s > max(OLD_AFTER_S, OLD_AFTER_PICTURES / self._config.rate_hz):
+            self._be_absent("no picture was looked at for a while; is the camera working?")
+
+    def _be_absent(self, reason: str) -> None:
+        if self._report is None:
+            return
+        self._absent = reason
+        if (report := self.report) is not None:
+            self._note_visit(report.answer)
+        self._events.changed("place")
+
+    def _forget(self) -> None:
+        self._report, self._absent = None, ""
+        self._queries.clear()
 
     def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation; when they come too quickly the oldest is left out."""
@@ -115,7 +166,7 @@ class Locating:
     def offer(self, frame: CameraFrame) -> None:
         """A new picture; the worker gets the newest one when it is free."""
         if self._map_id is not None:
-            self._frames.put(frame)
+            self._frames.put((self._runs, frame))
 
     def _post(self, method: str, *arguments: object) -> None:
         """To the worker, once it knows the map and the robot."""
@@ -160,7 +211,7 @@ class Locating:
         try:
             await worker.start()
             await worker.call("load", self._store, map_id)
-            frame = await self._frames.get()  # from here on a robot is known
+            await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
                 await worker.call("calibrate", self._calibration)
             self._is_ready = True
@@ -168,28 +219,45 @@ class Locating:
             self._events.say("place", "localisation is ready")
             interval_s = 1.0 / self._config.rate_hz
             while self._generation == generation:
-                frame = await self._frames.get()
+                run, frame = await self._frames.get()
                 started_s = time.monotonic()
-                image = ImageFrame(frame.seq, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
-                report = await worker.call("answer", image)
-                if self._generation == generation:
+                report = await self._answer(worker, frame)
+                if report is not None and self._generation == generation and self._runs == run:
                     self._take(report, frame)
                 await asyncio.sleep(max(0.0, interval_s - (time.monotonic() - started_s)))
         finally:
             self._is_ready = False
             await worker.close()
 
+    async def _answer(self, worker: Worker, frame: CameraFrame) -> PlaceReport | None:
+        """None when this picture could not be looked at; the next one may be better. Raises WorkerDied."""
+        try:
+            report: PlaceReport = await worker.call(
+                "answer", ImageFrame(frame.seq, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
+            )
+        except WorkerDied:
+            raise
+        except RobotSystemError as exc:
+            status = f"a picture could not be looked at: {exc}"
+            if self.status != status:
+                self._events.say("place", status, "error")
+            self.status = status
+            return None
+        self.status = "looking"
+        return report
+
     def _on_hijack(self, event: HijackEvent) -> None:
         self._events.say("hijack", f"the robot was picked up: {event.reason}", "warning")
 
     def _take(self, report: PlaceReport, frame: CameraFrame) -> None:
         self.answers += 1
-        self.report = report
+        # The picture may have come before the robot went, and its answer after.
+        self._report, self._absent, self._taken_s = report, self._gone, time.monotonic()
         if report.t_evidence_ns is not None:
             self._queries[report.t_evidence_ns] = frame.jpeg
             while len(self._queries) > KEPT_QUERY_IMAGES:
                 self._queries.popitem(last=False)
-        self._note_visit(report.answer)
+        self._note_visit((self.report or report).answer)
         self._events.changed("place")
 
     def _note_visit(self, answer: PlaceAnswer) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.errors import EstimationError
+from shared.errors import DataError, EstimationError
 from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
@@ -28,7 +28,6 @@ class PlaceServant:
         self._place_map: PlaceMap | None = None
         self._localizer: Localizer | None = None
         self._tracker: PlaceTracker | None = None
-        self._shift_ns = 0
         self._names: dict[str, str] = {}  # of places renamed since the map was read
         self._report: PlaceReport | None = None
 
@@ -41,8 +40,6 @@ class PlaceServant:
         """The robot that drives now; what was known of another one's position is forgotten."""
         if self._place_map is None:
             raise EstimationError("no map was given to the localisation worker; activate one")
-        camera = calibration.camera
-        self._shift_ns = round(camera.time_shift_s * 1e9) if camera else 0
         self._tracker = PlaceTracker(self._place_map, calibration, self._localizer)
 
     def rename(self, place_id: str, name: str) -> PlaceReport | None:
@@ -74,15 +71,19 @@ class PlaceServant:
         """Where this picture was taken, and the current place at its time."""
         if self._place_map is None or self._tracker is None:
             raise EstimationError("no map was given to the localisation worker; activate one")
-        attempt = self._tracker.on_frame(frame)
+        try:
+            attempt = self._tracker.on_frame(frame)
+            why_not = attempt.reason if attempt else "the robot is being carried"
+        except DataError as exc:  # one broken picture; the next one may be whole
+            attempt, why_not = None, str(exc)
         self._tell_hijacks()
         found = attempt.localization if attempt is not None else None
         self._report = PlaceReport(
             map_id=self._place_map.id,
             answer=self._named(self._tracker.answer(frame.t_robot_ns)),
             T_map_cam=found.T_map_cam if found else None,
-            t_evidence_ns=frame.t_robot_ns + self._shift_ns if found else None,
-            attempt=attempt.reason if attempt else "the robot is being carried",
+            t_evidence_ns=found.t_robot_ns if found else None,
+            attempt=why_not,
         )
         return self._report
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,8 +14,11 @@ from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, inverse, se3, so3_exp
 from station.frames import ImageArray, ImageFrame
 from station.maps.map import PlaceMap
+from station.maps.store import MapStore, StoreAddress
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.place_servant import PlaceServant
 from station.places.appearance import AppearanceIndex
+from station.places.build import build_map
 from station.places.features import FeatureExtractor
 from station.places.localizer import Localizer
 
@@ -102,6 +107,26 @@ def localizer() -> Localizer:
 
 def frame(encoded: bytes) -> ImageFrame:
     return ImageFrame(index=0, t_robot_ns=7, exposure_ns=0, encoded=encoded)
+
+
+def test_evidence_carries_the_pictures_own_time_whatever_the_cameras_shift(tmp_path: Path) -> None:
+    """The station keeps the picture under this time: any other one, and nobody could look at it."""
+    place_map = build_map(make_map("wall", 1).navigation, name="wall")
+    MapStore(tmp_path).save(place_map)
+    servant = PlaceServant(lambda _event: None)
+    servant.load(StoreAddress(tmp_path), place_map.id)
+    camera = msgspec.structs.replace(CAMERA, time_shift_s=0.03)
+    servant.calibrate(Calibration(camera=camera, imu=None))
+    for n in range(3):
+        view = ImageFrame(n, n * 500_000_000, 0, picture(1, camera_at(0.3, 0.1, -0.2, 0.1)))
+        report = servant.answer(view)
+        assert report.t_evidence_ns == view.t_robot_ns, report.attempt
+        assert report.answer.evidence_t_robot_ns == view.t_robot_ns
+    broken = servant.answer(ImageFrame(3, 1_500_000_000, 0, b"no picture"))
+    assert "not a readable JPEG" in broken.attempt and broken.t_evidence_ns is None
+    assert broken.answer.t_robot_ns == 1_500_000_000
+    after = servant.answer(ImageFrame(4, 2_000_000_000, 0, picture(1, camera_at(0.3))))
+    assert after.t_evidence_ns == 2_000_000_000
 
 
 @pytest.mark.parametrize(("seed", "map_id"), [(1, "first"), (2, "second")])
