@@ -208,6 +208,7 @@ class RobotLink:
                 self._reason = await self._connect_once()
             finally:
                 was_connected, self._connected = self._connected, False
+                self._rates = RateMeter()  # nothing arrives now
             if was_connected:
                 logger.warning("robot lost: %s", self._reason)
                 self._listener.on_disconnected(self._reason)

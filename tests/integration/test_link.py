@@ -60,7 +60,7 @@ async def test_a_held_joystick_keeps_the_robot_moving_and_stop_stops_it() -> Non
         await until(lambda: link.drive(0.2, 0.0, 250) and len(bench.motors.history) > 10)
         link.drive(0.2, 0.0, 250)
         link.stop()
-        await until(lambda: bench.motors.are_off)
+        await until(lambda: bench.stops_heard == 1 and bench.motors.are_off)
         count = len([h for h in bench.motors.history if h[1]])
         await until(lambda: notes.applied and notes.applied[-1].linear == 0.0)
         assert len([h for h in bench.motors.history if h[1]]) == count
