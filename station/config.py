@@ -31,6 +31,7 @@ class ApiConfig:
 
     host: str = "127.0.0.1"
     port: int = 8080
+    allowed_hosts: tuple[str, ...] = ()  # further names that this station is called by, such as "robots.local"
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 from typing import Annotated, cast
 from urllib.parse import urlsplit
 
@@ -10,6 +11,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
 from station.app import Station
+from station.config import ApiConfig
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+EVERYWHERE = ("0.0.0.0", "::")  # noqa: S104 - compared with, not listened on
 
 
 def get_station(connection: HTTPConnection) -> Station:
@@ -20,11 +25,40 @@ def admit(connection: HTTPConnection) -> None:
     """The one place that decides who may use the API; tokens belong here.
 
     Now: everybody who reaches the port, which listens on loopback unless --host says otherwise. But not pages of other
-    sites: a browser on this machine would lend them its way to the robot.
+    sites: a browser on this machine would lend them its way to the robot. A page without a site (`Origin: null`: a
+    sandboxed frame, a file) is one of them; so is a site whose name was pointed at this machine after the page was
+    loaded (DNS rebinding): its name stands in `Host`, so the names of this station are a list.
     """
+    host = connection.headers.get("host", "")
+    if not _is_ours(host, get_station(connection).config.api):
+        raise HTTPException(
+            403, f"this station does not go by the name {host!r}; put it into allowed_hosts under [api] if it shall"
+        )
     origin = connection.headers.get("origin")
-    if origin and origin != "null" and urlsplit(origin).netloc != connection.headers.get("host"):
+    if origin is not None and urlsplit(origin).netloc != host:
         raise HTTPException(403, f"pages of {origin} may not use this station")
+
+
+def _is_ours(host: str, api: ApiConfig) -> bool:
+    """Whether a Host header names this station: loopback, the address it listens on, or a name from the settings.
+
+    Who listens on all addresses is reached by any of them. An address in numbers is no one else's to point at us.
+    """
+    try:
+        name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
+    except ValueError:
+        return False
+    if name in {*LOOPBACK, api.host.lower(), *(allowed.lower() for allowed in api.allowed_hosts)}:
+        return True
+    return api.host in EVERYWHERE and _is_address(name)
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def get_driver(
