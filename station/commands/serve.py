@@ -12,7 +12,8 @@ from typing import Annotated
 import typer
 
 from shared.listening import bind
-from station.config import ApiConfig, RobotConfig, StationConfig, load_config, parse_address
+from station.config import RobotConfig, StationConfig, load_config, parse_address
+from station.slam.backends import check_backend
 
 
 def register(app: typer.Typer) -> None:
@@ -61,9 +62,12 @@ def _settings(
     backend: str | None,
 ) -> StationConfig:
     """The file's settings with the options over them."""
-    api = ApiConfig(host or settings.api.host, settings.api.port if port is None else port)
+    api = dataclasses.replace(
+        settings.api, host=host or settings.api.host, port=settings.api.port if port is None else port
+    )
     link = RobotConfig(*parse_address(robot, "--robot")) if robot else settings.robot
     slam = dataclasses.replace(settings.slam, backend=backend or settings.slam.backend)
+    check_backend(slam.backend)
     return dataclasses.replace(settings, api=api, robot=link, slam=slam, data_dir=data or settings.data_dir)
 
 

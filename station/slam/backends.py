@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Literal
 
 from shared.calibration import Calibration
@@ -12,6 +13,19 @@ if TYPE_CHECKING:
     from station.slam.ukf.start import GivenState
 
 BACKENDS = ("sfm", "ukf")
+
+
+def check_backend(name: str) -> None:
+    """Whether there is such a backend: one of BACKENDS or "package.module:factory". Raises ConfigError."""
+    if name in BACKENDS:
+        return
+    module, colon, factory = name.partition(":")
+    try:
+        if colon and callable(getattr(importlib.import_module(module), factory, None)):
+            return
+    except (ImportError, ValueError) as exc:
+        raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {', '.join(BACKENDS)}") from exc
+    raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join(BACKENDS)}")
 
 
 def make_backend(

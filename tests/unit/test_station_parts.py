@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import station.workers
 from shared.errors import ConfigError
 from shared.messages import Capabilities
-from station.config import DriveConfig, StationConfig, load_config, parse_address
+from station.commands.serve import _settings as serve_settings
+from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, load_config, parse_address
 from station.drive_library import DriveLibrary, DriveRecord
 from station.driving import DriverLease, Driving
 from station.frames import DriveSample, ImageFrame, ImuBatch
@@ -147,8 +149,6 @@ def test_outbox_drops_the_oldest_of_a_full_kind_only() -> None:
     assert outbox.take() is None
 
 
-@given(
-    frames=st.lists(st.integers(0, 2000), unique=True, min_size=1, max_size=30).map(sorted),
 def test_an_outbox_nobody_gave_a_limit_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(station.workers, "MAX_WAITING", 2)
     outbox = Outbox({})
@@ -167,6 +167,8 @@ async def test_a_worker_refuses_calls_beyond_what_can_wait(monkeypatch: pytest.M
         await waiting
 
 
+@given(
+    frames=st.lists(st.integers(0, 2000), unique=True, min_size=1, max_size=30).map(sorted),
     batch_ms=st.integers(5, 40),
     shift_ms=st.integers(-50, 50),
     late=st.lists(st.integers(0, 3), min_size=30, max_size=30),
@@ -269,6 +271,23 @@ def test_config_file_is_read_and_unknown_keys_are_named(tmp_path: Path) -> None:
 )
 def test_addresses_are_read(text: str, address: tuple[str, int]) -> None:
     assert parse_address(text, "--robot") == address
+
+
+def test_a_backend_that_does_not_exist_is_named_before_anything_starts() -> None:
+    check_backend("sfm")
+    check_backend("tests.made_up_workers:StraightSlam")
+    for name in ("nonsense", "", "tests.made_up_workers:Nothing", "no_such_module:Slam", ":Slam"):
+        with pytest.raises(ConfigError, match="choose one of sfm, ukf"):
+            check_backend(name)
+        with pytest.raises(ConfigError, match="choose one of sfm, ukf"):
+            serve_settings(StationConfig(slam=SlamConfig(backend=name)), None, None, None, None, None)
+
+
+def test_options_of_serve_keep_what_the_file_says_beside_them() -> None:
+    config = StationConfig(api=ApiConfig(host="0.0.0.0", allowed_hosts=("robots.local",)))
+    settings = serve_settings(config, "pi:7", None, 9000, None, "ukf")
+    assert settings.api == ApiConfig("0.0.0.0", 9000, ("robots.local",))
+    assert (settings.slam.backend, settings.robot.host) == ("ukf", "pi")
 
 
 @pytest.mark.parametrize("text", ["", ":7", "pi:", "pi:0", "pi:70000", "pi:x"])
