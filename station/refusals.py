@@ -27,3 +27,7 @@ class NoRobot(RobotSystemError):
 
 class OutOfRange(RobotSystemError):
     """A value is outside what is allowed (422)."""
+
+
+class Busy(RobotSystemError):
+    """As many use it already as are allowed (503)."""

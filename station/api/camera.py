@@ -11,11 +11,13 @@ from collections.abc import AsyncIterator
 
 from fastapi import APIRouter, Response, WebSocket, WebSocketDisconnect
 from fastapi.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from station.api.deps import StationDep
+from station.api.limits import MAX_STREAMS, Seats, receive_text, refuse, seated
 from station.api.problems import responses
 from station.app import SeenFrame, Station
-from station.refusals import NoRobot
+from station.refusals import Busy, NoRobot
 
 router = APIRouter(tags=["camera"])
 
@@ -50,18 +52,35 @@ async def frame(station: StationDep) -> Response:
 async def stream(station: StationDep) -> StreamingResponse:
     """For viewers that know nothing else; /ws/camera is quicker."""
     _require(station)
-    return StreamingResponse(_parts(station), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+    return _Stream(_parts(station), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+
+
+class _Stream(StreamingResponse):
+    """Keeps one of the streams' seats as long as it is sent."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        seats: Seats = scope["app"].state.seats
+        with seats.take(scope["path"], MAX_STREAMS):
+            await super().__call__(scope, receive, send)
 
 
 @router.websocket("/ws/camera")
 async def camera_socket(socket: WebSocket, station: StationDep) -> None:
     """Binary: a 32-byte header, then the JPEG. Answer each with any text; the next one is sent then, the newest."""
     await socket.accept()
+    try:
+        with seated(socket):
+            await _show(socket, station)
+    except Busy as exc:
+        await refuse(socket, exc)
+
+
+async def _show(socket: WebSocket, station: Station) -> None:
     acknowledged = asyncio.Event()
     sending = asyncio.create_task(_send_frames(socket, station, acknowledged))
     try:
         while True:
-            await socket.receive_text()
+            await receive_text(socket)
             acknowledged.set()
     except (WebSocketDisconnect, RuntimeError):
         return

@@ -9,6 +9,7 @@ from typing import cast
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from station.api.deps import StationDep
+from station.api.limits import refuse, seated
 from station.api.messages import (
     DriverMessage,
     JobMessage,
@@ -34,6 +35,7 @@ from station.app import Station
 from station.drive_library import DriveRecord
 from station.events import Event, LogLine
 from station.jobs import Job
+from station.refusals import Busy
 
 router = APIRouter(tags=["events"])
 
@@ -47,6 +49,14 @@ async def log(station: StationDep) -> list[LogModel]:
 async def events_socket(socket: WebSocket, station: StationDep) -> None:
     """JSON messages (`EventMessage`): first the state of everything, then each change. Nothing is read."""
     await socket.accept()
+    try:
+        with seated(socket):
+            await _tell(socket, station)
+    except Busy as exc:
+        await refuse(socket, exc)
+
+
+async def _tell(socket: WebSocket, station: Station) -> None:
     sending = asyncio.create_task(_send_events(socket, station))
     try:
         while True:

@@ -25,13 +25,20 @@ KINDS: tuple[tuple[type[RobotSystemError], str, str, int], ...] = (
     (refusals.NotCapable, "not-capable", "This robot cannot do that", 409),
     (refusals.Conflict, "conflict", "Not now", 409),
     (refusals.NoRobot, "no-robot", "No robot is connected", 503),
+    (refusals.Busy, "busy", "Too many already", 503),
     (refusals.OutOfRange, "out-of-range", "A value is out of range", 422),
     (LocalProtocolError, "out-of-range", "A value is out of range", 422),
     (DataError, "data", "The data do not allow it", 409),
     (ConfigError, "configuration", "The configuration does not allow it", 409),
     (RobotSystemError, "failed", "It did not work", 500),
 )
-STATUS_TITLES = {404: "Not found", 405: "Method not allowed", 403: "Not allowed", 422: "The request is not valid"}
+STATUS_TITLES = {
+    403: "Not allowed",
+    404: "Not found",
+    405: "Method not allowed",
+    413: "Too large",
+    422: "The request is not valid",
+}
 
 
 def kind_of(error: RobotSystemError) -> tuple[str, str, int]:

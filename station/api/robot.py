@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from shared.errors import RobotSystemError
 from station.api.deps import DriverDep, StationDep
+from station.api.limits import receive_text, refuse, seated
 from station.api.messages import (
     DriveAccepted,
     DriveCommand,
@@ -30,7 +31,7 @@ from station.app import Station
 from station.driving import MAX_DRIVER_NAME
 from station.events import Event
 from station.mailbox import MessageReader
-from station.refusals import NoRobot
+from station.refusals import Busy, NoRobot
 
 router = APIRouter(tags=["robot"])
 TIME_PERIOD_S = 0.1
@@ -91,13 +92,21 @@ async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "")
     when they are old; others cannot be told from fresh ones.
     """
     await socket.accept()
+    try:
+        with seated(socket):
+            await _take_orders(socket, station, driver)
+    except Busy as exc:
+        await refuse(socket, exc)
+
+
+async def _take_orders(socket: WebSocket, station: Station, driver: str) -> None:
     name = driver[:MAX_DRIVER_NAME] or (f"page at {socket.client.host}" if socket.client else "page")
     lost_socket = (WebSocketDisconnect, RuntimeError)
     with station.events.hub.subscribe() as changes:
         telling = [asyncio.create_task(c) for c in (_tell_driver(socket, station, name, changes), _tell_time(socket))]
         try:
             while True:
-                await _obey(socket, station, name, await socket.receive_text())
+                await _obey(socket, station, name, await receive_text(socket))
         except lost_socket:
             pass
         finally:

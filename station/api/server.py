@@ -7,6 +7,7 @@ from fastapi import Depends, FastAPI
 from station.api import camera, events, health, maps, navigations, page, places, problems, robot, slam
 from station.api.deps import admit
 from station.api.health import program_version
+from station.api.limits import BodyLimit, Seats
 from station.api.models import Problem
 from station.app import Station
 
@@ -26,6 +27,8 @@ def make_api(station: Station) -> FastAPI:
         responses=problems.responses(403, 422),
     )
     app.state.station = station
+    app.state.seats = Seats()
+    app.add_middleware(BodyLimit)
     problems.install(app)
     for part in (robot, camera, places, maps, navigations, slam, events, health):
         app.include_router(part.router, dependencies=[Depends(admit)])
