@@ -107,6 +107,24 @@ class Station:
     def robot(self) -> LinkState:
         return self.link.state
 
+    @property
+    def head_must_rest(self) -> str:
+        """Why the camera head must look straight ahead, in a sentence; empty when it may turn.
+
+        The calibration tells where the camera is while it does; nothing tells the estimation where it is otherwise.
+        """
+        if self.drives.running is not None:
+            return "a drive is being recorded, for which the camera must look straight ahead; stop the recording first"
+        if self.maps.active is not None:
+            return "the place is being looked for, for which the camera must look straight ahead; choose no map first"
+        return ""
+
+    def point(self, driver: str, pan: float, tilt: float) -> None:
+        """Point the camera head (rad). Raises as Driving.point, and Conflict while it must look straight ahead."""
+        if (pan or tilt) and (reason := self.head_must_rest):
+            raise Conflict(reason)
+        self.driving.point(driver, pan, tilt)
+
     def hijack(self, x: float, y: float, yaw: float) -> None:
         """Put a simulated robot down elsewhere. Raises NoRobot, or NotCapable for a real one."""
         able = self._capabilities()
@@ -128,6 +146,8 @@ class Station:
             raise NoRobot("no robot is connected; there is nothing to record")
         if not state.hello.capabilities.camera:
             raise NotCapable("this robot has no camera; SLAM needs one")
+        if not self.driving.head_is_centred:
+            raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you record")
         return self.drives.start(state.hello, name)
 
     def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
@@ -161,6 +181,9 @@ class Station:
 
     async def _look_in_active_map(self) -> None:
         active = self.maps.active
+        if active is not None:
+            self.driving.centre_head()
+        self.events.changed("robot")
         await self.locating.use(None if active is None else active.place_map.id)
 
     # LinkListener: called on the event loop, returns at once
@@ -173,6 +196,7 @@ class Station:
 
     def on_disconnected(self, reason: str) -> None:
         self.drives.on_disconnected(reason)
+        self.locating.on_disconnected(reason)
         self.events.say("link", f"robot lost: {reason}", "warning")
         self.events.changed("robot")
 
@@ -196,7 +220,6 @@ class Station:
 
     def on_status(self, status: Status) -> None:
         self.drives.on_status(status)
-        self.locating.on_disconnected(reason)
         self.events.changed("robot")
 
     def on_notice(self, notice: ErrorNotice) -> None:
@@ -211,10 +234,10 @@ class Station:
         while True:
             await asyncio.sleep(1.0)
             self.drives.refresh()
+            self.locating.refresh()
             self.events.changed("robot")
 
 
 def open_recorder(path: Path) -> DriveRecorder | None:
     """The MCAP recorder of a drive. Raises DataError when the file cannot be made."""
     return Recorder(path)
-            self.locating.refresh()

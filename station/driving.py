@@ -108,6 +108,7 @@ class Driving:
         self._command: _Command | None = None
         self._sent_ns = 0
         self._changed = asyncio.Event()
+        self._head = (0.0, 0.0)  # where the camera head was told to look
 
     @property
     def driver(self) -> str | None:
@@ -118,6 +119,16 @@ class Driving:
     def is_moving(self) -> bool:
         """A command other than standing still is held."""
         return self._command is not None
+
+    @property
+    def head_is_centred(self) -> bool:
+        """The camera looks straight ahead, as its calibration says."""
+        return self._head == (0.0, 0.0)
+
+    def centre_head(self) -> None:
+        """Let the camera look straight ahead, whoever drives."""
+        if not self.head_is_centred and self._link.point(0.0, 0.0):
+            self._head = (0.0, 0.0)
 
     def drive(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
         """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
@@ -165,6 +176,7 @@ class Driving:
         self._claim(driver)
         if not self._link.point(pan, tilt):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self._head = (pan, tilt)
 
     def take_over(self, driver: str) -> None:
         """Become the driver, whoever drives. The robot is stopped first: nobody inherits a moving robot."""

@@ -260,6 +260,7 @@ class RobotModel(Model):
     robot_driver: str | None = Field(description="the station that drives, as the robot says")
     applied: AppliedModel | None
     faults: list[str]
+    head_must_rest: str = Field(description="why the camera head must look straight ahead; empty: it may turn")
 
 
 class DriveOrder(Model):

@@ -73,7 +73,7 @@ async def stop(station: StationDep, driver: DriverDep) -> Accepted:
 
 @router.post("/pan-tilt", summary="Point the camera head", responses=responses(409, 503))
 async def pan_tilt(order: PanTiltOrder, station: StationDep, driver: DriverDep) -> Accepted:
-    station.driving.point(driver, order.pan, order.tilt)
+    station.point(driver, order.pan, order.tilt)
     return Accepted()
 
 
@@ -137,7 +137,7 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str) -> No
                 if command.reason:
                     station.events.say("drive", f"{name} stopped: {command.reason}")
             case PanTiltCommand():
-                station.driving.point(name, command.pan, command.tilt)
+                station.point(name, command.pan, command.tilt)
             case TakeOverCommand():
                 station.driving.take_over(name)
             case ReleaseCommand():

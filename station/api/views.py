@@ -87,6 +87,7 @@ def robot_model(station: Station) -> RobotModel:
         driver=station.driving.driver,
         robot_driver=status.driver if status else None,
         applied=AppliedModel(linear=applied.linear, angular=applied.angular) if applied and state.connected else None,
+        head_must_rest=station.head_must_rest,
         faults=list(status.faults) if status else [],
     )
 
@@ -208,8 +209,8 @@ def navigation_model(drive: DriveRecord) -> NavigationModel:
         frames_skipped=drive.frames_skipped,
         imu_samples=drive.imu_samples,
         imu_lost=drive.imu_lost,
-        landmarks=drive.landmarks,
         slam_failures=drive.slam_failures,
+        landmarks=drive.landmarks,
         scale=drive.scale,
         recording=None if drive.state == "recording" else f"/navigations/{drive.id}/recording.mcap",
     )

@@ -368,6 +368,43 @@ def test_a_port_in_use_is_one_sentence() -> None:
     with bind("127.0.0.1", 0) as taken, pytest.raises(ConfigError, match="choose another with --port"):
         bind("127.0.0.1", taken.getsockname()[1])
 
+        aside = await desk.http.post("/navigations")
+        assert is_problem(aside, 409) and "straight ahead" in aside.json()["detail"]
+        await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})
+        await desk.http.post("/navigations")
+        assert "a drive is being recorded" in (await desk.http.get("/robot")).json()["head_must_rest"]
+        assert is_problem(await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0}), 409)
+        assert (await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})).status_code == 200
+
+
+async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with at_work(tmp_path) as (desk, bench, _):
+        await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        await until(lambda: bench.head.pointed == [(0.3, -0.1), (0.0, 0.0)])
+        refused = await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0})
+        assert is_problem(refused, 409) and "choose no map first" in refused.json()["detail"]
+        await desk.http.put("/maps/active", json={"id": None})
+        assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0})).status_code == 200
+
+
+async def test_a_robot_that_goes_takes_the_current_place_with_it(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with at_work(tmp_path) as (desk, bench, _):
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        drive = (await desk.http.post("/navigations")).json()
+        await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
+        await bench.stop()
+        lost = await wait_for(desk, "/place/current", lambda p: p["state"] != "known")
+        assert (lost["state"], lost["place"]) == ("lost", None) and "not connected" in lost["reason"]
+        assert "sentinel_place_known 0.0" in (await desk.http.get("/metrics")).text
+        assert (await desk.http.get("/robot")).json()["rates"] == {"frames_hz": 0, "imu_hz": 0, "bytes_per_s": 0}
+        await bench.start()  # another run: other numbers, perhaps another clock
+        over = await wait_for(desk, f"/navigations/{drive['id']}", lambda d: d["state"] in ("ready", "failed"))
+        assert "started anew" in over["message"]
+        assert (await desk.http.get(over["recording"])).content.startswith(b"\x89MCAP")
+        await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
 
 async def test_the_example_client_says_the_place(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)

@@ -57,6 +57,12 @@ export class DriveControl {
     this.able = robot.capabilities;
     this.connected = robot.connected;
     show(by("head"), Boolean(robot.connected && this.able?.pan_tilt));
+    by("head").title = robot.head_must_rest;
+    for (const id of ["pan", "tilt"]) {
+      const slider = by<HTMLInputElement>(id);
+      slider.disabled = robot.head_must_rest !== "";
+      if (slider.disabled) slider.value = "0";
+    }
     const v = robot.applied ?? { linear: 0, angular: 0 };
     const text = `${v.linear.toFixed(2)} m/s\u2002${v.angular.toFixed(2)} rad/s`;
     if (!this.isDriving) setText(by("velocity"), text);

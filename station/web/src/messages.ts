@@ -366,6 +366,8 @@ export interface RobotModel {
   applied: AppliedModel | null;
   faults: string[];
 }
+  /** why the camera head must look straight ahead; empty: it may turn */
+  head_must_rest: string;
 
 /** The running SLAM, or the last one. */
 export interface SlamModel {
