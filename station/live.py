@@ -58,6 +58,7 @@ class LiveSlam:
 
     def __init__(self, navigation_id: str) -> None:
         self.navigation_id = navigation_id
+        self.source = navigation_id  # names this cloud: that of the finished navigation is another one
         self.state: TrackingState | None = None
         self.message = "waiting for the first picture"
         self.num_landmarks = 0
@@ -70,11 +71,11 @@ class LiveSlam:
         """The newest pose."""
         return self.poses[-1] if self.poses else None
 
-    def update(self, update: SlamUpdate) -> bool:
     def say(self, message: str) -> None:
         """How SLAM is, when no update can say it."""
         self.message = message
 
+    def update(self, update: SlamUpdate) -> bool:
         """Take in what a frame changed; True when there are new points."""
         self.frames += 1
         self.state, self.message, self.num_landmarks = update.state, update.message, update.num_landmarks
@@ -90,6 +91,7 @@ class LiveSlam:
     def of_finished(cls, navigation: Navigation, message: str) -> LiveSlam:
         """The view of a navigation that is complete."""
         live = cls(navigation.id)
+        live.source = f"{navigation.id}/finished"
         live.state, live.message = None, message
         live.num_landmarks = len(navigation.landmarks)
         live.frames = navigation.report.frames

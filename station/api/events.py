@@ -91,7 +91,9 @@ def to_message(station: Station, event: Event) -> Model:
             return PoseMessage(slam=slam_model(station))
         case "landmarks":
             total = len(live.points) if live else 0
-            return LandmarksMessage(navigation=live.navigation_id if live else None, total=total)
+            return LandmarksMessage(
+                navigation=live.navigation_id if live else None, source=live.source if live else None, total=total
+            )
         case "navigation":
             drive = cast(DriveRecord | None, event.subject)
             return NavigationMessage(navigation=None if drive is None else navigation_model(drive))

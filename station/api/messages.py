@@ -39,6 +39,7 @@ class LandmarksMessage(Model):
 
     type: Literal["landmarks"] = "landmarks"
     navigation: str | None
+    source: str | None = Field(description="the cloud: X-Source of GET /landmarks")
     total: int
 
 

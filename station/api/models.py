@@ -188,6 +188,7 @@ class TrajectoryModel(Model):
     """Poses so far, oldest first; thinned to `limit` poses."""
 
     navigation: str | None
+    source: str | None = Field(description="the cloud it belongs to: X-Source of GET /landmarks")
     total: int
     t_robot_ns: list[int]
     p_world: list[list[float]] = Field(description="body positions, (N, 3)")
@@ -259,8 +260,8 @@ class RobotModel(Model):
     driver: str | None = Field(description="who drives through this station")
     robot_driver: str | None = Field(description="the station that drives, as the robot says")
     applied: AppliedModel | None
-    faults: list[str]
     head_must_rest: str = Field(description="why the camera head must look straight ahead; empty: it may turn")
+    faults: list[str]
 
 
 class DriveOrder(Model):

@@ -45,6 +45,7 @@ async def trajectory(
     )
     return TrajectoryModel(
         navigation=live.navigation_id if live else None,
+        source=live.source if live else None,
         total=len(poses),
         t_robot_ns=[poses[i].t_robot_ns for i in chosen],
         p_world=[[round(float(x), 4) for x in poses[i].T_world_body[:3, 3]] for i in chosen],
@@ -60,7 +61,7 @@ async def trajectory(
 async def landmarks(
     station: StationDep,
     since: Annotated[int, Query(ge=0, description="number of the first one wanted: the total of the last answer")] = 0,
-    navigation: Annotated[str, Query(description="the navigation `since` belongs to; of another one all come")] = "",
+    navigation: Annotated[str, Query(description="X-Source of that answer; of another cloud all points come")] = "",
     format: Annotated[Literal["binary", "ply"] | None, Query()] = None,
     accept: Annotated[str, Header(include_in_schema=False)] = "",
 ) -> Response:
@@ -68,15 +69,15 @@ async def landmarks(
     is_ply = format == "ply" or (format is None and any(kind in accept for kind in PLY_TYPES))
     if live is None:
         live = LiveSlam("")
-    first = 0 if navigation and navigation != live.navigation_id else min(since, len(live.points))
+    first = 0 if navigation and navigation != live.source else min(since, len(live.points))
     p, rgb = live.points.since(first)
     total = first + len(p)
     if not is_ply:
-        return points_response(await asyncio.to_thread(pack_points, p, rgb), first, total, live.navigation_id)
+        return points_response(await asyncio.to_thread(pack_points, p, rgb), first, total, live.source)
     columns = {axis: p[:, i] for i, axis in enumerate("xyz")}
     colours = {name: rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
     return Response(
         await asyncio.to_thread(encode_ply, columns | colours),
         media_type="application/x-ply",
-        headers={"Content-Disposition": 'attachment; filename="landmarks.ply"', "X-Source": live.navigation_id},
+        headers={"Content-Disposition": 'attachment; filename="landmarks.ply"', "X-Source": live.source},
     )

@@ -50,7 +50,7 @@ function take(message: EventMessage): void {
       break;
     case "landmarks":
       if (message.total) map?.suggest("live");
-      if (map) attempt(() => map.updateLive(message.navigation, message.total));
+      if (map) attempt(() => map.updateLive(message.source, message.total));
       break;
     case "navigation":
       if (message.navigation) library.update(message.navigation);

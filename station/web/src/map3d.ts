@@ -148,8 +148,8 @@ export class MapView {
   }
 
   /** There are new landmarks, or another navigation runs. */
-  updateLive(navigation: string | null, total: number): Promise<void> {
-    this.wantedLive = { navigation: navigation ?? "", total };
+  updateLive(source: string | null, total: number): Promise<void> {
+    this.wantedLive = { navigation: source ?? "", total };
     return this.liveContent.ask();
   }
 
@@ -163,7 +163,7 @@ export class MapView {
     if (!cloud) return;
     if (isNew || cloud.first === 0) {
       const trajectory = await call<TrajectoryModel>("GET", "/trajectory?limit=4000");
-      if ((trajectory.navigation ?? "") !== cloud.source) return; // another drive began: its event is on the way
+      if ((trajectory.source ?? "") !== cloud.source) return; // another drive began, or this one is finished: its event is on the way
       this.clear("live");
       live.chunks = 0;
       this.track.push(...trajectory.p_world.map((p) => new THREE.Vector3(p[0], p[1], p[2])));

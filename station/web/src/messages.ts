@@ -174,6 +174,8 @@ export interface JobModel {
 export interface LandmarksMessage {
   type: "landmarks";
   navigation: string | null;
+  /** the cloud: X-Source of GET /landmarks */
+  source: string | null;
   total: number;
 }
 
@@ -247,10 +249,10 @@ export interface NavigationModel {
   frames_skipped: number;
   imu_samples: number;
   imu_lost: number;
-  landmarks: number;
-  scale: "metric" | "arbitrary" | "";
   /** pictures or samples that SLAM refused; the message quotes it */
   slam_failures: number;
+  landmarks: number;
+  scale: "metric" | "arbitrary" | "";
   /** where to download the MCAP file */
   recording: string | null;
 }
@@ -364,10 +366,10 @@ export interface RobotModel {
   /** the station that drives, as the robot says */
   robot_driver: string | null;
   applied: AppliedModel | null;
-  faults: string[];
-}
   /** why the camera head must look straight ahead; empty: it may turn */
   head_must_rest: string;
+  faults: string[];
+}
 
 /** The running SLAM, or the last one. */
 export interface SlamModel {
@@ -403,6 +405,8 @@ export interface TimeReply {
 /** Poses so far, oldest first; thinned to `limit` poses. */
 export interface TrajectoryModel {
   navigation: string | null;
+  /** the cloud it belongs to: X-Source of GET /landmarks */
+  source: string | null;
   total: number;
   t_robot_ns: number[];
   /** body positions, (N, 3) */
