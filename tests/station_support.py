@@ -98,7 +98,9 @@ async def running_station(
     address = f"http://127.0.0.1:{listener.getsockname()[1]}"
     started = asyncio.Event()
     serving = asyncio.create_task(serve(station, listener, started.set))
-    async with httpx.AsyncClient(base_url=address, timeout=20.0) as http:
+    # No connection is used twice: one that rested for 5 s may be closed by the server just as the next call is sent.
+    fresh = httpx.Limits(max_keepalive_connections=0)
+    async with httpx.AsyncClient(base_url=address, timeout=20.0, limits=fresh) as http:
         try:
             await until(lambda: started.is_set() or serving.done())
             yield Desk(station, address, http)
