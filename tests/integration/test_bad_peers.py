@@ -153,7 +153,7 @@ async def test_a_station_that_falls_silent_loses_the_wheel_and_then_the_connecti
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(shared.session, "QUIET_AFTER_NS", 100_000_000)
-    monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 2_000_000_000)
+    monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 3_600_000_000_000)
     monkeypatch.setattr(robot.driving, "LEASE_NS", 3_600_000_000_000)  # it is not the lease that ends
     async with running_robot() as bench, wire(bench.port) as (reader, writer):
         await drive_off(bench, reader, writer)
@@ -161,6 +161,7 @@ async def test_a_station_that_falls_silent_loses_the_wheel_and_then_the_connecti
         assert lease is not None and lease.driver is not None
         await until(lambda: lease.driver is None)
         assert bench.motors.are_off
+        monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 200_000_000)
         messages = await all_until_closed(reader)
         last = messages[-1]
         assert isinstance(last, ErrorNotice) and last.code == "silent" and "anything from the station" in last.message
