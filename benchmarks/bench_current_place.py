@@ -211,8 +211,9 @@ def judge_drive(
             tracker.on_drive(item)
         elif isinstance(item, ImageFrame):
             tracker.on_frame(item)
-            t_ns = item.t_robot_ns
-            T = robot.history.pose((t_ns - START_NS) / 1e9 + calibration.camera.time_shift_s)  # type: ignore[union-attr]
+            assert calibration.camera is not None
+            t_ns = item.t_robot_ns + round(1e9 * calibration.camera.time_shift_s)  # the simulator's and the IMU's clock
+            T = robot.history.pose((t_ns - START_NS) / 1e9)
             distance = np.linalg.norm(centroids - T[:3, 3], axis=1)
             right = {ids[i] for i in np.flatnonzero(distance <= 1.1 * distance.min())}
             answer = tracker.answer(t_ns)

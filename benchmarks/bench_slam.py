@@ -27,7 +27,8 @@ from threadpoolctl import threadpool_limits
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
-from station.datasets import Dataset, open_dataset
+from station.commands.slam import given_state
+from station.datasets import open_dataset
 from station.evaluation.synthetic import TruePath, observe, room_points, sine_path
 from station.evaluation.trajectory import absolute_trajectory_error, path_length, relative_pose_error
 from station.frames import DriveSample, ImuBatch
@@ -55,16 +56,6 @@ WHEELS = {
     "no commanded speed": WheelConfig(use_commanded_speed=False),
     "none": WheelConfig(use_zero_velocity=False, use_non_holonomic=False, use_commanded_speed=False),
 }
-
-
-def given_state(data: Dataset) -> GivenState:
-    """The truth at the first frame, where a user asked for `--start given`."""
-    truth = data.truth()
-    if truth is None or truth.v_world is None or truth.gyro_bias is None or truth.accel_bias is None:
-        raise SystemExit(f"{data.path} has no true velocity and biases; use --start own")
-    i = int(np.argmin(np.abs(truth.t_robot_ns - data.frame_times_ns[0])))
-    T = truth.T_world_body[i]
-    return GivenState(0, T[:3, :3], truth.v_world[i], T[:3, 3], truth.gyro_bias[i], truth.accel_bias[i])
 
 
 def run_dataset(path: Path, label: str, config: UkfConfig, start: str, seed: int = 0) -> dict[str, object]:

@@ -82,7 +82,10 @@ def given_state(data: Dataset) -> GivenState:
     truth = data.truth()
     if truth is None or truth.v_world is None or truth.gyro_bias is None or truth.accel_bias is None:
         raise DataError(f"{data.path} has no true velocity and biases; leave --initial-state at own")
-    i = int(np.argmin(np.abs(truth.t_robot_ns - data.frame_times_ns[0])))
+    camera = data.calibration.camera
+    # The filter's state is of the frame's middle row, by the IMU's clock.
+    late_s = 0.0 if camera is None else camera.time_shift_s + 0.5 * (camera.height - 1) * camera.line_delay_s
+    i = int(np.argmin(np.abs(truth.t_robot_ns - (data.frame_times_ns[0] + round(1e9 * late_s)))))
     T = truth.T_world_body[i]
     return GivenState(
         int(truth.t_robot_ns[i]), T[:3, :3], truth.v_world[i], T[:3, 3], truth.gyro_bias[i], truth.accel_bias[i]

@@ -107,10 +107,12 @@ def true_landmarks(navigation: Navigation, truth: Truth) -> FloatArray:
 def true_cameras(navigation: Navigation, truth: Truth) -> FloatArray:
     """(F, 4, 4) true poses of the keyframes' cameras, NaN where none was recorded near in time."""
     camera = navigation.calibration.camera
-    # A truth without IMU is of the camera itself: then T_body_cam is the identity.
-    return truth_at(truth, navigation.keyframes.t_robot_ns) @ (
-        np.eye(4) if camera is None else camera.T_body_cam_matrix
-    )
+    if camera is None:
+        return truth_at(truth, navigation.keyframes.t_robot_ns)
+    # Truth is stamped by the IMU's clock, keyframes by the camera's. A truth without IMU is of the camera itself:
+    # then T_body_cam is the identity and the shift zero.
+    t_imu_ns = navigation.keyframes.t_robot_ns + round(1e9 * camera.time_shift_s)
+    return truth_at(truth, t_imu_ns) @ camera.T_body_cam_matrix
 
 
 def truth_at(truth: Truth, t_robot_ns: IntArray) -> FloatArray:
