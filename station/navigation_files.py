@@ -46,25 +46,39 @@ def save_navigation(nav: Navigation, folder: Path) -> None:
         DataError: the folder holds something else already, or cannot be written.
     """
     folder = folder.absolute()
+    try:
+        check_navigation_folder(folder)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=folder.parent))
+        try:
+            fresh = scratch / "fresh"
+            _write(nav, fresh)
+            swap_folder(fresh, folder, scratch / "old")
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as exc:
+        raise DataError(f"{folder} cannot be written ({exc.strerror}); choose another folder") from exc
+
+
+def check_navigation_folder(folder: Path) -> None:
+    """Whether a navigation may take this name. Raises DataError where something else has it."""
     if folder.exists():
         foreign = {p.name for p in folder.iterdir()} - OUR_ENTRIES if folder.is_dir() else {folder.name}
         if foreign:
             raise DataError(f"{folder} holds {sorted(foreign)[0]}, which is no part of a navigation; give a new folder")
+
+
+def swap_folder(fresh: Path, folder: Path, old: Path) -> None:
+    """Let `fresh` take the name `folder`; what had it becomes `old`, or has it again where that fails (OSError)."""
+    had_one = folder.exists()
+    if had_one:
+        folder.rename(old)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    except OSError as exc:
-        raise DataError(f"{folder} cannot be written ({exc.strerror}); choose another folder") from exc
-    try:
-        fresh = scratch / "fresh"
-        _write(nav, fresh)
-        if folder.exists():
-            folder.rename(scratch / "old")
         fresh.rename(folder)
-    except OSError as exc:
-        raise DataError(f"{folder} cannot be written ({exc.strerror}); choose another folder") from exc
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    except OSError:
+        if had_one:
+            old.rename(folder)
+        raise
 
 
 def load_navigation(folder: Path) -> Navigation:
@@ -181,6 +195,8 @@ def _write(nav: Navigation, folder: Path) -> None:
     for name, content in encode_navigation(nav).items():
         (folder / name).write_bytes(content)
         _flush(folder / name)
+    for directory in (folder / IMAGES, folder):
+        _flush(directory)
 
 
 def _flush(file: Path) -> None:
