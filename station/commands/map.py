@@ -10,7 +10,11 @@ import typer
 
 from shared.errors import DataError
 from station.commands.experiment import places_config
+from station.commands.outputs import check_out_folder
+from station.commands.progress import working
 from station.maps.folder import load_map_folder, save_map_folder
+from station.maps.map import PlaceMap
+from station.navigation import Navigation
 from station.navigation_files import load_navigation
 from station.places.build import build_map, carry_names
 from station.places.graph import shortest_route, to_graphml, to_json_dict
@@ -39,14 +43,19 @@ def build(
 
     Further navigations are registered to the first one and extend it.
     """
+    check_out_folder(out)
+    if out.is_dir() and any(out.iterdir()) and not (out / "map.json").is_file():
+        raise DataError(f"{out} exists and is no map; give a new folder")
     config = places_config(mode, eps, min_pts, 0.75)
+    old = None if names_from is None else load_map_folder(names_from)
     loaded = [load_navigation(path) for path in navigations]
-    navigation = merge_navigations(loaded, config)
-    place_map = build_map(navigation, config=config, name=name)
-    if names_from is not None:
-        old = load_map_folder(names_from)
-        if not navigation.id.startswith(old.navigation.id):
-            raise DataError(f"{names_from} was made from {old.navigation.id}, not {loaded[0].id}; give its own map")
+    if old is not None:
+        check_names_source(old, loaded, names_from)
+    with working("joining navigations" if len(loaded) > 1 else "clustering landmarks") as say:
+        navigation = merge_navigations(loaded, config)
+        say("clustering landmarks")
+        place_map = build_map(navigation, config=config, name=name)
+    if old is not None:
         place_map = carry_names(old, place_map)
     save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
     if as_json:
@@ -55,6 +64,17 @@ def build(
     for place in place_map.places:
         print(f"{place.name}: {len(place.landmark_index)} landmarks, quality {place.quality:.2f}")
     print(f"{len(place_map.places)} places, {len(place_map.edges)} edges, written to {out}")
+
+
+def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from: Path | None) -> None:
+    """Names are carried by position: the old map must be in the frame of the first navigation.
+
+    Raises:
+        DataError: the map was made from another drive, or from another run of SLAM over it.
+    """
+    ids = [navigation.id for navigation in navigations]
+    if old.navigation.id not in ("+".join(ids[: n + 1]) for n in range(len(ids))):
+        raise DataError(f"{names_from} was made from {old.navigation.id}, not {ids[0]}; give its own map")
 
 
 def show(

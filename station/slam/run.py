@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import time
 from collections.abc import Callable, Iterator
+
+import numpy as np
 
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.navigation import Navigation
@@ -19,7 +22,7 @@ def run_backend(
     on_update: Callable[[SlamUpdate], None] | None = None,
     before_finish: Callable[[], None] | None = None,
 ) -> Navigation:
-    """Feed everything in sensor-time order, finish, and fill in wall and CPU time.
+    """Feed everything in sensor-time order, finish, fill in wall and CPU time, and name the navigation by its content.
 
     Raises:
         EstimationError: nothing could be reconstructed; says why.
@@ -44,4 +47,17 @@ def run_backend(
         realtime_factor=nav.report.duration_s / wall if wall > 0 else 0.0,
         cpu_s=time.process_time() - cpu_begin,
     )
-    return dataclasses.replace(nav, report=report)
+    return dataclasses.replace(nav, id=f"{nav.id}-{content_digest(nav)}", report=report)
+
+
+def content_digest(nav: Navigation) -> str:
+    """Twelve digits that two navigations share only when images, poses and landmarks are the same.
+
+    First stamps are no names: recordings of images without a clock all begin at 0.
+    """
+    digest = hashlib.sha256()
+    for array in (nav.keyframes.t_robot_ns, nav.keyframes.T_world_cam, nav.landmarks.p_world):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for encoded in nav.keyframes.encoded:
+        digest.update(len(encoded).to_bytes(8, "big") + encoded)
+    return digest.hexdigest()[:12]

@@ -16,6 +16,7 @@ from shared.geometry import se3, so3_exp
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.navigation_files import load_navigation, save_navigation
 from station.ply import read_ply, read_points, write_ply
+from station.slam.run import content_digest
 
 CONTRACT_KEYS = {"backend", "frames", "duration_s", "wall_s", "realtime_factor", "cpu_s", "landmarks"} | {
     "tracking_lost_s",
@@ -52,6 +53,38 @@ def small_navigation(num_landmarks: int = 7) -> Navigation:
             "sfm", 5, 0.1, 1.0, 10.0, 1.0, num_landmarks, 0.0, "metric", True, 3, {"numpy": "2"}, {"a": 1}, ("fine",)
         ),
     )
+
+
+def test_a_folder_that_cannot_take_the_name_leaves_the_old_one_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, new = small_navigation(), replace(small_navigation(), id="hall")
+    save_navigation(old, tmp_path / "nav")
+    rename = Path.rename
+
+    def refuse_the_new_one(self: Path, target: Path) -> Path:
+        if self.name == "fresh":
+            raise OSError(28, "No space left on device")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse_the_new_one)
+    with pytest.raises(DataError, match="No space left"):
+        save_navigation(new, tmp_path / "nav")
+    assert load_navigation(tmp_path / "nav").id == "kitchen"
+    assert [p.name for p in tmp_path.iterdir()] == ["nav"]
+
+
+def test_too_long_a_name_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="cannot be written"):
+        save_navigation(small_navigation(), tmp_path / ("x" * 300))
+
+
+def test_navigations_share_a_digest_only_when_they_are_the_same() -> None:
+    nav = small_navigation()
+    other_pictures = replace(nav, keyframes=replace(nav.keyframes, encoded=nav.keyframes.encoded[::-1]))
+    other_points = replace(nav, landmarks=replace(nav.landmarks, p_world=nav.landmarks.p_world + 0.1))
+    digests = [content_digest(n) for n in (nav, small_navigation(), other_pictures, other_points)]
+    assert digests[0] == digests[1] and len(set(digests)) == 3
 
 
 def test_a_sensor_range_without_limit_survives_the_disk(tmp_path: Path) -> None:
