@@ -12,14 +12,16 @@ from typing import Annotated
 import typer
 
 from shared.errors import ConfigError
+from station.commands.outputs import check_out_folder
+from station.commands.progress import working
 from station.commands.slam import run_with_progress
 from station.datasets import Dataset
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
-from station.experiments.inputs import FrameRange, is_navigation, load_input
+from station.experiments.inputs import FrameRange, Input, open_input
 from station.experiments.output import write_experiment
 from station.experiments.presets import Preset, find_preset, make_dataset
 from station.navigation import Navigation
-from station.navigation_files import save_navigation
+from station.navigation_files import check_navigation_folder, save_navigation
 from station.places.config import AlignBy, PlacesConfig, PlacesMode, ThesisConfig
 from station.slam.backends import make_backend
 
@@ -49,12 +51,13 @@ def experiment(
     inlier_ratio: Annotated[float | None, typer.Option(help="Thesis mode: share of pairs kept [0.75].")] = None,
     step: Annotated[int, typer.Option(help="Use every step-th frame of the datasets.")] = 1,
     align_by: Annotated[str, typer.Option(help="Default mode: both, geometry or appearance.")] = "both",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
     title: Annotated[str, typer.Option(help="Heading of the report.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
 ) -> None:
     """Map one drive, find its places again in another, and judge the matches where true poses were recorded."""
+    check_out_folder(out)
     ranges = FrameRange.parse(frames1, "--frames1"), FrameRange.parse(frames2, "--frames2")
     story, thesis = Story(title=title), ThesisConfig()
     if preset is not None:
@@ -62,8 +65,7 @@ def experiment(
             raise ConfigError("--preset makes its own navigations; leave --navigation1 and --navigation2 out")
         chosen = find_preset(preset, seed, euroc)
         story, thesis, ranges = chosen.story, chosen.thesis, chosen.frames
-        navigation1, navigation2 = make_drives(chosen, out / "data")
-    if navigation1 is None or navigation2 is None:
+    elif navigation1 is None or navigation2 is None:
         raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders; or --preset")
     config = PlacesConfig(
         mode=places_mode(mode),
@@ -75,37 +77,57 @@ def experiment(
         ),
     )
 
-    def reconstruct(data: Dataset) -> Navigation:
-        say(f"reconstructing {data.path.name}: {len(data.frame_times_ns)} frames")
-        return run_with_progress(
-            make_backend(backend, data.calibration, seed, threads, data.intrinsics_known), data
-        )  # fmt: skip
-
-    seconds = {}
-    loaded = []
-    for number, (path, frames, truth) in enumerate(
-        zip((navigation1, navigation2), ranges, (truth1, truth2), strict=True), start=1
-    ):
-        start = time.perf_counter()
-        navigation, true_poses = load_input(path, frames, truth, reconstruct, step=step)
-        if not is_navigation(path):
-            # Kept beside the report, so that other settings need no new reconstruction.
-            navigation = replace(navigation, id=f"{path.resolve().name}-{number}")
-            save_navigation(navigation, out / f"navigation{number}")
-        loaded.append((navigation, true_poses))
-        seconds[f"navigation{number}"] = time.perf_counter() - start
-    (first, first_truth), (second, second_truth) = loaded
-    done = run_experiment(
-        first,
-        second,
-        config,
-        truths=(first_truth, second_truth),
-        seed=seed,
-        story=story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}"),
-        say=say,
-    )
+    if preset is not None:
+        navigation1, navigation2 = make_drives(chosen, out / "data")
+    assert navigation1 is not None and navigation2 is not None
+    inputs = [
+        open_input(path, frames, truth, step=step)
+        for path, frames, truth in zip((navigation1, navigation2), ranges, (truth1, truth2), strict=True)
+    ]
+    if (truth1 or truth2) and not all(opened.truth for opened in inputs):
+        raise ConfigError("judging needs the true poses of both drives; give --truth1 and --truth2, or neither")
+    seconds: dict[str, float] = {}
+    first, second = reconstruct(inputs, backend, seed, threads, out, seconds)
+    with working("clustering Navigation1 into places") as say_step:
+        done = run_experiment(
+            first,
+            second,
+            config,
+            truths=(inputs[0].truth, inputs[1].truth),
+            seed=seed,
+            story=story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}"),
+            say=say_step,
+        )
     done.seconds.update(seconds)
     finish(done, out, as_json)
+
+
+def reconstruct(
+    inputs: list[Input], backend: str, seed: int, threads: int, out: Path, seconds: dict[str, float]
+) -> list[Navigation]:
+    """The navigations of all inputs; those made now are kept in `out`, so that other settings need no new ones.
+
+    Backends are made for all before the first one runs: what they refuse is said at once.
+    """
+    backends = {}
+    for number, opened in enumerate(inputs, start=1):
+        if isinstance(opened.source, Dataset):
+            check_navigation_folder(out / f"navigation{number}")
+            data = opened.source
+            backends[number] = make_backend(backend, data.calibration, seed, threads, data.intrinsics_known)
+    navigations = []
+    for number, opened in enumerate(inputs, start=1):
+        start = time.perf_counter()
+        if isinstance(opened.source, Dataset):
+            say(f"reconstructing {opened.path.name}: {len(opened.source.frame_times_ns)} frames")
+            made = run_with_progress(backends[number], opened.source)
+            made = replace(made, id=f"{opened.path.resolve().name}-{made.id}")
+            save_navigation(made, out / f"navigation{number}")
+            navigations.append(made)
+        else:
+            navigations.append(opened.source)
+        seconds[f"navigation{number}"] = time.perf_counter() - start
+    return navigations
 
 
 def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
@@ -117,8 +139,8 @@ def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:
     """Write the files and say what came out."""
-    say("drawing the report")
-    write_experiment(done, out)
+    with working("drawing the report"):
+        write_experiment(done, out)
     results = results_dict(done)
     if as_json:
         print(json.dumps(results, default=str))
@@ -126,6 +148,8 @@ def finish(done: Experiment, out: Path, as_json: bool) -> None:
     print(f"{results['places']} places, {results['locations']} locations, {len(results['matches'])} matches")
     if not results["registration"]["accepted"]:
         print(f"registration refused: {'; '.join(results['registration']['reasons'])}")
+    if done.not_judged:
+        print(done.not_judged)
     if results["precision"] is not None:
         print(f"precision {results['precision']:.3f} by the recorded poses")
     if results["recall"] is not None:

@@ -39,7 +39,11 @@ def export(
     file_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
 ) -> None:
     """Write trajectory (tum, euroc), cloud (ply), place graph (graphml) or all for Foxglove (mcap)."""
-    if out.exists():
+    try:
+        is_taken = out.exists()
+    except OSError as exc:  # too long a name
+        raise DataError(f"{out} cannot be written ({exc.strerror}); choose another place") from exc
+    if is_taken:
         raise DataError(f"{out} exists already; give a new name with --out")
     place_map: PlaceMap | None = None
     if (source / "navigation.json").is_file():

@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
+from shared.errors import ConfigError
 from station.commands.experiment import finish, places_config
-from station.datasets import open_dataset
-from station.evaluation.matches import judge_matches
-from station.experiments.experiment import Experiment, Story
+from station.commands.outputs import check_out_folder
+from station.commands.progress import working
+from station.experiments.experiment import Experiment, Story, judge
+from station.experiments.inputs import open_truth
 from station.maps.folder import load_map_folder
 from station.navigation_files import load_navigation
 from station.places.match import match_navigation
@@ -31,16 +33,18 @@ def match(
     truth1: Annotated[Path | None, typer.Option(help="Dataset with true poses of the map's drive.")] = None,
     truth2: Annotated[Path | None, typer.Option(help="Dataset with true poses of the navigation's drive.")] = None,
     align_by: Annotated[str, typer.Option(help="Default mode: both, geometry or appearance.")] = "both",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
 ) -> None:
     """Register a navigation to a map, match its locations with the places, and write a report."""
-    place_map, second = load_map_folder(path), load_navigation(navigation)
+    if (truth1 is None) != (truth2 is None):
+        raise ConfigError("judging needs --truth1 and --truth2; give both or none")
+    check_out_folder(out)
     config = places_config(mode, eps, min_pts, inlier_ratio, align_by)
-    result = match_navigation(place_map, second, config, seed=seed)
-    truths = [open_dataset(truth).truth() if truth is not None else None for truth in (truth1, truth2)]
-    judgement = None
-    if truths[0] is not None and truths[1] is not None:
-        judgement = judge_matches(place_map, truths[0], second, truths[1], result)
+    truths = open_truth(truth1), open_truth(truth2)
+    place_map, second = load_map_folder(path), load_navigation(navigation)
+    with working(f"matching {second.id} with {place_map.name}"):
+        result = match_navigation(place_map, second, config, seed=seed)
+        judgement, not_judged = judge(place_map, second, truths, result)
     story = Story(title=f"{navigation.name} in {place_map.name}")
-    finish(Experiment(story, place_map, second, result, judgement, config, seed, {}), out, as_json)
+    finish(Experiment(story, place_map, second, result, judgement, config, seed, {}, not_judged), out, as_json)

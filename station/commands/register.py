@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from station.commands.progress import working
+
 
 def register(app: typer.Typer) -> None:
     app.command("register")(register_files)
@@ -22,7 +24,7 @@ def register_files(
     scale: Annotated[Literal["known", "free"], typer.Option(help="known: both clouds in one unit.")] = "known",
     gravity: Annotated[Literal["known", "unknown"], typer.Option(help="known: z is up in both clouds.")] = "known",
     backend: Annotated[Literal["small_gicp", "open3d"], typer.Option(help="Library of the GICP step.")] = "small_gicp",
-    seed: Annotated[int, typer.Option(help="Seed of the random subsets.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random subsets.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="End with one JSON object on stdout.")] = False,
 ) -> None:
     """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
@@ -32,7 +34,8 @@ def register_files(
     p_target, p_source = read_points(target), read_points(source)
     print(f"registering {len(p_source)} points of {source} to {len(p_target)} of {target} ...", file=sys.stderr)
     start = time.perf_counter()
-    result = register_clouds(p_target, p_source, scale=scale, gravity=gravity, backend=backend, seed=seed)
+    with working("registering"):
+        result = register_clouds(p_target, p_source, scale=scale, gravity=gravity, backend=backend, seed=seed)
     seconds = time.perf_counter() - start
     verdict = "accepted" if result.accepted else "refused"
     if not as_json:

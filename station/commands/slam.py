@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from shared.errors import DataError
+from station.commands.outputs import check_out_folder
 from station.datasets import Dataset, open_dataset
 from station.navigation import Navigation
-from station.navigation_files import save_navigation
+from station.navigation_files import check_navigation_folder, save_navigation
 from station.slam.backend import SlamBackend, SlamUpdate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
@@ -45,7 +46,7 @@ def slam(
     first: Annotated[int | None, typer.Option(help="Number of the first frame to use.")] = None,
     last: Annotated[int | None, typer.Option(help="Number of the last frame to use.")] = None,
     step: Annotated[int, typer.Option(help="Use every step-th frame.")] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
     landmarks: Annotated[
         Landmarks, typer.Option(help="thesis: keep each landmark as it first entered the filter (ukf).")
@@ -56,6 +57,8 @@ def slam(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object on stdout.")] = False,
 ) -> None:
     """Reconstruct trajectory and landmarks of one recorded drive."""
+    check_out_folder(out)
+    check_navigation_folder(out)
     data = open_dataset(dataset, first, last, step)
     if not data.has_images:
         raise DataError(f"{dataset} holds no camera images; choose a dataset with images")

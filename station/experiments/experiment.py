@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from shared.errors import DataError
 from station.datasets import Truth
 from station.evaluation.matches import MatchJudgement, judge_matches
 from station.maps.map import PlaceMap
@@ -39,6 +40,7 @@ class Experiment:
     config: PlacesConfig
     seed: int
     seconds: dict[str, float]
+    not_judged: str = ""  # why there is no judgement, where there is none
 
 
 def run_experiment(
@@ -61,10 +63,21 @@ def run_experiment(
     start = time.perf_counter()
     result = match_navigation(place_map, second, config, seed=seed)
     seconds["match"] = time.perf_counter() - start
-    judgement = None
-    if truths[0] is not None and truths[1] is not None:
-        judgement = judge_matches(place_map, truths[0], second, truths[1], result)
-    return Experiment(story or Story(), place_map, second, result, judgement, config, seed, seconds)
+    judgement, not_judged = judge(place_map, second, truths, result)
+    return Experiment(story or Story(), place_map, second, result, judgement, config, seed, seconds, not_judged)
+
+
+def judge(
+    place_map: PlaceMap, second: Navigation, truths: tuple[Truth | None, Truth | None], result: MatchResult
+) -> tuple[MatchJudgement | None, str]:
+    """What truth says of the matches; without enough of it nothing, and a sentence why."""
+    if truths[0] is None or truths[1] is None:
+        lacking = [str(number) for number, truth in enumerate(truths, start=1) if truth is None]
+        return None, f"not judged: no true poses of navigation {' and '.join(lacking)}"
+    try:
+        return judge_matches(place_map, truths[0], second, truths[1], result), ""
+    except DataError as exc:
+        return None, f"not judged: {exc}"
 
 
 def results_dict(experiment: Experiment) -> dict[str, Any]:
@@ -109,6 +122,7 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
         "precision": judgement.precision if judgement else None,
         "recall": judgement.recall if judgement else None,
         "truth": "groundtruth" if judgement else "none",
+        "not_judged": experiment.not_judged or None,
         "co_visible": [place_name[i] for i in judgement.co_visible] if judgement else None,
         "adjusted_rand_index": judgement.rand_index if judgement else None,
         "duplicate_places": judgement.duplicates if judgement else None,

@@ -1,9 +1,8 @@
-"""A recorded drive or a finished navigation → Navigation, and its truth where recorded."""
+"""A recorded drive or a finished navigation → what an experiment starts from, with its truth where recorded."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +10,6 @@ from shared.errors import ConfigError, DataError
 from station.datasets import Dataset, Truth, open_dataset
 from station.navigation import Navigation
 from station.navigation_files import load_navigation
-
-Reconstruct = Callable[[Dataset], Navigation]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,23 +38,39 @@ def is_navigation(path: Path) -> bool:
     return (path / "navigation.json").is_file()
 
 
-def load_input(
-    path: Path, frames: FrameRange, truth_path: Path | None, reconstruct: Reconstruct, *, step: int = 1
-) -> tuple[Navigation, Truth | None]:
-    """The navigation of a dataset (reconstructed now) or of a navigation folder (as it is), with its truth.
+@dataclass(frozen=True, slots=True, eq=False)
+class Input:
+    """One drive, opened and checked: a finished navigation, or a dataset still to be reconstructed."""
+
+    path: Path
+    source: Navigation | Dataset
+    truth: Truth | None
+
+
+def open_input(path: Path, frames: FrameRange, truth_path: Path | None, *, step: int = 1) -> Input:
+    """A dataset or a navigation folder, with its truth; nothing is computed yet.
 
     A navigation folder holds no truth: `truth_path` names the dataset it was made from.
     Raises:
         DataError: the path, or a file in it, cannot be used.
         ConfigError: a range of frames was given for a navigation that is finished.
     """
+    truth = open_truth(truth_path)
     if is_navigation(path):
         if frames != FrameRange():
             raise ConfigError(f"{path} is a finished navigation; frame ranges choose from a dataset's images")
-        truth = open_dataset(truth_path).truth() if truth_path is not None else None
-        return load_navigation(path), truth
+        return Input(path, load_navigation(path), truth)
     data = open_dataset(path, frames.first, frames.last, step)
     if not data.has_images:
         raise DataError(f"{path} holds no camera images; choose a dataset with images, or a finished navigation")
-    truth = open_dataset(truth_path).truth() if truth_path is not None else data.truth()
-    return reconstruct(data), truth
+    return Input(path, data, truth or data.truth())
+
+
+def open_truth(path: Path | None) -> Truth | None:
+    """The true poses of a dataset that was named for them. Raises DataError where it has none."""
+    if path is None:
+        return None
+    truth = open_dataset(path).truth()
+    if truth is None:
+        raise DataError(f"{path} holds no true poses; name a dataset that has them, or leave the option out")
+    return truth

@@ -2,8 +2,10 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -11,7 +13,9 @@ from typer.testing import CliRunner
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, quat_from_rotation, se3, yaw_rotation
 from station.main import app
-from station.navigation_files import save_navigation
+from station.maps.folder import save_map_folder
+from station.navigation_files import load_navigation, save_navigation
+from station.places.build import build_map
 from tests.synthetic_home import drive, furnished_room, navigate
 
 
@@ -38,6 +42,15 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         poses = drive(home, seed, frames=45)
         save_navigation(navigate(home, poses, seed=seed, T_nav_world=T), root / f"nav{number}")
         write_asl_truth(poses, root / f"truth{number}")
+    save_map_folder(build_map(load_navigation(root / "nav1")), root / "map1")
+    imu_only = root / "imu_only" / "mav0" / "imu0"
+    imu_only.mkdir(parents=True)
+    (imu_only / "data.csv").write_text("0,0,0,0,0,0,9.81\n1000000,0,0,0,0,0,9.81\n")
+    images = root / "images"
+    images.mkdir()
+    for k in range(3):
+        cv2.imwrite(str(images / f"{k}.png"), np.full((48, 64), 90, np.uint8))
+    (images / "camera-intrinsics.txt").write_text("60 0 32\n0 60 24\n0 0 1\n")
     return root
 
 
@@ -104,6 +117,15 @@ def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
         (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--frames1", "a-b"], "such as 0-398"),
         (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--frames1", "0-9"], "is a finished"),
         (["experiment", "--navigation1", "{nav1}", "--navigation2", "/nowhere"], "/nowhere does not exist"),
+        (
+            ["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--truth1", "{truth1}"],
+            "give --truth1 and --truth2, or neither",
+        ),
+        (
+            ["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--truth1", "{imu_only}"],
+            "holds no true poses",
+        ),
+        (["match", "{map1}", "{nav1}", "--truth2", "{truth1}"], "--truth1 and --truth2"),
         (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--mode", "x"], '"thesis" or "default"'),
         (["match", "{nav1}", "{nav1}"], "holds no map"),
         (["map", "build", "{nav1}", "/nowhere"], "holds no navigation"),
@@ -112,7 +134,68 @@ def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
 def test_mistakes_get_one_sentence_and_leave_nothing(
     data: Path, tmp_path: Path, arguments: list[str], sentence: str
 ) -> None:
-    filled = [a.format(nav1=data / "nav1") for a in arguments]
+    names = ("nav1", "map1", "truth1", "imu_only")
+    filled = [a.format(**{name: data / name for name in names}) for a in arguments]
     with pytest.raises(RobotSystemError, match=re.escape(sentence)):
         run(*filled, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_too_few_true_poses_leave_the_matches_unjudged(data: Path, tmp_path: Path) -> None:
+    home = furnished_room(3, density=300)
+    write_asl_truth(drive(home, 31, frames=2), tmp_path / "short")
+    out = tmp_path / "out"
+    run(
+        "match", data / "map1", data / "nav2", "--out", out,
+        "--truth1", tmp_path / "short", "--truth2", data / "truth2",
+    )  # fmt: skip
+    results = json.loads((out / "results.json").read_text())
+    assert results["truth"] == "none" and results["precision"] is None and "2 keyframes" in results["not_judged"]
+    assert results["matches"] and all(match["correct"] is None for match in results["matches"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["experiment", "--navigation1", "{drive}", "--navigation2", "/nowhere"], "/nowhere does not exist"),
+        (["experiment", "--navigation1", "{drive}", "--navigation2", "{imu_only}"], "holds no camera images"),
+        (["slam", "{drive}"], "is a file"),
+        (["map", "build", "{nav1}"], "is a file"),
+        (["match", "{map1}", "{nav1}"], "is a file"),
+        (["experiment", "--navigation1", "{drive}", "--navigation2", "{drive}"], "is a file"),
+    ],
+)  # fmt: skip
+def test_everything_is_checked_before_the_first_frame_is_reconstructed(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], sentence: str
+) -> None:
+    def too_late(*_: object) -> None:
+        raise AssertionError("work began before everything was checked")
+
+    for place in (
+        "station.commands.slam.run_backend",
+        "station.commands.match.match_navigation",
+        "station.commands.map.build_map",
+    ):
+        monkeypatch.setattr(place, too_late)
+    filled = [a.format(drive=data / "images", **{n: data / n for n in ("nav1", "map1", "imu_only")}) for a in arguments]
+    (tmp_path / "file").write_text("mine")
+    out = tmp_path / "file" if sentence == "is a file" else tmp_path / "out"
+    with pytest.raises(RobotSystemError, match=re.escape(sentence)):
+        run(*filled, "--out", out)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("command", [["slam", "{images}"], ["map", "build", "{nav1}"], ["export", "{nav1}"]])
+def test_a_name_that_is_too_long_gets_a_sentence(data: Path, tmp_path: Path, command: list[str]) -> None:
+    filled = [part.format(images=data / "images", nav1=data / "nav1") for part in command]
+    more = ["--format", "tum"] if command[0] == "export" else []
+    with pytest.raises(RobotSystemError, match="cannot be written"):
+        run(*filled, "--out", tmp_path / ("x" * 300), *more)
+
+
+def test_names_come_only_from_a_map_of_the_very_same_navigation(data: Path, tmp_path: Path) -> None:
+    stranger = load_navigation(data / "nav1")
+    save_navigation(replace(stranger, id=f"{stranger.id}0"), tmp_path / "longer")
+    with pytest.raises(RobotSystemError, match="was made from"):
+        run("map", "build", tmp_path / "longer", "--out", tmp_path / "map", "--names-from", data / "map1")
+    assert not (tmp_path / "map").exists()
