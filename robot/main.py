@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import sys
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ import typer
 
 from robot import app
 from robot.config import load_config
-from shared.errors import RobotSystemError
+from shared.command_line import run_program
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -77,12 +76,8 @@ def serve(
 
 
 def main() -> None:
-    """Run; an error of ours becomes one sentence on stderr and exit code 1."""
-    try:
-        cli()
-    except RobotSystemError as exc:
-        print(f"robot-server: {exc}", file=sys.stderr)
-        sys.exit(1)
+    """Run one command; a mistake of usage or an error of ours becomes one sentence on stderr."""
+    run_program(cli, "robot-server")
 
 
 if __name__ == "__main__":

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-
 import typer
 
-from shared.errors import RobotSystemError
+from shared.command_line import run_program
 from station.commands import (
     demo,
     doctor,
@@ -47,12 +45,8 @@ for command in (
 
 
 def main() -> None:
-    """Run one command; an error of ours becomes one sentence on stderr and exit code 1."""
-    try:
-        app()
-    except RobotSystemError as exc:
-        print(f"station: {exc}", file=sys.stderr)
-        sys.exit(1)
+    """Run one command; a mistake of usage or an error of ours becomes one sentence on stderr."""
+    run_program(app, "station")
 
 
 if __name__ == "__main__":

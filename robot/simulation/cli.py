@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 from robot.simulation.config import SimulationConfig, load_config, without_imperfections
-from shared.errors import RobotSystemError
+from shared.command_line import run_program
 
 app = typer.Typer(name="robot-sim", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 
 WorldOption = Annotated[str, typer.Option(help="home, small, lookalike, room, vicon or checker")]
-SeedOption = Annotated[int, typer.Option(help="which world of that kind")]
+SeedOption = Annotated[int, typer.Option(min=0, help="which world of that kind")]
 ConfigOption = Annotated[Path | None, typer.Option(help="TOML file with imperfections and faults")]
 IdealOption = Annotated[bool, typer.Option(help="switch every imperfection of sensors and floor off")]
 
@@ -50,9 +50,9 @@ def dataset(
     route: Annotated[
         str, typer.Option(help="mapping, second, local, tour, triangle_a, triangle_b or triangle_c")
     ] = "mapping",
-    drive_seed: Annotated[int, typer.Option(help="noise, slip and small differences of this drive")] = 0,
+    drive_seed: Annotated[int, typer.Option(min=0, help="noise, slip and small differences of this drive")] = 0,
     put_down: Annotated[
-        int | None, typer.Option(help="start at the random spot of this seed, as after a hijack")
+        int | None, typer.Option(min=0, help="start at the random spot of this seed, as after a hijack")
     ] = None,
     fps: Annotated[float | None, typer.Option(help="frames per second")] = None,
     config: ConfigOption = None,
@@ -115,7 +115,7 @@ def drive(
     station: Annotated[str, typer.Option(help="address of the station, http://HOST:PORT")],
     sim_port: Annotated[int, typer.Option(help="the simulator's control port (robot-server --sim-port)")],
     route: Annotated[str, typer.Option(help="mapping, second, local, tour or triangle_a|b|c")] = "mapping",
-    seed: Annotated[int, typer.Option(help="another route of the same kind")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="another route of the same kind")] = 0,
     driver: Annotated[str, typer.Option(help="name under which to hold the driver lease")] = "scripted",
     max_duration: Annotated[float, typer.Option(help="give up after this many seconds")] = 600.0,
 ) -> None:
@@ -144,12 +144,8 @@ def view(
 
 
 def main() -> None:
-    """Run one command; an error of ours becomes one sentence on stderr and exit code 1."""
-    try:
-        app()
-    except RobotSystemError as exc:
-        print(f"robot-sim: {exc}", file=sys.stderr)
-        sys.exit(1)
+    """Run one command; a mistake of usage or an error of ours becomes one sentence on stderr."""
+    run_program(app, "robot-sim")
 
 
 if __name__ == "__main__":

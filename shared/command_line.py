@@ -1,0 +1,38 @@
+"""How a program of ours ends: with 0, or with one sentence on stderr and another code."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from shared.errors import RobotSystemError
+
+# Typer carries its own copy of Click, so the base of its mistakes in usage has no public name of its own.
+USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
+BAD_USAGE = 2  # exit code, as shells and Click have it
+
+
+def run_program(app: typer.Typer, name: str) -> None:
+    """Run the command that argv names, and exit. Neither a traceback nor a box: scripts and people read one line."""
+    try:
+        sys.exit(app(prog_name=name, standalone_mode=False))
+    except USAGE_ERROR as exc:
+        sys.exit(_refuse(exc, name))
+    except RobotSystemError as exc:
+        print(f"{name}: {exc}", file=sys.stderr)
+        sys.exit(1)
+    except typer.Abort:
+        sys.exit(1)
+
+
+def _refuse(exc: Exception, name: str) -> int:
+    context = getattr(exc, "ctx", None)
+    if type(exc).__name__ == "NoArgsIsHelpError":  # not a mistake, only nothing asked
+        print(context.get_help() if context is not None else exc, file=sys.stderr)
+        return BAD_USAGE
+    what = str(exc.format_message()) if hasattr(exc, "format_message") else str(exc)
+    what = " ".join(what.split()).rstrip(".")
+    where = getattr(context, "command_path", name)
+    print(f"{name}: {what[:1].lower()}{what[1:]}; {where} --help tells what can be given", file=sys.stderr)
+    return BAD_USAGE

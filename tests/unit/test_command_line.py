@@ -1,0 +1,66 @@
+"""A mistake on the command line is answered with one sentence, by every program."""
+
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from robot.main import main as robot_main
+from robot.simulation.cli import main as simulation_main
+from station.main import main as station_main
+
+
+def end_of(main: Callable[[], None], arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr(sys, "argv", ["program", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    code = end.value.code or 0
+    assert isinstance(code, int)
+    return code
+
+
+@pytest.mark.parametrize(
+    ("main", "arguments", "words"),
+    [
+        (station_main, ["slam"], ["station: ", "'dataset'", "station slam --help"]),
+        (station_main, ["slam", "x", "--out", "y", "--step", "two"], ["--step", "integer", "station slam --help"]),
+        (station_main, ["register", "a", "b", "--scale", "maybe"], ["'maybe'", "--scale"]),
+        (station_main, ["flyy"], ["flyy", "station --help"]),
+        (station_main, ["map", "build", "--nothing"], ["--nothing", "station map build --help"]),
+        (robot_main, ["--devices", "none"], ["robot-server: ", "'none'", "--devices"]),
+        (simulation_main, ["dataset"], ["robot-sim: ", "--out"]),
+    ],
+)
+def test_a_mistake_in_usage_gets_one_sentence(
+    main: Callable[[], None],
+    arguments: list[str],
+    words: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert end_of(main, arguments, monkeypatch) == 2
+    output = capsys.readouterr()
+    assert output.out == "" and len(output.err.splitlines()) == 1
+    for word in words:
+        assert word in output.err
+
+
+@pytest.mark.parametrize("main", [station_main, robot_main, simulation_main])
+def test_help_is_no_mistake(
+    main: Callable[[], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert end_of(main, ["--help"], monkeypatch) == 0
+    assert "--help" in capsys.readouterr().out
+
+
+def test_nothing_asked_shows_what_can_be(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    end_of(station_main, [], monkeypatch)
+    output = capsys.readouterr()
+    assert "slam" in output.out + output.err
+
+
+def test_an_error_of_ours_keeps_its_sentence_and_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert end_of(station_main, ["export", "/nowhere", "--out", "x", "--format", "tum"], monkeypatch) == 1
+    assert capsys.readouterr().err.startswith("station: /nowhere is no folder")
