@@ -11,6 +11,9 @@ import numpy as np
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
 
+MAX_SHIFT_S = 10.0  # between the clocks of one robot's sensors; more is a mistake of units
+MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
+
 
 class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     """Pinhole camera with lens distortion, mounted on the body (= IMU). The centre of the first pixel is (0, 0)."""
@@ -34,6 +37,13 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion, *self.T_body_cam)
         if not all(math.isfinite(n) for n in numbers):
             raise ConfigError("camera calibration holds a number that is not finite")
+        # Written so that NaN fails as well.
+        if not 1e-3 <= self.rate_hz <= 1e5:
+            raise ConfigError(f"rate_hz is {self.rate_hz:g}, must be 0.001 to 100000 images a second")
+        if not abs(self.time_shift_s) <= MAX_SHIFT_S:
+            raise ConfigError(f"time_shift_s is {self.time_shift_s:g}, must be within {MAX_SHIFT_S:g} s")
+        if not abs(self.line_delay_s) <= MAX_LINE_DELAY_S:
+            raise ConfigError(f"line_delay_s is {self.line_delay_s:g}, must be within {MAX_LINE_DELAY_S:g} s")
         if self.fx <= 0 or self.fy <= 0:
             raise ConfigError(f"focal length ({self.fx}, {self.fy}) px must be positive")
         if len(self.T_body_cam) != 16:

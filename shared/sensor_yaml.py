@@ -23,6 +23,8 @@ DISTORTION_MODELS = {
 # A noise file without these keys gets the figures of a consumer-grade IMU, so that estimators stay cautious.
 CONSUMER_IMU = {"gyro_density": 3e-4, "accel_density": 3e-3, "gyro_walk": 3e-5, "accel_walk": 3e-3}
 
+MAX_EXPOSURE_S = 10.0
+
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file's mapping. OpenCV's first line `%YAML:1.0`, which YAML itself forbids, is passed over."""
@@ -36,6 +38,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         content = yaml.safe_load("\n".join(lines).replace("!!opencv-matrix", ""))
     except yaml.YAMLError as exc:
         raise DataError(f"{path} is not readable YAML ({_first_line(exc)}); correct it") from exc
+    except (ValueError, RecursionError) as exc:  # a date that no calendar has, nesting without end
+        raise DataError(f"{path} is not readable YAML ({exc}); correct it") from exc
     if not isinstance(content, dict):
         raise DataError(f"{path} holds no `key: value` lines; write a calibration into it")
     return content
@@ -54,7 +58,7 @@ def numbers(content: dict[str, Any], key: str, count: int, path: Path) -> list[f
         value = value.get("data")
     try:
         flat = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         flat = np.empty(0)
     if len(flat) != count or not np.isfinite(flat).all():
         raise DataError(f"{path}: {key} must be {count} numbers, is {value!r}")
@@ -64,6 +68,14 @@ def numbers(content: dict[str, Any], key: str, count: int, path: Path) -> list[f
 def number(content: dict[str, Any], key: str, default: float, path: Path) -> float:
     """One number under a key, or the default where the key is absent."""
     return default if content.get(key) is None else numbers(content, key, 1, path)[0]
+
+
+def read_exposure_ns(content: dict[str, Any], path: Path) -> int:
+    """The key `exposure_s`, of a camera that does not say it of every frame; 0 where absent: not known."""
+    exposure_s = number(content, "exposure_s", 0.0, path)
+    if not 0 <= exposure_s <= MAX_EXPOSURE_S:
+        raise DataError(f"{path}: exposure_s is {exposure_s:g}, must be 0 to {MAX_EXPOSURE_S:g}")
+    return round(1e9 * exposure_s)
 
 
 def read_mounting(content: dict[str, Any], path: Path) -> FloatArray:

@@ -22,13 +22,13 @@ class AslWriter:
     """Collects one drive into DIR; the folder appears under its name when the drive is complete."""
 
     def __init__(self, out: Path, calibration: Calibration) -> None:
-        if out.exists() and any(out.iterdir() if out.is_dir() else [out]):
-            raise DataError(f"{out} already exists and is not empty; choose another --out or remove it")
         self._out = out
         self._partial = out.with_name(out.name + ".partial")
-        shutil.rmtree(self._partial, ignore_errors=True)
         mav = self._partial / "mav0"
         try:
+            if out.exists() and any(out.iterdir() if out.is_dir() else [out]):
+                raise DataError(f"{out} already exists and is not empty; choose another --out or remove it")
+            shutil.rmtree(self._partial, ignore_errors=True)
             for folder in ("cam0/data", "imu0", "state_groundtruth_estimate0", "drive0"):
                 (mav / folder).mkdir(parents=True)
         except OSError as exc:

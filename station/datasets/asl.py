@@ -6,7 +6,6 @@ Format: Burri et al., The EuRoC micro aerial vehicle datasets, IJRR 2016. `drive
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +15,8 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, inverse, rotation_from_quat, se3
-from shared.sensor_yaml import number, read_camera, read_imu_noise, read_mounting, read_yaml
+from shared.recorded_files import asl_numbers, asl_rows, exposures_ns
+from shared.sensor_yaml import number, read_camera, read_exposure_ns, read_imu_noise, read_mounting, read_yaml
 from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frames
 from station.frames import DriveSample, ImageFrame, ImuBatch
 
@@ -55,11 +55,14 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
         camera = msgspec.structs.replace(camera, T_body_cam=tuple((T_ours_file @ T_file_cam).ravel().tolist()))
     truth = _read_truth(mav / "state_groundtruth_estimate0" / "data.csv", inverse(T_ours_file))
 
-    times, names = _read_frame_list(camera_csv) if camera_csv.is_file() else (np.empty(0, np.int64), [])
+    default_exposure_ns = read_exposure_ns(camera_yaml, mav / "cam0" / "sensor.yaml")
+    times, names, exposures = np.empty(0, np.int64), list[str](), list[int]()
+    if camera_csv.is_file():
+        times, names, exposures = _read_frame_list(camera_csv, default_exposure_ns)
     chosen = choose_frames(range(len(times)), first, last, step)
     if len(times) and not chosen:
         raise DataError(f"{camera_csv} has {len(times)} frames, none of them in the range asked for")
-    times, names = times[chosen], [names[i] for i in chosen]
+    times, names, exposures = times[chosen], [names[i] for i in chosen], [exposures[i] for i in chosen]
     if len(times) and (first is not None or last is not None):
         imu, drive = cut_to_frames(imu, drive, times)
     image_folder = mav / "cam0" / "data"
@@ -67,12 +70,11 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
     if not has_images and imu is None:
         raise DataError(f"{path} holds neither images (mav0/cam0/data) nor IMU samples (mav0/imu0); nothing to use")
 
-    gravity = number(dict(camera_yaml), "gravity", 9.81, mav / "cam0" / "sensor.yaml")
+    gravity = number(camera_yaml, "gravity", 9.81, mav / "cam0" / "sensor.yaml")
     kind = str(camera_yaml.get("robot_kind", "sentinel" if drive else "generic"))  # only ours record commands
-    exposure_ns = int(1e9 * number(dict(camera_yaml), "exposure_s", 0.0, mav / "cam0" / "sensor.yaml"))
 
     def read_frames() -> Iterator[ImageFrame]:
-        for index, (t_ns, name) in enumerate(zip(times, names, strict=True)):
+        for index, (t_ns, name, exposure_ns) in enumerate(zip(times, names, exposures, strict=True)):
             yield ImageFrame(index, int(t_ns), exposure_ns, read_image_file(image_folder / name), name)
 
     return Dataset(
@@ -101,28 +103,9 @@ def read_image_file(path: Path) -> bytes:
 
 def _read_table(path: Path, columns: int) -> tuple[IntArray, FloatArray]:
     """Times (N,) ns and the next `columns` columns (N, columns). Times need all 64 bits, so they are parsed apart."""
-    times: list[int] = []
-    rows: list[list[float]] = []
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for line_number, row in enumerate(csv.reader(file), start=1):
-                if not row or row[0].lstrip().startswith("#"):
-                    continue
-                try:
-                    times.append(int(row[0]))
-                    values = [float(x) for x in row[1 : 1 + columns]]
-                except ValueError as exc:
-                    raise DataError(f"{path} line {line_number} does not hold numbers; correct or remove it") from exc
-                if len(values) < columns:
-                    raise DataError(f"{path} line {line_number} has {len(row)} columns, needs {1 + columns}")
-                rows.append(values)
-    except (OSError, UnicodeDecodeError) as exc:
-        raise DataError(f"{path} cannot be read ({exc}); copy it again") from exc
-    t, table = np.array(times, dtype=np.int64), np.array(rows, dtype=np.float64).reshape(-1, columns)
-    if len(t) > 1 and (np.diff(t) <= 0).any():
-        bad = int(np.flatnonzero(np.diff(t) <= 0)[0]) + 1
-        raise DataError(f"{path}: time {t[bad]} does not come after the one before it; sort the file by time")
-    return t, table
+    rows = list(asl_numbers(path, columns))
+    table = np.array([values for _, values in rows], dtype=np.float64).reshape(-1, columns)
+    return np.array([t_ns for t_ns, _ in rows], dtype=np.int64), table
 
 
 def _read_imu(path: Path) -> ImuBatch | None:
@@ -138,6 +121,8 @@ def _read_drive(path: Path) -> tuple[DriveSample, ...]:
     if not path.is_file():
         return ()
     t, table = _read_table(path, 2)
+    if not np.isfinite(table).all():
+        raise DataError(f"{path} holds a number that is not finite; correct it")
     return tuple(DriveSample(int(ns), float(v), float(w)) for ns, (v, w) in zip(t, table, strict=True))
 
 
@@ -156,23 +141,9 @@ def _read_truth(path: Path, T_file_ours: FloatArray) -> Truth | None:
     return Truth(t, T, states[:, 7:10], states[:, 10:13], states[:, 13:16])
 
 
-def _read_frame_list(path: Path) -> tuple[IntArray, list[str]]:
-    times: list[int] = []
-    names: list[str] = []
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for line_number, row in enumerate(csv.reader(file), start=1):
-                if not row or row[0].lstrip().startswith("#"):
-                    continue
-                if len(row) < 2:
-                    raise DataError(f"{path} line {line_number} needs a time and a file name")
-                try:
-                    times.append(int(row[0]))
-                except ValueError as exc:
-                    raise DataError(f"{path} line {line_number} starts with no time in ns; correct it") from exc
-                names.append(row[1].strip())
-    except (OSError, UnicodeDecodeError) as exc:
-        raise DataError(f"{path} cannot be read ({exc}); copy it again") from exc
-    if len(times) > 1 and (np.diff(times) <= 0).any():
-        raise DataError(f"{path} is not in time order; sort its lines")
-    return np.array(times, dtype=np.int64), names
+def _read_frame_list(path: Path, default_exposure_ns: int) -> tuple[IntArray, list[str], list[int]]:
+    """Times (F,), file names and exposures (ns)."""
+    rows = list(asl_rows(path, 1))
+    exposures = exposures_ns(path, ((line, cells) for line, _, cells in rows), default_exposure_ns)
+    times = np.array([t_ns for _, t_ns, _ in rows], dtype=np.int64)
+    return times, [cells[0].strip() for _, _, cells in rows], exposures

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,33 +11,27 @@ import numpy as np
 from shared.calibration import Calibration, CameraCalibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, orthonormal, se3
+from shared.recorded_files import image_times_ns, images_in_order
 from shared.sensor_yaml import read_camera, read_intrinsics_text, read_yaml
 from station.datasets.asl import read_image_file
 from station.datasets.dataset import Dataset, Truth, choose_frames
 from station.frames import ImageFrame
 
-IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png"}
 DEFAULT_RATE_HZ = 30.0  # 7-Scenes: Kinect at 30 Hz; frames are numbered, so gaps keep their length
 
 
 def open_image_folder(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
-    """Open a folder of images. Times are frame number / rate, from 0 on the robot's clock."""
-    files = sorted(
-        (p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and ".depth" not in p.name),
-        key=lambda p: (_number_in(p.name) if _number_in(p.name) is not None else 0, p.name),
-    )
+    """Open a folder of images. Times are frame number / rate from 0 on, or the stamps the images are named by."""
+    numbered = images_in_order(path)
+    numbers, files = [number for number, _ in numbered], [file for _, file in numbered]
     if not files:
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a dataset")
-    found = [_number_in(p.name) for p in files]
-    numbers = [n for n in found if n is not None]
-    if len(numbers) != len(files) or len(set(numbers)) != len(files):
-        numbers = list(range(len(files)))  # names without (unique) numbers: their order is their time
     chosen = choose_frames(numbers, first, last, step)
     if not chosen:
         raise DataError(f"{path} has {len(files)} images, none of them numbered in the range asked for")
     camera, known = _read_calibration(path, files[chosen[0]])
     files = [files[i] for i in chosen]
-    times = np.array([round(numbers[i] * 1e9 / camera.rate_hz) for i in chosen], dtype=np.int64)
+    times = np.array(image_times_ns(numbers, camera.rate_hz, path), dtype=np.int64)[chosen]
 
     def read_frames() -> Iterator[ImageFrame]:
         for index, (t_ns, file) in enumerate(zip(times, files, strict=True)):
@@ -56,11 +49,6 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         read_frames=read_frames,
         truth_poses=truth,
     )
-
-
-def _number_in(name: str) -> int | None:
-    digits = re.findall(r"\d+", name.split(".")[0])
-    return int(digits[-1]) if digits else None
 
 
 def _read_calibration(path: Path, an_image: Path) -> tuple[CameraCalibration, bool]:

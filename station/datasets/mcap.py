@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import logging
+import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,6 +39,8 @@ def open_mcap(path: Path, first: int | None, last: int | None, step: int) -> Dat
         DataError: no MCAP file, not one of ours, or nothing in it.
     """
     content = _Content(path)
+    if content.unusable_samples:
+        logger.warning("%s: %d IMU samples are no numbers and are left out", path, content.unusable_samples)
     hello = content.hello
     if hello is None:
         raise DataError(f"{path} holds no {HELLO_TOPIC}; only recordings made by this station can be read")
@@ -82,6 +85,7 @@ class _Content:
         self.frames: list[tuple[int, int]] = []  # (t_robot_ns, exposure_ns), as many as there are images
         self.samples: list[tuple[int, list[float]]] = []
         self.drive: list[DriveSample] = []
+        self.unusable_samples = 0
         self._pending: tuple[int, int] | None = None  # a frame's record, whose image must follow
         for topic, data in _messages(path, {HELLO_TOPIC, FRAME_TOPIC, IMAGE_TOPIC, IMU_TOPIC, DRIVE_TOPIC}):
             try:
@@ -132,7 +136,10 @@ class _Content:
         if self.samples and t_ns <= self.samples[-1][0]:
             return  # a sensor that repeats a stamp; estimators need increasing times
         readings = [content[kind][axis] for kind in ("gyro", "accel") for axis in "xyz"]
-        self.samples.append((t_ns, [np.nan if x is None else x for x in readings]))  # JSON's null: not a number
+        if not all(isinstance(x, int | float) and math.isfinite(x) for x in readings):  # JSON's null: not a number
+            self.unusable_samples += 1
+            return
+        self.samples.append((t_ns, readings))
 
     def _take_drive(self, sample: DriveSample) -> None:
         """Reports come 20 times a second; only changes say something."""

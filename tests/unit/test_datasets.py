@@ -138,6 +138,33 @@ def test_image_folder_uses_the_numbers_in_the_names(folder: Path) -> None:
     assert data.calibration.camera is not None and data.calibration.camera.width == 64
 
 
+def test_images_named_by_their_stamps_have_these_times(tmp_path: Path) -> None:
+    for k in range(3):
+        (tmp_path / f"{T0_NS + k * 50_000_000}.png").write_bytes(picture(k, ".png"))
+    (tmp_path / "camera-intrinsics.txt").write_text("525 0 32\n0 525 24\n0 0 1\n")
+    assert open_dataset(tmp_path).frame_times_ns.tolist() == [T0_NS + k * 50_000_000 for k in range(3)]
+    (tmp_path / f"{10**25}.png").write_bytes(picture(9, ".png"))
+    with pytest.raises(DataError, match="give no times"):
+        open_dataset(tmp_path)
+
+
+def test_images_without_numbers_of_their_own_come_by_name(tmp_path: Path) -> None:
+    for name in ("b_1", "a_2", "a_1", "b_2"):
+        (tmp_path / f"{name}.png").write_bytes(picture(9, ".png"))
+    (tmp_path / "camera-intrinsics.txt").write_text("525 0 32\n0 525 24\n0 0 1\n")
+    data = open_dataset(tmp_path)
+    assert [frame.name for frame in data.frames()] == ["a_1.png", "a_2.png", "b_1.png", "b_2.png"]
+    assert data.frame_times_ns.tolist() == [round(n / 30 * 1e9) for n in range(4)]
+
+
+def test_each_frame_keeps_the_exposure_that_was_recorded(asl: Path) -> None:
+    lines = [f"{T0_NS + i * 50_000_000},{i}.jpg" + (f",{1000 * i}" if i else "") for i in range(5)]
+    (asl / "mav0" / "cam0" / "data.csv").write_text("\n".join(lines) + "\n")
+    (asl / "mav0" / "cam0" / "sensor.yaml").write_text(CAMERA_YAML + "exposure_s: 0.008\n")
+    frames = list(open_dataset(asl, first=0, last=4, step=2).frames())
+    assert [frame.exposure_ns for frame in frames] == [8_000_000, 2000, 4000]
+
+
 def test_video_gives_its_frames(tmp_path: Path) -> None:
     path = tmp_path / "drive.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
@@ -165,6 +192,18 @@ def test_video_gives_its_frames(tmp_path: Path) -> None:
         ("imu0/data.csv", "2,1,1,1,1,1,1\n1,1,1,1,1,1,1\n", "sort"),
         ("imu0/data.csv", "1,nan,1,1,1,1,1\n", "not finite"),
         ("cam0/data.csv", "no time,a.jpg\n", "line 1"),
+        ("cam0/data.csv", "1,a.jpg,soon\n", "exposure"),
+        ("cam0/data.csv", "1,a.jpg,-5\n", "exposure"),
+        ("cam0/data.csv", f"{2**63},a.jpg\n", "no time in ns"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("rate_hz: 20", "rate_hz: 0"), "rate_hz is 0"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("rate_hz: 20", "rate_hz: 1" + 400 * "0"), "rate_hz must be"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("-0.04", "40"), "time_shift_s"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("0.00003", "3"), "line_delay_s"),
+        ("cam0/sensor.yaml", CAMERA_YAML + "exposure_s: 1.0e300\n", "exposure_s"),
+        ("cam0/sensor.yaml", "date: 2021-13-45\n", "not readable YAML"),
+        ("cam0/sensor.yaml", "a: " + "[" * 5000, "not readable YAML"),
+        ("imu0/data.csv", "\0" * 200_000, "cannot be read"),
+        ("imu0/data.csv", f"{10**19},1,1,1,1,1,1\n", "no time in ns"),
     ],
 )
 def test_damaged_file_gets_one_sentence(asl: Path, file: str, content: str, says: str) -> None:

@@ -180,6 +180,33 @@ async def test_a_folder_of_images_is_played_at_its_rate(tmp_path: Path) -> None:
         await devices.camera.capture()
 
 
+async def test_each_frame_keeps_the_exposure_that_was_recorded(tmp_path: Path) -> None:
+    root = write_asl(tmp_path)
+    table = root / "mav0" / "cam0" / "data.csv"
+    head, *lines = table.read_text().splitlines()
+    table.write_text("\n".join([head, *(f"{line},{1000 * k}" for k, line in enumerate(lines))]) + "\n")
+    devices = open_recorded(root, speed=100)
+    assert devices.camera is not None
+    assert [(await devices.camera.capture()).exposure_ns for _ in range(3)] == [0, 1000, 2000]
+
+
+async def test_images_named_by_their_stamps_are_played_at_these_times(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA_YAML)
+    for k in range(2):
+        (tmp_path / f"{START_NS + 1000 * k}.jpg").write_bytes(picture(k, ".jpg"))
+    devices = open_recorded(tmp_path, speed=100)
+    assert devices.camera is not None
+    assert [(await devices.camera.capture()).t_robot_ns for _ in range(2)] == [START_NS, START_NS + 1000]
+
+
+def test_sixteen_bit_images_keep_their_brightness() -> None:
+    dark, bright = np.full((48, 64), 40 << 8, np.uint16), np.full((48, 64, 3), 200 << 8, np.uint16)
+    for image, value in ((dark, 40), (bright, 200)):
+        png = bytes(cv2.imencode(".png", image)[1])
+        shown = cv2.imdecode(np.frombuffer(to_jpeg(png, Path("x.png")), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert abs(float(shown.mean()) - value) < 2
+
+
 def break_nothing_there(root: Path) -> Path:
     return root / "nowhere"
 
@@ -241,6 +268,24 @@ def break_binary(root: Path) -> Path:
     return root
 
 
+def break_imu_finite(root: Path) -> Path:
+    write_asl(root)
+    (root / "mav0" / "imu0" / "data.csv").write_text("5,1,2,nan,4,5,6\n")
+    return root
+
+
+def break_rate(root: Path) -> Path:
+    (root / "camera.yaml").write_text(CAMERA_YAML.replace("rate_hz: 20", "rate_hz: 0"))
+    (root / "1.jpg").write_bytes(picture(1, ".jpg"))
+    return root
+
+
+def break_stamps(root: Path) -> Path:
+    write_asl(root)
+    (root / "mav0" / "imu0" / "data.csv").write_text(f"{10**19},1,2,3,4,5,6\n")
+    return root
+
+
 @pytest.mark.parametrize(
     ("breaking", "said"),
     [
@@ -255,6 +300,9 @@ def break_binary(root: Path) -> Path:
         (break_imu_columns, "has 3 columns, needs 7"),
         (break_order, "line 2 is not later"),
         (break_binary, "cannot be read"),
+        (break_imu_finite, "not finite"),
+        (break_rate, "rate_hz is 0"),
+        (break_stamps, "no time in ns"),
     ],
 )
 def test_a_dataset_that_cannot_be_played_is_one_sentence(tmp_path: Path, breaking: object, said: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import math
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -101,6 +102,18 @@ def test_what_is_recorded_is_read_back_exactly(tmp_path: Path) -> None:
     assert imu.gyro_imu.tolist() == [list(s.gyro_imu) for s in expected]
     assert imu.accel_imu.tolist() == [list(s.accel_imu) for s in expected]
     assert [d.linear_m_s for d in dataset.drive()] == [0.0, 0.1, 0.2, pytest.approx(0.3)]
+
+
+def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+    recorder.on_connected(HELLO)
+    good = batch(0).samples
+    broken = ImuSample(good[3].t_robot_ns, (0.0, math.nan, 0.0), good[3].accel_imu)
+    recorder.on_imu(ImuBatch(first_sequence=0, samples=(*good[:3], broken, *good[4:])))
+    recorder.close()
+    imu = open_dataset(tmp_path / "d.mcap").require_imu()
+    assert imu.t_robot_ns.tolist() == [s.t_robot_ns for s in (*good[:3], *good[4:])]
+    assert np.isfinite(imu.gyro_imu).all() and "1 IMU samples are no numbers" in caplog.text
 
 
 def test_a_range_of_frames_can_be_chosen(tmp_path: Path) -> None:

@@ -54,9 +54,8 @@ class Playback:
 class RecordedCamera:
     """Plays image files in time order; skips none."""
 
-    def __init__(self, frames: tuple[RecordedFrame, ...], exposure_ns: int, playback: Playback) -> None:
+    def __init__(self, frames: tuple[RecordedFrame, ...], playback: Playback) -> None:
         self._frames = frames
-        self._exposure_ns = exposure_ns
         self._playback = playback
         self._count = 0
         self._cache: dict[int, tuple[bytes, int, int]] = {}
@@ -72,9 +71,10 @@ class RecordedCamera:
         except DataError as exc:
             raise DeviceLost(str(exc)) from exc
         jpeg, width, height = loaded
-        t_robot_ns = self._frames[index].t_robot_ns + shift_ns
+        frame = self._frames[index]
+        t_robot_ns = frame.t_robot_ns + shift_ns
         await asyncio.sleep(self._playback.seconds_until(t_robot_ns))
-        return CapturedFrame(t_robot_ns, self._exposure_ns, width, height, jpeg)
+        return CapturedFrame(t_robot_ns, frame.exposure_ns, width, height, jpeg)
 
     async def close(self) -> None:
         """Nothing is held open."""
@@ -171,7 +171,7 @@ def open_recorded(
     playback = Playback(recording, speed, at_end == "loop", now_ns)
     return DeviceSet(
         calibration=recording.calibration,
-        camera=RecordedCamera(recording.frames, recording.exposure_ns, playback) if recording.frames else None,
+        camera=RecordedCamera(recording.frames, playback) if recording.frames else None,
         imu=RecordedImu(recording.samples, playback) if recording.samples else None,
         motors=RecordedMotors(),
         clock=playback.now_ns,

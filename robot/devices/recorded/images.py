@@ -47,5 +47,7 @@ def to_jpeg(encoded: bytes, path: Path) -> bytes:
     image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED) if encoded else None
     if image is None:
         raise DataError(f"image {path} is not a readable JPEG or PNG; remove it or copy it again")
+    if image.dtype == np.uint16:  # JPEG has 8 bits: without this everything above 255 would be white
+        image = (image >> 8).astype(np.uint8)
     _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return bytes(jpeg)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import re
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,16 @@ from robot.devices.recorded.images import read_size
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError
 from shared.geometry import inverse
-from shared.sensor_yaml import number, read_camera, read_imu_noise, read_intrinsics_text, read_mounting, read_yaml
-
-IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png"}
+from shared.recorded_files import asl_numbers, asl_rows, exposures_ns, image_times_ns, images_in_order
+from shared.sensor_yaml import (
+    number,
+    read_camera,
+    read_exposure_ns,
+    read_imu_noise,
+    read_intrinsics_text,
+    read_mounting,
+    read_yaml,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +32,7 @@ class RecordedFrame:
 
     t_robot_ns: int
     path: Path
+    exposure_ns: int = 0  # 0: not known
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +42,6 @@ class Recording:
     path: Path
     calibration: Calibration
     frames: tuple[RecordedFrame, ...]
-    exposure_ns: int
     samples: tuple[ImuReading, ...]
     remarks: tuple[str, ...]  # what is missing, in sentences
 
@@ -77,7 +83,8 @@ def open_recording(path: Path) -> Recording:
 def _open_asl(path: Path) -> Recording:
     mav, remarks = path / "mav0", []
     camera_yaml, imu_yaml = mav / "cam0" / "sensor.yaml", mav / "imu0" / "sensor.yaml"
-    frames = tuple(_read_frames(mav / "cam0"))
+    default_exposure_ns = _camera_exposure_ns(camera_yaml)
+    frames = tuple(_read_frames(mav / "cam0", default_exposure_ns))
     samples = tuple(_read_samples(mav / "imu0" / "data.csv"))
     if not frames and not samples:
         raise DataError(f"{path} holds neither images (mav0/cam0/data) nor IMU samples (mav0/imu0); nothing to play")
@@ -85,19 +92,23 @@ def _open_asl(path: Path) -> Recording:
         remarks.append(f"{path} holds no images; only its IMU is played")
     if not samples:
         remarks.append(f"{path} holds no IMU samples; only its images are played")
-    camera, imu, exposure_ns, kind, gravity = None, None, 0, "generic", 9.81
+    camera, imu, kind, gravity = None, None, "generic", 9.81
     if frames or camera_yaml.is_file():
         if not camera_yaml.is_file():
             raise DataError(f"{camera_yaml} is missing; the camera's intrinsics belong there")
         content = read_yaml(camera_yaml)
         camera = read_camera(camera_yaml, content)
-        exposure_ns = int(1e9 * number(content, "exposure_s", 0.0, camera_yaml))
         gravity = number(content, "gravity", gravity, camera_yaml)
         kind = str(content.get("robot_kind", kind))
     if samples:
         imu, camera = _place_on_imu(imu_yaml, camera)
     calibration = Calibration(camera=camera, imu=imu, robot_kind=kind, gravity=gravity)
-    return Recording(path, calibration, frames, exposure_ns, samples, tuple(remarks))
+    return Recording(path, calibration, frames, samples, tuple(remarks))
+
+
+def _camera_exposure_ns(path: Path) -> int:
+    """The exposure of frames whose own was not recorded: `exposure_s` of the camera's file."""
+    return read_exposure_ns(read_yaml(path), path) if path.is_file() else 0
 
 
 def _place_on_imu(path: Path, camera: CameraCalibration | None) -> tuple[ImuNoise, CameraCalibration | None]:
@@ -109,68 +120,40 @@ def _place_on_imu(path: Path, camera: CameraCalibration | None) -> tuple[ImuNois
     return read_imu_noise(path, content), camera
 
 
-def _rows(path: Path, columns: int) -> Iterator[tuple[int, int, list[str]]]:
-    """Line number, time and the next columns of every line; times must increase."""
-    last_ns = None
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for line_number, row in enumerate(csv.reader(file), start=1):
-                if not row or row[0].lstrip().startswith("#"):
-                    continue
-                try:
-                    t_ns = int(row[0])
-                except ValueError as exc:
-                    raise DataError(f"{path} line {line_number} starts with no time in ns; correct it") from exc
-                if len(row) <= columns:
-                    raise DataError(f"{path} line {line_number} has {len(row)} columns, needs {columns + 1}")
-                if last_ns is not None and t_ns <= last_ns:
-                    raise DataError(
-                        f"{path} line {line_number} is not later than the line before; sort the file by time"
-                    )
-                last_ns = t_ns
-                yield line_number, t_ns, row[1 : columns + 1]
-    except (OSError, UnicodeDecodeError, csv.Error) as exc:
-        raise DataError(f"{path} cannot be read ({exc}); copy it again") from exc
-
-
-def _read_frames(folder: Path) -> Iterator[RecordedFrame]:
-    """The listed images. A dataset delivered without images keeps its list: then there are no frames."""
-    if not (folder / "data.csv").is_file() or not (folder / "data").is_dir() or not any((folder / "data").iterdir()):
+def _read_frames(folder: Path, default_exposure_ns: int) -> Iterator[RecordedFrame]:
+    """Nothing where there is no list, or no image at all (only the trajectory was kept)."""
+    data = folder / "data"
+    if not (folder / "data.csv").is_file() or not data.is_dir() or not any(data.iterdir()):
         return
-    for line_number, t_ns, (name,) in _rows(folder / "data.csv", 1):
-        image = folder / "data" / name.strip()
+    path = folder / "data.csv"
+    rows = list(asl_rows(path, 1))
+    exposures = exposures_ns(path, ((line, cells) for line, _, cells in rows), default_exposure_ns)
+    for (line_number, t_ns, cells), exposure_ns in zip(rows, exposures, strict=True):
+        image = data / cells[0].strip()
         if not image.is_file():
-            raise DataError(f"{folder / 'data.csv'} line {line_number} names {name.strip()}, which is not in data/")
-        yield RecordedFrame(t_ns, image)
+            raise DataError(f"{path} line {line_number} names {cells[0].strip()}, which is not in data/")
+        yield RecordedFrame(t_ns, image, exposure_ns)
 
 
 def _read_samples(path: Path) -> Iterator[ImuReading]:
     if not path.is_file():
         return
-    for sequence, (line_number, t_ns, cells) in enumerate(_rows(path, 6)):
-        try:
-            wx, wy, wz, ax, ay, az = map(float, cells)
-        except ValueError as exc:
-            raise DataError(f"{path} line {line_number} does not hold numbers; correct or remove it") from exc
+    for sequence, (t_ns, values) in enumerate(asl_numbers(path, 6)):
+        if not all(map(math.isfinite, values)):
+            raise DataError(f"{path} holds a number that is not finite, at time {t_ns}; correct it")
+        wx, wy, wz, ax, ay, az = values
         yield ImuReading(sequence, t_ns, (wx, wy, wz), (ax, ay, az))
 
 
 def _open_images(path: Path) -> Recording:
-    files = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and ".depth" not in p.name]
-    if not files:
+    numbered = images_in_order(path)
+    if not numbered:
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a recorded drive to --dataset")
-    camera = _image_folder_camera(path, files[0])
-    numbered = [(_number_in(p), p) for p in files]
-    if len({n for n, _ in numbered}) < len(files):  # names without (unique) numbers: their order is their time
-        numbered = list(enumerate(sorted(files)))
-    frames = tuple(RecordedFrame(round(n * 1e9 / camera.rate_hz), p) for n, p in sorted(numbered))
+    camera = _image_folder_camera(path, numbered[0][1])
+    times = image_times_ns([number for number, _ in numbered], camera.rate_hz, path)
+    frames = tuple(RecordedFrame(t_ns, image) for t_ns, (_, image) in zip(times, numbered, strict=True))
     remarks = (f"{path} holds no IMU samples; only its images are played",)
-    return Recording(path, Calibration(camera=camera, imu=None), frames, 0, (), remarks)
-
-
-def _number_in(path: Path) -> int:
-    digits = re.findall(r"\d+", path.name.split(".")[0])
-    return int(digits[-1]) if digits else -1
+    return Recording(path, Calibration(camera=camera, imu=None), frames, (), remarks)
 
 
 def _image_folder_camera(path: Path, an_image: Path) -> CameraCalibration:
