@@ -229,6 +229,8 @@ class RobotLink:
             return f"no answer from {address}; check that the robot is on and in this network"
         except OSError as exc:
             return f"cannot connect to {address} ({exc.strerror or exc}); start robot-server there"
+        except UnicodeError as exc:  # no name that DNS could hold, such as a..b
+            return f"{self._host} is no host name ({exc}); give --robot HOST:PORT"
         self._session = Session("station", self._now_ns())
         self._due.clear()
         self._seq = 0

@@ -22,7 +22,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 def demo(
     once: Annotated[bool, typer.Option("--once", help="End by itself; exit code 0 when the place was right.")] = False,
-    seed: Annotated[int, typer.Option(help="Which flat.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Which flat.")] = 1,
     port: Annotated[int, typer.Option(help="Port of the page and the API.")] = 8080,
     world: Annotated[str, typer.Option(help="Simulated world.")] = "small",
     backend: Annotated[str | None, typer.Option(help="SLAM: ukf or sfm; without it the station's default.")] = None,

@@ -53,3 +53,5 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_a_wrong_option_is_the_command_lines(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"the command line: .*port"):
         load_config(written(tmp_path, ""), {"server": {"port": -1}})
+    with pytest.raises(ConfigError, match=r"the command line: .*seed"):
+        load_config(None, {"simulated": {"seed": -1}})
