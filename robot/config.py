@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_ANGULAR_RAD_S, MAX_LINEAR_M_S, MAX_NAME_LENGTH
 
@@ -34,7 +35,7 @@ class ServerConfig(_Section, frozen=True, kw_only=True):
     """Where stations connect, and how much is kept for them."""
 
     host: str = "127.0.0.1"  # whoever reaches the port can drive: open it to the network on purpose only
-    port: Annotated[int, Meta(ge=0, le=65535)] = 7400  # 0: any free port, printed at start
+    port: Annotated[int, Meta(ge=0, le=65535)] = DEFAULT_PORT  # 0: any free port, printed at start
     max_stations: Annotated[int, Meta(ge=1, le=64)] = 8
     max_waiting: Annotated[int, Meta(ge=1, le=256)] = 32  # connections that have not joined yet; the oldest yields
     # 36 s at 225 Hz: a station that was away or stalled for less gets every sample.
@@ -53,7 +54,7 @@ class SimulatedConfig(_Section, frozen=True, kw_only=True):
     """The simulated robot's world."""
 
     world: str = "home"
-    seed: int = 1
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
     # emulated: IMU and motors go through the real firmware in an emulated Mega (docs/firmware.md)
     imu: Literal["simulated", "emulated"] = "simulated"
     sim_port: Annotated[int, Meta(ge=0, le=65535)] | None = None  # where tests and the demo ask for the truth

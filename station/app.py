@@ -81,7 +81,7 @@ class Station:
         )
 
     async def run(self, started: Callable[[], Any] = lambda: None) -> None:
-        """Run until cancelled. On the way out the motors are stopped first, then drives are closed."""
+        """Run until cancelled. The link ends first, and with it the motors; then drives are closed."""
         for drive in self.drives.library.open():
             self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
         await self.maps.open()
@@ -96,7 +96,6 @@ class Station:
                 tasks.create_task(self._every_second(), name="second")
                 started()
         finally:
-            self.link.stop()
             await self.drives.close()
             await self.jobs.close()
             await self.locating.close()

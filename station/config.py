@@ -10,10 +10,10 @@ from typing import Any
 
 import msgspec
 
+from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS
 
-DEFAULT_ROBOT_PORT = 7400
 DEFAULT_DATA_DIR = Path("station-data")
 
 
@@ -22,7 +22,7 @@ class RobotConfig:
     """Where the robot-server listens."""
 
     host: str = "127.0.0.1"
-    port: int = DEFAULT_ROBOT_PORT
+    port: int = DEFAULT_PORT
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +118,10 @@ def parse_address(text: str, option: str) -> tuple[str, int]:
     """`HOST:PORT`, `[V6]:PORT` or only a host. Raises ConfigError naming the option."""
     host, colon, port = text.rpartition(":")
     if not colon or text.endswith("]"):
-        host, port = text, str(DEFAULT_ROBOT_PORT)
+        host, port = text, str(DEFAULT_PORT)
     host = host.removeprefix("[").removesuffix("]")
     if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
-        raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_ROBOT_PORT}")
+        raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_PORT}")
     return host, int(port)
 
 

@@ -185,9 +185,3 @@ def usable_intervals(
     short = np.diff(t_ns) <= max_interval_s * 1e9
     whole = np.array([not track.has_gap(int(a), int(b)) for a, b in itertools.pairwise(t_ns)], dtype=bool)
     return covered[:-1] & covered[1:] & short & whole
-
-
-def rotation_between(track: InertialTrack, t_a_ns: int, t_b_ns: int) -> FloatArray:
-    """R_a_b (3, 3): the body's turn from a to b by gyroscope."""
-    R = track.rotation_at(np.array([t_a_ns, t_b_ns]))
-    return R[0].T @ R[1]

@@ -56,7 +56,6 @@ def align_to_imu(
     t_body_cam: FloatArray,
     noise: ImuNoise,
     gravity: float,
-    at_rest: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] | None = None,
 ) -> InertialAlignment | None:
     """Scale, gravity, velocities and accelerometer bias that make camera and IMU agree; None with too little data.
 
@@ -66,7 +65,6 @@ def align_to_imu(
         R_world_body: (N, 3, 3); p_world_cam: (N, 3) in units of the reconstruction.
         t_body_cam: (3,) m, the camera in the body: its arm is metric, which alone would give scale away.
         gravity: m/s^2, its known size.
-        at_rest: (N,) keyframes at which the robot stood still.
     """
     n = len(t_ns)
     if n < 4:
@@ -109,7 +107,7 @@ def align_to_imu(
             rows.append(row / sigma[:, None])
             rhs.append(right / sigma)
         A, b = np.vstack(rows), np.concatenate(rhs)
-        extra, extra_b = _priors(n, bias_at, at_rest)
+        extra, extra_b = _bias_prior(n, bias_at)
         A_all, b_all = np.vstack([A, extra]), np.concatenate([b, extra_b])
         # Gravity's size is known: two angles are left of its three numbers.
         if g_dir is not None:
@@ -126,7 +124,7 @@ def align_to_imu(
             solution = x
         g_dir = solution[gravity_at:] / max(float(np.linalg.norm(solution[gravity_at:])), 1e-9)
         scale_guess = max(float(abs(solution[scale_at])), 1e-9)
-        residual = (A @ solution - b).reshape(-1, 6) / 1.0
+        residual = (A @ solution - b).reshape(-1, 6)
         size = np.sqrt((residual**2).mean(axis=1)) / weights
         typical = max(float(np.median(size)), 1e-9)
         weights = np.sqrt(np.minimum(1.0, 2.0 * typical / np.maximum(size, 1e-12)))
@@ -155,17 +153,10 @@ def spaced(t_ns: IntArray, interval_s: float = MIN_INTERVAL_S) -> IntArray:
     return np.array(chosen, dtype=np.int64)
 
 
-def _priors(
-    n: int, bias_at: int, at_rest: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] | None
-) -> tuple[FloatArray, FloatArray]:
-    rows = [np.zeros((3, 3 * n + 7))]
-    rows[0][:, bias_at : bias_at + 3] = np.eye(3) / ACCEL_BIAS_SIGMA
-    for i in np.flatnonzero(at_rest) if at_rest is not None else []:
-        row = np.zeros((3, 3 * n + 7))
-        row[:, 3 * i : 3 * i + 3] = np.eye(3) / 0.01
-        rows.append(row)
-    A = np.vstack(rows)
-    return A, np.zeros(len(A))
+def _bias_prior(n: int, bias_at: int) -> tuple[FloatArray, FloatArray]:
+    A = np.zeros((3, 3 * n + 7))
+    A[:, bias_at : bias_at + 3] = np.eye(3) / ACCEL_BIAS_SIGMA
+    return A, np.zeros(3)
 
 
 def _tangent(direction: FloatArray) -> FloatArray:

@@ -62,7 +62,7 @@ def build_tracks(num_features: Sequence[int], matches: Iterable[Pairs]) -> Track
 
 
 def triangulate(
-    point: IntArray, num_points: int, centres: FloatArray, rays: FloatArray, weight: FloatArray | None = None
+    point: IntArray, num_points: int, centres: FloatArray, rays: FloatArray
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Points nearest to all their rays, and whether they are well enough defined.
 
@@ -72,8 +72,6 @@ def triangulate(
         (num_points, 3) and (num_points,): False where the rays are nearly parallel or the point lies behind.
     """
     A_each = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    if weight is not None:
-        A_each *= weight[:, None, None]
     A = np.zeros((num_points, 3, 3))
     b = np.zeros((num_points, 3))
     np.add.at(A, point, A_each)

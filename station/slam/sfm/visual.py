@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -55,13 +54,6 @@ def fill_database(
         pair = (image_id(match.a), image_id(match.b))
         database.write_matches(*pair, match.pairs.astype(np.uint32))
         database.write_two_view_geometry(*pair, match.geometry)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VisualModels:
-    """What the mapper made: largest first."""
-
-    models: tuple[pycolmap.Reconstruction, ...]
 
 
 def map_incrementally(
