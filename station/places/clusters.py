@@ -21,6 +21,7 @@ MIN_LANDMARKS = 10  # fewer points have no centroid worth naming
 FEW_LANDMARKS = 25  # a hill of so many is half as trustworthy as its prominence says
 MIN_SHARE = 0.05  # of the hill that a landmark typically lies on: crumbs come and go from drive to drive
 CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only bounds the work in dense clouds
+THESIS_CELL_SHARE = 1 / 20  # of DBSCAN's eps: moves a point by less than a twentieth of it
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
 SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md)
 REACH = (
@@ -55,12 +56,6 @@ class Clusters:
     def count(self) -> int:
         return len(self.quality)
 
-    @property
-    def lengths(self) -> Lengths | None:
-        """What another navigation must be clustered with to be compared; None where nothing was clustered."""
-        viewing, smoothing = self.parameters.get("viewing_distance"), self.parameters.get("smoothing")
-        return Lengths(viewing, smoothing) if isinstance(viewing, float) and isinstance(smoothing, float) else None
-
     def members(self, cluster: int) -> IntArray:
         """(n,) landmark indices of one cluster."""
         return np.flatnonzero(self.label == cluster)
@@ -74,7 +69,12 @@ def cluster_landmarks(navigation: Navigation, config: PlacesConfig, *, lengths: 
     An empty or hopeless cloud has no clusters: an ordinary result.
     """
     if config.mode == "thesis":
-        return cluster_thesis(navigation.landmarks.p_world, config.thesis, is_metric=navigation.is_metric)
+        return cluster_thesis(
+            navigation.landmarks.p_world,
+            config.thesis,
+            is_metric=navigation.is_metric,
+            voxelise_above=config.voxelise_above,
+        )
     return cluster_default(navigation, config, lengths)
 
 
@@ -89,18 +89,31 @@ def centre_and_normalise(p: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     return (p - centre) / scale, centre, scale
 
 
-def cluster_thesis(p_world: FloatArray, config: ThesisConfig, *, is_metric: bool) -> Clusters:
-    """DBSCAN with given eps and MinPts (thesis 4.3.3), on the normalised cloud where the scale is arbitrary."""
+def cluster_thesis(
+    p_world: FloatArray, config: ThesisConfig, *, is_metric: bool, voxelise_above: int = 100_000
+) -> Clusters:
+    """DBSCAN with given eps and MinPts (thesis 4.3.3), on the normalised cloud where the scale is arbitrary.
+
+    Of more than `voxelise_above` points, cells of a twentieth of eps are clustered, each weighing as many points as it
+    holds: DBSCAN's memory grows with all pairs within eps.
+    """
     label = np.full(len(p_world), NOISE, dtype=np.int64)
     finite = np.isfinite(p_world).all(axis=1)
+    cell: float | None = None  # every point by itself
     normalise = not is_metric if config.normalise is None else config.normalise
     if finite.any():
         p = p_world[finite]
         if normalise:
             p, _, _ = centre_and_normalise(p)
-        label[finite] = DBSCAN(eps=config.eps, min_samples=config.min_pts).fit(p).labels_
+        dbscan = DBSCAN(eps=config.eps, min_samples=config.min_pts)
+        if len(p) > voxelise_above:
+            cells = voxelise(p, smallest=THESIS_CELL_SHARE * config.eps, max_cells=voxelise_above)
+            label[finite] = dbscan.fit(cells.p, sample_weight=cells.count).labels_[cells.cell_of_point]
+            cell = cells.size
+        else:
+            label[finite] = dbscan.fit(p).labels_
     count = int(label.max(initial=NOISE)) + 1
-    parameters = {"eps": config.eps, "min_pts": config.min_pts, "normalised": normalise}
+    parameters = {"eps": config.eps, "min_pts": config.min_pts, "normalised": normalise, "cell": cell}
     return Clusters(label=label, quality=np.ones(count), parameters=dict(parameters))
 
 
