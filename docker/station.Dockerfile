@@ -6,6 +6,8 @@ COPY shared shared
 COPY robot robot
 COPY station station
 RUN pip install --no-cache-dir -c constraints.txt ".[station]" && useradd --create-home sentinel
+# A volume takes its owner from the folder in the image: without one it would be root's, and nothing could be recorded.
+RUN mkdir /home/sentinel/data && chown sentinel:sentinel /home/sentinel/data
 USER sentinel
 VOLUME /home/sentinel/data
 EXPOSE 8080
