@@ -5,35 +5,52 @@ cd "$(dirname "$0")/.."
 kind=${1:-run}
 venv=.venv
 
+# Says the name of a Python that fits; one that can make environments rather than one that lacks Debian's venv package.
 find_python() {
   # 3.12 and 3.11 first: they have a wheel of every library.
+  local name fitting=
   for name in python3.12 python3.11 python3.13 python3; do
-    if command -v "$name" >/dev/null 2>&1 &&
-      "$name" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' >/dev/null 2>&1; then
-      echo "$name"
-      return
-    fi
+    command -v "$name" >/dev/null 2>&1 || continue
+    "$name" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' >/dev/null 2>&1 || continue
+    "$name" -c 'import ensurepip, venv' >/dev/null 2>&1 && echo "$name" && return
+    fitting=${fitting:-$name}
   done
-  echo "setup: needs Python 3.11, 3.12 or 3.13; on Debian: apt-get install python3 python3-venv" >&2
-  exit 1
+  [ -n "$fitting" ] && echo "$fitting"
+}
+
+has_pip() { [ -x "$venv/bin/python" ] && "$venv/bin/python" -m pip --version >/dev/null 2>&1; }
+
+# A failed attempt leaves nothing: half an environment would be taken for a whole one by the next run.
+try_venv() {
+  rm -rf "$venv"
+  "$1" -m venv "$venv" >/dev/null 2>&1 && has_pip && return
+  rm -rf "$venv"
+  return 1
 }
 
 make_venv() {
-  local python=$1
-  "$python" -m venv "$venv" >/dev/null 2>&1 && return
-  # Debian ships Python without venv; only root may add it.
+  local python package
+  python=$(find_python) || {
+    echo "setup: needs Python 3.11, 3.12 or 3.13; on Debian: apt-get install python3 python3-venv" >&2
+    return 1
+  }
+  try_venv "$python" && return
+  # Debian ships each Python without venv, in a package of its own; only root may add it.
+  package=$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
   if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-    echo "setup: installing the Debian package python3-venv"
-    apt-get install -y -qq python3-venv >/dev/null || { apt-get update -qq && apt-get install -y -qq python3-venv >/dev/null; }
-    rm -rf "$venv"
-    "$python" -m venv "$venv"
-  else
-    echo "setup: Python lacks venv; run: sudo apt-get install python3-venv" >&2
-    exit 1
+    echo "setup: installing the Debian package $package"
+    { apt-get install -y -qq "$package" >/dev/null 2>&1 ||
+      { apt-get update -qq && apt-get install -y -qq "$package"; } >/dev/null 2>&1; } &&
+      try_venv "$python" && return
   fi
+  echo "setup: $python cannot make an environment; run: sudo apt-get install $package" >&2
+  return 1
 }
 
-[ -x "$venv/bin/python" ] || { echo "setup: making $venv"; make_venv "$(find_python)"; }
+has_pip || {
+  echo "setup: making $venv"
+  make_venv || exit 1
+}
 extras=robot,simulation,station
 [ "$kind" = dev ] && extras+=,dev
 echo "setup: installing $extras (a few minutes the first time)"
