@@ -1,17 +1,18 @@
-# Two commands matter: `make demo` and `make test`. Everything is installed into .venv; nothing else of the machine changes
-# except Debian packages that a step needs (firmware and browser tests), and that step says so.
+# Two commands matter: `make demo` and `make test`. Everything is installed into .venv. Of the rest of the machine change only
+# Debian packages that a step needs (firmware, browser and database tests; that step says so), pip's own cache, and the
+# simulator's textures in ~/.cache/sentinel (some 150 MB for each flat, at most 3 GB, the oldest go first; `make clean-cache` removes them).
 SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 SEED ?= 1
 
-.PHONY: help demo setup test lint check firmware bench bench-stop bench-page soak clean
+.PHONY: help demo setup test lint check firmware bench bench-stop bench-page soak clean clean-cache
 
 help:
 	@echo "make demo            simulated robot + station + page at http://127.0.0.1:8080 (ONCE=1: end by itself, SEED=n: another flat)"
 	@echo "make test            everything that needs no hardware: lint, types, tests"
 	@echo "make setup           only install, into .venv"
-	@echo "make lint | firmware | bench | bench-stop | bench-page | soak"
+	@echo "make lint | firmware | bench (QUICK=1: a try) | bench-stop | bench-page | soak | clean | clean-cache"
 
 WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -type f -print 2>/dev/null)
 
@@ -39,7 +40,7 @@ firmware:
 	@$(MAKE) -C firmware
 
 bench: $(VENV)/.dev
-	@scripts/bench.sh
+	@QUICK=$(QUICK) scripts/bench.sh
 
 bench-stop: $(VENV)/.dev
 	@$(BIN)/python benchmarks/bench_stop.py
@@ -52,3 +53,6 @@ soak: $(VENV)/.dev
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis demo station/web/node_modules station/web/dist
+
+clean-cache:
+	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/sentinel"
