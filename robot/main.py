@@ -45,7 +45,9 @@ def serve(
     seed: Annotated[int | None, typer.Option(help="Seed of the simulated world.")] = None,
     sim_port: Annotated[int | None, typer.Option(help="Port of the simulator's truth, for tests and the demo.")] = None,
     imu: Annotated[ImuKind | None, typer.Option(help="emulated: the real firmware in an emulated Mega.")] = None,
-    dataset: Annotated[Path | None, typer.Option(help="Recorded drive: ASL folder or folder of images.")] = None,
+    dataset: Annotated[
+        Path | None, typer.Option(help="Recorded drive: ASL folder, folder of images, video or MCAP file.")
+    ] = None,
     speed: Annotated[float | None, typer.Option(help="Play a recording so many times as fast.")] = None,
     at_end: Annotated[AtEnd | None, typer.Option(help="When the recording is over.")] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 lets the network in.")] = None,

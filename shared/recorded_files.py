@@ -11,6 +11,7 @@ from pathlib import Path
 from shared.errors import DataError
 
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png"}
+VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm"}
 MAX_TIME_NS = 2**62  # 146 years: sums and differences of times stay within 64 bits
 MAX_EXPOSURE_NS = 10**10
 FIRST_STAMP = 10**15  # a number in an image's name from here on is a time in ns, as EuRoC writes it: 11 days and more

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from shared.calibration import CameraCalibration
-from shared.errors import DataError
+from shared.mcap_recording import NANO
 
-NANO = 1_000_000_000
 _VARINT, _LENGTH = 0, 2  # wire types
 _STRING, _MESSAGE, _BYTES, _INT64, _INT32 = 9, 11, 12, 3, 5  # FieldDescriptorProto.Type
 _OPTIONAL = 1  # FieldDescriptorProto.Label
@@ -27,21 +26,6 @@ def encode_image(t_robot_ns: int, jpeg: bytes) -> bytes:
     seconds, nanos = divmod(t_robot_ns, NANO)
     timestamp = _number(1, seconds) + _number(2, nanos)
     return _blob(1, timestamp) + _blob(4, b"camera") + _blob(3, b"jpeg") + _blob(2, jpeg)
-
-
-def decode_image(message: bytes) -> bytes:
-    """The JPEG of an encoded foxglove.CompressedImage. Raises DataError when there is none."""
-    position = 0
-    while position < len(message):
-        key, position = _read_varint(message, position)
-        value, position = _read_varint(message, position)
-        if key & 7 == _LENGTH:
-            if key >> 3 == 2:
-                return message[position : position + value]
-            position += value
-        elif key & 7 != _VARINT:
-            break
-    raise DataError("an image message of the recording holds no image; the file is damaged")
 
 
 def image_schema() -> bytes:
@@ -99,18 +83,6 @@ def _varint(value: int) -> bytes:
         value >>= 7
     out.append(value)
     return bytes(out)
-
-
-def _read_varint(data: bytes, position: int) -> tuple[int, int]:
-    value = shift = 0
-    while position < len(data) and shift < 64:
-        byte = data[position]
-        position += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            break
-        shift += 7
-    return value, position
 
 
 def _number(field: int, value: int) -> bytes:

@@ -20,6 +20,7 @@ import msgspec
 from mcap.writer import CompressionType, Writer
 
 from shared.errors import DataError
+from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.foxglove import (
     CALIBRATION_SCHEMA_NAME,
@@ -39,12 +40,7 @@ CLOSE_WITHIN_S = 60.0  # a disk that hangs must not keep the station from ending
 MIN_FREE_BYTES = 256 * 1024 * 1024  # the disk also holds the maps: stop in time, with a proper end of the file
 CHECK_DISK_NS = 1_000_000_000
 
-HELLO_TOPIC = "/robot/hello"
-IMAGE_TOPIC = "/camera/image"
-FRAME_TOPIC = "/camera/frame"
 CALIBRATION_TOPIC = "/camera/calibration"
-IMU_TOPIC = "/imu"
-DRIVE_TOPIC = "/drive/applied"
 STATUS_TOPIC = "/robot/status"
 NOTICE_TOPIC = "/robot/notice"
 GAP_TOPIC = "/link/imu_gap"

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from shared.errors import DataError
+from shared.recorded_files import VIDEO_SUFFIXES
 from station.datasets.asl import open_asl
 from station.datasets.dataset import Dataset
 from station.datasets.image_folder import open_image_folder
-from station.datasets.video import VIDEO_SUFFIXES, open_video
+from station.datasets.video import open_video
 
 Opener = Callable[[Path, int | None, int | None, int], Dataset]
 

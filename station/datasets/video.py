@@ -14,7 +14,6 @@ from station.datasets.dataset import Dataset, choose_frames
 from station.datasets.image_folder import read_bare_camera
 from station.frames import ImageFrame
 
-VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm"}
 JPEG_QUALITY = 95  # frames are decoded and encoded again: keep what the video kept
 MAX_FRAMES = 1_000_000
 

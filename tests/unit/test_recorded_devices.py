@@ -14,7 +14,10 @@ import pytest
 from robot.devices.ports import DeviceSet, EndOfRecording, ImuReading
 from robot.devices.recorded import open_recorded
 from robot.devices.recorded.images import read_size, to_jpeg
+from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError, DeviceLost
+from shared.messages import CameraFrame, Capabilities, Hello, ImuBatch, ImuSample
+from station.recorder import Recorder
 
 START_NS = 1_403_715_283_262_142_976
 CAMERA_YAML = """%YAML:1.0
@@ -207,6 +210,62 @@ def test_sixteen_bit_images_keep_their_brightness() -> None:
         assert abs(float(shown.mean()) - value) < 2
 
 
+async def test_a_stations_recording_is_played_as_the_robot_it_was_made_of(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    recorder = Recorder(path, min_free_bytes=0)
+    recorder.on_connected(
+        Hello(
+            protocol=1, robot_id="r", name="R", session_id="s", calibration=REFERENCE_ROBOT,
+            capabilities=Capabilities(
+                camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False
+            ),
+        )
+    )  # fmt: skip
+    samples = tuple(ImuSample(START_NS + 5_000_000 * k, (0.1, 0.2, float(k)), (0.0, 0.0, 9.81)) for k in range(20))
+    recorder.on_imu(ImuBatch(first_sequence=0, samples=samples))
+    for k in range(3):
+        stamp = START_NS + 50_000_000 * k
+        recorder.on_frame(
+            CameraFrame(
+                seq=k, t_robot_ns=stamp, exposure_ns=7 + k, width=64, height=48, skipped=0, jpeg=picture(k, ".jpg")
+            ),
+            k,
+        )
+    recorder.close()
+    devices = open_recorded(path, speed=100, at_end="loop")
+    assert devices.calibration == REFERENCE_ROBOT and devices.camera is not None and devices.imu is not None
+    frames = [await devices.camera.capture() for _ in range(4)]
+    assert [frame.jpeg for frame in frames] == [picture(k % 3, ".jpg") for k in range(4)]
+    assert [frame.exposure_ns for frame in frames] == [7, 8, 9, 7]
+    assert [frame.t_robot_ns - START_NS for frame in frames[:3]] == [0, 50_000_000, 100_000_000]
+    assert (await devices.imu.read())[0].gyro_imu == (0.1, 0.2, 0.0)
+
+
+async def test_a_video_is_played_at_its_rate(tmp_path: Path) -> None:
+    path = tmp_path / "drive.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (64, 48))
+    for value in (40, 120, 200):
+        writer.write(np.full((48, 64, 3), value, np.uint8))
+    writer.release()
+    with pytest.raises(DataError, match=r"no camera\.yaml"):
+        open_recorded(path)
+    (tmp_path / "camera.yaml").write_text(CAMERA_YAML)
+    devices = open_recorded(path, speed=100, at_end="loop")
+    assert devices.camera is not None and devices.imu is None
+    frames = [await devices.camera.capture() for _ in range(5)]
+    assert [frame.t_robot_ns for frame in frames] == [50_000_000 * k for k in range(5)]
+    brightness = [cv2.imdecode(np.frombuffer(frame.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE).mean() for frame in frames]
+    assert np.allclose(brightness, [40, 120, 200, 40, 120], atol=6)
+
+
+def test_files_that_are_no_recording_are_named(tmp_path: Path) -> None:
+    for name, said in (("x.mcap", "not an MCAP file"), ("x.avi", "cannot be decoded")):
+        (tmp_path / "camera.yaml").write_text(CAMERA_YAML)
+        (tmp_path / name).write_bytes(b"something else")
+        with pytest.raises(DataError, match=said):
+            open_recorded(tmp_path / name)
+
+
 def break_nothing_there(root: Path) -> Path:
     return root / "nowhere"
 
@@ -290,7 +349,7 @@ def break_stamps(root: Path) -> Path:
     ("breaking", "said"),
     [
         (break_nothing_there, "does not exist"),
-        (break_a_file, "is a file"),
+        (break_a_file, "is a file, but neither"),
         (break_empty, "holds no mav0 folder and no"),
         (break_no_sensors, "holds neither images"),
         (break_no_yaml, "sensor.yaml is missing"),

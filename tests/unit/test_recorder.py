@@ -22,6 +22,7 @@ from mcap.writer import Writer
 import station.recorder
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError
+from shared.mcap_recording import IMAGE_TOPIC, IMU_TOPIC, decode_image
 from shared.messages import (
     CameraFrame,
     Capabilities,
@@ -33,8 +34,8 @@ from shared.messages import (
     Status,
 )
 from station.datasets import open_dataset
-from station.foxglove import decode_image, encode_image
-from station.recorder import IMAGE_TOPIC, IMU_TOPIC, Recorder, RecordingReport
+from station.foxglove import encode_image
+from station.recorder import Recorder, RecordingReport
 
 HELLO = Hello(
     protocol=1,

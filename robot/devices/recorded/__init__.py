@@ -52,7 +52,7 @@ class Playback:
 
 
 class RecordedCamera:
-    """Plays image files in time order; skips none."""
+    """Plays images in time order; skips none."""
 
     def __init__(self, frames: tuple[RecordedFrame, ...], playback: Playback) -> None:
         self._frames = frames
@@ -80,11 +80,7 @@ class RecordedCamera:
         """Nothing is held open."""
 
     def _load(self, index: int) -> tuple[bytes, int, int]:
-        path = self._frames[index].path
-        try:
-            encoded = path.read_bytes()
-        except OSError as exc:
-            raise DataError(f"image {path} cannot be read ({exc.strerror}); copy it again") from exc
+        path, encoded = self._frames[index].path, self._frames[index].encoded()
         width, height = read_size(encoded, path)
         loaded = (to_jpeg(encoded, path), width, height)
         if self._playback.period_ns is not None and self._cached_bytes + len(loaded[0]) <= MAX_CACHED_BYTES:
@@ -159,7 +155,7 @@ def open_recorded(
     """Play a dataset. Sensor times are the recording's own; in later rounds of a loop they go on increasing.
 
     Args:
-        dataset: ASL folder, or folder of images with camera.yaml.
+        dataset: ASL folder, folder of images or video with camera.yaml, or MCAP recording.
         speed: 1 is as recorded. The station's clock estimate needs a speed near 1.
         at_end: raise EndOfRecording, or begin anew.
     Raises:

@@ -1,9 +1,10 @@
-"""What lies in a recording on disk (ASL folder or folder of images): frames, inertial samples, calibration."""
+"""What lies in a recording on disk: frames, inertial samples, calibration."""
 
 from __future__ import annotations
 
+import importlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +13,9 @@ import msgspec
 from robot.devices.ports import ImuReading
 from robot.devices.recorded.images import read_size
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
-from shared.errors import DataError
+from shared.errors import DataError, DeviceUnavailable
 from shared.geometry import inverse
-from shared.recorded_files import asl_numbers, asl_rows, exposures_ns, image_times_ns, images_in_order
+from shared.recorded_files import VIDEO_SUFFIXES, asl_numbers, asl_rows, exposures_ns, image_times_ns, images_in_order
 from shared.sensor_yaml import (
     number,
     read_camera,
@@ -28,11 +29,21 @@ from shared.sensor_yaml import (
 
 @dataclass(frozen=True, slots=True)
 class RecordedFrame:
-    """An image file and the sensor time it was taken at."""
+    """An image on disk and the sensor time it was taken at."""
 
     t_robot_ns: int
-    path: Path
+    path: Path  # the image, or the file it is in
     exposure_ns: int = 0  # 0: not known
+    read: Callable[[], bytes] | None = None  # None: the file is the image
+
+    def encoded(self) -> bytes:
+        """The image, JPEG or PNG. Raises DataError naming the file that cannot be read."""
+        if self.read is not None:
+            return self.read()
+        try:
+            return self.path.read_bytes()
+        except OSError as exc:
+            raise DataError(f"image {self.path} cannot be read ({exc.strerror}); copy it again") from exc
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,20 +75,43 @@ class Recording:
 
 
 def open_recording(path: Path) -> Recording:
-    """Open an ASL folder (`mav0/...`) or a folder of images with `camera.yaml`.
+    """Open an ASL folder (`mav0/...`), a folder of images or a video with `camera.yaml`, or an MCAP recording.
 
     Raises:
         DataError: names the file and the remedy.
     """
     if not path.exists():
-        raise DataError(f"{path} does not exist; give the folder of a recorded drive to --dataset")
-    if not path.is_dir():
-        raise DataError(f"{path} is a file; --dataset needs an ASL folder or a folder of images")
+        raise DataError(f"{path} does not exist; give the folder or file of a recorded drive to --dataset")
+    if path.is_file():
+        return _open_file(path)
     if (path / "mav0").is_dir():
         return _open_asl(path)
     if path.name == "mav0":
         return _open_asl(path.parent)
     return _open_images(path)
+
+
+def _open_file(path: Path) -> Recording:
+    suffix = path.suffix.lower()
+    if suffix == ".mcap":
+        return _opener("mcap_file", "station")(path)
+    if suffix in VIDEO_SUFFIXES:
+        return _opener("video_file", "simulation")(path)
+    raise DataError(
+        f"{path} is a file, but neither an .mcap recording nor a video ({', '.join(sorted(VIDEO_SUFFIXES))}); "
+        "--dataset needs one of these, an ASL folder or a folder of images"
+    )
+
+
+def _opener(module: str, extra: str) -> Callable[[Path], Recording]:
+    """Imported only now: files need libraries that folders do not."""
+    try:
+        found: Callable[[Path], Recording] = importlib.import_module(f"robot.devices.recorded.{module}").open_file
+    except ImportError as exc:
+        raise DeviceUnavailable(
+            f"this kind of recording needs {exc.name}, which is not installed: pip install 'sentinel-robot[{extra}]'"
+        ) from exc
+    return found
 
 
 def _open_asl(path: Path) -> Recording:
@@ -157,13 +191,17 @@ def _open_images(path: Path) -> Recording:
 
 
 def _image_folder_camera(path: Path, an_image: Path) -> CameraCalibration:
-    """Without IMU the body is the camera: a mounting in the file is passed over."""
     yaml_path, text_path = path / "camera.yaml", path / "camera-intrinsics.txt"
     if yaml_path.is_file():
-        content = {key: value for key, value in read_yaml(yaml_path).items() if key not in ("T_BS", "T_body_cam")}
-        return read_camera(yaml_path, content)
+        return read_bare_camera(yaml_path)
     if not text_path.is_file():
         raise DataError(f"{path} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
     K = read_intrinsics_text(text_path)
     width, height = read_size(an_image.read_bytes(), an_image)
     return CameraCalibration(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=30.0)
+
+
+def read_bare_camera(yaml_path: Path) -> CameraCalibration:
+    """Without IMU the body is the camera: a mounting in the file is passed over."""
+    content = {key: value for key, value in read_yaml(yaml_path).items() if key not in ("T_BS", "T_body_cam")}
+    return read_camera(yaml_path, content)

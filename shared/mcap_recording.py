@@ -1,0 +1,191 @@
+"""Reads our MCAP recordings, for robot and station alike. A file without its end (crash, full disk) is read up to its
+last whole chunk.
+
+Times are the robot's. A recording that goes on after robot-server restarted holds two clocks: it is read up to there.
+"""
+
+from __future__ import annotations
+
+import base64
+import logging
+import math
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message
+from mcap.stream_reader import CRCValidationError, StreamReader
+
+from shared.errors import DataError, RobotSystemError
+from shared.messages import Hello
+
+logger = logging.getLogger(__name__)
+
+HELLO_TOPIC = "/robot/hello"
+IMAGE_TOPIC = "/camera/image"
+FRAME_TOPIC = "/camera/frame"
+IMU_TOPIC = "/imu"
+DRIVE_TOPIC = "/drive/applied"
+
+NANO = 1_000_000_000
+MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length must not fill the memory
+DAMAGE = (McapError, CRCValidationError, RuntimeError, struct.error, ValueError, EOFError)  # lz4 raises RuntimeError
+_VARINT, _LENGTH = 0, 2  # wire types of protobuf
+
+
+class McapContent:
+    """Everything but the images, in one pass.
+
+    Raises:
+        DataError: no MCAP file, or one that holds something else under our names.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.hello: Hello | None = None
+        self.frames: list[tuple[int, int]] = []  # (t_robot_ns, exposure_ns), as many as there are images
+        self.samples: list[tuple[int, list[float]]] = []
+        self.drive: list[tuple[int, float, float]] = []  # (t_robot_ns, m/s, rad/s), changes only
+        self.unusable_samples = 0
+        self._pending: tuple[int, int] | None = None  # a frame's record, whose image must follow
+        for topic, data in _messages(path, {HELLO_TOPIC, FRAME_TOPIC, IMAGE_TOPIC, IMU_TOPIC, DRIVE_TOPIC}):
+            try:
+                if not self._take(topic, data, path):
+                    return
+            except (KeyError, TypeError, ValueError) as exc:
+                raise DataError(f"{path}: a message on {topic} is not one of ours ({exc!r}); record again") from exc
+
+    def _take(self, topic: str, data: bytes, path: Path) -> bool:
+        """False when the rest of the file must not be used."""
+        if topic == IMAGE_TOPIC:
+            if self._pending is not None:
+                self.frames.append(self._pending)
+            self._pending = None
+            return True
+        content = _json(data, path)
+        if topic == HELLO_TOPIC:
+            return self._take_hello(content, path)
+        if topic == FRAME_TOPIC:
+            self._pending = (_time(content), int(content["exposure_ns"]))
+        elif topic == IMU_TOPIC:
+            self._take_sample(content)
+        else:
+            self._take_drive(_time(content), (float(content["linear"]), float(content["angular"])))
+        return True
+
+    def _take_hello(self, content: dict[str, Any], path: Path) -> bool:
+        """False when the robot was started anew: what follows has another clock."""
+        try:
+            hello = msgspec.msgpack.decode(base64.b64decode(content["msgpack_base64"]), type=Hello)
+        except (msgspec.DecodeError, RobotSystemError, ValueError, KeyError) as exc:
+            raise DataError(f"{path}: {HELLO_TOPIC} cannot be read ({exc}); the file is damaged") from exc
+        if self.hello is not None and self.hello.session_id != hello.session_id:
+            logger.warning("%s: robot-server was restarted during the recording; what came after is left out", path)
+            return False
+        self.hello = self.hello or hello
+        return True
+
+    def _take_sample(self, content: dict[str, Any]) -> None:
+        t_ns = _time(content)
+        if self.samples and t_ns <= self.samples[-1][0]:
+            return  # a sensor that repeats a stamp; estimators need increasing times
+        readings = [content[kind][axis] for kind in ("gyro", "accel") for axis in "xyz"]
+        if not all(isinstance(x, int | float) and math.isfinite(x) for x in readings):  # JSON's null: not a number
+            self.unusable_samples += 1
+            return
+        self.samples.append((t_ns, readings))
+
+    def _take_drive(self, t_ns: int, command: tuple[float, float]) -> None:
+        """Reports come 20 times a second; only changes say something."""
+        if self.drive and t_ns <= self.drive[-1][0]:
+            return
+        if not self.drive or self.drive[-1][1:] != command:
+            self.drive.append((t_ns, *command))
+
+
+def mcap_images(path: Path) -> Iterator[bytes]:
+    """The JPEG images of a recording, in order."""
+    for _, data in _messages(path, {IMAGE_TOPIC}):
+        yield decode_image(data)
+
+
+def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:
+    """(topic, data) in the order written. Damage ends the iteration with a warning; what came before counts."""
+    try:
+        file = path.open("rb")
+    except OSError as exc:
+        raise DataError(f"{path} cannot be read ({exc.strerror}); check its permissions") from exc
+    with file:
+        if file.read(6) != b"\x89MCAP0":
+            raise DataError(f"{path} is not an MCAP file; give a recording made by this station")
+        file.seek(0)
+        wanted: dict[int, str] = {}
+        try:
+            for record in StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records:
+                if isinstance(record, Channel) and record.topic in topics:
+                    wanted[record.id] = record.topic
+                elif isinstance(record, Message) and record.channel_id in wanted:
+                    yield wanted[record.channel_id], record.data
+        except DAMAGE as exc:
+            logger.warning("%s ends early (%s): read up to its last whole chunk", path, type(exc).__name__)
+
+
+def _json(data: bytes, path: Path) -> dict[str, Any]:
+    try:
+        content: dict[str, Any] = msgspec.json.decode(data, type=dict[str, Any])
+    except msgspec.DecodeError as exc:
+        raise DataError(f"{path} holds a message that is not JSON ({exc}); the file is damaged") from exc
+    return content
+
+
+def _time(content: dict[str, Any]) -> int:
+    stamp = content["timestamp"]
+    return int(stamp["sec"]) * NANO + int(stamp["nsec"])
+
+
+class InOrder:
+    """Images by number from a source that only gives them in order: cheap where numbers rise."""
+
+    def __init__(self, begin: Callable[[], Iterator[bytes]]) -> None:
+        self._begin = begin
+        self._images = begin()
+        self._next = 0
+
+    def read(self, number: int) -> bytes:
+        """The image of this number, from 0. Raises DataError where the source ends before it."""
+        if number < self._next:
+            self._images, self._next = self._begin(), 0
+        for encoded in self._images:
+            self._next += 1
+            if self._next > number:
+                return encoded
+        raise DataError(f"image {number} is missing at the recording's end; record again")
+
+
+def decode_image(message: bytes) -> bytes:
+    """The JPEG of an encoded foxglove.CompressedImage. Raises DataError when there is none."""
+    position = 0
+    while position < len(message):
+        key, position = _read_varint(message, position)
+        value, position = _read_varint(message, position)
+        if key & 7 == _LENGTH:
+            if key >> 3 == 2:
+                return message[position : position + value]
+            position += value
+        elif key & 7 != _VARINT:
+            break
+    raise DataError("an image message of the recording holds no image; the file is damaged")
+
+
+def _read_varint(data: bytes, position: int) -> tuple[int, int]:
+    value = shift = 0
+    while position < len(data) and shift < 64:
+        byte = data[position]
+        position += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            break
+        shift += 7
+    return value, position
