@@ -40,6 +40,7 @@ firmware:
 	@$(MAKE) -C firmware
 
 bench: $(VENV)/.dev
+	@firmware/install-deps.sh
 	@QUICK=$(QUICK) scripts/bench.sh
 
 bench-stop: $(VENV)/.dev

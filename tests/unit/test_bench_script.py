@@ -34,7 +34,7 @@ def test_what_every_benchmark_prints_is_kept(tmp_path: Path, quick: str) -> None
     assert result.returncode == 0, result.stderr
     assert ((tmp_path / "results" / "clock.txt").read_text() == "-m benchmarks.bench_clock --runs 20\n") == bool(quick)
     kept = "".join(path.read_text() for path in (tmp_path / "results").glob("*.txt"))
-    started = [line.removeprefix("== ") for line in result.stdout.splitlines() if line.startswith("== ")]
+    started = [line.removeprefix("== ").strip() for line in result.stdout.splitlines() if line.startswith("== ")]
     assert all(line in kept for line in started if not line.startswith("left out"))
 
 

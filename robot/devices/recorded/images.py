@@ -48,6 +48,6 @@ def to_jpeg(encoded: bytes, path: Path) -> bytes:
     if image is None:
         raise DataError(f"image {path} is not a readable JPEG or PNG; remove it or copy it again")
     if image.dtype == np.uint16:  # JPEG has 8 bits: without this everything above 255 would be white
-        image = (image >> 8).astype(np.uint8)
+        image = (image // 256).astype(np.uint8)
     _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return bytes(jpeg)
