@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from robot.simulation.world import World
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, rotation_from_quat, so3_log
+from shared.recorded_files import asl_numbers, asl_rows
 from shared.sensor_yaml import read_camera, read_imu_noise, read_yaml
 
 NUM_STATE_COLUMNS = 17
@@ -50,26 +50,16 @@ class StateTable:
 def read_states(path: Path) -> StateTable:
     """Read a states CSV (ASL). Raises DataError that names file and line."""
     stamps, rows = [], []
-    for number, row in _csv_rows(path):
+    for number, t_ns, cells in asl_rows(path, 10):
         try:
-            stamps.append(int(row[0]))
-            rows.append([float(v) for v in row[1:NUM_STATE_COLUMNS]])
+            values = [float(cell) for cell in cells[: NUM_STATE_COLUMNS - 1]]
         except ValueError as exc:
-            raise DataError(f"{path}, line {number}: not a number ({exc}); repair or remove the line") from exc
-        if len(rows[-1]) < 10:
-            raise DataError(f"{path}, line {number}: {len(row)} columns, needs stamp, position, quaternion, velocity")
-        rows[-1] += [0.0] * (NUM_STATE_COLUMNS - 1 - len(rows[-1]))
-    if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(stamps) <= 0).any():
-        raise DataError(f"{path} needs at least two finite states with growing stamps")
+            raise DataError(f"{path} line {number} does not hold numbers; correct or remove it") from exc
+        stamps.append(t_ns)
+        rows.append(values + [0.0] * (NUM_STATE_COLUMNS - 1 - len(values)))
+    if len(rows) < 2 or not np.isfinite(rows).all():
+        raise DataError(f"{path} needs at least two finite states")
     return StateTable(np.array(stamps), np.array(rows))
-
-
-def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        with path.open(newline="") as file:
-            return [(n, row) for n, row in enumerate(csv.reader(file), 1) if row and not row[0].startswith("#")]
-    except (OSError, UnicodeDecodeError) as exc:
-        raise DataError(f"{path} cannot be read: {exc}") from exc
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,10 +124,7 @@ def render_along(
 def _frame_stamps(data_csv: Path, camera: CameraCalibration, first_ns: int, begin_s: float, end_s: float) -> list[int]:
     """Recorded stamps where there are any, else evenly spaced ones."""
     if data_csv.is_file():
-        try:
-            return [int(row[0]) for _, row in _csv_rows(data_csv)]
-        except ValueError as exc:
-            raise DataError(f"{data_csv}: {exc}; the first column must hold stamps in ns") from exc
+        return [t_ns for _, t_ns, _ in asl_rows(data_csv, 0)]
     count = int((end_s - begin_s) * camera.rate_hz)
     return [first_ns + round((begin_s + k / camera.rate_hz) * 1e9) for k in range(count)]
 
@@ -151,11 +138,8 @@ def _write_truth(writer: AslWriter, table: StateTable, low: int, high: int) -> N
 
 
 def _copy_imu(writer: AslWriter, path: Path, low: int, high: int) -> None:
-    for number, row in _csv_rows(path):
-        try:
-            t_ns, values = int(row[0]), np.array([float(v) for v in row[1:7]])
-        except ValueError as exc:
-            raise DataError(f"{path}, line {number}: {exc}") from exc
+    for t_ns, numbers in asl_numbers(path, 6):
+        values = np.array(numbers)
         if low <= t_ns <= high:
             writer.add_imu(t_ns, ImuMeasurement(0.0, values[:3], values[3:], np.zeros(3), np.zeros(3)))
 
