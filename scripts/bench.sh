@@ -35,6 +35,7 @@ fi
 pick --runs 1000 -- --runs 20;                                 bench clock benchmarks.bench_clock "${picked[@]}"
 pick --inputs 1000000 -- --inputs 2000;                        bench fuzz benchmarks.bench_fuzz "${picked[@]}"
 pick --minutes 2 -- --minutes 0.1 --stall-minutes 0.2;         bench link benchmarks.bench_link "${picked[@]}"
+pick --seconds 20 -- --seconds 2;                              bench robot_cpu benchmarks.bench_robot_cpu "${picked[@]}"
 pick --trials 100 -- --trials 2 --plain-minutes 0.5;           bench hijack benchmarks.bench_hijack "${picked[@]}"
 pick --frames 200 -- --frames 5;                               bench renderer benchmarks.bench_renderer "${picked[@]}"
 pick --seeds 10 -- --seeds 1 --pairs 2;                        bench simulated_views benchmarks.bench_simulated_views "${picked[@]}"
