@@ -46,8 +46,9 @@ def test_one_that_fails_is_named_and_the_others_still_run(tmp_path: Path) -> Non
 
 def test_no_benchmark_is_forgotten(tmp_path: Path) -> None:
     started = bench(tmp_path, "").stdout + (ROOT / "Makefile").read_text()
-    # stop_*.py are programs that bench_stop starts.
-    scripts = [p for p in (ROOT / "benchmarks").glob("*.py") if "__main__" in p.read_text() and p.stem[:5] != "stop_"]
+    scripts = [path.stem for path in (ROOT / "benchmarks").glob("bench_*.py")]
     assert len(scripts) > 10
-    for script in scripts:
-        assert script.stem in started, f"neither `make bench` nor a target of its own runs {script.name}"
+    for script in [*scripts, "places", "check_robot_wheels"]:
+        assert script in started, f"neither `make bench` nor a target of its own runs {script}"
+    for own_target in ("bench_stop", "bench_page"):
+        assert f"benchmarks.{own_target}" not in bench(tmp_path, "").stdout
