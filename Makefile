@@ -5,11 +5,12 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 SEED ?= 1
+PORT ?= 8080
 
 .PHONY: help demo setup test lint check firmware bench bench-stop bench-page soak clean clean-cache
 
 help:
-	@echo "make demo            simulated robot + station + page at http://127.0.0.1:8080 (ONCE=1: end by itself, SEED=n: another flat)"
+	@echo "make demo            simulated robot + station + page at http://127.0.0.1:8080 (ONCE=1: end by itself, SEED=n: another flat, PORT=n)"
 	@echo "make test            everything that needs no hardware: lint, types, tests"
 	@echo "make setup           only install, into .venv"
 	@echo "make lint | firmware | bench (QUICK=1: a try) | bench-stop | bench-page | soak | clean | clean-cache"
@@ -25,7 +26,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt $(WEB_SOURCES)
 setup: $(VENV)/.run
 
 demo: $(VENV)/.run
-	@$(BIN)/station demo $(if $(ONCE),--once) --seed $(SEED)
+	@$(BIN)/station demo $(if $(ONCE),--once) --seed $(SEED) --port $(PORT)
 
 lint: $(VENV)/.dev
 	@$(BIN)/ruff format --check .

@@ -10,15 +10,15 @@ import typer
 
 # module → what it is for, how to get it
 PARTS = {
-    "cv2": ("images and feature tracking", "pip install 'sentinel-robot[station]'"),
-    "pycolmap": ("structure from motion (--backend sfm)", "pip install 'sentinel-robot[station]' on an x86_64 PC"),
-    "small_gicp": ("registration of point clouds", "pip install 'sentinel-robot[station]'"),
+    "cv2": ("images and feature tracking", "pip install '.[station]' in Sentinel's folder"),
+    "pycolmap": ("structure from motion (--backend sfm)", "pip install '.[station]' in Sentinel's folder on an x86_64 PC"),
+    "small_gicp": ("registration of point clouds", "pip install '.[station]' in Sentinel's folder"),
     "kiss_matcher": ("global registration; our own search is used without it", "Python 3.11 or 3.12 on x86_64"),
-    "fastapi": ("the API and the page", "pip install 'sentinel-robot[station]'"),
-    "mcap": ("recordings", "pip install 'sentinel-robot[station]'"),
+    "fastapi": ("the API and the page", "pip install '.[station]' in Sentinel's folder"),
+    "mcap": ("recordings", "pip install '.[station]' in Sentinel's folder"),
     "open3d": (
         "optional second registration backend",
-        "pip install 'sentinel-robot[open3d]' and apt install libgl1 libx11-6",
+        "pip install '.[open3d]' in Sentinel's folder and apt install libgl1 libx11-6",
     ),
 }
 

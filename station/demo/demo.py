@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from shared.errors import ConfigError, RobotSystemError
+from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
+from station.demo.folder import alone_in, fresh_folder, require_free
 from station.demo.judge import Sample, Verdict, judge
 from station.demo.processes import Programs, free_port
 from station.demo.simulator_client import SimulatorClient
@@ -27,7 +27,6 @@ SLAM_TIMEOUT_S = 300.0
 MAP_TIMEOUT_S = 120.0
 SECOND_DRIVE_S = 20.0  # Navigation2 lasts this long after the robot was put down
 ASK_EVERY_S = 0.5
-MARKER = ".sentinel-demo"
 Say = Callable[[str], None]
 
 
@@ -70,8 +69,14 @@ class Demo:
 
 def run_demo(options: DemoOptions, say: Say) -> bool:
     """Run the demo; True when the current place was answered correctly. Without `once` it then serves until Ctrl-C."""
-    data = fresh_folder(options.out)
+    require_free(options.port)
     timings = Timings()
+    with alone_in(options.out):
+        return run_in(options, fresh_folder(options.out), timings, say)
+
+
+def run_in(options: DemoOptions, data: Path, timings: Timings, say: Say) -> bool:
+    """Run the demo in its folder; a failure is said in `results.json` too."""
     try:
         with Programs(options.out / "logs") as programs:
             return run_steps(options, programs, data, timings, say)
@@ -94,38 +99,19 @@ def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Tim
         with timings.step("localisation"):
             wait_for_localisation(demo)
         with timings.step("navigation2"):
-            put_down_ns, samples = hijack_and_drive_again(demo)
+            put_down_ns, samples, navigation2 = hijack_and_drive_again(demo)
         trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
         centroids: dict[str, FloatArray] = {p["id"]: np.array(p["centroid_map"]) for p in places}
         verdict = judge(trajectory, centroids, demo.simulator.truth_log(), samples, put_down_ns)
         write_results(options, verdict, timings, places, samples)
+        demo.station.call("POST", f"/navigations/{navigation2}/stop")
         say(describe(verdict))
+        say(f"recordings, map and results: {data}, {options.out / 'results.json'}")
         if not options.once:
             serve_until_interrupted(demo)
     finally:
         demo.simulator.close()
     return verdict.passed
-
-
-def fresh_folder(out: Path) -> Path:
-    """The demo's data folder, empty; the run before is kept beside it as `previous`. Others' folders are left alone.
-
-    Raises ConfigError when `out` cannot be used.
-    """
-    data, previous = out / "data", out / "previous"
-    try:
-        for folder in (data, previous):
-            if folder.exists() and not (folder / MARKER).exists():
-                raise ConfigError(f"{folder} was not made by a demo and is left alone: choose another --out")
-        if data.exists():
-            shutil.rmtree(previous, ignore_errors=True)
-            data.rename(previous)
-        data.mkdir(parents=True)
-        (data / MARKER).write_text("made by station demo; the next demo moves it to `previous`\n")
-        (out / "results.json").unlink(missing_ok=True)
-    except OSError as exc:
-        raise ConfigError(f"--out {out} cannot be used: {exc.strerror}") from exc
-    return data
 
 
 def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
@@ -211,10 +197,13 @@ def wait_for_localisation(demo: Demo) -> None:
     ask(demo, told="")
 
 
-def hijack_and_drive_again(demo: Demo) -> tuple[int, list[Sample]]:
-    """Pick the robot up, put it down elsewhere, drive again and ask; (robot time it was put down, the answers)."""
+def hijack_and_drive_again(demo: Demo) -> tuple[int, list[Sample], str]:
+    """Pick the robot up, put it down elsewhere, drive again and ask.
+
+    Returns the robot time it was put down, the answers, and Navigation2's id; that is still being recorded.
+    """
     put_down_ns = hijack(demo)
-    demo.station.call("POST", "/navigations", {"name": "Navigation2"})
+    navigation: str = demo.station.call("POST", "/navigations", {"name": "Navigation2"})["id"]
     demo.say("Navigation2: driving another route and asking GET /place/current")
     start_driver(demo, "second")
     samples: list[Sample] = []
@@ -229,7 +218,7 @@ def hijack_and_drive_again(demo: Demo) -> tuple[int, list[Sample]]:
     if demo.programs.is_known("driver"):
         demo.programs.end("driver")
     demo.station.call("POST", "/stop")
-    return put_down_ns, samples
+    return put_down_ns, samples, navigation
 
 
 def hijack(demo: Demo) -> int:
@@ -247,7 +236,8 @@ def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
     place = answer["place"]
     words = f"at {place['name']}" if place else answer["state"]
     if words != told:
-        demo.say(f"    current place: {words} ({answer['probability']:.0%}): {answer['reason']}")
+        sure = f" ({answer['probability']:.0%})" if place else ""
+        demo.say(f"    current place: {words}{sure}: {answer['reason']}")
     if answer["t_robot_ns"] is None:
         return None, words
     return Sample(answer["t_robot_ns"], answer["state"], place["id"] if place else None, answer["probability"]), words
@@ -263,7 +253,7 @@ def serve_until_interrupted(demo: Demo) -> None:
             _, told = ask(demo, told)
             time.sleep(ASK_EVERY_S)
     except KeyboardInterrupt:
-        demo.say("ending")
+        demo.say("ending: motors off, then the station finishes what it writes (some seconds)")
 
 
 def wait_for(programs: Programs, what: str, is_ready: Callable[[], bool], timeout_s: float) -> None:

@@ -137,7 +137,7 @@ class CurrentPlaceEstimator:
         t = ours[0].t_robot_ns if t_robot_ns is None else t_robot_ns
         self._advance(t)
         T_nav_body = self._nav_body_at(t)
-        freshness = min(self._freshness(t, T_nav_body), self._novelty(ours, t))
+        freshness = min(self._freshness(t, T_nav_body, at_least=self.config.same_view), self._novelty(ours, t))
         self._weigh_candidates(ours, T_nav_body, freshness)
         self._last_view = _OdometryPose(t, T_nav_body)
         return self._believe(T_nav_body)
@@ -149,7 +149,7 @@ class CurrentPlaceEstimator:
         if num_features is not None and num_features < c.informative_features:
             return
         T_nav_body = self._nav_body_at(t_robot_ns)
-        freshness = self._freshness(t_robot_ns, T_nav_body)
+        freshness = self._freshness(t_robot_ns, T_nav_body, at_least=0.0)  # not found again in the same view: no news
         weighed = []
         for h in self._hypotheses:
             T_map_cam = h.pose(T_nav_body) @ inverse(self._T_cam_body)
@@ -226,7 +226,8 @@ class CurrentPlaceEstimator:
                 evidence_keyframe=best.evidence_keyframe,
                 inliers=best.inliers,
                 alternatives=tuple(candidates[1:4]),
-                reason=f"{best.inliers} landmarks of the map were recognised {age_s:.1f} s ago",
+                reason=f"{best.inliers} landmarks of the map were recognised"
+                + (f"; odometry over the {age_s:.0f} s since" if age_s >= 1.0 else ""),
             )
         is_unknown = belief.unmapped >= self.config.unknown_from or not len(order)
         return PlaceAnswer(
@@ -384,8 +385,8 @@ class CurrentPlaceEstimator:
         self._evidence.update(dict.fromkeys(seen, t_robot_ns))
         return float(max(c.same_landmarks, new / len(seen)))
 
-    def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray) -> float:
-        """Weight 0..1 of an image as evidence: near zero while it shows what the last one showed."""
+    def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray, at_least: float) -> float:
+        """Weight 0..1 of an image as evidence: `at_least` while it shows what the last one showed."""
         c = self.config
         if self._last_view is None:
             return 1.0
@@ -393,7 +394,7 @@ class CurrentPlaceEstimator:
         moved = distance / c.new_view_m + turn / c.new_view_rad
         if not self._odometry:
             moved = c.same_view_per_s * max(0.0, (t_robot_ns - self._last_view.t_robot_ns) / 1e9)
-        return float(np.clip(moved, c.same_view, 1.0))
+        return float(np.clip(moved, at_least, 1.0))
 
     def _advance(self, t_robot_ns: int) -> None:
         """Carry the hypotheses to a time: without odometry they blur."""

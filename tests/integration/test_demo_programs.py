@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from shared.errors import ConfigError, RobotSystemError
-from station.demo.demo import fresh_folder
+from station.demo.folder import alone_in, fresh_folder, require_free
 from station.demo.processes import Programs
 
 SCRIPT = """
@@ -93,3 +94,18 @@ def test_an_out_that_is_a_file_is_said_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "demo").write_text("")
     with pytest.raises(ConfigError, match="--out"):
         fresh_folder(tmp_path / "demo")
+
+
+def test_a_port_in_use_is_said_before_anything_starts() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        with pytest.raises(ConfigError, match=r"port \d+ is in use.*--port"):
+            require_free(other.getsockname()[1])
+
+
+def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
+    with alone_in(tmp_path / "demo"), pytest.raises(ConfigError, match="another demo"), alone_in(tmp_path / "demo"):
+        pass
+    with alone_in(tmp_path / "demo"):
+        pass

@@ -122,6 +122,17 @@ def test_failed_views_make_the_robot_doubt_the_map() -> None:
     assert answer.place is None
 
 
+def test_a_robot_that_stands_still_before_a_view_it_does_not_know_keeps_its_place() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
+    for k in range(1, 240):
+        estimator.on_odometry(k * SECOND // 4, pose(0.0, 0.0, 2.0))
+        estimator.on_failure(k * SECOND // 4, num_features=400)
+    answer = estimator.answer(60 * SECOND)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+
+
 def test_a_covered_lens_is_no_evidence() -> None:
     estimator = CurrentPlaceEstimator(make_map())
     estimator.on_odometry(0, pose(0, 0))
