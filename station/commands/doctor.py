@@ -11,7 +11,7 @@ import typer
 # module → what it is for, how to get it
 PARTS = {
     "cv2": ("images and feature tracking", "pip install '.[station]' in Sentinel's folder"),
-    "pycolmap": ("structure from motion (--backend sfm)", "pip install '.[station]' in Sentinel's folder on an x86_64 PC"),
+    "pycolmap": ("structure from motion (--backend sfm)", "pip install '.[station]' on an x86_64 PC"),
     "small_gicp": ("registration of point clouds", "pip install '.[station]' in Sentinel's folder"),
     "kiss_matcher": ("global registration; our own search is used without it", "Python 3.11 or 3.12 on x86_64"),
     "fastapi": ("the API and the page", "pip install '.[station]' in Sentinel's folder"),

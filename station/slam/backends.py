@@ -64,6 +64,6 @@ def make_backend(
             return UkfBackend(calibration, UkfConfig(landmarks=landmarks), seed, initial_state)
     except ImportError as exc:
         raise ConfigError(
-            f"backend {name} needs {exc.name}, which is not installed; run: pip install '.[station]' in Sentinel's folder"
+            f"backend {name} needs {exc.name}, which is missing; run: pip install '.[station]' in Sentinel's folder"
         ) from exc
     raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join(BACKENDS)}")

@@ -18,7 +18,7 @@ def require_backend(backend: Backend) -> None:
     if backend not in ("small_gicp", "open3d"):
         raise ConfigError(f"backend {backend!r} is not known; choose small_gicp or open3d")
     if importlib.util.find_spec(backend) is None:
-        raise ConfigError(f"backend {backend} is not installed; pip install '.[{_extra(backend)}]' in Sentinel's folder")
+        raise ConfigError(f"backend {backend} is missing; pip install '.[{_extra(backend)}]' in Sentinel's folder")
 
 
 def _extra(backend: Backend) -> str:
