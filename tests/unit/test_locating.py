@@ -22,7 +22,7 @@ from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceCandidate
 from station.workers import WorkerFailed
 from tests.link_support import until
-from tests.unit.test_recording import hello
+from tests.unit.test_navigation_recording import hello
 
 
 class FakeWorker:
