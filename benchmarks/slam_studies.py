@@ -6,7 +6,7 @@
     nice -n 19 python -m benchmarks.slam_studies wheels --seeds 0-4
     nice -n 19 python -m benchmarks.slam_studies consistency --seeds 0-49 --all-variants
     python -m benchmarks.slam_studies memory DATASET               ten minutes by driving the same recorded loop again
-    python -m benchmarks.slam_studies speed DATASET...             on a quiet machine, pinned to one core
+    python -m benchmarks.slam_studies speed [DATASET...]           on a quiet machine, pinned to one core; v102, seed 0
     python -m benchmarks.slam_studies tables                       medians and worst of everything in the file
 
 v102: real IMU of EuRoC V1_02, the camera rendered along the true path (hall number = seed), all imperfections on.
@@ -257,7 +257,7 @@ def main() -> None:
         for path in args.paths:
             run_memory(results, path, args.minutes)
     elif args.what == "speed":
-        run_speed(results, args.paths, UkfConfig(map=args.map))
+        run_speed(results, args.paths or [v102_drive(args.scratch, 0)], UkfConfig(map=args.map))
     else:
         tables(results)
 
