@@ -1,0 +1,92 @@
+"""A client that is slow or stuck slows nobody else, and what waits for it is bounded."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import websockets
+from hypothesis import given
+from hypothesis import strategies as st
+
+from station.mailbox import MAX_WAITING_MESSAGES, MessageHub
+from tests.integration.test_station import at_work
+from tests.link_support import until
+from tests.station_support import Desk, store_map
+
+UPGRADE = (
+    "GET {path} HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+STUCK = {
+    "reads no events": UPGRADE.replace("{path}", "/ws/events"),
+    "acknowledges no picture": UPGRADE.replace("{path}", "/ws/camera"),
+    "reads no drive answers": UPGRADE.replace("{path}", "/ws/drive?driver=stuck"),
+    "reads no stream": "GET /camera/stream.mjpg HTTP/1.1\r\nHost: {host}\r\n\r\n",
+    "reads no cloud": "GET /maps/{map}/landmarks HTTP/1.1\r\nHost: {host}\r\n\r\n" * 20,
+    "sends half a request": "POST /drive HTTP/1.1\r\nHost: {host}\r\nContent-Length: 1000\r\n\r\n{",
+    "sends half a header": "GET /rob",
+}
+
+
+async def stuck_client(desk: Desk, text: str, map_id: str) -> asyncio.StreamWriter:
+    """Says this, and never reads: its receive window stays as small as can be."""
+    address = urlsplit(desk.address)
+    assert address.hostname and address.port
+    reader, writer = await asyncio.open_connection(address.hostname, address.port, limit=1)
+    text = text.replace("{host}", address.netloc).replace("{map}", map_id)
+    writer.write(text.encode())
+    await writer.drain()
+    reader._transport.pause_reading()  # type: ignore[attr-defined]  # asyncio has no public way to be this rude
+    return writer
+
+
+async def test_stuck_clients_of_every_kind_slow_nobody(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with at_work(tmp_path) as (desk, bench, film):
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        stuck = [await stuck_client(desk, text, place_map.id) for text in STUCK.values() for _ in range(3)]
+        try:
+            async with (
+                websockets.connect(desk.socket("/ws/events")) as events,
+                websockets.connect(desk.socket("/ws/camera")) as camera,
+                websockets.connect(desk.socket("/ws/drive?driver=quick")) as drive,
+            ):
+                for number in range(600):  # more than any queue holds
+                    desk.station.events.say("robot", f"line {number}")
+                lines = set()
+                while "line 599" not in lines:
+                    message = json.loads(await events.recv())
+                    if message["type"] == "log":
+                        lines.add(message["line"]["text"])
+                seen = film.count
+                while film.count < seen + 20:
+                    await camera.recv()
+                    await camera.send("next")
+                    assert (await desk.http.get("/robot")).status_code == 200
+                await drive.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0, "ttl_ms": 500}))
+                await until(lambda: bench.motors.history and bench.motors.history[-1][1] > 0)
+            waiting = [len(reader._line) for reader in desk.station.events.hub._readers]
+            assert max(waiting, default=0) <= MAX_WAITING_MESSAGES
+        finally:
+            for writer in stuck:
+                writer.transport.abort()
+        await until(lambda: desk.station.events.hub.num_readers == 0 and desk.station.camera.num_readers == 0)
+
+
+@given(puts=st.lists(st.tuples(st.sampled_from(["", "a", "b"]), st.integers()), max_size=400))
+async def test_what_waits_is_bounded_and_the_newest_is_never_lost(puts: list[tuple[str, int]]) -> None:
+    hub: MessageHub[tuple[str, int]] = MessageHub()
+    with hub.subscribe() as slow, hub.subscribe() as quick:
+        got = []
+        for topic, value in puts:
+            hub.put((topic, value), topic)
+            got.append(await quick.get())
+        assert got == puts  # whatever the slow one does
+        assert len(slow._line) + len(slow._topics) <= MAX_WAITING_MESSAGES + 2
+        newest = {topic: (topic, value) for topic, value in puts if topic}
+        late = [await slow.get() for _ in range(len(slow._line) + len(slow._topics))]
+        assert [m for m in late if not m[0]] == [m for m in puts if not m[0]][-MAX_WAITING_MESSAGES:]
+        assert {m[0]: m for m in late if m[0]} == newest
