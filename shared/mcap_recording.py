@@ -11,6 +11,7 @@ import logging
 import math
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,30 @@ def mcap_images(path: Path) -> Iterator[bytes]:
     """The JPEG images of a recording, in order."""
     for _, data in _messages(path, {IMAGE_TOPIC}):
         yield decode_image(data)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedPicture:
+    """One picture of a recording, as it came from the camera."""
+
+    number: int
+    t_robot_ns: int
+    since_first_s: float
+    jpeg: bytes
+
+
+def recorded_pictures(path: Path) -> Iterator[RecordedPicture]:
+    """Pictures in the order recorded, read as they are asked for. Raises DataError, also later."""
+    pending: int | None = None
+    first_ns: int | None = None
+    number = 0
+    for topic, data in _messages(path, {FRAME_TOPIC, IMAGE_TOPIC}):
+        if topic == FRAME_TOPIC:
+            pending = _time(_json(data, path))
+        elif pending is not None:
+            first_ns = pending if first_ns is None else first_ns
+            yield RecordedPicture(number, pending, (pending - first_ns) * 1e-9, decode_image(data))
+            number, pending = number + 1, None
 
 
 def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:

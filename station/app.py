@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.bin import Bin, Kind
+from station.comparisons import Comparisons, summarise
 from station.config import StationConfig
 from station.drive_library import DriveLibrary, DriveRecord
 from station.driving import Driving
@@ -25,14 +27,15 @@ from station.locating import Locating
 from station.mailbox import Broadcast
 from station.map_library import Maps
 from station.maps.map import Place
-from station.maps.store import StoreAddress
+from station.maps.store import MapSummary, StoreAddress
 from station.recorder import Recorder
 from station.recording import DriveRecorder, Drives
 from station.refusals import Conflict, NoRobot, NotCapable
 from station.workers import Worker
 
 logger = logging.getLogger(__name__)
-STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place")
+STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin")
+BIN_CHECK_S = 3600.0
 HIJACK_NOTICE = "the simulated robot was put down elsewhere, as asked"
 
 
@@ -72,6 +75,8 @@ class Station:
         store = StoreAddress(config.data_dir / "maps", config.store.database, config.store.blobs, config.name)
         self.maps = Maps(store, self.events)
         self.locating = Locating(store, config.localization, self.events, place_servant)
+        self.comparisons = Comparisons(config.data_dir / "comparisons")
+        self.bin = Bin(config.data_dir / "bin.json")
         self.drives = Drives(
             DriveLibrary(config.data_dir / "navigations"),
             config.slam,
@@ -85,6 +90,9 @@ class Station:
         for drive in self.drives.library.open():
             self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
         await self.maps.open()
+        self.bin.open()
+        await asyncio.to_thread(self.comparisons.clean)
+        await self.empty_bin(everything=False)
         await self._look_in_active_map()
         for kind in STATES:
             self.events.changed(kind)  # who listens from now on is first told how everything is
@@ -94,6 +102,7 @@ class Station:
                 tasks.create_task(self.link.run(), name="link")
                 tasks.create_task(self.locating.run(), name="localisation")
                 tasks.create_task(self._every_second(), name="second")
+                tasks.create_task(self._every_hour(), name="bin")
                 started()
         finally:
             await self.drives.close()
@@ -151,10 +160,7 @@ class Station:
 
     def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
         """Places from finished drives, in the background. Raises Unknown, Conflict."""
-        drives = [self.drives.library.get(drive_id) for drive_id in drive_ids]
-        for drive in drives:
-            if drive.state != "ready":
-                raise Conflict(f"{drive.id} is {drive.state}, not ready: {drive.message}")
+        drives = [self._ready(drive_id) for drive_id in dict.fromkeys(drive_ids)]
         folders = [self.drives.library.navigation_folder(drive.id) for drive in drives]
         title = f"map of {', '.join(drive.name for drive in drives)}"
 
@@ -167,16 +173,132 @@ class Station:
 
         return self.jobs.start("build map", title, work)
 
+    def compare(self, first_id: str, second_id: str) -> Job:
+        """Find the places of one drive in another, in the background. Raises Unknown, Conflict."""
+        first, second = self._ready(first_id), self._ready(second_id)
+        if first.id == second.id:
+            raise Conflict("two different navigations are needed to compare them; GET /navigations lists them")
+        title = f"{second.name} compared with {first.name}"
+        folders = [self.drives.library.navigation_folder(drive.id) for drive in (first, second)]
+
+        async def work(worker: Worker) -> dict[str, Any]:
+            comparison_id, scratch = await asyncio.to_thread(self.comparisons.prepare)
+            try:
+                results = await worker.call("compare", *folders, scratch, title)
+                made = summarise(comparison_id, title, (first.id, second.id), results)
+                await asyncio.to_thread(self.comparisons.keep, made, scratch)
+            finally:
+                await asyncio.to_thread(self.comparisons.discard, scratch)
+            return {"comparison": comparison_id, "matches": made.matches}
+
+        return self.jobs.start("compare", title, work)
+
+    def reprocess(self, drive_id: str, backend: str | None) -> Job:
+        """Run SLAM over a recording again, in the background; then the drive is ready. Raises Unknown, Conflict."""
+        drive = self.drives.library.get(drive_id)
+        recording = self.drives.library.folder(drive_id) / "recording.mcap"
+        if drive.state in ("recording", "finishing"):
+            raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
+        if not recording.is_file():
+            raise Conflict(f"{drive_id} has no recording to run SLAM over")
+        chosen = backend or self.config.slam.backend
+        folder = self.drives.library.navigation_folder(drive_id)
+        self.drives.reserve(drive_id)
+
+        async def work(worker: Worker) -> dict[str, Any]:
+            try:
+                arguments = (recording, chosen, self.config.slam.seed, drive_id, folder)
+                report = await worker.call("reprocess", *arguments)
+                await self.drives.reprocessed(drive_id, chosen, report)
+            finally:
+                self.drives.release(drive_id)
+            return {"navigation": drive_id, "landmarks": report.landmarks}
+
+        try:
+            return self.jobs.start("reprocess", f"SLAM over {drive.name}", work)
+        except Conflict:
+            self.drives.release(drive_id)
+            raise
+
+    def _ready(self, drive_id: str) -> DriveRecord:
+        drive = self.drives.library.get(drive_id)
+        if drive.state != "ready":
+            raise Conflict(f"{drive_id} is {drive.state}, not ready: {drive.message}")
+        return drive
+
     async def use_map(self, map_id: str | None) -> None:
         """Look for the current place in this map. Raises Unknown, DataError."""
         await self.maps.activate(map_id)
         await self._look_in_active_map()
 
+    # What was deleted
+
+    async def delete_drive(self, drive_id: str) -> None:
+        """Into the bin. Raises Unknown, Conflict."""
+        await self.drives.delete(drive_id)
+        await self.empty_bin(everything=False)
+
+    async def delete_map(self, map_id: str) -> None:
+        """Into the bin. Raises Unknown, Conflict."""
+        await self.maps.delete(map_id)
+        await self.empty_bin(everything=False)
+
+    async def restore_drive(self, drive_id: str) -> DriveRecord:
+        """Raises Unknown."""
+        drive = await self.drives.restore(drive_id)
+        await self._look_into_bin()
+        return drive
+
+    async def restore_map(self, map_id: str) -> MapSummary:
+        """Raises Unknown."""
+        summary = await self.maps.restore(map_id)
+        await self._look_into_bin()
+        return summary
+
+    async def empty_bin(self, everything: bool) -> None:
+        """Delete for good what is due, or everything in the bin."""
+        await self._look_into_bin()
+        for entry in self.bin.list() if everything else self.bin.due(time.time()):
+            if entry.kind == "map":
+                await self.maps.purge(entry.id)
+            else:
+                await asyncio.to_thread(self.drives.library.purge, entry.id)
+            logger.info("deleted %s %s for good", entry.kind, entry.id)
+        await self._look_into_bin()
+
+    async def _look_into_bin(self) -> None:
+        drives = await asyncio.to_thread(self.drives.library.deleted)
+        maps = await self.maps.deleted()
+        there: dict[Kind, list[tuple[str, str]]] = {
+            "navigation": [(drive.id, drive.name) for drive in drives],
+            "map": [(summary.id, summary.name) for summary in maps],
+        }
+        await asyncio.to_thread(self.bin.update, there, time.time())
+        self.events.changed("bin")
+
     async def rename_place(self, place_id: str, name: str) -> Place:
         """Raises Conflict, Unknown, DataError."""
         place = await self.maps.rename_place(place_id, name)
-        await self.locating.rename(place_id, place.name)
+        self._regroup()
         return place
+
+    async def hide_place(self, place_id: str, hidden: bool) -> Place:
+        """Never answer with this place, or do again. Raises Conflict, Unknown, DataError."""
+        place = await self.maps.hide_place(place_id, hidden)
+        self._regroup()
+        self.events.say("map", f"{place.name} is {'hidden' if hidden else 'shown again'}")
+        return place
+
+    async def merge_places(self, place_ids: list[str]) -> Place:
+        """Several places become the first of them. Raises Conflict, Unknown, DataError."""
+        place = await self.maps.merge_places(place_ids)
+        self._regroup()
+        self.events.say("map", f"{len(set(place_ids))} places are {place.name} now")
+        return place
+
+    def _regroup(self) -> None:
+        place_map = self.maps.require_active().place_map
+        self.locating.regroup(place_map.places, place_map.edges)
 
     async def _look_in_active_map(self) -> None:
         active = self.maps.active
@@ -228,6 +350,11 @@ class Station:
     def _capabilities(self) -> Capabilities | None:
         state = self.link.state
         return state.hello.capabilities if state.connected and state.hello is not None else None
+
+    async def _every_hour(self) -> None:
+        while True:
+            await asyncio.sleep(BIN_CHECK_S)
+            await self.empty_bin(everything=False)
 
     async def _every_second(self) -> None:
         while True:

@@ -17,6 +17,7 @@ from shared.errors import DataError
 from station.refusals import Unknown
 
 DriveState = Literal["recording", "finishing", "ready", "failed"]
+BIN = ".bin"  # the folder of deleted drives
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
 
 
@@ -82,7 +83,7 @@ class DriveLibrary:
         """A name from the clock on the wall, unused so far."""
         stem = time.strftime("nav-%Y%m%d-%H%M%S", time.localtime())
         number, candidate = 1, stem
-        while candidate in self._drives or (self._root / candidate).exists():
+        while any((folder / candidate).exists() for folder in (self._root, self._root / BIN)):
             number += 1
             candidate = f"{stem}-{number}"
         return candidate
@@ -113,10 +114,41 @@ class DriveLibrary:
         self._drives[drive.id] = drive
 
     def delete(self, drive_id: str) -> None:
-        """Forget a drive and its files. Raises Unknown."""
+        """Forget a drive; `restore` brings it back until it is purged. Raises Unknown."""
         self.get(drive_id)
+        try:
+            (self._root / BIN).mkdir(exist_ok=True)
+            os.rename(self.folder(drive_id), self._root / BIN / drive_id)
+        except OSError as exc:
+            raise DataError(f"{self.folder(drive_id)} cannot be moved ({exc.strerror})") from exc
         del self._drives[drive_id]
-        self.discard(drive_id)
+
+    def deleted(self) -> tuple[DriveRecord, ...]:
+        """Drives that can be restored."""
+        found = []
+        for folder in sorted((self._root / BIN).glob("*")):
+            try:
+                found.append(msgspec.json.decode((folder / "drive.json").read_bytes(), type=DriveRecord))
+            except (OSError, msgspec.DecodeError):
+                continue
+        return tuple(found)
+
+    def restore(self, drive_id: str) -> DriveRecord:
+        """Bring a deleted drive back. Raises Unknown."""
+        drive = next((drive for drive in self.deleted() if drive.id == drive_id), None)
+        if drive is None:
+            raise Unknown(f"there is no deleted navigation {drive_id!r}; GET /bin lists what can be restored")
+        try:
+            os.rename(self._root / BIN / drive_id, self.folder(drive_id))
+        except OSError as exc:
+            raise DataError(f"{self.folder(drive_id)} cannot be restored ({exc.strerror})") from exc
+        self._drives[drive_id] = drive
+        return drive
+
+    def purge(self, drive_id: str) -> None:
+        """Delete a deleted drive's files for good."""
+        self.folder(drive_id)  # its id is no path
+        shutil.rmtree(self._root / BIN / drive_id, ignore_errors=True)
 
     def discard(self, drive_id: str) -> None:
         """Remove the files of a drive that is not known, or not any more."""

@@ -9,7 +9,7 @@ from typing import Literal
 
 from station.mailbox import MessageHub
 
-EventKind = Literal["robot", "driver", "pose", "landmarks", "navigation", "map", "job", "place", "log"]
+EventKind = Literal["robot", "driver", "pose", "landmarks", "navigation", "map", "job", "place", "bin", "log"]
 Level = Literal["info", "warning", "error"]
 KEPT_LOG_LINES = 200
 

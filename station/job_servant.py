@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from shared.errors import DataError
+from station.datasets import open_dataset
 from station.maps.store import MapStore, StoreAddress
-from station.navigation_files import load_navigation
+from station.navigation import NavigationReport
+from station.navigation_files import load_navigation, save_navigation
 from station.places.build import build_map, carry_names
 from station.places.config import PlacesConfig, PlacesMode
 from station.places.merge import merge_navigations
+from station.slam.backend import SlamUpdate
+from station.slam.backends import make_backend
+from station.slam.run import run_backend
+from station.workers import resolve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,3 +53,50 @@ class JobServant:
         self._emit((0.8, f"saving {len(place_map.places)} places"))
         store.save(place_map, f"built from {navigation.id}"[:200])
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
+
+    def compare(self, first: Path, second: Path, out: Path, title: str) -> dict[str, Any]:
+        """Two navigation folders -> the experiment's report in `out`; returns its results.json."""
+        # Drawing loads matplotlib, which no other job needs.
+        from station.experiments.experiment import Story, results_dict, run_experiment
+        from station.experiments.output import write_experiment
+
+        self._emit((0.05, "reading two navigations"))
+        navigations = load_navigation(first), load_navigation(second)
+        steps = iter((0.15, 0.35))
+        done = run_experiment(
+            *navigations,
+            PlacesConfig(),
+            story=Story(title=title),
+            say=lambda text: self._emit((next(steps, 0.6), text)),
+        )
+        self._emit((0.7, "drawing the report"))
+        write_experiment(done, out)
+        return results_dict(done)
+
+    def reprocess(self, recording: Path, backend: str, seed: int, drive_id: str, folder: Path) -> NavigationReport:
+        """A recording -> its navigation folder, by running SLAM over it again."""
+        self._emit((0.02, "reading the recording"))
+        data = open_dataset(recording)
+        if not data.has_images:
+            raise DataError(f"{drive_id} has no pictures in its recording; SLAM needs them")
+        slam = resolve(backend)(data.calibration) if ":" in backend else make_backend(backend, data.calibration, seed)
+        total = max(len(data.frame_times_ns), 1)
+        seen = 0
+
+        def count(update: SlamUpdate) -> None:
+            nonlocal seen
+            seen += 1
+            if seen % 10 == 1:
+                self._emit((0.05 + 0.6 * seen / total, f"picture {seen} of {total}: {update.message}"))
+
+        def finishing() -> None:
+            self._emit((0.65, "computing trajectory and landmarks"))
+
+        navigation = replace(run_backend(slam, data.events(), count, finishing), id=drive_id)
+        self._emit((0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
+        save_navigation(navigation, folder)
+        return navigation.report
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}" + ("" if number == 1 else "s")

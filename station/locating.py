@@ -17,6 +17,7 @@ from station.config import LocalizationConfig
 from station.events import Events
 from station.frames import DriveSample, ImageFrame
 from station.mailbox import Latest
+from station.maps.map import Place, PlaceEdge
 from station.maps.store import StoreAddress
 from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceState
@@ -69,6 +70,7 @@ class Locating:
         self._is_ready = False
         self._generation = 0  # counts the calls of use(): a worker that was killed for another map did not die
         self._lost = 0  # inertial samples
+        self._groups: Latest[tuple[tuple[Place, ...], tuple[PlaceEdge, ...]]] = Latest()
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self._report: PlaceReport | None = None
         self._taken_s = 0.0  # when the report came
@@ -99,10 +101,11 @@ class Locating:
         return replace(self._report, answer=nowhere, T_map_cam=None)
 
     async def use(self, map_id: str | None) -> None:
-        """Look in this map from now on. Also after one of its places was renamed."""
+        """Look in this map from now on."""
         self._map_id = map_id
         self._generation += 1
         self._forget()
+        self._groups = Latest()
         self.status = "no map is active" if map_id is None else "reading the map"
         self._events.changed("place")
         if self._worker is not None:
@@ -111,11 +114,10 @@ class Locating:
             self._worker = None
         self._wanted.set()
 
-    async def rename(self, place_id: str, name: str) -> None:
-        """Tell the worker of a new name, so that answers carry it at once."""
-        if self._worker is not None:
-            self._report = await self._worker.call("rename", place_id, name)
-            self._events.changed("place")
+    def regroup(self, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
+        """Tell the worker of changed places of its map. It may be busy: its next answer counts, nobody waits for it."""
+        self._groups.put((places, edges))
+        self._events.changed("place")
 
     def on_connected(self, hello: Hello) -> None:
         """A robot was connected. Nothing that was known of another robot, or in another clock, is of use for it."""
@@ -221,6 +223,8 @@ class Locating:
             while self._generation == generation:
                 run, frame = await self._frames.get()
                 started_s = time.monotonic()
+                if self._groups.is_fresh:
+                    await worker.call("regroup", *await self._groups.get())
                 report = await self._answer(worker, frame)
                 if report is not None and self._generation == generation and self._runs == run:
                     self._take(report, frame)

@@ -26,6 +26,11 @@ class Latest(Generic[T]):
         self._value = [value]
         self._fresh.set()
 
+    @property
+    def is_fresh(self) -> bool:
+        """Whether `get` would return at once."""
+        return self._fresh.is_set()
+
     async def get(self) -> T:
         await self._fresh.wait()
         self._fresh.clear()

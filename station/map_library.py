@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,9 @@ from shared.errors import DataError, RobotSystemError
 from station.events import Events
 from station.live import NO_PLACE
 from station.maps.map import Place, PlaceMap
+from station.maps.purging import purge
 from station.maps.store import MapStore, MapSummary, StoreAddress
+from station.places.changes import with_place_hidden, with_places_merged
 from station.places.evidence import gather_evidence
 from station.refusals import Conflict, Unknown
 
@@ -38,6 +41,11 @@ class ActiveMap:
                 return place
         raise Unknown(f"the active map has no place {place_id!r}; GET /places lists them")
 
+    @property
+    def visible_places(self) -> tuple[Place, ...]:
+        """Those that are not hidden: the graph's nodes."""
+        return tuple(place for place in self.place_map.places if not place.hidden)
+
 
 class Maps:
     """The store and the active map. Reading and writing maps happens in threads."""
@@ -49,6 +57,7 @@ class Maps:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._active: ActiveMap | None = None
         self._changing = asyncio.Lock()
+        self.revision = 0  # counts what the active map was, so that a page knows when to read it again
 
     @property
     def active(self) -> ActiveMap | None:
@@ -85,6 +94,7 @@ class Maps:
             else:
                 await self._require(map_id)
                 self._active = await asyncio.to_thread(_derive, self._store, map_id)
+            self.revision += 1
             await asyncio.to_thread(_remember, self.address.root, map_id)
         self._events.changed("map")
         if self._active is not None:
@@ -92,12 +102,28 @@ class Maps:
         return self._active
 
     async def delete(self, map_id: str) -> None:
-        """Forget a map. Raises Unknown, or Conflict when it is in use."""
+        """Put a map into the bin. Raises Unknown, or Conflict when it is in use."""
         if self._active is not None and self._active.place_map.id == map_id:
             raise Conflict(f"{map_id} is active; choose another map first")
         await self._require(map_id)
         await asyncio.to_thread(self._store.delete, map_id)
         self._events.changed("map")
+
+    async def deleted(self) -> tuple[MapSummary, ...]:
+        """Maps that can be restored."""
+        return await asyncio.to_thread(self._store.deleted)
+
+    async def restore(self, map_id: str) -> MapSummary:
+        """Take a map out of the bin. Raises Unknown."""
+        if map_id not in {summary.id for summary in await self.deleted()}:
+            raise Unknown(f"there is no deleted map {map_id!r}; GET /bin lists what can be restored")
+        await asyncio.to_thread(self._store.undo, map_id)
+        self._events.changed("map")
+        return next(summary for summary in await self.list() if summary.id == map_id)
+
+    async def purge(self, map_id: str) -> None:
+        """Delete a deleted map for good."""
+        await asyncio.to_thread(purge, self._store, map_id)
 
     async def rename_place(self, place_id: str, name: str) -> Place:
         """Raises Conflict, Unknown, or DataError for a name in use."""
@@ -105,9 +131,33 @@ class Maps:
             active = self.require_active()
             active.place(place_id)
             place_map = await asyncio.to_thread(self._store.rename_place, active.place_map.id, place_id, name)
-            self._active = ActiveMap(place_map, active.place_of_point)
-            self._events.changed("map")
-            return self._active.place(place_id)
+            return self._take(place_map).place(place_id)
+
+    async def hide_place(self, place_id: str, hidden: bool) -> Place:
+        """Leave a place out of answers and graph, or show it again. Raises Conflict, Unknown."""
+        why = f"{place_id} is hidden" if hidden else f"{place_id} is shown"
+        await self._regroup([place_id], lambda m: with_place_hidden(m, place_id, hidden), why)
+        return self.require_active().place(place_id)
+
+    async def merge_places(self, place_ids: Sequence[str]) -> Place:
+        """Make several places one, which keeps id and name of the first. Raises Conflict, Unknown, DataError."""
+        why = f"merged {' and '.join(place_ids)}"
+        await self._regroup(place_ids, lambda m: with_places_merged(m, place_ids), why)
+        return self.require_active().place(place_ids[0])
+
+    async def _regroup(self, place_ids: Sequence[str], change: Callable[[PlaceMap], PlaceMap], why: str) -> None:
+        async with self._changing:
+            active = self.require_active()
+            for place_id in place_ids:
+                active.place(place_id)
+            self._take(await asyncio.to_thread(self._store.edit, active.place_map.id, change, why[:200]))
+
+    def _take(self, place_map: PlaceMap) -> ActiveMap:
+        """The active map with other places or names."""
+        self.revision += 1
+        self._active = ActiveMap(place_map, _place_of_point(place_map))
+        self._events.changed("map")
+        return self._active
 
     def _found_damage(self, sentence: str) -> None:
         """The store found something wrong, in whatever thread it was read."""
@@ -153,10 +203,15 @@ def keyframe_image(place_map: PlaceMap, keyframe: int) -> bytes:
 
 def _derive(store: MapStore, map_id: str) -> ActiveMap:
     place_map = store.load(map_id)
+    return ActiveMap(place_map, _place_of_point(place_map))
+
+
+def _place_of_point(place_map: PlaceMap) -> npt.NDArray[np.uint8]:
     place_of_point = np.full(len(place_map.navigation.landmarks), NO_PLACE, np.uint8)
     for number, place in enumerate(place_map.places[:NO_PLACE]):
-        place_of_point[place.landmark_index] = number
-    return ActiveMap(place_map, place_of_point)
+        if not place.hidden:
+            place_of_point[place.landmark_index] = number
+    return place_of_point
 
 
 def _remember(root: Path, map_id: str | None) -> None:

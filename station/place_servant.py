@@ -11,10 +11,10 @@ from shared.calibration import Calibration
 from shared.errors import DataError, EstimationError
 from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import PlaceMap
+from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.place_report import PlaceReport
-from station.places.answer import PlaceAnswer, PlaceCandidate
+from station.places.changes import shown
 from station.places.hijack import HijackEvent
 from station.places.localizer import Localizer
 from station.places.tracker import PlaceTracker
@@ -28,12 +28,10 @@ class PlaceServant:
         self._place_map: PlaceMap | None = None
         self._localizer: Localizer | None = None
         self._tracker: PlaceTracker | None = None
-        self._names: dict[str, str] = {}  # of places renamed since the map was read
-        self._report: PlaceReport | None = None
 
     def load(self, store: StoreAddress, map_id: str) -> None:
         """Read a map and index its pictures: some 60 ms per keyframe."""
-        self._place_map = MapStore(store).load(map_id)
+        self._place_map = shown(MapStore(store).load(map_id))
         self._localizer = Localizer(self._place_map)
 
     def calibrate(self, calibration: Calibration) -> None:
@@ -42,12 +40,13 @@ class PlaceServant:
             raise EstimationError("no map was given to the localisation worker; activate one")
         self._tracker = PlaceTracker(self._place_map, calibration, self._localizer)
 
-    def rename(self, place_id: str, name: str) -> PlaceReport | None:
-        """The last answer, with the new name."""
-        self._names[place_id] = name
-        if self._report is not None:
-            self._report = replace(self._report, answer=self._named(self._report.answer))
-        return self._report
+    def regroup(self, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
+        """The map's places are others, or have other names; what is known of the robot's pose stays."""
+        if self._place_map is None:
+            raise EstimationError("no map was given to the localisation worker; activate one")
+        self._place_map = shown(replace(self._place_map, places=places, edges=edges))
+        if self._tracker is not None:
+            self._tracker.estimator.regroup(self._place_map)
 
     def imu(self, t_robot_ns: list[int], gyro: list[tuple[float, ...]], accel: list[tuple[float, ...]]) -> None:
         """Inertial samples, times and (N, 3) values."""
@@ -78,29 +77,15 @@ class PlaceServant:
             attempt, why_not = None, str(exc)
         self._tell_hijacks()
         found = attempt.localization if attempt is not None else None
-        self._report = PlaceReport(
+        return PlaceReport(
             map_id=self._place_map.id,
-            answer=self._named(self._tracker.answer(frame.t_robot_ns)),
+            answer=self._tracker.answer(frame.t_robot_ns),
             T_map_cam=found.T_map_cam if found else None,
             t_evidence_ns=found.t_robot_ns if found else None,
             attempt=why_not,
         )
-        return self._report
 
     def _tell_hijacks(self) -> None:
         if self._tracker is not None:
             for event in self._tracker.take_events():
                 self._emit(event)
-
-    def _named(self, answer: PlaceAnswer) -> PlaceAnswer:
-        if not self._names:
-            return answer
-
-        def named(candidate: PlaceCandidate) -> PlaceCandidate:
-            return replace(candidate, name=self._names.get(candidate.id, candidate.name))
-
-        return replace(
-            answer,
-            place=None if answer.place is None else named(answer.place),
-            alternatives=tuple(named(candidate) for candidate in answer.alternatives),
-        )

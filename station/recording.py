@@ -19,6 +19,7 @@ from station.events import Events
 from station.frames import DriveSample, ImageFrame
 from station.link import LinkListener
 from station.live import LiveSlam
+from station.navigation import NavigationReport
 from station.navigation_files import load_navigation
 from station.refusals import Conflict
 from station.slam.backend import SlamUpdate
@@ -80,6 +81,8 @@ class Drives:
         self._on_pose = on_pose
         self._running: _Running | None = None
         self._finishing: dict[str, asyncio.Task[None]] = {}
+        self._reserved: set[str] = set()
+        self._times_reprocessed = 0
         self.live: LiveSlam | None = None
 
     @property
@@ -159,13 +162,51 @@ class Drives:
         return drive
 
     async def delete(self, drive_id: str) -> None:
-        """Forget a drive. Raises Unknown; Conflict while it is being recorded or finished."""
+        """Put a drive into the bin. Raises Unknown; Conflict while it is being recorded or finished."""
         drive = self.library.get(drive_id)
         if drive.state in ("recording", "finishing"):
             raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
+        self._refuse_reserved(drive_id)
         await asyncio.to_thread(self.library.delete, drive_id)
         self._events.forget("navigation", drive_id)
         self._events.changed("navigation", None)
+
+    def reserve(self, drive_id: str) -> None:
+        """A job works on this drive's files until `release`. Raises Conflict when one does already."""
+        self._refuse_reserved(drive_id)
+        self._reserved.add(drive_id)
+
+    def release(self, drive_id: str) -> None:
+        self._reserved.discard(drive_id)
+
+    def _refuse_reserved(self, drive_id: str) -> None:
+        if drive_id in self._reserved:
+            raise Conflict(f"SLAM runs over {drive_id} just now; wait for the job or cancel it (GET /jobs)")
+
+    async def reprocessed(self, drive_id: str, backend: str, report: NavigationReport) -> None:
+        """SLAM ran over a drive's recording again and left its navigation."""
+        drive = replace(
+            self.library.get(drive_id),
+            state="ready",
+            backend=backend,
+            landmarks=report.landmarks,
+            scale=report.scale,
+            message="; ".join(report.messages) or f"{report.landmarks} landmarks",
+        )
+        self._keep(drive)
+        if self._running is None:
+            self.live = await asyncio.to_thread(_view_of, self.library.navigation_folder(drive_id))
+            self._times_reprocessed += 1
+            self.live.source = f"{drive_id}/again-{self._times_reprocessed}"  # another cloud than before
+            self._events.changed("pose")
+            self._events.changed("landmarks")
+        self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
+
+    async def restore(self, drive_id: str) -> DriveRecord:
+        """Take a drive out of the bin. Raises Unknown."""
+        drive = await asyncio.to_thread(self.library.restore, drive_id)
+        self._tell(drive)
+        return drive
 
     async def close(self) -> None:
         """The station ends: the recording is closed, unfinished SLAM is given up and said so."""

@@ -12,11 +12,13 @@ from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import PlaceMap
+from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.navigation import Navigation
 from station.place_report import PlaceReport
 from station.places.answer import PlaceAnswer, PlaceCandidate
+from station.places.changes import shown
+from station.places.hijack import HijackEvent
 from station.slam.backend import SlamUpdate
 from tests.synthetic_home import drive, furnished_room, navigate
 
@@ -48,6 +50,13 @@ class StraightSlam:
         return replace(navigation, report=replace(navigation.report, frames=len(self.frames)))
 
 
+class FailingSlam(StraightSlam):
+    """Ends its process when it is to finish."""
+
+    def finish(self) -> Navigation:
+        os._exit(7)
+
+
 class DyingSlam(StraightSlam):
     """Ends its process at the fifth frame."""
 
@@ -57,20 +66,20 @@ class DyingSlam(StraightSlam):
         return super().add_frame(frame)
 
 
-class AlwaysFirstPlace:
-    """A localisation servant: the robot is always at the map's first place, by the map's third picture."""
+class PlaceByLight:
+    """A localisation servant: light pictures show the map's first place, dark ones the second."""
 
     def __init__(self, emit: Callable[[object], None]) -> None:
+        self._emit = emit
         self._map: PlaceMap | None = None
-        self._report: PlaceReport | None = None
-        self._names: dict[str, str] = {}
+        self._was_dark = False
 
     def load(self, store: StoreAddress, map_id: str) -> None:
-        self._map = MapStore(store).load(map_id)
+        self._map = shown(MapStore(store).load(map_id))
 
-    def rename(self, place_id: str, name: str) -> PlaceReport | None:
-        self._names[place_id] = name
-        return self._report and self.answer_at(self._report.answer.t_robot_ns)
+    def regroup(self, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
+        assert self._map is not None
+        self._map = shown(replace(self._map, places=places, edges=edges))
 
     def calibrate(self, calibration: Calibration) -> None:
         pass
@@ -85,16 +94,18 @@ class AlwaysFirstPlace:
         pass
 
     def answer(self, frame: ImageFrame) -> PlaceReport:
-        return self.answer_at(frame.t_robot_ns)
-
-    def answer_at(self, t_robot_ns: int) -> PlaceReport:
         assert self._map is not None
-        first, second = self._map.places[:2]
-        self._report = PlaceReport(
+        t_robot_ns = frame.t_robot_ns
+        is_dark = float(frame.grey().mean()) < 30.0
+        if is_dark and not self._was_dark:
+            self._emit(HijackEvent(t_robot_ns, "vision", "the light went out", 0.98))
+        self._was_dark = is_dark
+        first, second = self._map.places[1::-1] if is_dark else self._map.places[:2]
+        return PlaceReport(
             map_id=self._map.id,
             answer=PlaceAnswer(
                 state="known",
-                place=PlaceCandidate(first.id, self._names.get(first.id, first.name), 0.9),
+                place=PlaceCandidate(first.id, first.name, 0.9),
                 distance=0.5,
                 position_map=first.centroid_map,
                 t_robot_ns=t_robot_ns,
@@ -108,7 +119,6 @@ class AlwaysFirstPlace:
             t_evidence_ns=t_robot_ns,
             attempt="always found",
         )
-        return self._report
 
 
 def made_up_navigation() -> Navigation:

@@ -34,9 +34,9 @@ def store_map(data_dir: Path) -> PlaceMap:
     return place_map
 
 
-def picture(number: int) -> bytes:
+def picture(number: int, colour: tuple[int, int, int] | None = None) -> bytes:
     """A JPEG with its number."""
-    image = np.full((480, 640, 3), (60 + number % 3 * 20, 90, 40), np.uint8)
+    image = np.full((480, 640, 3), colour or (60 + number % 3 * 20, 90, 40), np.uint8)
     cv2.putText(image, str(number), (200, 300), cv2.FONT_HERSHEY_SIMPLEX, 4, (255, 255, 255), 8)
     ok, encoded = cv2.imencode(".jpg", image)
     assert ok
@@ -55,6 +55,10 @@ class Film:
 
     def pause(self) -> None:
         self._runs.clear()
+
+    def turn_the_light_out(self) -> None:
+        """From now on the pictures are dark: another place, for PlaceByLight."""
+        self._pictures = [picture(n, (4, 4, 4)) for n in range(5)]
 
     def go_on(self) -> None:
         self._runs.set()
@@ -93,7 +97,7 @@ async def running_station(
         slam=SlamConfig(backend=backend),
         localization=LocalizationConfig(rate_hz=4),
     )
-    station = Station(config, place_servant="tests.made_up_workers:AlwaysFirstPlace")
+    station = Station(config, place_servant="tests.made_up_workers:PlaceByLight")
     listener = bind(config.api.host, config.api.port)
     address = f"http://127.0.0.1:{listener.getsockname()[1]}"
     started = asyncio.Event()

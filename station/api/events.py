@@ -11,6 +11,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from station.api.deps import StationDep
 from station.api.limits import refuse, seated
 from station.api.messages import (
+    BinMessage,
     DriverMessage,
     JobMessage,
     LandmarksMessage,
@@ -98,7 +99,7 @@ def to_message(station: Station, event: Event) -> Model:
             drive = cast(DriveRecord | None, event.subject)
             return NavigationMessage(navigation=None if drive is None else navigation_model(drive))
         case "map":
-            return MapMessage(active=active.place_map.id if active else None)
+            return MapMessage(active=active.place_map.id if active else None, revision=station.maps.revision)
         case "job":
             return JobMessage(job=job_model(cast(Job, event.subject)))
         case "place":
@@ -107,5 +108,7 @@ def to_message(station: Station, event: Event) -> Model:
                 place=current_place(station),
                 visit=visit_model(visits[-1]) if visits and station.locating.report else None,
             )
+        case "bin":
+            return BinMessage()
         case "log":
             return LogMessage(line=log_model(cast(LogLine, event.subject)))

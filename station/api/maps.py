@@ -42,8 +42,14 @@ async def activate(choice: MapChoice, station: StationDep) -> MapModel | None:
 
 @router.delete("/maps/{map_id}", summary="Delete a map", status_code=204, responses=responses(404, 409))
 async def delete(map_id: str, station: StationDep) -> Response:
-    await station.maps.delete(map_id)
+    """It goes into the bin: POST /maps/{id}/restore brings it back for seven days."""
+    await station.delete_map(map_id)
     return Response(status_code=204)
+
+
+@router.post("/maps/{map_id}/restore", summary="Bring a deleted map back", responses=responses(404, 409))
+async def restore(map_id: str, station: StationDep) -> MapModel:
+    return map_model(await station.restore_map(map_id), station.maps.active)
 
 
 @router.get(

@@ -55,6 +55,7 @@ class MapMessage(Model):
 
     type: Literal["map"] = "map"
     active: str | None
+    revision: int = Field(description="another one: the active map is another, or its places are")
 
 
 class JobMessage(Model):
@@ -66,6 +67,12 @@ class PlaceMessage(Model):
     type: Literal["place"] = "place"
     place: CurrentPlace
     visit: VisitModel | None
+
+
+class BinMessage(Model):
+    """Something was deleted or restored: fetch GET /bin."""
+
+    type: Literal["bin"] = "bin"
 
 
 class LogMessage(Model):
@@ -82,6 +89,7 @@ EventMessage = Annotated[
     | MapMessage
     | JobMessage
     | PlaceMessage
+    | BinMessage
     | LogMessage,
     Field(discriminator="type"),
 ]

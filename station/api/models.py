@@ -85,10 +85,20 @@ class PlaceModel(Model):
     representative_image: str | None
     mean_image: str | None
     colour: int = Field(description="its number in GET /maps/{id}/landmarks")
+    hidden: bool = Field(description="by a person: never the current place, and not in the graph")
 
 
 class PlaceChange(Model):
-    name: str = Field(min_length=1, max_length=80, examples=["Kitchen"])
+    """What is to be otherwise; what is left out or null stays."""
+
+    name: str | None = Field(default=None, min_length=1, max_length=80, examples=["Kitchen"])
+    hidden: bool | None = Field(default=None, examples=[False])
+
+
+class PlaceMerge(Model):
+    """Which places are one; it keeps id and name of the first."""
+
+    places: list[str] = Field(min_length=2, max_length=50, examples=[["place-5a1c09", "place-77d0e2"]])
 
 
 class EdgeModel(Model):
@@ -151,6 +161,45 @@ class NavigationModel(Model):
     recording: str | None = Field(description="where to download the MCAP file")
 
 
+class ReprocessOrder(Model):
+    """How to run SLAM over a recording again."""
+
+    backend: Literal["sfm", "ukf"] | None = Field(default=None, description="null: the station's own")
+
+
+class ReplayModel(Model):
+    """Where the camera was during a recorded drive; the pictures come by /ws/replay."""
+
+    navigation: str
+    start_ns: int = Field(description="robot clock, of the first pose")
+    t_s: list[float] = Field(description="since start_ns, increasing; at most `limit` poses")
+    T_world_cam: list[list[float]] = Field(description="row-major 4x4 each")
+
+
+class ComparisonOrder(Model):
+    """Which drives to compare: places are made of the first one and looked for in the second."""
+
+    first: str = Field(examples=["nav-20260105-101500"])
+    second: str = Field(examples=["nav-20260106-090000"])
+
+
+class ComparisonModel(Model):
+    """Two drives compared; the report has the pictures."""
+
+    id: str = Field(examples=["cmp-20260106-091200"])
+    name: str
+    first: str
+    second: str
+    made_unix_s: float
+    places: int = Field(description="of the first drive")
+    locations: int = Field(description="of the second one")
+    matches: int
+    accepted: bool = Field(description="the registration")
+    reasons: list[str] = Field(description="why it was refused")
+    T_first_second: list[float] | None = Field(description="row-major 4x4, may carry a scale")
+    report: str = Field(examples=["/comparisons/cmp-20260106-091200/report.html"])
+
+
 class NavigationStart(Model):
     name: str = Field(default="", max_length=80, examples=["Tuesday, all rooms"])
 
@@ -165,6 +214,16 @@ class JobModel(Model):
     progress: float = Field(description="0..1")
     message: str
     result: dict[str, str | int | float | None] | None
+
+
+class BinModel(Model):
+    """Something deleted that can still be restored."""
+
+    kind: Literal["navigation", "map"]
+    id: str = Field(examples=["nav-20260105-101500"])
+    name: str
+    deleted_unix_s: float
+    gone_unix_s: float = Field(description="when it is deleted for good, at the latest")
 
 
 # SLAM

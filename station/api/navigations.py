@@ -8,9 +8,9 @@ from fastapi import APIRouter, Body, Response
 from fastapi.responses import FileResponse
 
 from station.api.deps import StationDep
-from station.api.models import JobModel, NavigationModel, NavigationStart
+from station.api.models import BinModel, JobModel, NavigationModel, NavigationStart
 from station.api.problems import responses
-from station.api.views import job_model, navigation_model
+from station.api.views import bin_model, job_model, navigation_model
 from station.refusals import Conflict, Unknown
 
 router = APIRouter(tags=["navigations"])
@@ -40,12 +40,32 @@ async def stop(navigation_id: str, station: StationDep) -> NavigationModel:
 
 @router.delete(
     "/navigations/{navigation_id}",
-    summary="Delete a drive and its files",
+    summary="Delete a drive",
     status_code=204,
     responses=responses(404, 409),
 )
 async def delete(navigation_id: str, station: StationDep) -> Response:
-    await station.drives.delete(navigation_id)
+    """It goes into the bin: POST /navigations/{id}/restore brings it back for seven days."""
+    await station.delete_drive(navigation_id)
+    return Response(status_code=204)
+
+
+@router.post(
+    "/navigations/{navigation_id}/restore", summary="Bring a deleted drive back", responses=responses(404, 409)
+)
+async def restore(navigation_id: str, station: StationDep) -> NavigationModel:
+    return navigation_model(await station.restore_drive(navigation_id))
+
+
+@router.get("/bin", summary="What was deleted and can be restored", tags=["bin"])
+async def deleted(station: StationDep) -> list[BinModel]:
+    """The newest first. Kept for seven days, and no more than twenty things."""
+    return [bin_model(entry) for entry in station.bin.list()]
+
+
+@router.delete("/bin", summary="Delete for good", status_code=204, tags=["bin"], responses=responses(409))
+async def empty_bin(station: StationDep) -> Response:
+    await station.empty_bin(everything=True)
     return Response(status_code=204)
 
 

@@ -9,10 +9,11 @@ from fastapi import APIRouter, Query, Response
 
 from station.api.deps import StationDep
 from station.api.maps import image_response
-from station.api.models import CurrentPlace, GraphModel, PlaceChange, PlaceModel, VisitModel
+from station.api.models import CurrentPlace, GraphModel, PlaceChange, PlaceMerge, PlaceModel, VisitModel
 from station.api.problems import responses
 from station.api.views import current_place, edge_model, place_model, visit_model
 from station.map_library import keyframe_image, mean_image
+from station.places.changes import shown
 from station.places.graph import to_graphml
 from station.refusals import Unknown
 
@@ -43,7 +44,7 @@ async def query_image(t_robot_ns: int, station: StationDep) -> Response:
     return image_response(image)
 
 
-@router.get("/places", summary="Places of the active map", responses=responses(409))
+@router.get("/places", summary="Places of the active map, hidden ones too", responses=responses(409))
 async def places(station: StationDep) -> list[PlaceModel]:
     active = station.maps.require_active()
     return [place_model(active, place) for place in active.place_map.places]
@@ -55,10 +56,23 @@ async def place(place_id: str, station: StationDep) -> PlaceModel:
     return place_model(active, active.place(place_id))
 
 
-@router.patch("/places/{place_id}", summary="Rename a place", responses=responses(404, 409))
-async def rename(place_id: str, change: PlaceChange, station: StationDep) -> PlaceModel:
-    renamed = await station.rename_place(place_id, change.name)
-    return place_model(station.maps.require_active(), renamed)
+@router.post("/places/merge", summary="Make several places one", responses=responses(404, 409))
+async def merge(order: PlaceMerge, station: StationDep) -> PlaceModel:
+    """The place keeps id and name of the first one; the others are gone. The map's history has them."""
+    merged = await station.merge_places(order.places)
+    return place_model(station.maps.require_active(), merged)
+
+
+@router.patch("/places/{place_id}", summary="Rename, hide or show a place", responses=responses(404, 409))
+async def change(place_id: str, change: PlaceChange, station: StationDep) -> PlaceModel:
+    """A hidden place is never the current one and not in the graph; it keeps its name."""
+    active = station.maps.require_active()
+    place = active.place(place_id)
+    if change.name is not None:
+        place = await station.rename_place(place_id, change.name)
+    if change.hidden is not None and change.hidden != place.hidden:
+        place = await station.hide_place(place_id, change.hidden)
+    return place_model(station.maps.require_active(), place)
 
 
 @router.get(
@@ -83,9 +97,9 @@ async def image(place_id: str, kind: Literal["representative", "mean"], station:
 async def graph(station: StationDep, format: Annotated[Literal["json", "graphml"], Query()] = "json") -> GraphModel:
     active = station.maps.require_active()
     if format == "graphml":
-        return Response(to_graphml(active.place_map), media_type="application/graphml+xml")  # type: ignore[return-value]
+        return Response(to_graphml(shown(active.place_map)), media_type="application/graphml+xml")  # type: ignore[return-value]
     return GraphModel(
         map=active.place_map.id,
-        nodes=[place_model(active, place) for place in active.place_map.places],
+        nodes=[place_model(active, place) for place in active.visible_places],
         edges=[edge_model(edge) for edge in active.place_map.edges],
     )

@@ -33,6 +33,7 @@ KINDS: tuple[tuple[type[RobotSystemError], str, str, int], ...] = (
     (RobotSystemError, "failed", "It did not work", 500),
 )
 STATUS_TITLES = {
+    400: "Bad request",
     403: "Not allowed",
     404: "Not found",
     405: "Method not allowed",
@@ -48,7 +49,14 @@ def kind_of(error: RobotSystemError) -> tuple[str, str, int]:
 
 def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """OpenAPI entries of the problems a call may answer with."""
-    titles = {403: "foreign page", 404: "not found", 409: "not now", 422: "not valid", 503: "no robot is connected"}
+    titles = {
+        400: "no text in UTF-8",
+        403: "foreign page",
+        404: "not found",
+        409: "not now",
+        422: "not valid",
+        503: "no robot is connected",
+    }
     schema = {"schema": {"$ref": "#/components/schemas/Problem"}}
     return {status: {"description": titles[status], "content": {MEDIA_TYPE: schema}} for status in statuses}
 

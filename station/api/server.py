@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from fastapi import Depends, FastAPI
 
-from station.api import camera, events, health, maps, navigations, page, places, problems, robot, slam
+from station.api import (
+    camera,
+    comparisons,
+    events,
+    health,
+    maps,
+    navigations,
+    page,
+    places,
+    problems,
+    replay,
+    robot,
+    slam,
+)
 from station.api.deps import admit
 from station.api.health import program_version
 from station.api.limits import BodyLimit, Seats
@@ -24,13 +37,13 @@ def make_api(station: Station) -> FastAPI:
         description=DESCRIPTION,
         docs_url=None,  # our own page: Swagger's files come from this machine
         redoc_url=None,
-        responses=problems.responses(403, 422),
+        responses=problems.responses(400, 403, 422),
     )
     app.state.station = station
     app.state.seats = Seats()
     app.add_middleware(BodyLimit)
     problems.install(app)
-    for part in (robot, camera, places, maps, navigations, slam, events, health):
+    for part in (robot, camera, places, maps, replay, navigations, comparisons, slam, events, health):
         app.include_router(part.router, dependencies=[Depends(admit)])
     app.include_router(page.router)
     _describe_problems(app)

@@ -9,8 +9,10 @@ import numpy as np
 from station.api.models import (
     AppliedModel,
     BatteryModel,
+    BinModel,
     CapabilitiesModel,
     ClockModel,
+    ComparisonModel,
     CurrentPlace,
     EdgeModel,
     Evidence,
@@ -23,11 +25,14 @@ from station.api.models import (
     PlaceName,
     PlaceProbability,
     RatesModel,
+    ReplayModel,
     RobotModel,
     SlamModel,
     VisitModel,
 )
 from station.app import Station
+from station.bin import BinEntry
+from station.comparisons import Comparison
 from station.drive_library import DriveRecord
 from station.events import LogLine
 from station.jobs import Job
@@ -35,6 +40,7 @@ from station.locating import Visit
 from station.map_library import ActiveMap
 from station.maps.map import Place, PlaceEdge
 from station.maps.store import MapSummary
+from station.navigation import Navigation
 
 
 def robot_model(station: Station) -> RobotModel:
@@ -97,7 +103,10 @@ def current_place(station: Station) -> CurrentPlace:
     report = station.locating.report
     active = station.maps.active
     map_id = active.place_map.id if active else None
-    if report is None or active is None or report.map_id != map_id:
+    known = {place.id: place for place in active.visible_places} if active else {}
+    # Places may have been renamed, hidden or merged since the answer was made: what they are now counts.
+    is_outdated = report is not None and report.answer.place is not None and report.answer.place.id not in known
+    if report is None or active is None or report.map_id != map_id or is_outdated:
         return CurrentPlace(
             state="unknown",
             place=None,
@@ -119,14 +128,16 @@ def current_place(station: Station) -> CurrentPlace:
     has_query = evidence_ns is not None and station.locating.query_image(evidence_ns) is not None
     return CurrentPlace(
         state=answer.state,
-        place=PlaceName(id=answer.place.id, name=answer.place.name) if answer.place else None,
+        place=PlaceName(id=answer.place.id, name=known[answer.place.id].name) if answer.place else None,
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
         age_s=_age_s(station, answer.t_robot_ns),
         map=map_id,
         alternatives=[
-            PlaceProbability(id=c.id, name=c.name, probability=_probability(c.probability)) for c in answer.alternatives
+            PlaceProbability(id=c.id, name=known[c.id].name, probability=_probability(c.probability))
+            for c in answer.alternatives
+            if c.id in known
         ],
         evidence=Evidence(
             query_image=f"/place/current/images/{evidence_ns}.jpg" if has_query else None,
@@ -179,6 +190,7 @@ def place_model(active: ActiveMap, place: Place) -> PlaceModel:
         representative_image=f"/places/{place.id}/images/representative" if has_images else None,
         mean_image=f"/places/{place.id}/images/mean" if has_images else None,
         colour=[p.id for p in active.place_map.places].index(place.id),
+        hidden=place.hidden,
     )
 
 
@@ -193,6 +205,49 @@ def map_model(summary: MapSummary, active: ActiveMap | None) -> MapModel:
         places=summary.places,
         active=active is not None and active.place_map.id == summary.id,
         damaged=summary.damaged,
+    )
+
+
+def comparison_model(comparison: Comparison) -> ComparisonModel:
+    T = comparison.T_first_second
+    return ComparisonModel(
+        id=comparison.id,
+        name=comparison.name,
+        first=comparison.first,
+        second=comparison.second,
+        made_unix_s=comparison.made_wall_s,
+        places=comparison.places,
+        locations=comparison.locations,
+        matches=comparison.matches,
+        accepted=comparison.accepted,
+        reasons=list(comparison.reasons),
+        T_first_second=None if T is None else [x for row in T for x in row],
+        report=f"/comparisons/{comparison.id}/report.html",
+    )
+
+
+def replay_model(drive_id: str, navigation: Navigation, limit: int) -> ReplayModel:
+    times = navigation.trajectory.t_robot_ns
+    chosen = np.unique(np.linspace(0, max(len(times) - 1, 0), min(limit, len(times))).round().astype(int))
+    camera = navigation.calibration.camera
+    T_body_cam = camera.T_body_cam_matrix if camera else np.eye(4)
+    start_ns = int(times[0]) if len(times) else 0
+    poses = navigation.trajectory.T_world_body[chosen] @ T_body_cam
+    return ReplayModel(
+        navigation=drive_id,
+        start_ns=start_ns,
+        t_s=[(int(t) - start_ns) * 1e-9 for t in times[chosen]],
+        T_world_cam=[[round(float(x), 5) for x in T.ravel()] for T in poses],
+    )
+
+
+def bin_model(entry: BinEntry) -> BinModel:
+    return BinModel(
+        kind=entry.kind,
+        id=entry.id,
+        name=entry.name,
+        deleted_unix_s=entry.deleted_wall_s,
+        gone_unix_s=entry.gone_wall_s,
     )
 
 

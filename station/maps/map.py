@@ -21,6 +21,7 @@ class Place:
     keyframe_index: IntArray  # (k,) keyframes that saw its landmarks, most observations first
     representative_keyframe: int  # eq. 4.2: the image nearest to the mean image; -1 without images
     quality: float  # 0..1, how repeatable the place is expected to be
+    hidden: bool = False  # by a person: never answered, not in the graph; its name is kept
 
 
 @dataclass(frozen=True, slots=True)

@@ -173,6 +173,7 @@ def encode_place(place: Place) -> dict[str, Any]:
         "keyframe_index": place.keyframe_index.tolist(),
         "representative_keyframe": place.representative_keyframe,
         "quality": place.quality,
+        **({"hidden": True} if place.hidden else {}),  # absent: as in records from before places could be hidden
     }
 
 
@@ -187,4 +188,5 @@ def decode_place(values: dict[str, Any]) -> Place:
         keyframe_index=np.array(values["keyframe_index"], dtype=np.int64),
         representative_keyframe=values["representative_keyframe"],
         quality=values["quality"],
+        hidden=values.get("hidden", False),
     )

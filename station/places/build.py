@@ -12,6 +12,7 @@ import numpy as np
 from shared.geometry import FloatArray, transform
 from station.maps.map import Place, PlaceMap
 from station.navigation import Navigation
+from station.places.changes import regrouped
 from station.places.clusters import Clusters, cluster_landmarks
 from station.places.config import PlacesConfig, PlacesMode
 from station.places.evidence import evidence_keyframes, gather_evidence, observing_keyframes
@@ -110,9 +111,10 @@ def carry_names(old: PlaceMap, new: PlaceMap, T_new_old: FloatArray | None = Non
         new_id = source.id if source else place.id
         new_name = source.name if source else f"{NAME_PREFIX}{next(numbers)}"
         renamed[place.id] = new_id
-        places.append(replace(place, id=new_id, name=new_name))
+        places.append(replace(place, id=new_id, name=new_name, hidden=source is not None and source.hidden))
     edges = tuple(replace(edge, a=renamed[edge.a], b=renamed[edge.b]) for edge in new.edges)
-    return replace(new, places=tuple(places), edges=edges)
+    named = replace(new, places=tuple(places), edges=edges)
+    return regrouped(named, named.places) if any(place.hidden for place in places) else named
 
 
 def _last_number(places: Sequence[Place]) -> int:

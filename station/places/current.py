@@ -103,6 +103,13 @@ class CurrentPlaceEstimator:
         self._believed: Hypothesis | None = None  # where the robot was known to be
         self._hijack_reason = ""
 
+    def regroup(self, maps: PlaceMap | Sequence[PlaceMap]) -> None:
+        """The same maps with other places or names. What is known of the robot's pose stays."""
+        given = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
+        self._maps = tuple(
+            replace(view, place_map=m, centroids=_centroids(m)) for view, m in zip(self._maps, given, strict=True)
+        )
+
     # -- events ---------------------------------------------------------------------------------------------------
 
     def on_odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int = 0) -> None:
@@ -476,5 +483,9 @@ def _view(place_map: PlaceMap) -> _MapView:
     unit = units_per_metre(place_map)
     positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
     size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
-    centroids = np.array([p.centroid_map for p in place_map.places], dtype=np.float64).reshape(-1, 3)
-    return _MapView(place_map, centroids, unit, float(np.prod(size)), Coverage(place_map, unit))
+    return _MapView(place_map, _centroids(place_map), unit, float(np.prod(size)), Coverage(place_map, unit))
+
+
+def _centroids(place_map: PlaceMap) -> FloatArray:
+    """(P, 3) of its places."""
+    return np.array([p.centroid_map for p in place_map.places], dtype=np.float64).reshape(-1, 3)

@@ -17,6 +17,7 @@ from typing import Any
 WEB = Path(__file__).resolve().parent
 DIST = WEB / "dist"
 STAMP = DIST / ".sources"
+INSTALLED = WEB / "node_modules" / ".installed"  # the lock file that npm's packages are of
 SOURCES = ("package.json", "package-lock.json", "vite.config.ts", "index.html", "tsconfig.json", "src", "public")
 MIN_NODE = 20  # vite 8
 DOCS_FILES = ("swagger-ui-bundle.js", "swagger-ui.css")
@@ -38,7 +39,12 @@ def build(force: bool = False) -> bool:
     if not force and STAMP.is_file() and STAMP.read_text() == digest:
         return False
     npm = _find_npm()
-    _run([*npm, "ci", "--omit=dev", "--no-audit", "--no-fund"], INSTALL_TIMEOUT_S, "npm cannot install its packages")
+    lock = hashlib.sha256((WEB / "package-lock.json").read_bytes()).hexdigest()
+    if not INSTALLED.is_file() or INSTALLED.read_text() != lock:
+        _run(
+            [*npm, "ci", "--omit=dev", "--no-audit", "--no-fund"], INSTALL_TIMEOUT_S, "npm cannot install its packages"
+        )
+        INSTALLED.write_text(lock)
     _run([*npm, "run", "--silent", "build"], BUILD_TIMEOUT_S, "vite cannot build the page")
     (DIST / "docs").mkdir(exist_ok=True)
     for name in DOCS_FILES:

@@ -83,11 +83,15 @@ class Room:
     async def open(self, **options: Any) -> Page:
         """A page of its own browser profile, with live video."""
         page = await self.new_page(**options)
+        await self.visit(page)
+        return page
+
+    async def visit(self, page: Page) -> None:
+        """Open the station's page and wait until it shows live video."""
         await page.goto(self.desk.address)
         await page.wait_for_selector("#video[data-seq]")
         await page.wait_for_selector("#link[data-state=good]")
         await page.wait_for_selector(".age:not(.bad)")
-        return page
 
     async def new_page(self, **options: Any) -> Page:
         """A blank page of its own browser profile. Requests to other hosts fail the test."""

@@ -131,6 +131,26 @@ async def test_a_place_is_renamed_on_the_page_and_in_the_api(room: Room) -> None
     await expect(page.locator("#place-name")).to_have_text("Reading corner")
 
 
+async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> None:
+    place_map = store_map(room.desk.station.config.data_dir)
+    first, second, third = place_map.places[:3]
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": place_map.id})
+    await expect(page.locator("#place-name")).to_have_text(first.name)
+    await page.locator(f"[data-place='{first.id}']").dispatch_event("click")
+    await page.get_by_role("button", name="Hide").click()
+    await expect(page.locator("#place-name")).to_have_text(second.name)
+    await expect(page.locator(f"[data-place='{first.id}']")).to_have_count(0)
+    await page.get_by_role("button", name=f"Show {first.name} again").click()
+    await expect(page.locator("#place-name")).to_have_text(first.name)
+    await page.locator(f"[data-place='{second.id}']").dispatch_event("click")
+    await page.get_by_label("Same place as").select_option(third.id)
+    await page.get_by_role("button", name="Merge").click()
+    await expect(page.locator(f"[data-place='{third.id}']")).to_have_count(0)
+    await expect(page.locator(f"[data-place='{second.id}']")).to_have_count(1)
+    assert third.id not in [p["id"] for p in (await room.desk.http.get("/places")).json()]
+
+
 async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
     page = await room.open()
     await expect(page.locator(".guide .next")).to_contain_text("Record a drive")

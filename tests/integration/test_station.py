@@ -309,6 +309,34 @@ async def test_record_build_ask_and_rename(tmp_path: Path) -> None:
         assert (await http.delete(drive)).status_code == 204
 
 
+async def test_places_are_hidden_shown_and_merged_and_that_outlives_the_station(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    first, second, third = place_map.places[:3]
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        await http.put("/maps/active", json={"id": place_map.id})
+        await wait_for(desk, "/place/current", lambda a: a["place"] and a["place"]["id"] == first.id)
+        await http.patch(f"/places/{first.id}", json={"name": "Sofa", "hidden": True})
+        await wait_for(desk, "/place/current", lambda a: a["place"] and a["place"]["id"] == second.id)
+        graph = (await http.get("/graph")).json()
+        assert first.id not in {node["id"] for node in graph["nodes"]}
+        assert first.id not in (await http.get("/graph?format=graphml")).text
+        assert {p["id"]: p["hidden"] for p in (await http.get("/places")).json()}[first.id]
+        merged = (await http.post("/places/merge", json={"places": [second.id, third.id]})).json()
+        assert (merged["id"], merged["name"]) == (second.id, second.name)
+        assert merged["landmarks"] == len(second.landmark_index) + len(third.landmark_index)
+        assert is_problem(await http.get(f"/places/{third.id}"), 404)
+        assert is_problem(await http.post("/places/merge", json={"places": [second.id, "x"]}), 404)
+        assert is_problem(await http.post("/places/merge", json={"places": [second.id, second.id]}), 409)
+        assert is_problem(await http.post("/places/merge", json={"places": [second.id]}), 422)
+    async with at_work(tmp_path) as (desk, _, _):
+        places = {p["id"]: p for p in (await desk.http.get("/places")).json()}
+        assert (places[first.id]["name"], places[first.id]["hidden"]) == ("Sofa", True)
+        assert third.id not in places
+        await desk.http.patch(f"/places/{first.id}", json={"hidden": False})
+        await wait_for(desk, "/place/current", lambda a: a["place"] and a["place"]["name"] == "Sofa")
+
+
 async def test_the_active_map_is_still_active_after_a_restart(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
     async with running_station(1, tmp_path) as desk:

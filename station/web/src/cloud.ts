@@ -59,11 +59,14 @@ export function setPointSize(pixels: number): void {
   uniforms.size.value = pixels;
 }
 
-export function toPoints(cloud: Cloud): THREE.Points {
+/** Points in their own colours, or all in one. */
+export function toPoints(cloud: Cloud, colour?: number): THREE.Points {
   const geometry = new THREE.BufferGeometry();
   const bytes = new THREE.InterleavedBuffer(new Uint8Array(cloud.buffer.array.buffer, HEADER_BYTES), STRIDE);
   geometry.setAttribute("position", new THREE.InterleavedBufferAttribute(cloud.buffer, 3, 0));
   geometry.setAttribute("tint", new THREE.InterleavedBufferAttribute(bytes, 4, 12, true));
+  if (colour !== undefined)
+    return new THREE.Points(geometry, new THREE.PointsMaterial({ color: colour, size: 2, sizeAttenuation: false }));
   return new THREE.Points(geometry, material);
 }
 

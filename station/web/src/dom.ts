@@ -18,8 +18,13 @@ export function make<K extends keyof HTMLElementTagNameMap>(
     else if (typeof value === "boolean") node.toggleAttribute(name, value);
     else node.setAttribute(name, value);
   }
-  node.append(...children.filter((c): c is Node | string => c !== null && c !== undefined && c !== false));
+  node.append(...present(...children));
   return node;
+}
+
+/** Those of the children that are there. */
+export function present(...children: Child[]): (Node | string)[] {
+  return children.filter((c): c is Node | string => c !== null && c !== undefined && c !== false);
 }
 
 /** Change text only when it is another one: screen readers announce every change. */
@@ -33,12 +38,17 @@ export function show(node: HTMLElement, visible: boolean): void {
 
 let toastTimer = 0;
 
-export function toast(text: string): void {
+/** A sentence for a while; with what can be done about it, for longer. */
+export function toast(text: string, action = "", act: () => Promise<unknown> = async () => {}): void {
   const node = by("toast");
-  node.textContent = text;
+  const run = () => {
+    node.hidden = true;
+    attempt(act);
+  };
+  node.replaceChildren(make("span", {}, text), ...(action ? [make("button", { type: "button", class: "small", onclick: run }, action)] : []));
   node.hidden = false;
   clearTimeout(toastTimer);
-  toastTimer = window.setTimeout(() => (node.hidden = true), 6000);
+  toastTimer = window.setTimeout(() => (node.hidden = true), action ? 15_000 : 6000);
 }
 
 /** Run an action of a button; its failure becomes a sentence on the screen. */

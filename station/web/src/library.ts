@@ -1,8 +1,9 @@
 // Drives and maps: record, stop, build, choose, delete.
 import { call } from "./api";
-import { ask, attempt, by, duration, make, setText, show } from "./dom";
+import { attempt, by, duration, make, setText, show, toast } from "./dom";
+import { openDrive } from "./drive_dialog";
 import { Refresh } from "./refresh";
-import type { JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
+import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
 
 export class Library {
   navigations = new Map<string, NavigationModel>();
@@ -10,9 +11,13 @@ export class Library {
   private jobs = new Map<string, JobModel>();
   private told = new Set<string>(); // navigations that an event told of since their list was asked for
   private readonly navigationList = new Refresh(() => this.fetchNavigations());
+  private readonly binList = new Refresh(() => this.fetchBin());
+  private readonly comparisonList = new Refresh(() => this.fetchComparisons());
   private readonly mapList = new Refresh(() => this.fetchMaps());
   private connected = false;
   onChange: () => void = () => {};
+  onReplay: (navigation: NavigationModel) => Promise<void> = async () => {};
+  onCompare: (id: string) => Promise<void> = async () => {};
 
   constructor() {
     by("record").addEventListener("click", () => attempt(() => this.toggleRecording()));
@@ -23,7 +28,7 @@ export class Library {
   }
 
   async reload(): Promise<void> {
-    await Promise.all([this.navigationList.ask(), this.mapList.ask()]);
+    await Promise.all([this.navigationList.ask(), this.mapList.ask(), this.comparisonList.ask()]);
   }
 
   reloadNavigations(): Promise<void> {
@@ -32,6 +37,27 @@ export class Library {
 
   reloadMaps(): Promise<void> {
     return this.mapList.ask();
+  }
+
+  reloadBin(): Promise<void> {
+    return this.binList.ask();
+  }
+
+  private async fetchBin(): Promise<void> {
+    const deleted = await call<BinModel[]>("GET", "/bin");
+    show(by("bin"), deleted.length > 0);
+    setText(by("bin-summary"), `Recently deleted (${deleted.length})`);
+    by("bin-list").replaceChildren(...deleted.map((entry) => {
+      const restore = () => attempt(() => call("POST", `/${entry.kind}s/${entry.id}/restore`));
+      const gone = new Date(entry.gone_unix_s * 1000).toLocaleDateString();
+      return make("li", {}, make("div", {}, make("strong", {}, entry.name), make("span", { class: "note" }, `${entry.kind === "map" ? "map" : "drive"} · gone for good on ${gone}`)),
+        make("button", { type: "button", class: "small", "aria-label": `Restore ${entry.name}`, onclick: restore }, "Restore"));
+    }));
+  }
+
+  private async fetchComparisons(): Promise<void> {
+    const made = await call<ComparisonModel[]>("GET", "/comparisons");
+    by("comparisons").replaceChildren(...made.slice(0, 6).map((c) => this.comparisonRow(c)));
   }
 
   private async fetchNavigations(): Promise<void> {
@@ -60,7 +86,9 @@ export class Library {
   }
 
   updateJob(job: JobModel): void {
+    const before = this.jobs.get(job.id);
     this.jobs.set(job.id, job);
+    if (before?.state === "running") this.tellEnd(job);
     this.draw();
   }
 
@@ -79,9 +107,17 @@ export class Library {
     await call("POST", "/maps", { navigations: [navigation.id], name: `Map of ${navigation.name}` });
   }
 
+  private tellEnd(job: JobModel): void {
+    const comparison = job.result?.["comparison"];
+    if (job.state === "failed") toast(`${job.title}: ${job.message}`);
+    if (job.state !== "done" || typeof comparison !== "string") return;
+    attempt(() => this.comparisonList.ask());
+    toast(`${job.title}: done`, "Show", () => this.onCompare(comparison));
+  }
+
   private async remove(path: string, name: string): Promise<void> {
-    if (await ask(`Delete ${name}? Its files are gone then.`, "Delete")) await call("DELETE", path);
-    await this.reload();
+    await call("DELETE", path);
+    toast(`${name} is deleted.`, "Undo", () => call("POST", `${path}/restore`));
   }
 
   private draw(): void {
@@ -111,15 +147,21 @@ export class Library {
     const actions = make("div", { class: "row" });
     if (n.state === "ready")
       actions.append(make("button", { type: "button", class: "small", onclick: () => attempt(() => this.build(n)) }, "Build map"));
-    if (n.recording) actions.append(make("a", { class: "small", href: n.recording, download: true, "aria-label": `Download ${n.name}` }, "MCAP"));
     if (n.state !== "finishing")
-      actions.append(this.deleteButton(`/navigations/${n.id}`, n.name));
+      actions.append(
+        make("button", { type: "button", class: "small", "aria-label": `More about ${n.name}`, onclick: () => this.openDrive(n) }, "More"),
+        this.deleteButton(`/navigations/${n.id}`, n.name),
+      );
     return make("li", { class: n.state }, make("div", {}, make("strong", {}, n.name), make("span", { class: "note" }, about)), actions);
   }
 
   private mapRow(m: MapModel): HTMLElement {
     const actions = make("div", { class: "row" });
-    if (m.active) actions.append(make("span", { class: "tick" }, "in use"));
+    if (m.active)
+      actions.append(
+        make("a", { class: "small", href: "/graph?format=graphml", download: `${m.id}.graphml`, "aria-label": `GraphML of ${m.name}` }, "GraphML"),
+        make("span", { class: "tick" }, "in use"),
+      );
     else if (!m.damaged) {
       const use = () => attempt(() => call("PUT", "/maps/active", { id: m.id }));
       actions.append(make("button", { type: "button", class: "small", onclick: use }, "Use"));
@@ -127,6 +169,18 @@ export class Library {
     if (!m.active) actions.append(this.deleteButton(`/maps/${m.id}`, m.name));
     const about = m.damaged || `map · ${m.places} places`;
     return make("li", { class: m.damaged ? "failed" : m.active ? "in-use" : "" }, make("div", {}, make("strong", {}, m.name), make("span", { class: "note" }, about)), actions);
+  }
+
+  private openDrive(n: NavigationModel): void {
+    const others = [...this.navigations.values()].filter((other) => other.id !== n.id && other.state === "ready");
+    openDrive(n, others, { replay: this.onReplay, remove: (drive) => this.remove(`/navigations/${drive.id}`, drive.name) });
+  }
+
+  private comparisonRow(c: ComparisonModel): HTMLElement {
+    const look = make("button", { type: "button", class: "small", "aria-label": `Show ${c.name}`, onclick: () => attempt(() => this.onCompare(c.id)) }, "Show");
+    const report = make("a", { class: "small", href: c.report, target: "_blank", rel: "noopener", "aria-label": `Report: ${c.name}` }, "Report");
+    const about = c.accepted ? `${c.matches} of ${c.places} places found again` : "could not be registered";
+    return make("li", { class: c.accepted ? "" : "failed" }, make("div", {}, make("strong", {}, c.name), make("span", { class: "note" }, about)), make("div", { class: "row" }, look, report));
   }
 
   private deleteButton(path: string, name: string): HTMLElement {

@@ -7,7 +7,8 @@ import { HealthView } from "./health";
 import { Library } from "./library";
 import { MapView } from "./map3d";
 import type { EventMessage, LogModel } from "./messages";
-import { openPlace, PlaceView } from "./place";
+import { PlaceView } from "./place";
+import { Review } from "./review";
 import { VideoView } from "./video";
 
 const video = new VideoView();
@@ -27,8 +28,11 @@ function makeMap(): MapView | null {
   }
 }
 
-if (map) map.onPlace = openPlace;
-if (map) map.onGraph = (graph) => places.setGraph(graph);
+if (map) map.onPlace = (place) => places.open(place);
+if (map) map.onPlaces = (all) => places.setPlaces(all);
+const review = new Review(map);
+library.onReplay = (navigation) => review.replay(navigation);
+library.onCompare = (id) => review.compare(id);
 library.onChange = () => health.draw();
 
 function take(message: EventMessage): void {
@@ -58,7 +62,7 @@ function take(message: EventMessage): void {
       break;
     case "map":
       if (message.active) map?.suggest("map");
-      if (map) attempt(() => map.showMap(message.active));
+      if (map) attempt(() => map.showMap(message.active, message.revision));
       attempt(() => library.reloadMaps());
       break;
     case "job":
@@ -67,6 +71,9 @@ function take(message: EventMessage): void {
     case "place":
       places.show(message.place, message.visit);
       map?.showPlace(message.place);
+      break;
+    case "bin":
+      attempt(() => library.reloadBin());
       break;
     case "log":
       health.addLines([message.line]);

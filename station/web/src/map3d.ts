@@ -2,43 +2,45 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { call } from "./api";
+import { Camera3d } from "./camera3d";
 import { type Cloud, extent, fetchCloud, PALETTE, setPointSize, toPoints } from "./cloud";
 import { by, make, setText, show } from "./dom";
 import { Refresh } from "./refresh";
 import type { CurrentPlace, GraphModel, PlaceModel, SlamModel, TrajectoryModel } from "./messages";
 
 type View = "follow" | "top" | "free";
-type Layer = "map" | "live";
+type Layer = "map" | "live" | "review"; // of the active map, of the running or last drive, of what a person looks at again
 const DATA_REDRAW_MS = 250;
 const MAX_CHUNKS = 40; // then the live cloud is fetched whole again: fewer, larger buffers draw faster
 
 export class MapView {
   onPlace: (place: PlaceModel) => void = () => {};
-  onGraph: (graph: GraphModel | null) => void = () => {};
+  onPlaces: (places: PlaceModel[]) => void = () => {}; // of another map, or changed ones; hidden ones too
   private graph: GraphModel | null = null;
   private readonly host = by("scene");
   private readonly labels = by("labels");
   private readonly renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, powerPreference: "low-power" });
   private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
   private readonly controls: OrbitControls;
-  private readonly groups: Record<Layer, THREE.Group> = { map: new THREE.Group(), live: new THREE.Group() };
+  private readonly groups: Record<Layer, THREE.Group> = { map: new THREE.Group(), live: new THREE.Group(), review: new THREE.Group() };
   private readonly scene = new THREE.Scene();
-  private readonly robot: Record<Layer, THREE.Group>;
+  private readonly robot: Record<"map" | "live", Camera3d>;
   private readonly grid: THREE.GridHelper;
   private readonly track: THREE.Vector3[] = [];
   private trackLine: THREE.Line | null = null;
   private graphLines: THREE.LineSegments | null = null;
   private labelNodes: { node: HTMLElement; at: THREE.Vector3 }[] = [];
-  private boxes: Record<Layer, THREE.Box3 | null> = { map: null, live: null };
-  private points: Record<Layer, number> = { map: 0, live: 0 };
+  private boxes: Record<Layer, THREE.Box3 | null> = { map: null, live: null, review: null };
+  private points: Record<Layer, number> = { map: 0, live: 0, review: 0 };
   private layer: Layer = "map";
+  private layerBefore: Layer = "map";
   private view: View = "top";
   private chosenLayer = false;
   private pending = false;
   private soon = 0;
   private isHeld = false; // a hand turns or moves the view
-  private mapId: string | null = null;
-  private wantedMap: string | null = null;
+  private map: { id: string | null; revision: number } = { id: null, revision: -1 };
+  private wantedMap: { id: string | null; revision: number } = { id: null, revision: -1 };
   private readonly mapContent = new Refresh(() => this.fetchMap());
   private live = { navigation: "", total: 0, chunks: 0 };
   private wantedLive = { navigation: "", total: 0 };
@@ -46,7 +48,7 @@ export class MapView {
   private currentPlaceId: string | null = null;
   frames = 0; // drawn so far, for tests and measurements
 
-  constructor(private readonly video: HTMLCanvasElement) {
+  constructor(video: HTMLCanvasElement) {
     THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
     this.camera.up.set(0, 0, 1);
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -66,10 +68,10 @@ export class MapView {
     const lines = this.grid.material as THREE.Material;
     lines.transparent = true;
     lines.opacity = 0.13;
-    this.robot = { map: this.makeRobot(), live: this.makeRobot() };
-    this.groups.map.add(this.robot.map);
-    this.groups.live.add(this.robot.live);
-    this.scene.add(this.grid, this.groups.map, this.groups.live);
+    this.robot = { map: new Camera3d(video), live: new Camera3d(video) };
+    this.groups.map.add(this.robot.map.group);
+    this.groups.live.add(this.robot.live.group);
+    this.scene.add(this.grid, ...Object.values(this.groups));
     new ResizeObserver(() => this.resize()).observe(this.host);
     for (const button of document.querySelectorAll<HTMLElement>("[data-view]"))
       button.addEventListener("click", () => this.setView(button.dataset["view"] as View, true));
@@ -83,38 +85,42 @@ export class MapView {
   }
 
   /** Show another active map, or its new names. The newest call wins. */
-  showMap(mapId: string | null): Promise<void> {
-    this.wantedMap = mapId;
+  showMap(mapId: string | null, revision: number): Promise<void> {
+    this.wantedMap = { id: mapId, revision };
     return this.mapContent.ask();
   }
 
   private async fetchMap(): Promise<void> {
-    const mapId = this.wantedMap;
-    if (mapId === null) {
-      this.takeMap(null, null, null);
+    const wanted = this.wantedMap;
+    if (wanted.id === null) {
+      this.takeMap(wanted, null, [], null);
       return;
     }
-    const isNew = mapId !== this.mapId;
-    const [graph, cloud] = await Promise.all([
-      call<GraphModel>("GET", "/graph").catch((error: unknown) => error),
-      isNew ? fetchCloud(`/maps/${mapId}/landmarks`).catch((error: unknown) => error) : null,
-    ]);
-    if (this.wantedMap !== mapId) return; // asked for again since
-    if (graph instanceof Error) throw graph;
-    if (cloud instanceof Error) throw cloud;
-    if ((graph as GraphModel).map === mapId) this.takeMap(mapId, graph as GraphModel, cloud as Cloud | null);
-    // else another map was chosen meanwhile, and its event is on the way
+    const isNew = wanted.id !== this.map.id || wanted.revision !== this.map.revision;
+    try {
+      const [graph, places, cloud] = await Promise.all([
+        call<GraphModel>("GET", "/graph"),
+        call<PlaceModel[]>("GET", "/places"),
+        isNew ? fetchCloud(`/maps/${wanted.id}/landmarks`) : null,
+      ]);
+      // Another one's graph: it was chosen meanwhile, and its event is on the way.
+      if (this.wantedMap === wanted && graph.map === wanted.id) this.takeMap(wanted, graph, places, cloud);
+    } catch (error) {
+      if (this.wantedMap === wanted) throw error; // of a map that nobody wants any more it means nothing
+    }
   }
 
-  private takeMap(mapId: string | null, graph: GraphModel | null, cloud: Cloud | null): void {
-    const isNew = mapId !== this.mapId;
-    this.mapId = mapId;
+  private takeMap(map: { id: string | null; revision: number }, graph: GraphModel | null, places: PlaceModel[], cloud: Cloud | null): void {
+    const isOther = map.id !== this.map.id;
+    this.map = map;
     this.graph = graph;
-    this.onGraph(graph);
-    if (isNew) {
+    this.onPlaces(places);
+    if (isOther || cloud) {
       this.clear("map");
       if (cloud) this.addCloud("map", cloud);
-      if (!this.chosenLayer) this.setLayer(mapId === null ? "live" : "map");
+    }
+    if (isOther) {
+      if (!this.chosenLayer) this.setLayer(map.id === null ? "live" : "map");
       this.frameAll();
     }
     this.showGraph();
@@ -123,18 +129,18 @@ export class MapView {
   }
 
   showPlace(place: CurrentPlace): void {
-    this.place(this.robot.map, place.pose_map);
+    this.robot.map.place(place.pose_map);
     const id = place.place?.id ?? null;
     if (id !== this.currentPlaceId) {
       this.currentPlaceId = id;
       for (const { node } of this.labelNodes) node.classList.toggle("here", node.dataset["place"] === id);
     }
-    if (this.layer === "map") this.follow(this.robot.map);
+    if (this.layer === "map") this.follow(this.robot.map.group);
     this.drawSoon();
   }
 
   showSlam(slam: SlamModel): void {
-    this.place(this.robot.live, slam.T_world_cam);
+    this.robot.live.place(slam.T_world_cam);
     const T = slam.T_world_body;
     if (T && slam.navigation === this.live.navigation && slam.state !== "finished") {
       const p = new THREE.Vector3(T[3], T[7], T[11]);
@@ -143,7 +149,7 @@ export class MapView {
         this.showTrack();
       }
     }
-    if (this.layer === "live") this.follow(this.robot.live);
+    if (this.layer === "live") this.follow(this.robot.live.group);
     this.drawSoon();
   }
 
@@ -181,11 +187,35 @@ export class MapView {
     if (!this.chosenLayer) this.setLayer(layer);
   }
 
+  /** Show something beside map and drive until closeReview: a recorded drive, or two that are compared. */
+  openReview(content: THREE.Object3D, box: THREE.Box3 | null, points: number): void {
+    this.layerBefore = this.layer === "review" ? this.layerBefore : this.layer;
+    this.clear("review");
+    this.groups.review.add(content);
+    this.boxes.review = box;
+    this.points.review = points;
+    this.chosenLayer = true;
+    show(by("review-layer"), true);
+    this.setLayer("review");
+    this.frameAll();
+  }
+
+  closeReview(): void {
+    this.clear("review");
+    show(by("review-layer"), false);
+    this.chosenLayer = false;
+    if (this.layer === "review") this.setLayer(this.layerBefore);
+  }
+
+  /** What openReview was given has changed. */
+  redraw(): void {
+    this.drawSoon();
+  }
+
   private setLayer(layer: Layer): void {
     const changed = layer !== this.layer;
     this.layer = layer;
-    this.groups.map.visible = layer === "map";
-    this.groups.live.visible = layer === "live";
+    for (const [name, group] of Object.entries(this.groups)) group.visible = name === layer;
     for (const button of document.querySelectorAll<HTMLElement>("[data-layer]"))
       button.setAttribute("aria-pressed", String(button.dataset["layer"] === layer));
     if (changed) this.frameAll();
@@ -216,7 +246,7 @@ export class MapView {
     this.camera.far = distance * 20;
     this.camera.updateProjectionMatrix();
     this.grid.position.set(Math.round(centre.x), Math.round(centre.y), box.min.z);
-    if (this.view === "follow") this.follow(this.robot[this.layer]);
+    if (this.view === "follow" && this.layer !== "review") this.follow(this.robot[this.layer].group);
     this.controls.update();
     this.draw();
   }
@@ -227,38 +257,6 @@ export class MapView {
     this.controls.target.add(move);
     this.camera.position.add(move);
     this.controls.update();
-  }
-
-  private makeRobot(): THREE.Group {
-    const group = new THREE.Group();
-    const [w, h, d] = [0.24, 0.18, 0.34];
-    const corners = [[-w, -h], [w, -h], [w, h], [-w, h]].map(([x, y]) => new THREE.Vector3(x, y, d));
-    const line: THREE.Vector3[] = [];
-    corners.forEach((corner, i) => line.push(new THREE.Vector3(), corner, corner, corners[(i + 1) % 4]!));
-    const edges = new THREE.LineSegments(
-      new THREE.BufferGeometry().setFromPoints(line),
-      new THREE.LineBasicMaterial({ color: 0xff5a36 }),
-    );
-    const texture = new THREE.CanvasTexture(this.video);
-    const picture = new THREE.Mesh(
-      new THREE.PlaneGeometry(2 * w, 2 * h),
-      new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide }),
-    );
-    picture.position.z = d;
-    picture.rotation.x = Math.PI; // the camera's y points down
-    const body = new THREE.Mesh(new THREE.SphereGeometry(0.06, 16, 12), new THREE.MeshBasicMaterial({ color: 0xff5a36 }));
-    group.add(edges, picture, body);
-    group.visible = false;
-    group.userData["texture"] = texture;
-    return group;
-  }
-
-  private place(robot: THREE.Group, T: number[] | null): void {
-    robot.visible = T !== null;
-    if (!T) return;
-    const M = new THREE.Matrix4().fromArray(T).transpose();
-    M.decompose(robot.position, robot.quaternion, new THREE.Vector3());
-    (robot.userData["texture"] as THREE.CanvasTexture).needsUpdate = true;
   }
 
   private addCloud(layer: Layer, cloud: Cloud): void {
@@ -273,16 +271,16 @@ export class MapView {
 
   private clear(layer: Layer): void {
     for (const child of [...this.groups[layer].children]) {
-      if (child === this.robot[layer]) continue;
+      if (layer !== "review" && child === this.robot[layer].group) continue;
       this.groups[layer].remove(child);
-      (child as THREE.Points).geometry.dispose();
+      child.traverse((part) => (part as THREE.Points).geometry?.dispose());
     }
     this.boxes[layer] = null;
     this.points[layer] = 0;
     if (layer === "live") {
       this.track.length = 0;
       this.trackLine = null;
-    } else {
+    } else if (layer === "map") {
       this.graphLines = null;
     }
   }
@@ -348,7 +346,9 @@ export class MapView {
       empty,
       this.layer === "map"
         ? "No map yet: record a drive, then build a map from it."
-        : "Landmarks appear here while a drive is recorded, or when it is finished.",
+        : this.layer === "live"
+          ? "Landmarks appear here while a drive is recorded, or when it is finished."
+          : "This drive has no landmarks: SLAM did not finish.",
     );
   }
 
@@ -377,6 +377,7 @@ export class MapView {
       this.renderer.render(this.scene, this.camera);
       this.placeLabels();
       this.frames += 1;
+      this.host.dataset["frames"] = String(this.frames);
     });
   }
 

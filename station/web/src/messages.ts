@@ -16,6 +16,21 @@ export interface BatteryModel {
   fraction: number | null;
 }
 
+/** Something was deleted or restored: fetch GET /bin. */
+export interface BinMessage {
+  type: "bin";
+}
+
+/** Something deleted that can still be restored. */
+export interface BinModel {
+  kind: "navigation" | "map";
+  id: string;
+  name: string;
+  deleted_unix_s: number;
+  /** when it is deleted for good, at the latest */
+  gone_unix_s: number;
+}
+
 export interface CapabilitiesModel {
   camera: boolean;
   imu: boolean;
@@ -32,6 +47,33 @@ export interface ClockModel {
   offset_s: number | null;
   drift_ppm: number | null;
   rtt_ms: number | null;
+}
+
+/** Two drives compared; the report has the pictures. */
+export interface ComparisonModel {
+  id: string;
+  name: string;
+  first: string;
+  second: string;
+  made_unix_s: number;
+  /** of the first drive */
+  places: number;
+  /** of the second one */
+  locations: number;
+  matches: number;
+  /** the registration */
+  accepted: boolean;
+  /** why it was refused */
+  reasons: string[];
+  /** row-major 4x4, may carry a scale */
+  T_first_second: number[] | null;
+  report: string;
+}
+
+/** Which drives to compare: places are made of the first one and looked for in the second. */
+export interface ComparisonOrder {
+  first: string;
+  second: string;
 }
 
 /** Which place the robot is at. `place` is null unless the state is "known". */
@@ -209,6 +251,8 @@ export interface MapChoice {
 export interface MapMessage {
   type: "map";
   active: string | null;
+  /** another one: the active map is another, or its places are */
+  revision: number;
 }
 
 export interface MapModel {
@@ -274,8 +318,15 @@ export interface PanTiltOrder {
   tilt: number;
 }
 
+/** What is to be otherwise; what is left out or null stays. */
 export interface PlaceChange {
-  name: string;
+  name: string | null;
+  hidden: boolean | null;
+}
+
+/** Which places are one; it keeps id and name of the first. */
+export interface PlaceMerge {
+  places: string[];
 }
 
 export interface PlaceMessage {
@@ -300,6 +351,8 @@ export interface PlaceModel {
   mean_image: string | null;
   /** its number in GET /maps/{id}/landmarks */
   colour: number;
+  /** by a person: never the current place, and not in the graph */
+  hidden: boolean;
 }
 
 export interface PlaceName {
@@ -335,6 +388,23 @@ export interface RatesModel {
 
 export interface ReleaseCommand {
   type: "release";
+}
+
+/** Where the camera was during a recorded drive; the pictures come by /ws/replay. */
+export interface ReplayModel {
+  navigation: string;
+  /** robot clock, of the first pose */
+  start_ns: number;
+  /** since start_ns, increasing; at most `limit` poses */
+  t_s: number[];
+  /** row-major 4x4 each */
+  T_world_cam: number[][];
+}
+
+/** How to run SLAM over a recording again. */
+export interface ReprocessOrder {
+  /** null: the station's own */
+  backend: "sfm" | "ukf" | null;
 }
 
 export interface RobotMessage {
@@ -430,6 +500,7 @@ export type EventMessage =
   | MapMessage
   | JobMessage
   | PlaceMessage
+  | BinMessage
   | LogMessage;
 
 export type DriveRequest =

@@ -1,13 +1,14 @@
 // The current place in large letters, why, and where the robot was before.
 import { call } from "./api";
 import { PALETTE } from "./cloud";
-import { ask, attempt, by, clock, duration, make, percent, setText, show } from "./dom";
-import type { CurrentPlace, GraphModel, PlaceModel, VisitModel } from "./messages";
+import { ask, attempt, by, clock, duration, make, percent, present, setText, show, toast } from "./dom";
+import type { CurrentPlace, PlaceChange, PlaceModel, VisitModel } from "./messages";
 
 const TIMELINE_S = 180;
 
 export class PlaceView {
   private visits: VisitModel[] = [];
+  private places: PlaceModel[] = [];
   private colours = new Map<string, number>();
 
   constructor() {
@@ -24,8 +25,47 @@ export class PlaceView {
     this.drawTimeline();
   }
 
-  setGraph(graph: GraphModel | null): void {
-    this.colours = new Map(graph?.nodes.map((n) => [n.id, n.colour]) ?? []);
+  /** The places of the map in use, hidden ones too. */
+  setPlaces(places: PlaceModel[]): void {
+    this.places = places;
+    this.colours = new Map(places.map((p) => [p.id, p.colour]));
+    const hidden = places.filter((p) => p.hidden);
+    show(by("hidden"), hidden.length > 0);
+    by("hidden-places").replaceChildren(
+      ...hidden.map((place) => {
+        const again = () => attempt(() => change(place, { hidden: false }));
+        const button = make("button", { type: "button", class: "small", "aria-label": `Show ${place.name} again`, onclick: again }, "Show");
+        return make("li", {}, make("span", {}, place.name), button);
+      }),
+    );
+  }
+
+  /** Everything known of one place, and what can be made of it. */
+  open(place: PlaceModel): void {
+    const dialog = by<HTMLDialogElement>("place-dialog");
+    const others = this.places.filter((p) => p.id !== place.id && !p.hidden);
+    const picture = (path: string | null, text: string) =>
+      path && make("figure", {}, make("img", { src: path, alt: `${text} picture of ${place.name}` }), make("figcaption", {}, text));
+    const button = (text: string, act: () => Promise<unknown>, kind = "") =>
+      make("button", { type: "button", class: kind, onclick: () => { dialog.close(); attempt(act); } }, text);
+    const rename = async () => {
+      const name = await ask("Name this place", "Save", { label: "Name", value: place.name });
+      if (name) await change(place, { name });
+    };
+    const hide = async () => {
+      await change(place, { hidden: true });
+      toast(`${place.name} is hidden: it is never the current place.`, "Undo", () => change(place, { hidden: false }));
+    };
+    const select = make("select", { id: "merge-with" }, ...others.map((p) => make("option", { value: p.id }, p.name)));
+    const merge = () => call("POST", "/places/merge", { places: [place.id, select.value] });
+    dialog.replaceChildren(...present(
+      make("h2", {}, place.name),
+      make("div", { class: "evidence" }, picture(place.representative_image, "representative"), picture(place.mean_image, "mean")),
+      make("p", { class: "note" }, `${place.landmarks} landmarks · seen in ${place.images} pictures · quality ${percent(place.quality)}`),
+      others.length > 0 && make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, button("Merge", merge)),
+      make("div", { class: "row end" }, button("Close", async () => {}, "quiet"), button("Hide", hide), button("Rename", rename, "primary")),
+    ));
+    dialog.showModal();
   }
 
   show(place: CurrentPlace, visit: VisitModel | null): void {
@@ -100,23 +140,6 @@ function setImage(image: HTMLImageElement, path: string | null): void {
   if (path !== null && image.getAttribute("src") !== path) image.src = path;
 }
 
-/** Everything known of one place, and its name to change. */
-export function openPlace(place: PlaceModel): void {
-  const dialog = by<HTMLDialogElement>("place-dialog");
-  const picture = (path: string | null, text: string) =>
-    path && make("figure", {}, make("img", { src: path, alt: `${text} picture of ${place.name}` }), make("figcaption", {}, text));
-  const rename = async () => {
-    dialog.close();
-    const name = await ask("Name this place", "Save", { label: "Name", value: place.name });
-    if (name) await call("PATCH", `/places/${place.id}`, { name });
-  };
-  const close = make("button", { type: "button", class: "quiet", onclick: () => dialog.close() }, "Close");
-  const change = make("button", { type: "button", class: "primary", onclick: () => attempt(rename) }, "Rename");
-  dialog.replaceChildren(
-    make("h2", {}, place.name),
-    make("div", { class: "evidence" }, picture(place.representative_image, "representative"), picture(place.mean_image, "mean")),
-    make("p", { class: "note" }, `${place.landmarks} landmarks · seen in ${place.images} pictures · quality ${percent(place.quality)}`),
-    make("div", { class: "row end" }, close, change),
-  );
-  dialog.showModal();
+function change(place: PlaceModel, what: Partial<PlaceChange>): Promise<PlaceModel> {
+  return call("PATCH", `/places/${place.id}`, what);
 }

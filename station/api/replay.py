@@ -1,0 +1,136 @@
+"""Recorded drives to look at again: their pictures at the pace they were taken, their cloud, their way."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response, WebSocket, WebSocketDisconnect
+from fastapi.responses import StreamingResponse
+
+from shared.errors import RobotSystemError
+from station.api.camera import BOUNDARY, HEADER, STREAM
+from station.api.deps import StationDep
+from station.api.models import JobModel, ReplayModel, ReprocessOrder
+from station.api.points import BINARY, points_response
+from station.api.problems import responses
+from station.api.views import job_model, replay_model
+from station.app import Station
+from station.live import pack_points
+from station.navigation import Navigation
+from station.navigation_files import load_navigation
+from station.refusals import Conflict
+from station.replaying import replay
+
+router = APIRouter(tags=["navigations"])
+FromS = Annotated[float, Query(ge=0, le=86_400, allow_inf_nan=False, description="seconds after the first picture")]
+Speed = Annotated[float, Query(ge=0.1, le=16, allow_inf_nan=False, description="1: as it was")]
+NO_SUCH_DRIVE = 4404  # close code of /ws/replay
+
+
+@router.post(
+    "/navigations/{navigation_id}/reprocess",
+    summary="Run SLAM over a recording again",
+    status_code=202,
+    responses=responses(404, 409),
+)
+async def reprocess(navigation_id: str, station: StationDep, order: ReprocessOrder | None = None) -> JobModel:
+    """For a drive whose SLAM failed, or with another backend. Its navigation is replaced when the job is done."""
+    return job_model(station.reprocess(navigation_id, order.backend if order else None))
+
+
+@router.get(
+    "/navigations/{navigation_id}/landmarks",
+    summary="A finished drive's cloud",
+    response_class=Response,
+    responses={200: BINARY, **responses(404, 409)},
+)
+async def landmarks(navigation_id: str, station: StationDep) -> Response:
+    cloud = (await _load(station, navigation_id)).landmarks
+    table = await asyncio.to_thread(pack_points, cloud.p_world, cloud.rgb)
+    return points_response(table, 0, len(cloud), navigation_id)
+
+
+@router.get(
+    "/navigations/{navigation_id}/replay",
+    summary="Where the camera was during a finished drive",
+    responses=responses(404, 409),
+)
+async def poses(
+    navigation_id: str, station: StationDep, limit: Annotated[int, Query(ge=2, le=20_000)] = 2000
+) -> ReplayModel:
+    return replay_model(navigation_id, await _load(station, navigation_id), limit)
+
+
+@router.get(
+    "/navigations/{navigation_id}/replay.mjpg",
+    summary="A recorded drive's pictures as multipart JPEG, at their own pace",
+    response_class=StreamingResponse,
+    responses={200: STREAM, **responses(404, 409)},
+)
+async def stream(navigation_id: str, station: StationDep, from_s: FromS = 0.0, speed: Speed = 1.0) -> StreamingResponse:
+    parts = _parts(_recording(station, navigation_id), from_s, speed)
+    return StreamingResponse(parts, media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+
+
+@router.websocket("/ws/replay")
+async def replay_socket(
+    socket: WebSocket, station: StationDep, navigation: str, from_s: FromS = 0.0, speed: Speed = 1.0
+) -> None:
+    """As /ws/camera, but `age_s` counts from the first picture: a 32-byte header, then the JPEG; answer each one.
+
+    The socket is closed after the last one.
+    """
+    await socket.accept()
+    try:
+        path = _recording(station, navigation)
+    except RobotSystemError as exc:
+        await socket.close(NO_SUCH_DRIVE, str(exc)[:120])
+        return
+    acknowledged = asyncio.Event()
+    sending = asyncio.create_task(_send(socket, path, from_s, speed, acknowledged))
+    try:
+        while True:
+            await socket.receive_text()
+            acknowledged.set()
+    except (WebSocketDisconnect, RuntimeError):
+        return
+    finally:
+        sending.cancel()
+        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, RobotSystemError):
+            await sending
+
+
+async def _send(socket: WebSocket, path: Path, from_s: float, speed: float, acknowledged: asyncio.Event) -> None:
+    async with contextlib.aclosing(replay(path, from_s, speed)) as pictures:
+        async for picture in pictures:
+            acknowledged.clear()
+            header = HEADER.pack(picture.number & 0xFFFFFFFF, 0, 0, picture.t_robot_ns, picture.since_first_s, 0, 0)
+            await socket.send_bytes(header + picture.jpeg)
+            await acknowledged.wait()
+    await socket.close()
+
+
+async def _parts(path: Path, from_s: float, speed: float) -> AsyncIterator[bytes]:
+    async with contextlib.aclosing(replay(path, from_s, speed)) as pictures:
+        async for picture in pictures:
+            head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % (BOUNDARY, len(picture.jpeg))
+            yield head + picture.jpeg + b"\r\n"
+
+
+def _recording(station: Station, navigation_id: str) -> Path:
+    drive = station.drives.library.get(navigation_id)
+    path = station.drives.library.folder(navigation_id) / "recording.mcap"
+    if drive.state == "recording" or not path.is_file():
+        raise Conflict(f"{navigation_id} has no recording to play now (it is {drive.state})")
+    return path
+
+
+async def _load(station: Station, navigation_id: str) -> Navigation:
+    drive = station.drives.library.get(navigation_id)
+    if drive.state != "ready":
+        raise Conflict(f"{navigation_id} is {drive.state}, not ready: {drive.message}")
+    return await asyncio.to_thread(load_navigation, station.drives.library.navigation_folder(navigation_id))

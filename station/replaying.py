@@ -1,0 +1,43 @@
+"""A recorded drive played again: its pictures at the pace they were taken."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from pathlib import Path
+
+from shared.mcap_recording import RecordedPicture, recorded_pictures
+
+MAX_SILENCE_S = 0.5
+MAX_PAUSE_S = 2.0  # a gap in the recording is not waited for longer
+
+
+async def replay(path: Path, from_s: float = 0.0, speed: float = 1.0) -> AsyncGenerator[RecordedPicture, None]:
+    """Pictures of a recording from `from_s` after its first one, `speed` times as fast as they were taken.
+
+    Who takes them slowly gets the newest that is due: pictures whose successor is due already are skipped.
+    Raises DataError when the file cannot be read.
+    """
+    loop = asyncio.get_running_loop()
+    pictures = recorded_pictures(path)
+    begun_s, begun_ns, shown_s = 0.0, 0, 0.0
+    current = await asyncio.to_thread(next, pictures, None)
+    while current is not None:
+        following = await asyncio.to_thread(next, pictures, None)
+        if current.since_first_s >= from_s:
+            if not begun_ns:
+                begun_s, begun_ns = loop.time(), current.t_robot_ns
+            due_s = begun_s + (current.t_robot_ns - begun_ns) * 1e-9 / speed
+            wait_s = due_s - loop.time()
+            if wait_s > MAX_PAUSE_S:
+                begun_s -= wait_s - MAX_PAUSE_S
+                wait_s = MAX_PAUSE_S
+            await asyncio.sleep(max(0.0, wait_s))
+            behind = following is not None and (
+                begun_s + (following.t_robot_ns - begun_ns) * 1e-9 / speed < loop.time()
+            )  # fmt: skip
+            # A disk that is too slow for the pace must not leave the viewer without any picture.
+            if not behind or loop.time() - shown_s > MAX_SILENCE_S:
+                yield current
+                shown_s = loop.time()
+        current = following

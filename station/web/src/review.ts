@@ -1,0 +1,89 @@
+// What a person looks at again in the 3D view: a recorded drive, or two drives before and after registration.
+import * as THREE from "three";
+import { call } from "./api";
+import { extent, fetchCloud, toPoints } from "./cloud";
+import { by, setText, show } from "./dom";
+import type { MapView } from "./map3d";
+import type { ComparisonModel, NavigationModel } from "./messages";
+import { Replay } from "./replay";
+
+const FIRST = 0x2dd4bf;
+const SECOND = 0xfb923c;
+
+export class Review {
+  private readonly replayed: Replay;
+  private second: THREE.Group | null = null;
+  private T_first_second: number[] | null = null;
+  private opened = 0;
+
+  constructor(private readonly map: MapView | null) {
+    this.replayed = new Replay(map);
+    by("review-close").addEventListener("click", () => this.close());
+    for (const button of document.querySelectorAll<HTMLElement>("[data-registered]"))
+      button.addEventListener("click", () => this.register(button.dataset["registered"] === "true"));
+  }
+
+  async replay(navigation: NavigationModel): Promise<void> {
+    this.opened += 1;
+    this.show(navigation.name, "replay", navigation.state === "ready" ? "" : navigation.message);
+    await this.replayed.open(navigation);
+  }
+
+  async compare(id: string): Promise<void> {
+    const turn = ++this.opened;
+    this.replayed.close();
+    const comparison = await call<ComparisonModel>("GET", `/comparisons/${id}`);
+    const [first, second] = await Promise.all([
+      fetchCloud(`/navigations/${comparison.first}/landmarks`),
+      fetchCloud(`/navigations/${comparison.second}/landmarks`),
+    ]);
+    if (turn !== this.opened || !first || !second) return;
+    const said = comparison.accepted
+      ? `${comparison.matches} of ${comparison.places} places found again. First drive turquoise, second orange.`
+      : `They could not be registered: ${comparison.reasons.join("; ")}.`;
+    this.show(comparison.name, "compare", said);
+    by<HTMLAnchorElement>("report").href = comparison.report;
+    const download = by<HTMLAnchorElement>("report-download");
+    download.href = comparison.report;
+    download.download = `${comparison.id}.html`;
+    this.T_first_second = comparison.T_first_second;
+    this.second = new THREE.Group();
+    this.second.matrixAutoUpdate = false;
+    this.second.add(toPoints(second, SECOND));
+    const content = new THREE.Group();
+    content.add(toPoints(first, FIRST), this.second);
+    const [boxA, boxB] = [extent(first), extent(second)];
+    this.map?.openReview(content, boxA && boxB ? boxA.union(boxB) : (boxA ?? boxB), first.total + second.total);
+    for (const button of document.querySelectorAll<HTMLButtonElement>("[data-registered=true]"))
+      button.disabled = !comparison.accepted || !comparison.T_first_second;
+    this.register(comparison.accepted);
+  }
+
+  private register(on: boolean): void {
+    if (!this.second) return;
+    this.second.matrix.identity();
+    if (on && this.T_first_second) this.second.matrix.fromArray(this.T_first_second).transpose();
+    this.second.matrixWorldNeedsUpdate = true;
+    for (const button of document.querySelectorAll<HTMLElement>("[data-registered]"))
+      button.setAttribute("aria-pressed", String((button.dataset["registered"] === "true") === on));
+    this.map?.redraw();
+  }
+
+  private close(): void {
+    this.opened += 1;
+    this.replayed.close();
+    this.second = null;
+    show(by("review"), false);
+    this.map?.closeReview();
+  }
+
+  private show(title: string, kind: "replay" | "compare", note: string): void {
+    setText(by("review-title"), title);
+    setText(by("review-note"), note);
+    setText(by("review-layer"), kind === "replay" ? "Replay" : "Compare");
+    show(by("review"), true);
+    show(by("review-replay"), kind === "replay");
+    show(by("review-compare"), kind === "compare");
+    by("review").scrollIntoView({ block: "nearest" });
+  }
+}
