@@ -77,11 +77,11 @@ void MotorControl::tick() {
 
 BridgeInputs bridge_inputs(Bridge bridge, int16_t speed, bool slow_decay) {
   if (bridge == Bridge::COAST) return {0, 0};
-  if (bridge == Bridge::BRAKE) return {FULL, FULL};
-  const uint16_t size = static_cast<uint16_t>(speed < 0 ? -speed : speed);
+  if (bridge == Bridge::BRAKE) return {PWM_COUNTS, PWM_COUNTS};
+  const uint16_t size = pwm_counts(static_cast<uint16_t>(speed < 0 ? -speed : speed));
   // Slow decay holds the driving input high and pulses the other low: between pulses the winding is shorted.
-  const uint16_t driving = slow_decay ? FULL : size;
-  const uint16_t other = slow_decay ? static_cast<uint16_t>(FULL - size) : 0;
+  const uint16_t driving = slow_decay ? PWM_COUNTS : size;
+  const uint16_t other = slow_decay ? static_cast<uint16_t>(PWM_COUNTS - size) : 0;
   return speed < 0 ? BridgeInputs{other, driving} : BridgeInputs{driving, other};
 }
 

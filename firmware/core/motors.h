@@ -53,7 +53,12 @@ class MotorControl {
   Bridge bridge_ = Bridge::COAST;
 };
 
-// The two inputs of one DRV8833 bridge, permille of high time each (DRV8833 datasheet, table 2).
+// Counts of a PWM period that `permille` (0..1000) is high: 0 is off, PWM_COUNTS is on throughout. In 16 bits, since a
+// 32-bit division takes the AVR 40 us and this runs in the tick; what is less than a count is none.
+const uint16_t PWM_COUNTS = 800;
+inline uint16_t pwm_counts(uint16_t permille) { return static_cast<uint16_t>(permille * 4u / 5u); }
+
+// The two inputs of one DRV8833 bridge, counts of high time each (DRV8833 datasheet, table 2).
 struct BridgeInputs {
   uint16_t in1, in2;
 };

@@ -9,56 +9,66 @@ extern volatile uint32_t clock_ticks_ms;
 
 namespace {
 
-const uint16_t PWM_TOP = 799;  // 16 MHz / 800 = 20 kHz: above hearing, below the DRV8833's 50 kHz
+const uint16_t PWM_TOP = sentinel::PWM_COUNTS - 1;  // 16 MHz / 800 = 20 kHz: above hearing, below the DRV8833's 50 kHz
 const uint8_t TIMER_STANDS_3 = _BV(WGM33) | _BV(WGM32);  // fast PWM up to ICR (mode 14), no clock
 const uint8_t TIMER_STANDS_4 = _BV(WGM43) | _BV(WGM42);
 
-// High for `permille` of the time. 0 and full leave the timer: its narrowest pulse is one clock, not none.
-inline void put(uint16_t permille, volatile uint8_t& tccr_a, uint8_t com, volatile uint16_t& ocr, volatile uint8_t& port,
-                uint8_t bit) {
-  if (permille == 0 || permille >= sentinel::FULL) {
+// High for `counts` of the period. 0 and all leave the timer: its narrowest pulse is one clock, not none.
+inline void put(uint16_t counts, volatile uint8_t& tccr_a, uint8_t com, volatile uint16_t& ocr, volatile uint8_t& port, uint8_t bit) {
+  if (counts == 0 || counts >= sentinel::PWM_COUNTS) {
     // First off the timer, then the level: its last edge must not come after it (bench_stop saw one in 80 in the emulator).
     tccr_a &= static_cast<uint8_t>(~com);
-    if (permille == 0) {
+    if (counts == 0) {
       port &= static_cast<uint8_t>(~bit);
     } else {
       port |= bit;
     }
   } else {
-    ocr = static_cast<uint16_t>(static_cast<uint32_t>(permille) * (PWM_TOP + 1) / 1000 - 1);
+    ocr = static_cast<uint16_t>(counts - 1);
     tccr_a |= com;
   }
 }
 
-// Coasting, the driver sleeps and the timers stand: two more switches between battery and motor. It falls asleep before
-// its inputs change and wakes after, so that no order of the four inputs can jerk a motor.
-void apply() {
-  using sentinel::Bridge;
-  const bool awake = motors.bridge() != Bridge::COAST;
-  if (!awake) PORTG &= static_cast<uint8_t>(~_BV(5));
-  const sentinel::BridgeInputs l = sentinel::bridge_inputs(motors.bridge(), motors.left(), motors.slow_decay());
-  const sentinel::BridgeInputs r = sentinel::bridge_inputs(motors.bridge(), motors.right(), motors.slow_decay());
-  put(l.in1, TCCR4A, _BV(COM4A1), OCR4A, PORTH, _BV(3));
-  put(l.in2, TCCR4A, _BV(COM4B1), OCR4B, PORTH, _BV(4));
-  put(r.in1, TCCR3A, _BV(COM3A1), OCR3A, PORTE, _BV(3));
-  put(r.in2, TCCR3A, _BV(COM3C1), OCR3C, PORTE, _BV(5));
-  TCCR3B = awake ? TIMER_STANDS_3 | _BV(CS30) : TIMER_STANDS_3;
-  TCCR4B = awake ? TIMER_STANDS_4 | _BV(CS40) : TIMER_STANDS_4;
-  if (awake) PORTG |= _BV(5);
+inline void put_left(sentinel::Bridge bridge, int16_t speed) {
+  const sentinel::BridgeInputs inputs = sentinel::bridge_inputs(bridge, speed, motors.slow_decay());
+  put(inputs.in1, TCCR4A, _BV(COM4A1), OCR4A, PORTH, _BV(3));
+  put(inputs.in2, TCCR4A, _BV(COM4B1), OCR4B, PORTH, _BV(4));
+}
+
+inline void put_right(sentinel::Bridge bridge, int16_t speed) {
+  const sentinel::BridgeInputs inputs = sentinel::bridge_inputs(bridge, speed, motors.slow_decay());
+  put(inputs.in1, TCCR3A, _BV(COM3A1), OCR3A, PORTE, _BV(3));
+  put(inputs.in2, TCCR3A, _BV(COM3C1), OCR3C, PORTE, _BV(5));
 }
 
 }  // namespace
 
+// Interrupts are off in here, and the UART holds three bytes (60 us) meanwhile: a test bounds what it takes.
+// Coasting, the driver sleeps and the timers stand: two more switches between battery and motor. It falls asleep before
+// its inputs change and wakes after, so that no order of the four inputs can jerk a motor.
 ISR(TIMER2_COMPA_vect) {
+  using sentinel::Bridge;
   static int16_t left = 0, right = 0;
-  static sentinel::Bridge bridge = sentinel::Bridge::COAST;
+  static Bridge bridge = Bridge::COAST;
   clock_ticks_ms = clock_ticks_ms + 1;
   motors.tick();
-  if (motors.left() == left && motors.right() == right && motors.bridge() == bridge) return;
-  left = motors.left();
-  right = motors.right();
-  bridge = motors.bridge();
-  apply();
+  const Bridge next = motors.bridge();
+  const bool turned = next != bridge;
+  if (turned && next == Bridge::COAST) PORTG &= static_cast<uint8_t>(~_BV(5));
+  if (turned || motors.left() != left) {
+    left = motors.left();
+    put_left(next, left);
+  }
+  if (turned || motors.right() != right) {
+    right = motors.right();
+    put_right(next, right);
+  }
+  if (!turned) return;
+  bridge = next;
+  const bool awake = next != Bridge::COAST;
+  TCCR3B = awake ? TIMER_STANDS_3 | _BV(CS30) : TIMER_STANDS_3;
+  TCCR4B = awake ? TIMER_STANDS_4 | _BV(CS40) : TIMER_STANDS_4;
+  if (awake) PORTG |= _BV(5);
 }
 
 void motors_begin() {

@@ -47,7 +47,7 @@ static bool mag_runs() { return true; }  // not asked for
 static bool imu_has_work() { return false; }
 static uint16_t bus_recoveries_seen() { return 0; }
 #else
-// The sample's time is that of this interrupt's start: 2 to 20 us after the pin, when another interrupt ran.
+// The sample's time is that of this interrupt's start: 2 us after the pin, up to 40 us when another interrupt runs (a test bounds that).
 ISR(INT4_vect) { imu.data_ready(clock_us_in_isr()); }
 
 static bool imu_runs() { return imu.running(); }

@@ -244,14 +244,28 @@ static void test_low_battery_holds_the_motors_off_until_it_recovers() {
 }
 
 static void test_bridge_inputs_follow_the_driver_s_truth_table() {
-  const auto is = [](BridgeInputs b, int in1, int in2) { return b.in1 == in1 && b.in2 == in2; };
+  const auto is = [](BridgeInputs b, int in1, int in2) { return b.in1 == in1 && b.in2 == in2; };  // of 800 counts
   CHECK(is(bridge_inputs(Bridge::COAST, 700, true), 0, 0));
-  CHECK(is(bridge_inputs(Bridge::BRAKE, 700, false), 1000, 1000));
-  CHECK(is(bridge_inputs(Bridge::RUN, 700, true), 1000, 300));
-  CHECK(is(bridge_inputs(Bridge::RUN, -700, true), 300, 1000));
-  CHECK(is(bridge_inputs(Bridge::RUN, 700, false), 700, 0));
-  CHECK(is(bridge_inputs(Bridge::RUN, -700, false), 0, 700));
-  CHECK(is(bridge_inputs(Bridge::RUN, 0, true), 1000, 1000));
+  CHECK(is(bridge_inputs(Bridge::BRAKE, 700, false), 800, 800));
+  CHECK(is(bridge_inputs(Bridge::RUN, 700, true), 800, 240));
+  CHECK(is(bridge_inputs(Bridge::RUN, -700, true), 240, 800));
+  CHECK(is(bridge_inputs(Bridge::RUN, 700, false), 560, 0));
+  CHECK(is(bridge_inputs(Bridge::RUN, -700, false), 0, 560));
+  CHECK(is(bridge_inputs(Bridge::RUN, 0, true), 800, 800));
+}
+
+static void test_every_duty_has_its_counts_in_both_decays() {
+  for (int16_t permille = 0; permille <= FULL; ++permille) {
+    const uint16_t counts = static_cast<uint16_t>(permille * 800L / 1000);
+    CHECK(pwm_counts(static_cast<uint16_t>(permille)) == counts);
+    CHECK((counts == PWM_COUNTS) == (permille == FULL));
+    for (int16_t speed : {permille, static_cast<int16_t>(-permille)}) {
+      const BridgeInputs fast = bridge_inputs(Bridge::RUN, speed, false), slow = bridge_inputs(Bridge::RUN, speed, true);
+      const int driven = speed < 0 ? -counts : counts;
+      CHECK(fast.in1 - fast.in2 == driven && slow.in1 - slow.in2 == driven);
+      CHECK(fast.in1 <= PWM_COUNTS && fast.in2 <= PWM_COUNTS && slow.in1 <= PWM_COUNTS && slow.in2 <= PWM_COUNTS);
+    }
+  }
 }
 
 // A chip that answers like the ICM-20948: enough registers for the set-up and the burst.
@@ -385,6 +399,7 @@ int main(int argc, char** argv) {
       TEST(test_speed_ramps_and_reverses_through_zero),
       TEST(test_low_battery_holds_the_motors_off_until_it_recovers),
       TEST(test_bridge_inputs_follow_the_driver_s_truth_table),
+      TEST(test_every_duty_has_its_counts_in_both_decays),
       TEST(test_imu_set_up_leaves_the_registers_as_meant),
       TEST(test_imu_is_found_at_its_other_address_and_without_magnetometer),
       TEST(test_every_data_ready_gives_one_packet_with_its_own_stamp),

@@ -25,6 +25,7 @@ struct icm chip;
 struct options options;
 
 static const int FREQUENCY = 16000000;
+static const double UNMEASURED = -1;
 static const uint64_t SLIP_NS = 20000000;
 static int quit = 0;
 static int want_reset = 0;
@@ -32,6 +33,7 @@ static int resets = -1; /* the first is power on */
 static void (*core_reset)(struct avr_t *);
 static uint8_t *patched_at = NULL, patched[2];
 static int want_hang = 0; /* 1: interrupts on, 2: off */
+static double interrupts_off_us = UNMEASURED; /* longest stretch since the command of this name */
 static uint64_t start_wall_ns;
 static uint64_t late_max_ns;
 static FILE *script;
@@ -137,6 +139,8 @@ static void command(const char *line) {
     unsigned address;
     char hex[64];
     if (sscanf(rest, "%x %63s", &address, hex) == 2) hex_bytes(hex, avr->data + address);
+  } else if (!strcmp(word, "interrupts_off")) {
+    interrupts_off_us = 0;
   } else if (!strcmp(word, "mark")) {
     event("mark %s", rest);
   } else if (!strcmp(word, "quit")) {
@@ -279,6 +283,18 @@ static int painted_bytes(void) {
   return best;
 }
 
+/* simavr comes back after at most 16 cycles, and at once when interrupts go on. */
+static void watch_interrupts(void) {
+  static avr_cycle_count_t off_since = 0;
+  if (avr->sreg[S_I]) {
+    const double us = (double)(avr->cycle - off_since) / 16.0;
+    if (off_since != 0 && interrupts_off_us >= 0 && us > interrupts_off_us) interrupts_off_us = us;
+    off_since = 0;
+  } else if (off_since == 0) {
+    off_since = avr->cycle;
+  }
+}
+
 int main(int argc, char **argv) {
   parse_options(argc, argv);
   elf_firmware_t firmware;
@@ -323,15 +339,18 @@ int main(int argc, char **argv) {
     if (want_reset) avr_reset(avr);
     want_reset = 0;
     const int state = avr_run(avr);
+    watch_interrupts();
     if (state == cpu_Done || state == cpu_Crashed) {
       event("firmware ended in state %d", state);
       quit = 3;
     }
   }
   printf("{\"virtual_s\": %.6f, \"samples\": %llu, \"bytes_out\": %llu, \"bytes_in\": %llu, \"bytes_lost\": %llu, \"resets\": %d, "
-         "\"stack_free\": %d, \"left\": %d, \"right\": %d, \"late_max_ms\": %.1f, \"least_delay_us\": %.0f}\n",
+         "\"stack_free\": %d, \"left\": %d, \"right\": %d, \"late_max_ms\": %.1f, \"least_delay_us\": %.0f, "
+         "\"interrupts_off_us\": %.1f}\n",
          now_us() / 1e6, (unsigned long long)chip.samples, (unsigned long long)bytes_out, (unsigned long long)bytes_in,
-         (unsigned long long)bytes_lost, resets, painted_bytes(), duty_left, duty_right, (double)late_max_ns / 1e6, least_delay_us);
+         (unsigned long long)bytes_lost, resets, painted_bytes(), duty_left, duty_right, (double)late_max_ns / 1e6, least_delay_us,
+         interrupts_off_us);
   serial_close();
   return quit == 1 ? 0 : quit;
 }

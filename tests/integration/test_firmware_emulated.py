@@ -14,6 +14,7 @@ from tests.emulator import board
 pytestmark = pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or "")
 
 FIRMWARE_BOUND_US = 500_000  # from the fault to zero duty at the pins
+INTERRUPTS_OFF_US = 40
 DUTY_ERROR = 8  # permille: the emulator moves a PWM edge by a few of a period's 800 cycles
 
 
@@ -208,6 +209,30 @@ def test_fast_decay_gives_the_same_duty(tmp_path: Path) -> None:
     left, right = run.duty_at(1.8e6)
     assert left == pytest.approx(-700, abs=DUTY_ERROR) and right == pytest.approx(450, abs=DUTY_ERROR)
     assert run.duty_at(2.4e6) == (0, 0)
+
+
+@pytest.mark.parametrize("slow_decay", [True, False])
+def test_the_smallest_and_largest_duties_reach_the_pins(tmp_path: Path, slow_decay: bool) -> None:
+    """One permille is less than a count of the timer: it must not become a pin that stays high."""
+    duties = [1, 2, 500, 998, 999, 1000]
+    script = [(0.4, board.uart(sp.ConfigMotors(slow_decay, ramp_up=255, ramp_down=255)))]
+    for i, duty in enumerate(duties):
+        script += [*board.drive([0.5 + 0.2 * i], duty, -duty), (0.67 + 0.2 * i, board.uart(sp.Stop()))]  # from braking
+    run = board.batch(tmp_path, 1.8, script)
+    for i, duty in enumerate(duties):
+        left, right = run.duty_at(0.65e6 + 0.2e6 * i)
+        expected = duty * 800 // 1000 / 0.8
+        assert left == pytest.approx(expected, abs=DUTY_ERROR) and right == pytest.approx(-expected, abs=DUTY_ERROR)
+
+
+@pytest.mark.parametrize("slow_decay", [True, False])
+def test_interrupts_are_never_off_for_longer_than_the_uart_can_wait(tmp_path: Path, slow_decay: bool) -> None:
+    """At 500 kBd a byte takes 20 us and the AVR holds three; simavr's UART would hold 64 and show no loss."""
+    drives = [d for i in range(10) for d in board.drive([1.0 + 0.2 * i], 900 - 300 * (i % 7), 300 * (i % 7) - 850)]
+    config = (0.8, board.uart(sp.ConfigMotors(slow_decay, ramp_up=7, ramp_down=3, cutoff_mv=6400)))
+    run = board.batch(tmp_path, 3.5, [(0.7, "interrupts_off"), config, *drives, (2.9, board.uart(sp.Stop()))])
+    assert any(0 < left < 900 for _, left, _ in run.pins)
+    assert 0 < run.facts["interrupts_off_us"] <= INTERRUPTS_OFF_US
 
 
 def test_servo_pulses_have_the_commanded_width(tmp_path: Path) -> None:
