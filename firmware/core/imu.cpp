@@ -59,6 +59,11 @@ bool reached(uint32_t now_ms, uint32_t when_ms) { return static_cast<int32_t>(no
 
 }  // namespace
 
+static bool same(const ConfigImu& a, const ConfigImu& b) {
+  return a.gyro_scale == b.gyro_scale && a.accel_scale == b.accel_scale && a.gyro_filter == b.gyro_filter &&
+         a.accel_filter == b.accel_filter && a.divider == b.divider;
+}
+
 uint8_t Icm20948::value_of(uint8_t step) const {
   switch (SETUP[step].source) {
     case GYRO_DIV:
@@ -73,15 +78,8 @@ uint8_t Icm20948::value_of(uint8_t step) const {
   }
 }
 
-void Icm20948::configure(const ConfigImu& config) {
-  const bool same = config.gyro_scale == config_.gyro_scale && config.accel_scale == config_.accel_scale &&
-                    config.gyro_filter == config_.gyro_filter && config.accel_filter == config_.accel_filter &&
-                    config.divider == config_.divider;
-  if (same) return;  // a Pi that joins must not interrupt the stream
-  config_ = config;
-  restart(0);
-  wait_until_ms_ = last_sample_ms_;
-}
+// An operation may be on the bus, and its result belongs to the state that asked for it.
+void Icm20948::configure(const ConfigImu& config) { wanted_ = config; }
 
 void Icm20948::restart(uint32_t now_ms) {
   state_ = State::PROBE;
@@ -94,6 +92,10 @@ void Icm20948::restart(uint32_t now_ms) {
 
 bool Icm20948::next(uint32_t now_ms, BusOp* op) {
   bank_op_ = false;
+  if (!same(wanted_, config_)) {  // a Pi that joins with the present one must not interrupt the stream
+    config_ = wanted_;
+    restart(now_ms);
+  }
   if (state_ == State::RUN) {
     if (pending_) {
       // Stamp and number belong together, and the interrupt may come between any two lines here.
@@ -211,7 +213,9 @@ void Icm20948::done(uint32_t now_ms, bool ok, const uint8_t* data) {
       }
       break;
     case State::RUN:
-      if (was_reading) {
+      // A newer sample may have come before the chip gave this one out: the stamp and the bytes could be of two samples.
+      // It is lost then, and counted; the newer one is read next.
+      if (was_reading && !pending_) {
         packet_.scales = static_cast<uint8_t>(config_.gyro_scale | config_.accel_scale << 4);
         for (uint8_t i = 0; i < IMU_BURST; ++i) packet_.burst[i] = data[i];
         have_packet_ = true;
@@ -219,6 +223,9 @@ void Icm20948::done(uint32_t now_ms, bool ok, const uint8_t* data) {
       break;
   }
   if (state_ == State::SETUP && step_ == SETUP_STEPS) {
+    // The chip went on, or stood, for an unknown number of samples: one number stays out, so that the Pi sees a hole.
+    // No interrupt counts here: data_ready() does so in RUN only.
+    if (starts_ != 0) samples_ = samples_ + 1;
     state_ = State::RUN;
     ++starts_;
     last_sample_ms_ = now_ms;
@@ -235,7 +242,6 @@ void Icm20948::data_ready(uint32_t t_us) {
 bool Icm20948::take(ImuPacket* packet) {
   if (!have_packet_) return false;
   have_packet_ = false;
-  ++sent_;
   *packet = packet_;
   return true;
 }

@@ -28,11 +28,13 @@ class Icm20948 {
   void data_ready(uint32_t t_us);
   // True once per burst read: fills everything but `scales`'s meaning, which is in the packet.
   bool take(ImuPacket* packet);
+  // The packet taken last is on its way to the Pi; without this call it counts as lost.
+  void count_sent() { ++sent_; }
 
+  // At any time: takes effect in next(), when no operation is on the bus.
   void configure(const ConfigImu& config);
-  void restart(uint32_t now_ms);
 
-  const ConfigImu& config() const { return config_; }
+  const ConfigImu& config() const { return wanted_; }
   bool running() const { return state_ == State::RUN; }
   bool sample_waits() const { return pending_; }
   bool mag_present() const { return mag_present_; }
@@ -41,7 +43,8 @@ class Icm20948 {
   uint16_t errors() const { return errors_; }
   uint16_t starts() const { return starts_; }
   uint32_t samples() const { return samples_; }
-  uint32_t sent() const { return sent_; }
+  // Samples that will never be sent; data_ready held off. Each set-up anew counts as one, as its number of samples is unknown.
+  uint32_t lost() const { return samples_ - sent_ - pending_ - reading_ - have_packet_; }
   uint32_t last_error_ms() const { return last_error_ms_; }
 
  private:
@@ -50,9 +53,11 @@ class Icm20948 {
   BusOp read_register(uint8_t reg, uint8_t n) const { return {address_, 1, {reg, 0}, n}; }
   uint8_t value_of(uint8_t step) const;
   void fail(uint32_t now_ms);
+  void restart(uint32_t now_ms);
 
   ConfigImu config_ = {1, 1, 3, 3, 4};  // 500 deg/s, 4 g, 51 and 50 Hz low-pass, 225 Hz
-  State state_ = State::PROBE;
+  ConfigImu wanted_ = config_;
+  volatile State state_ = State::PROBE;  // the interrupt counts in RUN only
   uint8_t address_ = 0x69;  // SparkFun's breakout; 0x68 with its jumper closed
   uint8_t who_ = 0;
   uint8_t step_ = 0;

@@ -20,9 +20,12 @@ void MotorControl::stop() {
 
 void MotorControl::configure(const ConfigMotors& config) {
   halt();
+  // A Pi that joins repeats its configuration: an empty battery stays one.
+  if (config.cutoff_mv != config_.cutoff_mv) {
+    low_battery_ = false;
+    low_ms_ = 0;
+  }
   config_ = config;
-  low_battery_ = false;
-  low_ms_ = 0;
 }
 
 void MotorControl::halt() {

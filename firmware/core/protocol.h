@@ -61,8 +61,8 @@ struct ImuPacket {
 struct Status {
   uint32_t uptime_ms;
   uint16_t flags;
-  uint32_t samples;        // data-ready interrupts
-  uint32_t samples_lost;   // of these, not sent
+  uint32_t samples;        // data-ready interrupts, and one for each set-up of the IMU after the first
+  uint32_t samples_lost;   // of these, neither sent nor on their way
   uint16_t bus_errors, bus_recoveries, imu_starts;
   uint16_t rx_frames, rx_bad, rx_overruns, tx_dropped;
   uint16_t ttl_stops;

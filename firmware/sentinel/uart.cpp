@@ -37,8 +37,8 @@ void uart_begin() {
 
 bool uart_read(uint8_t* byte) { return input.pop(byte); }
 
-bool uart_send(const uint8_t* data, uint8_t length) {
-  if (output.room() < length) return false;
+bool uart_send(const uint8_t* data, uint8_t length, uint8_t spare) {
+  if (output.room() < length + spare) return false;
   for (uint8_t i = 0; i < length; ++i) output.push(data[i]);
   const uint8_t sreg = SREG;
   cli();

@@ -60,6 +60,8 @@ int main(int argc, char** argv) {
   MotorControl motors;
   Icm20948 imu;
   long payloads = 0, refused = 0;
+  bool on_the_bus = false;
+  BusOp op;
   for (long i = 0; i < inputs; ++i) {
     Bytes input = frame();
     if (below(10) == 0) {
@@ -102,13 +104,17 @@ int main(int argc, char** argv) {
     }
     motors.tick();
     // The chip's side: what the bus brings is as random as what the line brings.
-    BusOp op;
     uint8_t data[IMU_BURST];
     for (uint8_t& byte : data) byte = static_cast<uint8_t>(below(256));
     data[0] = below(2) ? 0xEA : data[0];
     const uint32_t now_ms = static_cast<uint32_t>(i);
     if (below(8) == 0) imu.data_ready(next_random());
-    if (imu.next(now_ms, &op)) imu.done(now_ms, below(16) != 0, data);
+    // An operation may last until commands have come in between.
+    if (!on_the_bus) on_the_bus = imu.next(now_ms, &op);
+    if (on_the_bus && below(2)) {
+      imu.done(now_ms, below(16) != 0, data);
+      on_the_bus = false;
+    }
     ImuPacket packet;
     imu.take(&packet);
     if (motors.left() != 0 || motors.right() != 0 || motors.bridge() == Bridge::RUN) {

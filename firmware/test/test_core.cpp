@@ -243,6 +243,22 @@ static void test_low_battery_holds_the_motors_off_until_it_recovers() {
   CHECK(motors.left() == 500 && !motors.low_battery());
 }
 
+static void test_a_repeated_configuration_keeps_an_empty_battery_empty() {
+  MotorControl motors;
+  motors.configure(ConfigMotors{1, 4, 10, 6400});
+  motors.battery(6000);
+  run(motors, 1500);
+  motors.configure(ConfigMotors{1, 4, 10, 6400});  // nor does it start the grace period anew
+  run(motors, 600);
+  CHECK(motors.low_battery());
+  motors.configure(ConfigMotors{0, 8, 20, 6400});
+  motors.command(Drive{500, 500, 300});
+  run(motors, 100);
+  CHECK(motors.low_battery() && motors.left() == 0);
+  motors.configure(ConfigMotors{1, 4, 10, 5000});
+  CHECK(!motors.low_battery());
+}
+
 static void test_bridge_inputs_follow_the_driver_s_truth_table() {
   const auto is = [](BridgeInputs b, int in1, int in2) { return b.in1 == in1 && b.in2 == in2; };  // of 800 counts
   CHECK(is(bridge_inputs(Bridge::COAST, 700, true), 0, 0));
@@ -380,6 +396,105 @@ static void test_imu_takes_new_scales_and_rate() {
   CHECK(chip.registers[0x214] == (5 << 3 | 2 << 1 | 1));
 }
 
+// One operation, begun and not ended: false while there is none.
+static bool begin(Icm20948& imu, uint32_t& now, uint32_t until, BusOp* op) {
+  for (; now < until; ++now) {
+    if (imu.next(now, op)) return true;
+  }
+  return false;
+}
+
+static void test_imu_settings_come_while_any_operation_is_on_the_bus() {
+  // The n-th operation is on the bus when they come; there are some 60 until it runs, with bursts after.
+  for (int n = 0; n < 100; ++n) {
+    Icm20948 imu;
+    FakeChip chip;
+    uint8_t data[IMU_BURST];
+    uint32_t now = 0;
+    BusOp op;
+    for (int i = 0; i <= n; ++i) {
+      if (imu.running()) imu.data_ready(now * 1000);
+      CHECK(begin(imu, now, 10000, &op));
+      if (i == n) imu.configure(ConfigImu{3, 2, 1, 5, 9});
+      const bool ok = chip.transfer(op, data);
+      if (op.read_length == IMU_BURST) data[0] = 0;  // read as a WHO_AM_I it would be wrong
+      imu.done(now, ok, data);
+      ImuPacket packet;
+      if (imu.take(&packet)) CHECK(packet.scales == 0x11);  // those it was measured with
+    }
+    bus(imu, chip, now, now + 400, true);
+    CHECK(imu.running() && imu.errors() == 0);
+    CHECK(chip.registers[0x200] == 9 && chip.registers[0x201] == (1 << 3 | 3 << 1 | 1));
+    CHECK(chip.registers[0x214] == (5 << 3 | 2 << 1 | 1) && chip.registers[0x303] == 0x8C);
+  }
+}
+
+static void test_every_sample_is_sent_or_counted_as_lost() {
+  Icm20948 imu;
+  FakeChip chip;
+  bus(imu, chip, 0, 300);
+  uint8_t data[IMU_BURST];
+  BusOp op;
+  ImuPacket packet;
+  const auto sample = [&](bool room) {
+    imu.data_ready(1);
+    CHECK(imu.lost() == 0 || !room);
+    CHECK(imu.next(300, &op));
+    imu.done(300, chip.transfer(op, data), data);
+    CHECK(imu.take(&packet));
+    if (room) imu.count_sent();
+  };
+  sample(true);
+  CHECK(imu.samples() == 1 && imu.lost() == 0);
+  sample(false);  // the line was full
+  CHECK(imu.samples() == 2 && imu.lost() == 1);
+  imu.data_ready(1);
+  imu.data_ready(2);  // one was never read, one waits
+  CHECK(imu.samples() == 4 && imu.lost() == 2);
+  CHECK(imu.next(300, &op));
+  CHECK(imu.lost() == 2);
+  imu.done(300, false, data);  // no acknowledge
+  CHECK(imu.lost() == 3);
+}
+
+static void test_each_set_up_anew_leaves_a_hole_in_the_numbers() {
+  Icm20948 imu;
+  FakeChip chip;
+  uint8_t data[IMU_BURST];
+  BusOp op;
+  ImuPacket packet;
+  for (uint32_t start = 0; start < 3; ++start) {
+    bus(imu, chip, 400 * start, 400 * start + 300);
+    CHECK(imu.running() && imu.starts() == start + 1);
+    imu.data_ready(1);
+    CHECK(imu.next(400 * start + 300, &op));
+    imu.done(400 * start + 300, chip.transfer(op, data), data);
+    CHECK(imu.take(&packet) && packet.sequence == 2 * start);
+    imu.count_sent();
+    CHECK(imu.lost() == start);
+    imu.configure(ConfigImu{3, 2, 1, 5, static_cast<uint8_t>(9 + start)});
+  }
+}
+
+static void test_a_sample_that_comes_during_a_burst_makes_it_uncertain_and_lost() {
+  Icm20948 imu;
+  FakeChip chip;
+  bus(imu, chip, 0, 300);
+  uint8_t data[IMU_BURST];
+  BusOp op;
+  ImuPacket packet;
+  imu.data_ready(1000);
+  CHECK(imu.next(305, &op));  // late
+  imu.data_ready(5444);       // before or after the chip gave the burst out: nobody knows
+  imu.done(306, chip.transfer(op, data), data);
+  CHECK(!imu.take(&packet) && imu.lost() == 1);
+  CHECK(imu.next(306, &op));
+  imu.done(307, chip.transfer(op, data), data);
+  CHECK(imu.take(&packet) && packet.sequence == 1 && packet.t_us == 5444);
+  imu.count_sent();
+  CHECK(imu.lost() == 1);
+}
+
 int main(int argc, char** argv) {
   if (argc != 2) return 2;
   load_golden(argv[1]);
@@ -398,6 +513,7 @@ int main(int argc, char** argv) {
       TEST(test_stop_is_at_once_and_a_fresh_command_is_needed),
       TEST(test_speed_ramps_and_reverses_through_zero),
       TEST(test_low_battery_holds_the_motors_off_until_it_recovers),
+      TEST(test_a_repeated_configuration_keeps_an_empty_battery_empty),
       TEST(test_bridge_inputs_follow_the_driver_s_truth_table),
       TEST(test_every_duty_has_its_counts_in_both_decays),
       TEST(test_imu_set_up_leaves_the_registers_as_meant),
@@ -406,6 +522,10 @@ int main(int argc, char** argv) {
       TEST(test_imu_comes_back_after_it_was_unplugged),
       TEST(test_imu_that_falls_silent_is_set_up_again),
       TEST(test_imu_takes_new_scales_and_rate),
+      TEST(test_imu_settings_come_while_any_operation_is_on_the_bus),
+      TEST(test_every_sample_is_sent_or_counted_as_lost),
+      TEST(test_each_set_up_anew_leaves_a_hole_in_the_numbers),
+      TEST(test_a_sample_that_comes_during_a_burst_makes_it_uncertain_and_lost),
   };
   for (const auto& test : tests) {
     const int before = failures;
