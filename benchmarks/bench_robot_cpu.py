@@ -39,7 +39,7 @@ RATE_HZ, FRAME_BYTES, IMU_RATE_HZ = 30, 50_000, 225
 
 
 class PlayedMega:
-    """Says hello when asked, then samples and status as a Mega does. What it is told it ignores."""
+    """Says hello when asked, confirms its settings, sends samples and status as a Mega does. Ignores all else."""
 
     def __init__(self) -> None:
         self._master, slave = pty.openpty()
@@ -58,8 +58,11 @@ class PlayedMega:
         while not self._is_closed:
             out = b""
             with contextlib.suppress(BlockingIOError):
-                if sp.encode(sp.AskHello()) in os.read(self._master, 4096):
-                    out += hello
+                heard = os.read(self._master, 4096)
+                out += hello if sp.encode(sp.AskHello()) in heard else b""
+                for kind in (sp.Type.CONFIG_IMU, sp.Type.CONFIG_MOTORS):
+                    asks = any(frame[1:2] == bytes([kind]) for frame in heard.split(b"\0"))
+                    out += sp.encode_frame(sp.pack(sp.Ack(kind, 0))) if asks else b""
             due = int((time.monotonic() - start_s) * IMU_RATE_HZ)
             for number in range(max(sent, due - 50), due):
                 t_us = round(number * 1e6 / IMU_RATE_HZ)

@@ -10,15 +10,19 @@ from collections import deque
 from collections.abc import Callable
 
 from robot.devices.pi.mega_clock import MegaClock
+from robot.devices.pi.mega_greeting import BOOT_S, AskPlan, Settings
+from robot.devices.pi.mega_health import MegaHealth
 from robot.devices.pi.serial_line import SerialLine
 from robot.devices.ports import ImuReading
 from shared.errors import DeviceLost, DeviceUnavailable, HardwareError
 from shared.serial_protocol import (
     PROTOCOL_VERSION,
+    Ack,
     AskHello,
     Command,
     ConfigImu,
     ConfigMotors,
+    Drive,
     FirmwareMessage,
     Flag,
     Hello,
@@ -32,11 +36,11 @@ from shared.serial_protocol import (
 
 logger = logging.getLogger(__name__)
 
-HELLO_TIMEOUT_S = 6.0  # the bootloader waits up to two seconds after the reset that opening the port causes
-ASK_PERIOD_S = 0.5
+HELLO_TIMEOUT_S = 22.0  # ten seconds for a bootloader that was spoken to, and as many after the one question
 REOPEN_PERIOD_S = 0.5
 LONGEST_READ_S = 0.05  # a line's read waits no longer
 SILENCE_S = 1.0  # the firmware reports ten times a second
+MAY_SPEAK_NS = 200_000_000  # a firmware that runs is never silent for so long
 MAX_READINGS = 225  # a second's worth, as the port says
 
 
@@ -56,10 +60,13 @@ class Mega:
             DeviceUnavailable: no line, or nobody with our protocol at its other end.
         """
         self._open_line = open_line
-        self._configs: tuple[Command, ...] = (imu, motors)
+        self._settings = Settings(imu, motors)
+        self._health = MegaHealth()
         self._now_ns = now_ns
         self._write_lock = threading.Lock()
         self._line: SerialLine | None = None
+        self._given_up: list[SerialLine] = []  # the reading thread closes them: whoever drives must not wait for that
+        self._new_start: AskPlan | None = None  # the firmware started anew and has not been greeted yet
         self._decoder = SerialDecoder()
         self._clock = MegaClock()
         self._readings: deque[ImuReading] = deque(maxlen=MAX_READINGS)
@@ -69,14 +76,15 @@ class Mega:
         self._waiter: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
         self.hello: Hello | None = None
         self.status: Status | None = None
+        self._uptime_ms = 0
         self.lost: str = ""  # why nothing comes at present, in a sentence
         self.restarts = 0  # how often the firmware started anew under us
         self._heard_ns = now_ns()
-        self._reported = threading.Event()
+        self._ready = threading.Event()  # reported once, and all settings confirmed
         self._connect()
         self._thread = threading.Thread(target=self._run, name="mega", daemon=True)
         self._thread.start()
-        self._reported.wait(SILENCE_S)  # the first status: whoever opens us may ask for the battery next
+        self._ready.wait(2 * SILENCE_S)  # whoever opens us may drive or ask for the battery next
 
     @property
     def bad_frames(self) -> int:
@@ -88,12 +96,32 @@ class Mega:
         """Of the Mega's resonator against our clock."""
         return self._clock.drift_ppm
 
+    @property
+    def is_set(self) -> bool:
+        """Whether the firmware has confirmed all settings."""
+        return self._settings.are_confirmed
+
+    def problems(self) -> dict[str, str]:
+        """What goes wrong on the Mega although it answers: name → sentence."""
+        if self.lost:
+            return {}
+        refused = {"settings": self._settings.refused} if self._settings.refused else {}
+        return self._health.sentences() | refused
+
     def send(self, command: Command) -> None:
-        """Give a command to the line. Raises DeviceLost when there is none."""
+        """Give a command to the line; never waits for it.
+
+        Raises:
+            DeviceLost: there is no line, or the firmware behind it is not known to be the one we have set.
+        """
         frame = encode(command)
         with self._write_lock:
             if self._line is None:
                 raise DeviceLost(self.lost or "the Mega is not connected")
+            if self._new_start is not None:
+                raise DeviceLost("the Mega has started anew; its motors are off until it has been greeted")
+            if isinstance(command, Drive) and not self._settings.motors_are_set:
+                raise DeviceLost(self._settings.refused or "the Mega has not confirmed its settings yet")
             try:
                 self._line.write(frame)
             except DeviceLost as exc:
@@ -140,6 +168,7 @@ class Mega:
         self._thread.join(timeout=2.0)
         with self._write_lock:
             self._drop("closed")
+        self._close_given_up()
 
     def _why_silent(self) -> str:
         if self.lost:
@@ -152,18 +181,19 @@ class Mega:
 
     def _connect(self) -> None:
         line = self._open_line()
-        decoder, deadline_s = SerialDecoder(), time.monotonic() + HELLO_TIMEOUT_S
-        asked_s = 0.0
+        opened_s = time.monotonic()
+        decoder, plan = SerialDecoder(), AskPlan(opened_s)
         try:
-            while time.monotonic() < deadline_s and not self._closed.is_set():
-                if time.monotonic() - asked_s >= ASK_PERIOD_S:
+            while (now_s := time.monotonic()) < opened_s + HELLO_TIMEOUT_S and not self._closed.is_set():
+                if plan.is_due(now_s):
                     line.write(encode(AskHello()))
-                    asked_s = time.monotonic()
                 for payload in decoder.receive(line.read()):
                     message = parse(payload)
                     if isinstance(message, Hello):
                         self._greet(line, message, decoder)
                         return
+                    if message is not None:
+                        plan.hear(time.monotonic())
         except BaseException:
             line.close()
             raise
@@ -179,33 +209,53 @@ class Mega:
                 f"the Mega's firmware speaks protocol {hello.version}, we speak {PROTOCOL_VERSION};"
                 " flash it: make -C firmware upload"
             )
-        for config in self._configs:
-            line.write(encode(config))
+        self._settings.begin()
+        self._say_settings(line)
         self.hello = hello
+        self._uptime_ms = 0
         self._heard_ns = self._now_ns()
         self._decoder = decoder
         self._clock = MegaClock()
         self._sequence_offset = None
         with self._write_lock:
             self._line = line
+            self._new_start = None
             self.lost = ""
 
+    def _say_settings(self, line: SerialLine) -> None:
+        for command in self._settings.due(time.monotonic()):
+            line.write(encode(command))
+
     def _run(self) -> None:
-        silent_s = 0.0
         while not self._closed.is_set():
-            line = self._line
-            if line is None:
-                self._closed.wait(REOPEN_PERIOD_S)
-                self._try_reconnect()
-                silent_s = 0.0
-                continue
-            read_ns = self._now_ns()
             try:
-                data = line.read()
-            except DeviceLost as exc:
-                with self._write_lock:
-                    self._drop(str(exc))
-                continue
+                self._serve_line()
+            except HardwareError as exc:
+                self._lose(str(exc))
+            except Exception as exc:  # whatever it is: a dead thread would leave the robot deaf for good
+                logger.exception("the Mega's line")
+                self._lose(f"the Mega's line failed ({type(exc).__name__}: {exc}); opening it again")
+
+    def _lose(self, why: str) -> None:
+        with self._write_lock:
+            self._drop(why)
+            self.lost = why
+
+    def _serve_line(self) -> None:
+        """Read one line until it is lost; open it again when there is none."""
+        self._close_given_up()
+        line = self._line
+        if line is None:
+            self._closed.wait(REOPEN_PERIOD_S)
+            if not self._closed.is_set():
+                self._connect()
+                self.restarts += 1
+                logger.info("the Mega is back")
+            return
+        silent_s = 0.0
+        while self._line is line and not self._closed.is_set():
+            read_ns = self._now_ns()
+            data = line.read()
             now_ns = self._now_ns()
             # When this whole process stood still, the Mega was not silent: one read counts no longer than it may wait.
             silent_s += min((now_ns - read_ns) * 1e-9, LONGEST_READ_S)
@@ -215,47 +265,64 @@ class Mega:
                     silent_s = 0.0
                     self._heard_ns = now_ns
                     self._sort(line, message, now_ns)
+            self._say_what_is_due(line)
             if silent_s > SILENCE_S:
-                with self._write_lock:
-                    self._drop(f"the Mega has said nothing for {SILENCE_S:.0f} s")
+                raise DeviceLost(f"the Mega has said nothing for {SILENCE_S:.0f} s")
 
-    def _try_reconnect(self) -> None:
-        if self._closed.is_set():
-            return
-        try:
-            self._connect()
-        except HardwareError as exc:
-            self.lost = str(exc)
-        else:
-            self.restarts += 1
-            logger.info("the Mega is back")
+    def _say_what_is_due(self, line: SerialLine) -> None:
+        if self._new_start is not None:
+            if self._new_start.is_due(time.monotonic()):
+                line.write(encode(AskHello()))
+        elif self.silence_ns < MAY_SPEAK_NS:  # else it may be in its bootloader
+            self._say_settings(line)
 
     def _drop(self, why: str) -> None:
         if self._line is None:
             return
-        self._line.close()
+        self._given_up.append(self._line)
         self._line = None
+        self._new_start = None
         self.lost = why
         logger.warning("%s", why)
 
+    def _close_given_up(self) -> None:
+        while self._given_up:
+            self._given_up.pop().close()
+
     def _sort(self, line: SerialLine, message: FirmwareMessage, now_ns: int) -> None:
+        if self._new_start is not None and not isinstance(message, Hello):
+            self._new_start.hear(time.monotonic())
         if isinstance(message, ImuPacket):
             self._take_imu(message, now_ns)
         elif isinstance(message, Status):
-            self.status = message
-            self._reported.set()
+            self._take_status(message)
+        elif isinstance(message, Ack):
+            self._settings.take(message)
+            self._note_ready()
         elif isinstance(message, Hello):
-            if self.hello is not None and message.boot_id == self.hello.boot_id:
-                self.hello = message  # a late answer to our asking
+            if self._new_start is None and self.hello is not None and message.boot_id == self.hello.boot_id:
+                self.hello = message  # a late answer to our asking, or said once more before it heard us
                 return
             # The firmware has started anew: watchdog, brown-out, reset button.
             logger.warning("the Mega started anew, reset cause %d", message.reset_cause)
             self.restarts += 1
-            try:
-                self._greet(line, message, self._decoder)
-            except HardwareError as exc:
-                with self._write_lock:
-                    self._drop(str(exc))
+            self._greet(line, message, self._decoder)
+
+    def _take_status(self, status: Status) -> None:
+        self.status = status
+        before_ms, self._uptime_ms = self._uptime_ms, status.uptime_ms
+        self._health.take(status)
+        if status.uptime_ms < before_ms and self._new_start is None:
+            # A new start whose hello was lost, or the same boot number after a power cut: the settings are gone.
+            logger.warning("the Mega's uptime fell: it started anew")
+            with self._write_lock:
+                self._new_start = AskPlan(time.monotonic() - BOOT_S)
+            self._new_start.hear(time.monotonic())
+        self._note_ready()
+
+    def _note_ready(self) -> None:
+        if self.status is not None and self._settings.are_confirmed:
+            self._ready.set()
 
     def _take_imu(self, packet: ImuPacket, now_ns: int) -> None:
         if self._sequence_offset is None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import termios
 from pathlib import Path
 from typing import Protocol
 
@@ -11,6 +14,8 @@ from shared.errors import DeviceLost, DeviceUnavailable
 from shared.serial_protocol import BAUD_RATE
 
 READ_TIMEOUT_S = 0.05  # of one read
+# termios.error is no OSError; pyserial lets it through when the device vanishes under it.
+_FAILURES = (OSError, TypeError, ValueError, termios.error, serial.SerialException)
 
 
 class SerialLine(Protocol):
@@ -32,8 +37,10 @@ class PySerialLine:
 
     def __init__(self, path: str) -> None:
         try:
-            self._tty = serial.Serial(path, BAUD_RATE, timeout=READ_TIMEOUT_S, write_timeout=0, exclusive=True)
-        except (OSError, serial.SerialException) as exc:
+            self._tty = serial.Serial(path, BAUD_RATE, timeout=READ_TIMEOUT_S, exclusive=True)
+            self._fd = self._tty.fileno()
+            os.set_blocking(self._fd, False)
+        except _FAILURES as exc:
             why = str(exc) if Path(path).exists() else "no such device"
             raise DeviceUnavailable(
                 f"the Mega's serial port {path} cannot be opened ({why}); check the USB cable, `pi.serial_port` and"
@@ -43,16 +50,23 @@ class PySerialLine:
     def read(self) -> bytes:
         try:
             return bytes(self._tty.read(max(1, self._tty.in_waiting)))
-        except (OSError, TypeError, serial.SerialException) as exc:
+        except _FAILURES as exc:
             raise DeviceLost(f"the Mega's serial line broke off ({exc})") from exc
 
     def write(self, data: bytes) -> None:
+        # Not pyserial's write: it tries again for ever when the line is full, whatever its time-out.
         try:
-            written = self._tty.write(data)
-        except (OSError, TypeError, serial.SerialException) as exc:
+            written = os.write(self._fd, data) if self._tty.is_open else 0
+        except BlockingIOError:
+            written = 0
+        except _FAILURES as exc:
             raise DeviceLost(f"the Mega's serial line broke off ({exc})") from exc
-        if written is not None and written < len(data):
+        if written < len(data):
             raise DeviceLost("the Mega takes no more bytes; is its firmware running?")
 
     def close(self) -> None:
-        self._tty.close()
+        """Does not wait: what the line has not taken is thrown away, or Linux would hold us up for it."""
+        with contextlib.suppress(*_FAILURES):
+            termios.tcflush(self._fd, termios.TCOFLUSH)
+        with contextlib.suppress(*_FAILURES):
+            self._tty.close()

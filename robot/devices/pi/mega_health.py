@@ -1,0 +1,51 @@
+"""What the Mega's status tells of things that go wrong, in sentences. Pure: time is an argument."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from shared.serial_protocol import Flag, Status
+
+WINDOW_MS = 5000  # a counter that rose within so long tells of something that goes on
+DEEPEST_STACK_FREE = 256  # bytes
+
+FLAGS = {
+    Flag.IMU_MISSING: "the Mega finds no ICM-20948; check its four wires (SDA 20, SCL 21, 3.3 V, GND)",
+    Flag.MAG_MISSING: "the IMU's magnetometer does not answer; headings do without it",
+    Flag.BUS_ERROR: "the wires between Mega and IMU are disturbed; shorten SDA and SCL or check their contacts",
+    Flag.LOW_BATTERY: "the motors' battery is low, the Mega holds the motors off; charge it",
+    Flag.DRIVER_FAULT: "the motor driver reports overcurrent or heat (FLT); let the wheels run free and let it cool",
+}
+COUNTERS = {
+    "samples_lost": "the Mega loses IMU samples; check the wires to INT, SDA and SCL",
+    "rx_bad": "frames to the Mega arrive damaged; check or change the USB cable",
+    "rx_overruns": "the Mega receives faster than it takes in; restart robot-server",
+    "tx_dropped": "the Mega could not send all it had; check or change the USB cable",
+}
+
+
+class MegaHealth:
+    """Flags as they are, counters by their rise."""
+
+    def __init__(self) -> None:
+        self._past: deque[Status] = deque()
+
+    def take(self, status: Status) -> None:
+        """The next report. One with a lower uptime is a new start: nothing before it counts."""
+        if self._past and status.uptime_ms < self._past[-1].uptime_ms:
+            self._past.clear()
+        self._past.append(status)
+        while self._past[-1].uptime_ms - self._past[0].uptime_ms > WINDOW_MS:
+            self._past.popleft()
+
+    def sentences(self) -> dict[str, str]:
+        """Which flag or counter → what is wrong and what to do."""
+        past = list(self._past)  # another thread may take the next one
+        if not past:
+            return {}
+        first, last = past[0], past[-1]
+        found = {str(flag.name): text for flag, text in FLAGS.items() if last.flags & flag}
+        found |= {name: text for name, text in COUNTERS.items() if getattr(last, name) != getattr(first, name)}
+        if last.stack_free < DEEPEST_STACK_FREE:
+            found["stack_free"] = f"the Mega has {last.stack_free} bytes of stack left; report this as a bug"
+        return found
