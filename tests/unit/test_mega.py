@@ -338,7 +338,7 @@ class FullLine:
         heard = b""
         while not all(setting in heard for setting in SETTINGS):
             heard += os.read(self._master, 100)
-        told = [STATUS, *(sp.Ack(kind, 0) for kind in SETTINGS.values())]
+        told: list[sp.FirmwareMessage] = [STATUS, *(sp.Ack(kind, 0) for kind in SETTINGS.values())]
         os.write(self._master, b"".join(sp.encode_frame(sp.pack(m)) for m in told))
 
     def fill(self) -> None:

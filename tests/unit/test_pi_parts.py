@@ -1,5 +1,6 @@
 """The real robot's parts that think, without hardware: kinematics, exposure, the guard of GPIO motors, settings."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -135,6 +136,49 @@ def test_gpio_process_stops_the_motors_when_its_parent_is_killed(tmp_path: Path)
     while not log.read_text().rstrip().endswith("stop"):
         assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def wait_for_end(log: Path, word: str) -> None:
+    deadline = time.monotonic() + 30
+    while not log.read_text().rstrip().endswith(word):
+        assert time.monotonic() < deadline, log.read_text()
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_gpio_process_stops_the_motors_when_a_signal_ends_it(tmp_path: Path, number: signal.Signals) -> None:
+    log = tmp_path / "log"
+    with log.open("wb") as stderr:
+        process = subprocess.Popen([sys.executable, "-c", GUARD_PROGRAM], stdin=subprocess.PIPE, stderr=stderr)
+    assert process.stdin is not None
+    until_ms = time.monotonic() * 1000 + 1e9
+    # The guard holds no more than 400 ms: driven anew, so that it is surely driving when the signal comes.
+    process.stdin.write(b"drive 500 500 %d\n" % until_ms)
+    process.stdin.flush()
+    wait_for_end(log, "drive 500 500")
+    process.send_signal(number)
+    assert process.wait(30) == 128 + number
+    wait_for_end(log, "stop")
+    process.stdin.close()
+
+
+def test_gpio_process_that_stood_still_stops_the_motors_when_it_goes_on(tmp_path: Path) -> None:
+    """And takes no line that waited meanwhile."""
+    log = tmp_path / "log"
+    with log.open("wb") as stderr:
+        process = subprocess.Popen([sys.executable, "-c", GUARD_PROGRAM], stdin=subprocess.PIPE, stderr=stderr)
+    assert process.stdin is not None
+    process.stdin.write(b"drive 500 500 %d\n" % (time.monotonic() * 1000 + 1e9))
+    process.stdin.flush()
+    wait_for_end(log, "drive 500 500")
+    process.send_signal(signal.SIGSTOP)
+    process.stdin.write(b"drive 700 700 %d\n" % (time.monotonic() * 1000 - 1))
+    process.stdin.flush()
+    process.send_signal(signal.SIGCONT)
+    wait_for_end(log, "stop")
+    process.stdin.close()
+    assert process.wait(30) == 0
+    assert "700" not in log.read_text()
 
 
 def test_gpio_process_that_cannot_start_is_named_in_a_sentence() -> None:

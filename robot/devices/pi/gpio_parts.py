@@ -27,20 +27,18 @@ class GpioProcess:
         """Starts it. Raises DeviceUnavailable where the pins cannot be had."""
         command = command or [sys.executable, "-m", "robot.devices.pi.gpio_pins", *map(str, pins)]
         # A session of its own: Ctrl-C must reach robot-server first, which stops the motors in order.
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
-        )
+        # Its stderr is ours: a pipe nobody reads would fill, and the process would wait in its own complaint.
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
         self._lock = threading.Lock()
         assert self._process.stdin is not None and self._process.stdout is not None
         os.set_blocking(self._process.stdin.fileno(), False)
         readable, _, _ = select.select([self._process.stdout], [], [], START_TIMEOUT_S)
         if not readable or self._process.stdout.readline().strip() != b"ready":
             self._process.kill()
-            _, complaint = self._process.communicate()
-            last = complaint.decode(errors="replace").strip().splitlines()
+            self.close()
             raise DeviceUnavailable(
-                f"the motor pins cannot be used ({last[-1] if last else 'no answer'});"
-                " run robot/install.sh on the Pi and check `pi.gpio_pins`"
+                "the motor pins cannot be used (its process says why above); run robot/install.sh on the Pi and check"
+                " `pi.gpio_pins`"
             )
 
     def send(self, line: str) -> None:
@@ -54,7 +52,7 @@ class GpioProcess:
 
     def close(self) -> None:
         """Motors off, process ended. Safe to call twice."""
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+        for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
                 stream.close()
         try:

@@ -3,15 +3,18 @@
 Runs as a process of its own (`python -m robot.devices.pi.gpio_pins`), because these motors have no firmware watchdog:
 it stops them when commands stop coming, also when robot-server was stopped or killed. Lines on stdin:
 `drive LEFT RIGHT UNTIL_MS` (permille; monotonic clock of this computer: a line that waited is old), `stop`,
-`servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off.
+`servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off; so do SIGTERM, SIGINT and SIGHUP. SIGKILL
+does not: the pins keep what they had (docs/robot.md).
 """
 
 from __future__ import annotations
 
 import os
 import select
+import signal
 import sys
 import time
+from types import FrameType
 from typing import Any
 
 
@@ -75,10 +78,21 @@ class Guard:
         return self._until_s - now_s
 
 
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+def _end(number: int, _frame: FrameType | None) -> None:
+    for other in ENDING:  # a second one must not end the stopping
+        signal.signal(other, signal.SIG_IGN)
+    raise SystemExit(128 + number)
+
+
 def serve(guard: Guard, fd: int) -> None:
-    """Obey lines from a file descriptor until it ends."""
+    """Obey lines from a file descriptor until it ends or a signal ends us."""
     buffer = b""
     try:
+        for number in ENDING:
+            signal.signal(number, _end)
         while True:
             readable, _, _ = select.select([fd], [], [], guard.tick(time.monotonic()))
             if not readable:

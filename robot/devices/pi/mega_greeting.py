@@ -14,7 +14,7 @@ BOOT_S = 2.5  # the bootloader has left by then, if nobody spoke to it
 RUNS_S = 0.5  # a frame so fresh shows that the firmware runs and not the bootloader
 ASK_PERIOD_S = 1.0
 QUIET_S = 10.0  # a bootloader that was spoken to gives up before that
-CONFIRM_S = 0.5  # a configuration that is not confirmed for so long is said again
+CONFIRM_S = 1.0  # a configuration that is not confirmed for so long is said again
 DONE = 0
 
 
