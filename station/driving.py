@@ -14,7 +14,7 @@ from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.config import DriveConfig
 from station.refusals import Conflict, NoRobot, NotCapable, NotDriver, OutOfRange
 
-MAX_TTL_MS = 1000  # how long one command of the API may hold; the joystick repeats its own every 50 ms
+MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 250 ms at most (station/api/robot.py)
 MAX_DRIVER_NAME = 64
 LET_GO_NS = 500_000_000  # after a stop by somebody else the driver says nothing for so long, or zero, or stop
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import time
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
 
 from shared.errors import RobotSystemError
+from shared.messages import MAX_DRIVE_TTL_MS
 from station.api.deps import DriverDep, StationDep
 from station.api.limits import receive_text, refuse, seated
 from station.api.messages import (
@@ -34,8 +36,9 @@ from station.mailbox import MessageReader
 from station.refusals import Busy, NoRobot
 
 router = APIRouter(tags=["robot"])
-TIME_PERIOD_S = 0.1
-LATE_MS = 500  # a drive command said longer ago (a frozen network or station delivers the past in one burst) counts not
+TIME_PERIOD_S = 0.05  # a command's age is known no better than this
+UNDATED_MS = 100  # a command without `heard_ms` may be old already, so it holds only for two repeats
+_connections = itertools.count(1)
 
 
 @router.get("/robot", summary="Link, battery, rates, losses, clock offset, who drives")
@@ -88,8 +91,9 @@ async def hijack(order: HijackOrder, station: StationDep) -> Accepted:
 async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "") -> None:
     """The joystick: commands in (`DriveRequest`), answers out (`DriveAnswer`). `?driver=` names who drives.
 
-    When the socket closes, the robot stops if its driver drove. Commands that repeat our `time` are refused silently
-    when they are old; others cannot be told from fresh ones.
+    When the socket closes, the robot stops if its driver drove. A command's `ttl_ms` counts from our `time` that it
+    repeats, so an old one (a frozen network delivers the past in one burst) is passed over silently. One that repeats
+    none cannot be told from a fresh one: it holds for 100 ms from its arrival at most.
     """
     await socket.accept()
     try:
@@ -100,7 +104,9 @@ async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "")
 
 
 async def _take_orders(socket: WebSocket, station: Station, driver: str) -> None:
-    name = driver[:MAX_DRIVER_NAME] or (f"page at {socket.client.host}" if socket.client else "page")
+    # Two nameless pages of one computer are two drivers: one at a time.
+    place = f"page at {socket.client.host}" if socket.client else "page"
+    name = driver[:MAX_DRIVER_NAME] or f"{place} #{next(_connections)}"
     lost_socket = (WebSocketDisconnect, RuntimeError)
     with station.events.hub.subscribe() as changes:
         telling = [asyncio.create_task(c) for c in (_tell_driver(socket, station, name, changes), _tell_time(socket))]
@@ -127,10 +133,10 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str) -> No
         return
     try:
         match command:
-            case DriveCommand() if _is_late(command):
-                pass
             case DriveCommand():
-                station.driving.drive(name, command.linear, command.angular, command.ttl_ms)
+                if (left_ms := life_left_ms(command, _now_ms())) <= 0:
+                    return
+                station.driving.drive(name, command.linear, command.angular, left_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
             case StopCommand():
                 station.driving.stop(name)
@@ -163,8 +169,16 @@ async def _tell_time(socket: WebSocket) -> None:
         await asyncio.sleep(TIME_PERIOD_S)
 
 
-def _is_late(command: DriveCommand) -> bool:
-    return command.heard_ms is not None and _now_ms() - command.heard_ms > LATE_MS
+def life_left_ms(command: DriveCommand, now_ms: int) -> int:
+    """How long a command may still hold; zero or less: it is over.
+
+    At most MAX_DRIVE_TTL_MS from when it was said, so that a page whose link is cut without a word cannot keep the
+    robot going.
+    """
+    ttl_ms = min(command.ttl_ms, MAX_DRIVE_TTL_MS)
+    if command.heard_ms is None:
+        return min(ttl_ms, UNDATED_MS)
+    return ttl_ms - max(0, now_ms - command.heard_ms)
 
 
 def _now_ms() -> int:

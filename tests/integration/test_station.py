@@ -201,7 +201,7 @@ async def test_what_a_page_said_before_everything_froze_moves_nothing_after(tmp_
             continue
         order = {"type": "drive", "linear": 0.2, "angular": 0.0}
         for seq in range(60):
-            await socket.send(json.dumps({**order, "seq": seq, "heard_ms": answer["t_ms"] - 501}))
+            await socket.send(json.dumps({**order, "seq": seq, "heard_ms": answer["t_ms"] - 251}))
         await socket.send(json.dumps({"type": "release"}))
         await socket.send(json.dumps({**order, "seq": 60}))
         # The first accepted one is the one that was said after it all.
