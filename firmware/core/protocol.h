@@ -44,7 +44,7 @@ enum : uint16_t {
 struct Hello {
   uint8_t version;
   uint8_t firmware_major, firmware_minor;
-  uint8_t reset_cause;  // MCUSR: 1 power on, 2 external (DTR), 4 brown-out, 8 watchdog
+  uint8_t reset_cause;  // MCUSR: 1 power on, 2 external (DTR), 4 brown-out, 8 watchdog; 0: hidden by the bootloader
   uint8_t imu_address;  // 0 while none was found
   uint8_t imu_who;
   uint8_t gyro_scale, accel_scale, gyro_filter, accel_filter, divider;

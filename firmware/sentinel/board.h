@@ -21,6 +21,7 @@ void clock_begin();
 uint32_t clock_us();          // any context
 uint32_t clock_us_in_isr();   // interrupts off
 uint32_t clock_ms();
+extern volatile uint8_t clock_unfed_ms;  // since the loop last fed the watchdog, 255 at most; survives a reset
 
 void motors_begin();
 void servos_begin();

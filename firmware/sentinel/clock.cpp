@@ -7,6 +7,7 @@
 // Not static: the emulator's test of the wrap sets it.
 volatile uint32_t clock_overflows = 0;
 volatile uint32_t clock_ticks_ms = 0;
+volatile uint8_t clock_unfed_ms __attribute__((section(".noinit")));  // read after a reset
 
 ISR(TIMER5_OVF_vect) { clock_overflows = clock_overflows + 1; }
 

@@ -51,6 +51,7 @@ ISR(TIMER2_COMPA_vect) {
   static int16_t left = 0, right = 0;
   static Bridge bridge = Bridge::COAST;
   clock_ticks_ms = clock_ticks_ms + 1;
+  if (clock_unfed_ms != 0xFF) clock_unfed_ms = clock_unfed_ms + 1;
   motors.tick();
   const Bridge next = motors.bridge();
   const bool turned = next != bridge;

@@ -20,10 +20,11 @@
 using namespace sentinel;
 
 static const uint8_t FIRMWARE_MAJOR = 1, FIRMWARE_MINOR = 0;
-static const uint16_t STATUS_PERIOD_MS = 100;
+static const uint16_t STATUS_PERIOD_MS = 100, HELLO_PERIOD_MS = 1000;
 
 static Icm20948 imu;
 static FrameParser parser;
+static bool greeted = false;  // the Pi has spoken since the reset
 static uint16_t tx_dropped = 0;
 static uint16_t loop_max_us = 0;
 static uint16_t battery_mv = 0;
@@ -31,6 +32,9 @@ static uint16_t battery_mv = 0;
 // Survives a reset: the start-up code leaves .noinit alone.
 static uint8_t reset_cause __attribute__((section(".noinit")));
 static uint16_t boot_id __attribute__((section(".noinit")));
+static uint16_t ran_before __attribute__((section(".noinit")));
+static const uint16_t RAN = 0x5EA7;  // RAM after power on is anything
+static const uint8_t HUNG_MS = 100;  // the watchdog's 120 ms, less what its own oscillator may be fast
 
 // Runs before main(): after a watchdog reset the watchdog is still on, at its shortest period.
 extern "C" void __attribute__((naked, used, section(".init3"))) keep_reset_cause() {
@@ -194,6 +198,10 @@ static void serve_imu(uint32_t now_ms, uint32_t now_us) {
 
 void setup() {
   ++boot_id;
+  // The stock bootloader clears MCUSR; that the loop stood while the motors' interrupt counted tells of the watchdog.
+  if (reset_cause == 0 && ran_before == RAN && clock_unfed_ms >= HUNG_MS) reset_cause = _BV(WDRF);
+  ran_before = RAN;
+  clock_unfed_ms = 0;
   motors_begin();
   clock_begin();
   uart_begin();
@@ -215,7 +223,7 @@ void setup() {
 }
 
 void loop() {
-  static uint32_t last_tick = 0, last_status_ms = 0;
+  static uint32_t last_tick = 0, last_status_ms = 0, last_hello_ms = 0;
   const uint32_t start_us = clock_us();
   const uint32_t now_ms = clock_ms();
 
@@ -223,11 +231,13 @@ void loop() {
   if (now_ms != last_tick) {
     last_tick = now_ms;
     wdt_reset();
+    clock_unfed_ms = 0;
   }
   // One frame per turn at most, so that a flood on the line cannot hold the IMU up.
   uint8_t byte;
   while (uart_read(&byte)) {
     if (parser.feed(byte)) {
+      greeted = true;
       handle(parser.payload(), parser.length());
       break;
     }
@@ -241,6 +251,11 @@ void loop() {
     send_status(now_ms);
   } else {
     stack_free();
+  }
+  // Unasked, so that the Pi need not write while the bootloader listens: one byte would keep it from starting us.
+  if (!greeted && now_ms - last_hello_ms >= HELLO_PERIOD_MS) {
+    last_hello_ms = now_ms;
+    send_hello();
   }
   const uint16_t took_us = static_cast<uint16_t>(clock_us() - start_us);
   if (took_us > loop_max_us) loop_max_us = took_us;

@@ -3,6 +3,7 @@
  * binary, and nothing else links to it.
  *
  *   board --elf F --out F --script F --seconds S [--pins F]     batch: virtual time only, bit-identical runs
+ *                                                               [--boot HEX: starts there, as a stock Mega does]
  *   board --elf F --pty LINK [--realtime]                        live: commands on stdin, events on stdout
  */
 #include <fcntl.h>
@@ -12,6 +13,7 @@
 #include <simavr/avr_extint.h>
 #include <simavr/avr_ioport.h>
 #include <simavr/sim_elf.h>
+#include <simavr/sim_hex.h>
 #include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
@@ -250,14 +252,27 @@ static void no_sleep(struct avr_t *a, avr_cycle_count_t cycles) {
   (void)cycles;
 }
 
+/* Resets begin in the bootloader then. */
+static int load_bootloader(void) {
+  ihex_chunk_p chunks = NULL;
+  const int count = read_ihex_chunks(options.boot, &chunks);
+  if (count <= 0) return 0;
+  avr->reset_pc = chunks[0].baseaddr;
+  for (int i = 0; i < count; ++i) memcpy(avr->flash + chunks[i].baseaddr, chunks[i].data, chunks[i].size);
+  avr->codeend = avr->flashend;
+  free_ihex_chunks(chunks);
+  return 1;
+}
+
 static void parse_options(int argc, char **argv) {
   static const struct option known[] = {{"elf", 1, 0, 'e'},     {"out", 1, 0, 'o'},      {"script", 1, 0, 's'}, {"pty", 1, 0, 'p'},
-                                        {"pins", 1, 0, 'i'},    {"seconds", 1, 0, 't'},  {"realtime", 0, 0, 'r'},
+                                        {"pins", 1, 0, 'i'},    {"boot", 1, 0, 'b'},    {"seconds", 1, 0, 't'},  {"realtime", 0, 0, 'r'},
                                         {0, 0, 0, 0}};
   int c;
   while ((c = getopt_long(argc, argv, "", known, NULL)) != -1) {
     switch (c) {
       case 'e': options.elf = optarg; break;
+      case 'b': options.boot = optarg; break;
       case 'o': options.out = optarg; break;
       case 's': options.script = optarg; break;
       case 'p': options.pty = optarg; break;
@@ -305,6 +320,7 @@ int main(int argc, char **argv) {
   avr_init(avr);
   avr->log = LOG_ERROR;
   avr_load_firmware(avr, &firmware);
+  if (options.boot && !load_bootloader()) return 2;
   avr->frequency = FREQUENCY;
   avr->vcc = avr->avcc = avr->aref = 5000;
   avr->run_cycle_limit = 16;

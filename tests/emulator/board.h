@@ -7,7 +7,7 @@
 #include "icm20948.h"
 
 struct options {
-  const char *elf, *out, *script, *pty, *pins;
+  const char *elf, *boot, *out, *script, *pty, *pins;
   double seconds;
   int realtime;
 };

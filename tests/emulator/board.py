@@ -12,6 +12,7 @@ from shared import serial_protocol as sp
 
 ROOT = Path(__file__).parents[2]
 ELF = ROOT / "firmware" / "build" / "sentinel.elf"
+BOOTLOADER = Path("/usr/share/arduino/hardware/arduino/avr/bootloaders/stk500v2/stk500boot_v2_mega2560.hex")
 BOARD = ROOT / "firmware" / "build" / "emulator" / "board"
 
 
@@ -63,13 +64,16 @@ class Run:
         return zeros[0] - t_us if zeros else 0.0
 
 
-def batch(folder: Path, seconds: float, script: list[tuple[float, str]] | None = None) -> Run:
-    """Runs `seconds` of virtual time. Script: (second, command) pairs; commands are in board.c."""
+def batch(
+    folder: Path, seconds: float, script: list[tuple[float, str]] | None = None, *, boot: Path | None = None
+) -> Run:
+    """Runs `seconds` of virtual time, from the bootloader `boot` on. Script: (second, command) pairs, see board.c."""
     folder.mkdir(parents=True, exist_ok=True)
     script_file, out, pins = folder / "script", folder / "uart", folder / "pins"
     script_file.write_text("".join(f"{t * 1e6:.0f} {line}\n" for t, line in sorted(script or [], key=lambda s: s[0])))
+    options = ["--out", out, "--pins", pins, "--script", script_file, "--seconds", str(seconds)]
     run = subprocess.run(
-        [BOARD, "--elf", ELF, "--out", out, "--pins", pins, "--script", script_file, "--seconds", str(seconds)],
+        [BOARD, "--elf", ELF, *options, *(["--boot", boot] if boot else [])],
         capture_output=True,
         text=True,
         timeout=240 + 20 * seconds,  # a busy PC runs the board slower than real time

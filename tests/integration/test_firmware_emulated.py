@@ -83,7 +83,7 @@ def test_a_hung_firmware_is_reset_into_motors_off(tmp_path: Path, interrupts: st
     assert run.stopped_after(1.3e6) <= FIRMWARE_BOUND_US
     assert any(text == "reset 1" for _, text in run.events)
     # And it comes back whole, without moving by itself.
-    assert sum(isinstance(m, sp.Hello) for m in run.messages()) == 2
+    assert len({m.boot_id for m in run.messages() if isinstance(m, sp.Hello)}) == 2
     assert run.imu()[-1].sequence > 200
 
 
@@ -262,6 +262,25 @@ def test_samples_lost_are_the_holes_in_the_numbers(tmp_path: Path) -> None:
     assert sum(hole > 0 for hole in holes) >= run.statuses()[-1].imu_starts - 1 >= 2
     long_steps = [hole for hole, (a, b) in zip(holes, pairwise(run.imu()), strict=True) if b.t_us - a.t_us > 12_000]
     assert len(long_steps) >= 2 and min(long_steps) > 0
+
+
+def test_hello_comes_unasked_until_the_pi_speaks(tmp_path: Path) -> None:
+    run = board.batch(tmp_path, 4.2, [(2.5, board.uart(sp.AskTime(1)))])
+    kinds = [type(m) for m in run.messages() if isinstance(m, sp.Hello | sp.MegaTime)]
+    assert kinds == [sp.Hello] * 3 + [sp.MegaTime]
+
+
+@pytest.mark.skipif(not board.BOOTLOADER.is_file(), reason="Debian's arduino-core-avr has the Mega's bootloader")
+def test_with_the_stock_bootloader_a_silent_pi_is_greeted_and_a_hang_is_told(tmp_path: Path) -> None:
+    """The Pi listens for 2.5 s after opening (which resets the Mega) before it writes: the hello comes within them."""
+    greeting = [(2.5, board.uart(sp.AskHello())), *board.drive([2.6, 2.8], 500, 500, 400)]
+    run = board.batch(tmp_path, 4.2, [*greeting, (2.9, "hang on")], boot=board.BOOTLOADER)
+    hellos = [m for m in run.messages() if isinstance(m, sp.Hello)]
+    assert len(hellos) >= 4  # two unasked, the answer, and after the hang
+    assert hellos[0].boot_id == hellos[2].boot_id != hellos[-1].boot_id
+    assert hellos[0].reset_cause == 0 and hellos[-1].reset_cause == 8  # this bootloader clears MCUSR
+    assert run.duty_at(2.9e6)[0] == pytest.approx(500, abs=DUTY_ERROR)
+    assert run.stopped_after(2.9e6) <= FIRMWARE_BOUND_US
 
 
 def test_the_dmp_option_compiles(tmp_path: Path) -> None:
