@@ -35,6 +35,14 @@ class Faults:
             self._sentences[device] = sentence
             self._on_new(device, sentence)
 
+    def keep(self, prefix: str, sentences: dict[str, str]) -> None:
+        """All that is wrong with one device: what is no longer among it, works again."""
+        wanted = {f"{prefix} {name}": sentence for name, sentence in sentences.items()}
+        for device in [d for d in self._sentences if d.startswith(f"{prefix} ") and d not in wanted]:
+            self.clear(device)
+        for device, sentence in wanted.items():
+            self.set(device, sentence)
+
     def clear(self, device: str) -> None:
         """The device works (again)."""
         if self._sentences.pop(device, None) is not None:

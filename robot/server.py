@@ -87,12 +87,13 @@ class RobotServer:
         finally:
             self.stop_motors()
             self._loop = None
-            for device in (self._devices.camera, self._devices.imu):
-                if device is not None:
-                    await device.close()
-            for part in (self._devices.pan_tilt, self._devices.motors):
+            # What moves first: the IMU's end is the end of the line it shares with motors and servos.
+            for part in (self._devices.motors, self._devices.pan_tilt):
                 if part is not None:
                     part.close()
+            for device in (self._devices.imu, self._devices.camera):
+                if device is not None:
+                    await device.close()
 
     def stop_motors(self) -> None:
         """Motors off for good: the first thing every way out does."""
@@ -217,6 +218,8 @@ class RobotServer:
         for count in itertools.count():
             await asyncio.sleep(TICK_S)
             self._check_motors()
+            if count % TICKS_PER_STATUS == 0:
+                self.faults.keep("robot", self._devices.problems())
             for client in list(self._clients.values()):
                 if client.tick():
                     self.desk.go_quiet(client.id)

@@ -39,6 +39,7 @@ class StubPicamera2:
     present = True
     lens_cap = False
     broken = False
+    hangs = False
 
     def __init__(self) -> None:
         if not StubPicamera2.present:
@@ -71,8 +72,11 @@ class StubPicamera2:
         assert self._config is not None, "configure first"
         self.started = True
 
-    def capture_request(self) -> StubRequest:
+    def capture_request(self, wait: float | None = None) -> StubRequest:
         assert self.started and self._config is not None
+        if StubPicamera2.hangs:
+            time.sleep(1e6 if wait is None else wait)
+            raise TimeoutError
         assert self.free.acquire(timeout=5), "all buffers are held: somebody forgot to release"
         period_s = self.controls["FrameDurationLimits"][0] * 1e-6
         time.sleep(period_s)
@@ -106,7 +110,7 @@ def encode_jpeg(image: np.ndarray[Any, Any], quality: int, colorspace: str) -> b
 def install() -> None:
     """Put the stubs where imports find them, in their initial state."""
     StubPicamera2.in_use, StubPicamera2.present = None, True
-    StubPicamera2.lens_cap = StubPicamera2.broken = False
+    StubPicamera2.lens_cap = StubPicamera2.broken = StubPicamera2.hangs = False
     for name, content in (("picamera2", {"Picamera2": StubPicamera2}), ("simplejpeg", {"encode_jpeg": encode_jpeg})):
         module = ModuleType(name)
         module.__dict__.update(content)

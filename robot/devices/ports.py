@@ -107,4 +107,5 @@ class DeviceSet:
     pan_tilt: PanTilt | None = None
     battery: Battery | None = None
     hijack: Hijackable | None = None
+    problems: Callable[[], dict[str, str]] = dict  # what goes wrong although all answers: name -> sentence
     clock: Callable[[], int] = time.monotonic_ns  # the clock of all t_robot_ns; a recording or simulation has its own

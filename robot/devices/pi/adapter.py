@@ -36,6 +36,7 @@ def open_pi(config: PiConfig) -> DeviceSet:
             motors=motors,
             pan_tilt=pan_tilt,
             battery=_open_battery(config, mega),
+            problems=dict if mega is None else mega.problems,
         )
         undo.pop_all()  # all parts are there: they stay open
     return devices

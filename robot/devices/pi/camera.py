@@ -53,7 +53,7 @@ class PiCamera:
     async def capture(self) -> CapturedFrame:
         """The next frame. Raises DeviceLost on silence and while the picture is black."""
         if not self._thread.is_alive():
-            self._reopen()
+            await asyncio.to_thread(self._reopen)  # a camera stack that hangs must not hold the server up
         event = asyncio.Event()
         self._waiter = (asyncio.get_running_loop(), event)
         try:
@@ -130,7 +130,7 @@ class PiCamera:
         count = 0
         try:
             while not self._closed.is_set():
-                request = self._camera.capture_request()
+                request = self._camera.capture_request(wait=SILENCE_S)  # a hung camera ends this thread as a failed one
                 try:
                     image, metadata = request.make_array("main"), request.get_metadata()
                 finally:
@@ -146,7 +146,7 @@ class PiCamera:
                 if not self._dark:
                     self._publish(image, metadata)
         except Exception as exc:  # whatever the camera stack throws ends this thread; capture() says so and reopens
-            self._failure = f"the camera failed ({exc}); trying to open it again"
+            self._failure = f"the camera failed ({exc or type(exc).__name__}); trying to open it again"
             logger.warning("%s", self._failure)
 
     def _publish(self, image: Any, metadata: dict[str, Any]) -> None:

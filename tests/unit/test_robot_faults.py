@@ -1,0 +1,60 @@
+"""What the robot tells of parts that fail or work badly."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+
+import pytest
+
+from robot.devices.pi import camera as camera_module
+from robot.devices.pi.camera import CameraSettings, PiCamera
+from robot.sensors import Faults
+from shared.errors import DeviceLost
+from tests import pi_stubs
+
+
+def test_a_devices_problems_are_told_once_and_taken_back() -> None:
+    told: list[str] = []
+    faults = Faults(lambda device, _sentence: told.append(device))
+    faults.set("camera", "no frames")
+    faults.keep("robot", {"DRIVER_FAULT": "hot", "rx_bad": "damaged"})
+    faults.keep("robot", {"DRIVER_FAULT": "hot"})
+    assert told == ["camera", "robot DRIVER_FAULT", "robot rx_bad"]
+    assert faults.sentences() == ("no frames", "hot")
+    faults.keep("robot", {})
+    assert faults.sentences() == ("no frames",)
+
+
+@pytest.fixture
+def _stubs() -> Iterator[None]:
+    pi_stubs.install()
+    yield
+    pi_stubs.uninstall()
+
+
+async def frame_after_failures(camera: PiCamera) -> int:
+    while True:
+        try:
+            return (await camera.capture()).width
+        except DeviceLost:
+            await asyncio.sleep(0.01)
+
+
+async def captures_until_failure(camera: PiCamera) -> None:
+    while True:
+        await camera.capture()
+
+
+@pytest.mark.usefixtures("_stubs")
+async def test_a_camera_that_hung_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(camera_module, "SILENCE_S", 0.1)
+    camera = PiCamera(CameraSettings())
+    try:
+        pi_stubs.StubPicamera2.hangs = True
+        with pytest.raises(DeviceLost):
+            await captures_until_failure(camera)
+        pi_stubs.StubPicamera2.hangs = False
+        assert await asyncio.wait_for(frame_after_failures(camera), 30) == 640
+    finally:
+        await camera.close()
