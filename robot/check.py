@@ -9,10 +9,11 @@ from collections.abc import Awaitable, Callable
 from itertools import pairwise
 
 from robot.config import PiConfig
-from robot.devices.ports import Battery, Camera, DeviceSet, Imu, ImuReading
+from robot.devices.ports import Battery, Camera, DeviceSet, Imu, ImuReading, PanTilt
 from shared.errors import HardwareError, RobotSystemError
 
 FRAMES, READINGS = 30, 450
+LEAST_RATE = 0.9  # of the rate a part should have
 GRAVITY_M_S2 = (9.3, 10.3)  # a resting accelerometer, its bias included
 
 
@@ -25,21 +26,26 @@ def say(part: str, works: bool, sentence: str) -> None:
     print(f"{'ok  ' if works else 'FAIL'}  {part}: {sentence}", flush=True)
 
 
-async def check_camera(camera: Camera) -> str:
+async def check_camera(camera: Camera, expected_hz: float | None = None) -> str:
     """Rate and picture."""
     frames = [await asyncio.wait_for(camera.capture(), 10.0) for _ in range(FRAMES)]
     span_s = (frames[-1].t_robot_ns - frames[0].t_robot_ns) * 1e-9
     if span_s <= 0:
         raise CheckFailed("the frames' times stand still; check the clock of the camera stack")
+    rate_hz = (FRAMES - 1) / span_s
+    if expected_hz is not None and rate_hz < LEAST_RATE * expected_hz:
+        raise CheckFailed(
+            f"{rate_hz:.1f} frames/s instead of {expected_hz:.0f}; end other programs, or lower pi.rate_hz"
+        )
     size_kb = sum(len(f.jpeg) for f in frames) / len(frames) / 1000
     exposure_ms = frames[-1].exposure_ns * 1e-6
     return (
-        f"{(FRAMES - 1) / span_s:.1f} frames/s of {frames[-1].width}x{frames[-1].height}, {size_kb:.0f} kB each,"
+        f"{rate_hz:.1f} frames/s of {frames[-1].width}x{frames[-1].height}, {size_kb:.0f} kB each,"
         f" exposure {exposure_ms:.1f} ms"
     )
 
 
-async def check_imu(imu: Imu) -> str:
+async def check_imu(imu: Imu, expected_hz: float | None = None) -> str:
     """Rate, losses, and whether a resting robot feels gravity and no rotation."""
     readings: list[ImuReading] = []
     while len(readings) < READINGS:
@@ -52,6 +58,10 @@ async def check_imu(imu: Imu) -> str:
     gap_ms = max(b.t_robot_ns - a.t_robot_ns for a, b in pairwise(readings)) * 1e-6
     if lost > 0:
         raise CheckFailed(f"{lost} of {len(readings)} samples were lost; check the wires to INT, SDA and SCL")
+    if expected_hz is not None and rate_hz < LEAST_RATE * expected_hz:
+        raise CheckFailed(
+            f"{rate_hz:.1f} samples/s instead of {expected_hz:.0f}; check the wire from INT to Mega pin 2"
+        )
     if turning > 0.3:
         raise CheckFailed(f"it turns at {turning:.1f} rad/s; put the robot at rest and check again")
     if not GRAVITY_M_S2[0] <= force <= GRAVITY_M_S2[1]:
@@ -89,47 +99,81 @@ async def run_check(part: str, check: Callable[[], Awaitable[str]]) -> bool:
     return True
 
 
-async def check_devices(devices: DeviceSet) -> bool:
-    """Every part of an open robot; closes it."""
+async def check_health(problems: Callable[[], dict[str, str]]) -> str:
+    """Driver fault, I2C, magnetometer, damaged frames: what the board itself complains of."""
+    if found := problems():
+        raise CheckFailed("; ".join(found.values()))
+    return "the board complains of nothing"
+
+
+async def check_devices(devices: DeviceSet, track_m: float = PiConfig().track_m) -> bool:
+    """Every part of an open robot; closes it. `track_m` is the distance between its left and right wheels."""
     works = True
     try:
         if devices.camera is not None:
             camera = devices.camera
             works &= await run_check("camera", lambda: check_camera(camera))
         if devices.imu is not None:
-            imu = devices.imu
-            works &= await run_check("imu", lambda: check_imu(imu))
+            imu, noise = devices.imu, devices.calibration.imu
+            expected_hz = None if noise is None else noise.rate_hz
+            works &= await run_check("imu", lambda: check_imu(imu, expected_hz))
         if devices.battery is not None:
             battery = devices.battery
             works &= await run_check("battery", lambda: check_battery(battery))
-        if devices.motors is not None and sys.stdin.isatty():
-            motors = devices.motors
-            works &= await run_check("motors", lambda: check_motors(motors.drive, motors.stop))
-    finally:
         if devices.motors is not None:
-            devices.motors.close()
+            motors = devices.motors
+            works &= await run_check("motors", lambda: check_motors(motors.drive, motors.stop, track_m))
+        if devices.pan_tilt is not None:
+            pan_tilt = devices.pan_tilt
+            works &= await run_check("pan-tilt", lambda: check_pan_tilt(pan_tilt))
+        # Last: what went wrong while all the others were tested.
+        works &= await run_check("health", lambda: check_health(devices.problems))
+    finally:
+        for moving in (devices.motors, devices.pan_tilt):
+            if moving is not None:
+                moving.close()
         for part in (devices.camera, devices.imu):
             if part is not None:
                 await part.close()
     return works
 
 
-async def check_motors(drive: Callable[[float, float], None], stop: Callable[[], None]) -> str:
+async def _ask(question: str) -> bool:
+    answer = await asyncio.to_thread(input, f"      {question} Type yes or no: ")
+    return answer.strip().lower() == "yes"
+
+
+async def check_motors(drive: Callable[[float, float], None], stop: Callable[[], None], track_m: float) -> str:
     """Each side forward for half a second, only after somebody at the keyboard says that the wheels hang free."""
-    answer = await asyncio.to_thread(input, "      Do the wheels hang free? Then type yes: ")
-    if answer.strip().lower() != "yes":
-        return "not turned"
+    if not sys.stdin.isatty():
+        return "NOT TESTED: run the check at a terminal, somebody must watch the wheels"
+    if not await _ask("Do the wheels hang free?"):
+        return "NOT TESTED: the wheels do not hang free"
     for side, angular in (("left", -1.0), ("right", 1.0)):
-        print(f"      the {side} wheels turn forward now", flush=True)
-        for _ in range(5):
-            drive(0.12, angular)
-            await asyncio.sleep(0.1)
-        stop()
+        print(f"      the {side} wheels alone turn forward now", flush=True)
+        try:
+            for _ in range(5):
+                # The other side rests exactly: its part of the turn is taken back by going forward.
+                drive(abs(angular) * track_m / 2, angular)
+                await asyncio.sleep(0.1)
+        finally:
+            stop()
         await asyncio.sleep(0.5)
-    answer = await asyncio.to_thread(input, "      Did left, then right turn forward? Type yes or no: ")
-    if answer.strip().lower() != "yes":
+    if not await _ask("Did first only the left, then only the right wheels turn forward?"):
         raise CheckFailed("swap a side's two motor wires, or set pi.invert_left, pi.invert_right")
     return "both sides obey"
+
+
+async def check_pan_tilt(pan_tilt: PanTilt) -> str:
+    """Left, right, up, down, ahead; somebody must watch."""
+    if not sys.stdin.isatty():
+        return "NOT TESTED: run the check at a terminal, somebody must watch the camera head"
+    for pan, tilt in ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.4), (0.0, -0.4), (0.0, 0.0)):
+        pan_tilt.point(pan, tilt)
+        await asyncio.sleep(0.7)
+    if not await _ask("Did the camera look left, right, up, down and ahead?"):
+        raise CheckFailed("check the servos' power and signal wires")
+    return "it looks where it is told"
 
 
 def check_pi(config: PiConfig) -> bool:
@@ -154,7 +198,7 @@ async def _camera_alone(config: PiConfig) -> str:
 
     camera = adapter.open_camera(config)
     try:
-        return await check_camera(camera)
+        return await check_camera(camera, config.rate_hz)
     finally:
         await camera.close()
 
@@ -163,6 +207,6 @@ async def _set_alone(config: PiConfig) -> str:
     from robot.devices.pi import adapter
 
     devices = adapter.open_pi(config)
-    if not await check_devices(devices):
+    if not await check_devices(devices, config.track_m):
         raise CheckFailed("see above")
     return "Mega and what hangs on it answer"
