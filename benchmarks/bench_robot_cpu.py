@@ -36,6 +36,7 @@ from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBa
 from station.link import RobotLink  # noqa: E402
 
 RATE_HZ, FRAME_BYTES, IMU_RATE_HZ = 30, 50_000, 225
+LEAST_RATE_HZ = 27.0
 
 
 class PlayedMega:
@@ -203,7 +204,20 @@ def main() -> int:
     folder = ROOT / "benchmarks" / "results"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot_cpu.json").write_text(json.dumps(result, indent=1))
+    if slow := starved(result):
+        print(f"bench_robot_cpu: worthless, too few frames came: {', '.join(slow)}", file=sys.stderr)
+        return 1
     return 0
+
+
+def starved(result: dict[str, object]) -> list[str]:
+    """The measurements in which this PC could not even make the frames in time."""
+    rates = {
+        name: value["frames_per_s"]
+        for name, value in result.items()
+        if isinstance(value, dict) and "frames_per_s" in value
+    }
+    return [name for name, rate in rates.items() if rate < LEAST_RATE_HZ]
 
 
 if __name__ == "__main__":

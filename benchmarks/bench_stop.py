@@ -54,8 +54,10 @@ def pins_zero(events: list[BoardEvent], since_us: int) -> BoardEvent | None:
     return None
 
 
-def moved_after(events: list[BoardEvent], t_us: int) -> bool:
-    return any(e.text.startswith("pins ") and e.text != "pins 0 0" and e.t_mega_us > t_us for e in events)
+def started_at_us(events: list[BoardEvent], t_us: int) -> int | None:
+    """When the motors first turned again after a moment of rest; None while they did not."""
+    moves = (e.t_mega_us for e in events if e.text.startswith("pins ") and e.text != "pins 0 0" and e.t_mega_us > t_us)
+    return min(moves, default=None)
 
 
 def server_stop(log: list[LineEntry]) -> LineEntry | None:
@@ -105,11 +107,9 @@ async def trial(chain: Chain, fault: Fault, rng: random.Random) -> Judged:
     stop = server_stop(chain.line_log()) if fault.is_above_server else None
     is_stopped = zero is not None and (stop is not None or not fault.is_above_server)
     ended_ns = time.monotonic_ns()
-    started = ""
     assert chain.page is not None
     if zero is not None:
         await chain.pass_mega_s(HELD_S)
-        started = "while it lasted" if moved_after(chain.events(), zero.t_mega_us) else ""
     events, log = chain.events(), chain.line_log()
     chain.page.holds = False
     if fault.lasts:
@@ -117,8 +117,11 @@ async def trial(chain: Chain, fault: Fault, rng: random.Random) -> Judged:
     mended_us = await chain.mark()
     await mend(chain, fault)
     await chain.pass_mega_s(WATCH_S if fault.lasts else 0.05)
-    if not started and moved_after(chain.events(), mended_us):
-        started = "when it ended"
+    # From the stop to the end of the trial without a gap.
+    again_us = None if zero is None else started_at_us(chain.events(), zero.t_mega_us)
+    started = "" if again_us is None else "while it lasted" if again_us <= mended_us else "when it ended"
+    if instant.moved:
+        started = instant.moved
     return Judged(
         fault.name,
         server_ms=None if stop is None else max(0.0, (stop.after_ns - instant.since_ns) * 1e-6),
@@ -230,7 +233,10 @@ async def main() -> int:
     results = stop_report.load(options.results)
     print(stop_report.table(results))
     print(stop_report.verdict(results))
-    return 0 if results and all(r.is_good for r in results if not r.not_judged) else 1
+    reasons = stop_report.refusals(results, {**{f.name: f.count for f in FAULTS}, **stop_firmware.FAULTS})
+    for reason in reasons:
+        print(f"bench_stop: {reason}", file=sys.stderr)
+    return 0 if results and not reasons and all(r.is_good for r in results) else 1
 
 
 async def run(options: argparse.Namespace) -> None:

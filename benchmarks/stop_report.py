@@ -28,7 +28,8 @@ class Judged:
     @property
     def is_good(self) -> bool:
         return (
-            not self.started
+            not self.not_judged
+            and not self.started
             and not self.never_stopped
             and (self.server_ms or 0.0) <= SERVER_BOUND_MS
             and (self.pins_ms or 0.0) <= PINS_BOUND_MS
@@ -92,6 +93,20 @@ def table(results: list[Judged]) -> str:
         cells = [name, len(rows), *times, started, never, broken, f"{starved:.0f}", f"{slipped:.0f}"]
         lines.append("| " + " | ".join(str(c) for c in cells) + " |")
     return "\n".join(lines)
+
+
+def refusals(results: list[Judged], wanted: dict[str, int]) -> list[str]:
+    """Why the table proves nothing: from several commits, kinds of fault missing or too few, or not judged."""
+    judged = [r for r in results if not r.not_judged]
+    reasons = []
+    if len(commits := {r.commit for r in results}) > 1:
+        reasons.append(f"the rows are of several commits ({', '.join(sorted(commits))}); begin a new results file")
+    for name, count in wanted.items():
+        if (done := sum(r.fault == name for r in judged)) < count:
+            reasons.append(f"{name}: {done} of {count} faults were judged")
+    if broken := len(results) - len(judged):
+        reasons.append(f"{broken} trials could not be judged")
+    return reasons
 
 
 def verdict(results: list[Judged]) -> str:
