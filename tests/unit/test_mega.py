@@ -4,6 +4,7 @@ import contextlib
 import os
 import pty
 import queue
+import select
 import termios
 import threading
 import time
@@ -328,16 +329,22 @@ class FullLine:
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
+        self._greetings: list[threading.Thread] = []
+        self._is_closed = False
 
     def greet(self) -> None:
         os.write(self._master, sp.encode_frame(sp.pack(hello(1))))
-        self._greeting = threading.Thread(target=self._confirm, daemon=True)
-        self._greeting.start()
+        thread = threading.Thread(target=self._confirm, daemon=True)
+        self._greetings.append(thread)
+        thread.start()
 
     def _confirm(self) -> None:
         heard = b""
         while not all(setting in heard for setting in SETTINGS):
-            heard += os.read(self._master, 100)
+            readable, _, _ = select.select([self._master], [], [], 0.02)
+            heard += os.read(self._master, 100) if readable else b""
+            if self._is_closed:
+                return
         told: list[sp.FirmwareMessage] = [STATUS, *(sp.Ack(kind, 0) for kind in SETTINGS.values())]
         os.write(self._master, b"".join(sp.encode_frame(sp.pack(m)) for m in told))
 
@@ -352,6 +359,9 @@ class FullLine:
             os.close(fd)
 
     def close(self) -> None:
+        self._is_closed = True
+        for thread in self._greetings:
+            thread.join()
         os.close(self._master)
         os.close(self._slave)
 
