@@ -71,7 +71,7 @@ def batch(
     folder.mkdir(parents=True, exist_ok=True)
     script_file, out, pins = folder / "script", folder / "uart", folder / "pins"
     script_file.write_text("".join(f"{t * 1e6:.0f} {line}\n" for t, line in sorted(script or [], key=lambda s: s[0])))
-    options = ["--out", out, "--pins", pins, "--script", script_file, "--seconds", str(seconds)]
+    options: list[str | Path] = ["--out", out, "--pins", pins, "--script", script_file, "--seconds", str(seconds)]
     run = subprocess.run(
         [BOARD, "--elf", ELF, *options, *(["--boot", boot] if boot else [])],
         capture_output=True,
