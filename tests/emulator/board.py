@@ -72,8 +72,10 @@ def batch(
     script_file, out, pins = folder / "script", folder / "uart", folder / "pins"
     script_file.write_text("".join(f"{t * 1e6:.0f} {line}\n" for t, line in sorted(script or [], key=lambda s: s[0])))
     options: list[str | Path] = ["--out", out, "--pins", pins, "--script", script_file, "--seconds", str(seconds)]
+    if boot is not None:
+        options += ["--boot", boot]
     run = subprocess.run(
-        [BOARD, "--elf", ELF, *options, *(["--boot", boot] if boot else [])],
+        [BOARD, "--elf", ELF, *options],
         capture_output=True,
         text=True,
         timeout=240 + 20 * seconds,  # a busy PC runs the board slower than real time
