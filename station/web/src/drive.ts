@@ -89,7 +89,7 @@ export class DriveControl {
   private take(answer: DriveAnswer): void {
     if (answer.type === "time") this.heardMs = answer.t_ms;
     else if (answer.type === "driver") this.showDriver(answer.driver);
-    else if (answer.type === "refused") this.halt(answer.text);
+    else if (answer.type === "refused") this.halt(answer.text, false); // a STOP of ours would stop the one who drives
   }
 
   /** Where the hands point: x right, y forward, -1..1. */
@@ -141,13 +141,13 @@ export class DriveControl {
   }
 
   /** Stop, let go of everything, and say why. It must be held anew to go on. */
-  private halt(reason: string): void {
+  private halt(reason: string, tellRobot = true): void {
     const wasHeld = this.isDriving || this.direction !== null;
     this.release();
-    if (wasHeld) {
-      this.stopDriving(reason);
-      this.say(`Stopped: ${reason}`);
-    }
+    if (!wasHeld) return;
+    if (tellRobot) this.stopDriving(reason);
+    this.isDriving = false;
+    this.say(`Stopped: ${reason}`);
   }
 
   private release(): void {
