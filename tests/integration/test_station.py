@@ -7,7 +7,7 @@ import json
 import multiprocessing
 import struct
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,13 @@ async def at_work(tmp_path: Path, **options: str) -> AsyncIterator[tuple[Desk, B
         finally:
             filming.cancel()
             await asyncio.gather(filming, return_exceptions=True)
+
+
+async def drive_off(bench: Bench, order: Callable[[], Awaitable[object]]) -> None:
+    """Repeat an order, as a held joystick does, until the motors run: the robot passes over a station's first words."""
+    while not bench.motors.history or bench.motors.are_off:
+        await order()
+        await asyncio.sleep(0.02)
 
 
 async def wait_for(desk: Desk, path: str, condition: Any) -> Any:
@@ -140,8 +147,7 @@ async def test_stop_needs_no_lease_and_holds_until_the_driver_lets_go(
     async with at_work(tmp_path) as (desk, bench, _):
         freeze(desk, monkeypatch)
         order = {"linear": 0.2, "angular": 0.0, "ttl_ms": 1000}
-        await desk.http.post("/drive", json=order, headers={"X-Driver": "anna"})
-        await until(lambda: bench.motors.history and not bench.motors.are_off)
+        await drive_off(bench, lambda: desk.http.post("/drive", json=order, headers={"X-Driver": "anna"}))
         stops = bench.stops_heard
         assert (await desk.http.post("/stop", headers={"X-Driver": "ben"})).status_code == 200
         await until(lambda: bench.stops_heard > stops and bench.motors.are_off)
@@ -172,7 +178,8 @@ async def test_closing_the_drive_socket_stops_the_robot(tmp_path: Path, monkeypa
             told = [await heard(socket) for _ in range(2)]
             assert {"type": "accepted", "seq": 1} in told
             assert {"type": "driver", "driver": "page", "you_drive": True} in told
-            await until(lambda: bench.motors.history and not bench.motors.are_off)
+            again = json.dumps({"type": "drive", "seq": 2, "linear": 0.2, "angular": 0, "ttl_ms": 1000})
+            await drive_off(bench, lambda: socket.send(again))
             stops = bench.stops_heard
         await until(lambda: bench.stops_heard > stops and bench.motors.are_off)
         assert desk.station.driving.driver is None
@@ -208,7 +215,7 @@ async def test_what_a_page_said_before_everything_froze_moves_nothing_after(tmp_
         while (answer := await heard(socket))["type"] != "accepted":
             continue
         assert answer["seq"] == 60
-        await until(lambda: not bench.motors.are_off)
+        await drive_off(bench, lambda: socket.send(json.dumps({**order, "seq": 61})))
 
 
 async def test_pages_of_other_sites_get_no_socket(tmp_path: Path) -> None:
