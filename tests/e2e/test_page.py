@@ -107,6 +107,9 @@ async def test_two_browsers_one_driver_and_a_take_over(room: Room) -> None:
     await second.keyboard.down("w")
     await expect(second.locator("#why")).to_contain_text("drives")  # refused
     await second.keyboard.up("w")
+    await first.mouse.up()
+    await until(lambda: room.motors_rest)
+    await room.hold(first)
     await second.locator("#take-over").click()
     await expect(second.locator("#driver")).to_have_text("You drive")
     await expect(first.locator("#why")).to_contain_text("drives")
