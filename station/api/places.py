@@ -92,12 +92,15 @@ async def image(place_id: str, kind: Literal["representative", "mean"], station:
 @router.get(
     "/graph",
     summary="The topological map",
+    response_model=GraphModel,
     responses={200: {"content": {"application/graphml+xml": {}}}, **responses(409)},
 )
-async def graph(station: StationDep, format: Annotated[Literal["json", "graphml"], Query()] = "json") -> GraphModel:
+async def graph(
+    station: StationDep, format: Annotated[Literal["json", "graphml"], Query()] = "json"
+) -> GraphModel | Response:
     active = station.maps.require_active()
     if format == "graphml":
-        return Response(to_graphml(shown(active.place_map)), media_type="application/graphml+xml")  # type: ignore[return-value]
+        return Response(to_graphml(shown(active.place_map)), media_type="application/graphml+xml")
     return GraphModel(
         map=active.place_map.id,
         nodes=[place_model(active, place) for place in active.visible_places],

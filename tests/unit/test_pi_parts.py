@@ -74,7 +74,7 @@ class RecordingPins:
 
 def test_gpio_motors_stop_when_commands_go_silent() -> None:
     pins = RecordingPins()
-    guard = Guard(pins)  # type: ignore[arg-type]
+    guard = Guard(pins)
     guard.line("drive 500 -500 10300", 10.0)
     assert guard.tick(10.2) == pytest.approx(0.1)
     assert guard.tick(10.3) is None
@@ -84,7 +84,7 @@ def test_gpio_motors_stop_when_commands_go_silent() -> None:
 @pytest.mark.parametrize("text", ["", "drive", "drive 1 2", "drive 1 2 99", "drive a b c", "fly 1 2 3", "servo 1"])
 def test_gpio_motors_stop_at_a_line_they_do_not_understand(text: str) -> None:
     pins = RecordingPins()
-    guard = Guard(pins)  # type: ignore[arg-type]
+    guard = Guard(pins)
     guard.line("drive 500 500 300", 0.0)
     guard.line(text, 0.1)
     assert pins.history[-1] == (0, 0) and guard.tick(0.1) is None
@@ -92,13 +92,13 @@ def test_gpio_motors_stop_at_a_line_they_do_not_understand(text: str) -> None:
 
 def test_a_line_that_waited_in_the_pipe_moves_nothing() -> None:
     pins = RecordingPins()
-    guard = Guard(pins)  # type: ignore[arg-type]
+    guard = Guard(pins)
     guard.line("drive 500 500 10300", 10.3)
     assert set(pins.history) == {(0, 0)} and guard.tick(10.3) is None
 
 
 def test_gpio_time_to_live_has_an_upper_bound() -> None:
-    guard = Guard(RecordingPins())  # type: ignore[arg-type]
+    guard = Guard(RecordingPins())
     guard.line("drive 500 500 99999", 0.0)
     assert guard.tick(0.41) is None
 

@@ -15,7 +15,17 @@ import signal
 import sys
 import time
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
+
+
+class Pins(Protocol):
+    """What the guard moves."""
+
+    def drive(self, left: int, right: int) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def servo(self, pan_us: int, tilt_us: int) -> None: ...
 
 
 class GpioPins:
@@ -45,7 +55,7 @@ class GpioPins:
 class Guard:
     """Motion lasts as long as its time to live. Pure: time is an argument."""
 
-    def __init__(self, pins: GpioPins) -> None:
+    def __init__(self, pins: Pins) -> None:
         self._pins = pins
         self._until_s: float | None = None
 
