@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+from robot.commands import CommandDesk
 from robot.config import RobotConfig, ServerConfig
 from robot.devices.ports import BatteryState, CapturedFrame, DeviceSet, ImuReading
 from robot.server import RobotServer
@@ -123,6 +124,17 @@ class FakeBattery:
         return BatteryState(7.4, 0.5)
 
 
+@dataclass
+class HearingDesk(CommandDesk):
+    """The robot's own desk, that also keeps what it was told."""
+
+    heard: list[StationMessage] = field(default_factory=list)
+
+    def handle(self, client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
+        self.heard.append(message)
+        return super().handle(client, message, now_ns)
+
+
 class Bench:
     """One robot-server with fake devices."""
 
@@ -161,13 +173,8 @@ class Bench:
         listener = bind("127.0.0.1", self.port)
         self.port = listener.getsockname()[1]
         self.server = RobotServer(self.devices(), self.config)
-        handle = self.server.desk.handle
-
-        def listen(client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
-            self.heard.append(message)
-            return handle(client, message, now_ns)
-
-        self.server.desk.handle = listen  # type: ignore[method-assign]
+        desk = self.server.desk
+        self.server.desk = HearingDesk(desk.devices, desk.watchdog, desk.limits, heard=self.heard)
         self.task = asyncio.create_task(self.server.serve(listener))
 
     async def stop(self) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
+import socket
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -31,23 +31,21 @@ STUCK = {
 }
 
 
-async def stuck_client(desk: Desk, text: str, map_id: str) -> asyncio.StreamWriter:
-    """Says this, and never reads: its receive window stays as small as can be."""
+def stuck_client(desk: Desk, text: str, map_id: str) -> socket.socket:
+    """Says this, and never reads: its receive window is as small as can be."""
     address = urlsplit(desk.address)
-    assert address.hostname and address.port
-    reader, writer = await asyncio.open_connection(address.hostname, address.port, limit=1)
-    text = text.replace("{host}", address.netloc).replace("{map}", map_id)
-    writer.write(text.encode())
-    await writer.drain()
-    reader._transport.pause_reading()  # type: ignore[attr-defined]  # asyncio has no public way to be this rude
-    return writer
+    client = socket.socket()
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)  # before connecting; the kernel makes it its least
+    client.connect((address.hostname, address.port))
+    client.sendall(text.replace("{host}", address.netloc).replace("{map}", map_id).encode())
+    return client
 
 
 async def test_stuck_clients_of_every_kind_slow_nobody(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
     async with at_work(tmp_path) as (desk, bench, film):
         await desk.http.put("/maps/active", json={"id": place_map.id})
-        stuck = [await stuck_client(desk, text, place_map.id) for text in STUCK.values() for _ in range(3)]
+        stuck = [stuck_client(desk, text, place_map.id) for text in STUCK.values() for _ in range(3)]
         try:
             async with (
                 websockets.connect(desk.socket("/ws/events")) as events,
@@ -71,8 +69,8 @@ async def test_stuck_clients_of_every_kind_slow_nobody(tmp_path: Path) -> None:
             waiting = [len(reader._line) for reader in desk.station.events.hub._readers]
             assert max(waiting, default=0) <= MAX_WAITING_MESSAGES
         finally:
-            for writer in stuck:
-                writer.transport.abort()
+            for client in stuck:
+                client.close()
         await until(lambda: desk.station.events.hub.num_readers == 0 and desk.station.camera.num_readers == 0)
 
 
