@@ -17,11 +17,12 @@ from typing import Any
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.bin import Bin, Kind
 from station.comparisons import Comparisons, summarise
-from station.config import StationConfig
+from station.config import RecordingConfig, StationConfig
 from station.drive_library import DriveLibrary, DriveRecord
 from station.driving import Driving
 from station.events import EventKind, Events
 from station.jobs import Job, Jobs
+from station.kept_recordings import recover_recordings, retain_recordings
 from station.link import LinkState, RobotLink
 from station.locating import Locating
 from station.mailbox import Broadcast
@@ -69,25 +70,31 @@ class Station:
             self._capabilities,
             on_driver=lambda driver: self.events.changed("driver", driver),
             on_silence=lambda text: self.events.say("drive", text, "warning"),
+            on_command=lambda *command: self.drives.on_command(*command),
         )
         self.applied: DriveApplied | None = None
         self.jobs = Jobs(self.events)
         store = StoreAddress(config.data_dir / "maps", config.store.database, config.store.blobs, config.name)
         self.maps = Maps(store, self.events)
-        self.locating = Locating(store, config.localization, self.events, place_servant)
+        self.locating = Locating(
+            store, config.localization, self.events, place_servant, lambda report: self.drives.on_answer(report)
+        )
         self.comparisons = Comparisons(config.data_dir / "comparisons")
         self.bin = Bin(config.data_dir / "bin.json")
         self.drives = Drives(
             DriveLibrary(config.data_dir / "navigations"),
             config.slam,
             self.events,
-            make_recorder or open_recorder,
+            make_recorder or (lambda path: open_recorder(path, config.recordings)),
             on_pose=self.locating.odometry,
+            recordings=config.recordings,
         )
+        self.events.on_line = self.drives.on_log
 
     async def run(self, started: Callable[[], Any] = lambda: None) -> None:
         """Run until cancelled. The link ends first, and with it the motors; then drives are closed."""
-        for drive in self.drives.library.open():
+        interrupted = self.drives.library.open()
+        for drive in interrupted:
             self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
         await self.maps.open()
         self.bin.open()
@@ -103,6 +110,7 @@ class Station:
                 tasks.create_task(self.locating.run(), name="localisation")
                 tasks.create_task(self._every_second(), name="second")
                 tasks.create_task(self._every_hour(), name="bin")
+                tasks.create_task(self._tidy_up(interrupted), name="recordings")
                 started()
         finally:
             await self.drives.close()
@@ -356,6 +364,11 @@ class Station:
             await asyncio.sleep(BIN_CHECK_S)
             await self.empty_bin(everything=False)
 
+    async def _tidy_up(self, interrupted: list[DriveRecord]) -> None:
+        """Recover what the station's end cut off, then remove what is beyond the limits."""
+        await recover_recordings(self.drives.library, interrupted, self.events)
+        await retain_recordings(self.drives.library, self.config.recordings, self.events)
+
     async def _every_second(self) -> None:
         while True:
             await asyncio.sleep(1.0)
@@ -364,6 +377,6 @@ class Station:
             self.events.changed("robot")
 
 
-def open_recorder(path: Path) -> DriveRecorder | None:
-    """The MCAP recorder of a drive. Raises DataError when the file cannot be made."""
-    return Recorder(path)
+def open_recorder(path: Path, limits: RecordingConfig) -> DriveRecorder | None:
+    """The MCAP recorder of a drive. Raises DataError when the file cannot be made, or the disk is nearly full."""
+    return Recorder(path, min_free_bytes=limits.keep_free_mb * 2**20)

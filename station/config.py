@@ -71,6 +71,20 @@ class LocalizationConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordingConfig:
+    """How much of the disk recordings may take. 0: no limit; then only the free space ends a recording."""
+
+    max_gb: float = 0.0  # beyond, the oldest recordings of finished drives go; what SLAM made of them stays
+    max_days: float = 0.0  # older ones go
+    keep_free_mb: int = 256  # the disk also holds the maps
+
+    def __post_init__(self) -> None:
+        for name in ("max_gb", "max_days", "keep_free_mb"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"recordings.{name} = {getattr(self, name)} must not be below 0")
+
+
+@dataclass(frozen=True, slots=True)
 class StoreConfig:
     """Where maps are kept; by default in the data folder."""
 
@@ -90,6 +104,7 @@ class StationConfig:
     slam: SlamConfig = field(default_factory=SlamConfig)
     localization: LocalizationConfig = field(default_factory=LocalizationConfig)
     store: StoreConfig = field(default_factory=StoreConfig)
+    recordings: RecordingConfig = field(default_factory=RecordingConfig)
 
     def __post_init__(self) -> None:
         for key, port, least in (("robot.port", self.robot.port, 1), ("api.port", self.api.port, 0)):

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -15,6 +16,7 @@ import msgspec
 
 from shared.errors import DataError
 from station.refusals import Unknown
+from station.retention import KeptRecording
 
 DriveState = Literal["recording", "finishing", "ready", "failed"]
 BIN = ".bin"  # the folder of deleted drives
@@ -112,6 +114,28 @@ class DriveLibrary:
     def remember(self, drive: DriveRecord) -> None:
         """Know it as long as the station runs."""
         self._drives[drive.id] = drive
+
+    def recording(self, drive_id: str) -> Path:
+        """Where a drive's recording is, or would be."""
+        return self.folder(drive_id) / "recording.mcap"
+
+    def finished_recordings(self) -> Sequence[KeptRecording]:
+        """The recordings of drives that are over."""
+        kept = []
+        for drive in self.list():
+            path = self.recording(drive.id)
+            if drive.state in ("ready", "failed") and path.is_file():
+                kept.append(KeptRecording(drive.id, drive.started_wall_s, path.stat().st_size))
+        return kept
+
+    def remove_recording(self, drive_id: str) -> None:
+        """Delete a recording and keep its drive."""
+        try:
+            self.recording(drive_id).unlink(missing_ok=True)
+        except OSError as exc:
+            raise DataError(
+                f"{self.recording(drive_id)} cannot be deleted ({exc.strerror}); delete it by hand"
+            ) from exc
 
     def delete(self, drive_id: str) -> None:
         """Forget a drive; `restore` brings it back until it is purged. Raises Unknown."""

@@ -96,7 +96,10 @@ class Driving:
         on_driver: Callable[[str | None], None],
         on_silence: Callable[[str], None],
         now_ns: Callable[[], int] = time.monotonic_ns,
+        on_command: Callable[[str, float, float, int], None] = lambda *_: None,
     ) -> None:
+        """`on_command` hears what was sent to the robot: driver, m/s, rad/s, ms to live."""
+        self._on_command = on_command
         self._link = link
         self._config = config
         self._capabilities = capabilities
@@ -148,6 +151,7 @@ class Driving:
             raise Conflict("somebody else stopped the robot; let go of the joystick once, then drive on")
         if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self._on_command(driver, linear, angular, ttl_ms)
         self._sent_ns = self._now_ns()
         self._command = None if is_still else _Command(linear, angular, self._now_ns() + ttl_ms * 1_000_000)
         self._changed.set()
@@ -162,6 +166,7 @@ class Driving:
         """
         self._command = None
         self._lease.stop(by, self._now_ns())
+        self._on_command(by or "station", 0.0, 0.0, 0)
         return self._link.stop()
 
     def point(self, driver: str, pan: float, tilt: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -39,6 +40,7 @@ class Events:
     def __init__(self) -> None:
         self.hub: MessageHub[Event] = MessageHub()
         self.log: deque[LogLine] = deque(maxlen=KEPT_LOG_LINES)
+        self.on_line: Callable[[LogLine], None] = lambda _: None  # set by who keeps the lines
         self._number = 0
 
     def changed(self, kind: EventKind, subject: object = None, key: str = "") -> None:
@@ -55,3 +57,4 @@ class Events:
         line = LogLine(self._number, time.time(), level, topic, text)
         self.log.append(line)
         self.hub.put(Event("log", line))
+        self.on_line(line)

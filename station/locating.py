@@ -6,6 +6,7 @@ import asyncio
 import logging
 import time
 from collections import OrderedDict, deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -55,7 +56,9 @@ class Locating:
         config: LocalizationConfig,
         events: Events,
         servant: str = "station.place_servant:PlaceServant",
+        on_report: Callable[[PlaceReport], None] = lambda _: None,
     ) -> None:
+        self._on_report = on_report
         self._servant = servant
         self._store = store
         self._config = config
@@ -257,6 +260,7 @@ class Locating:
         self.answers += 1
         # The picture may have come before the robot went, and its answer after.
         self._report, self._absent, self._taken_s = report, self._gone, time.monotonic()
+        self._on_report(report)
         if report.t_evidence_ns is not None:
             self._queries[report.t_evidence_ns] = frame.jpeg
             while len(self._queries) > KEPT_QUERY_IMAGES:

@@ -13,6 +13,7 @@ from station.commands import (
     map,
     match,
     register,
+    replay,
     serve,
     slam,
 )
@@ -38,6 +39,7 @@ for command in (
     map,
     match,
     register,
+    replay,
     serve,
     slam,
 ):

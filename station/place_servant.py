@@ -31,7 +31,11 @@ class PlaceServant:
 
     def load(self, store: StoreAddress, map_id: str) -> None:
         """Read a map and index its pictures: some 60 ms per keyframe."""
-        self._place_map = shown(MapStore(store).load(map_id))
+        self.use(MapStore(store).load(map_id))
+
+    def use(self, place_map: PlaceMap) -> None:
+        """Answer from this map."""
+        self._place_map = shown(place_map)
         self._localizer = Localizer(self._place_map)
 
     def calibrate(self, calibration: Calibration) -> None:

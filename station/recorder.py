@@ -9,6 +9,7 @@ import base64
 import logging
 import os
 import queue
+import stat
 import threading
 import time
 from collections.abc import Callable
@@ -22,54 +23,36 @@ from mcap.writer import CompressionType, Writer
 from shared.errors import DataError
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.foxglove import (
-    CALIBRATION_SCHEMA_NAME,
-    IMAGE_SCHEMA_NAME,
-    camera_calibration,
-    encode_image,
-    image_schema,
-    time_of,
+from station.events import LogLine
+from station.foxglove import IMAGE_SCHEMA_NAME, camera_calibration, encode_image, image_schema, time_of
+from station.place_report import PlaceReport
+from station.recording_topics import (
+    ANSWER_TOPIC,
+    CALIBRATION_TOPIC,
+    COMMAND_TOPIC,
+    GAP_TOPIC,
+    JSON_CHANNELS,
+    LINK_TOPIC,
+    LOG_TOPIC,
+    NOTICE_TOPIC,
+    POSE_TOPIC,
+    STATE_TOPIC,
+    STATUS_TOPIC,
+    log_line,
+    place_answer,
+    slam_pose,
+    slam_state,
 )
+from station.slam.backend import SlamUpdate
 
 logger = logging.getLogger(__name__)
 
-CHUNK_BYTES = 512 * 1024  # what a crash may cost: about a third of a second of video
+CHUNK_BYTES = 512 * 1024  # about a third of a second of video
 MAX_WAITING_FRAMES = 120  # some seconds between the event loop and the disk; then frames are dropped, counted
 MAX_LATE = 100_000  # IMU samples and reports are never dropped; a disk that is minutes behind ends the recording
 CLOSE_WITHIN_S = 60.0  # a disk that hangs must not keep the station from ending
 MIN_FREE_BYTES = 256 * 1024 * 1024  # the disk also holds the maps: stop in time, with a proper end of the file
-CHECK_DISK_NS = 1_000_000_000
-
-CALIBRATION_TOPIC = "/camera/calibration"
-STATUS_TOPIC = "/robot/status"
-NOTICE_TOPIC = "/robot/notice"
-GAP_TOPIC = "/link/imu_gap"
-LINK_TOPIC = "/link/connection"
-
-_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-_VECTOR = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyz"}}
-
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
-
-
-_INTEGER, _NUMBER, _TEXT = {"type": "integer"}, {"type": "number"}, {"type": "string"}
-# topic → (schema name, JSON schema)
-JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
-    HELLO_TOPIC: ("sentinel.Hello", _object(robot_id=_TEXT, name=_TEXT, session_id=_TEXT, msgpack_base64=_TEXT)),
-    FRAME_TOPIC: (
-        "sentinel.Frame",
-        _object(timestamp=_TIME, seq=_INTEGER, exposure_ns=_INTEGER, width=_INTEGER, height=_INTEGER, skipped=_INTEGER),
-    ),
-    CALIBRATION_TOPIC: (CALIBRATION_SCHEMA_NAME, _object(timestamp=_TIME, frame_id=_TEXT)),
-    IMU_TOPIC: ("sentinel.Imu", _object(timestamp=_TIME, sequence=_INTEGER, gyro=_VECTOR, accel=_VECTOR)),
-    DRIVE_TOPIC: ("sentinel.DriveApplied", _object(timestamp=_TIME, linear=_NUMBER, angular=_NUMBER)),
-    STATUS_TOPIC: ("sentinel.Status", _object(timestamp=_TIME, battery_v=_NUMBER, driver=_TEXT)),
-    NOTICE_TOPIC: ("sentinel.Notice", _object(code=_TEXT, message=_TEXT)),
-    GAP_TOPIC: ("sentinel.ImuGap", _object(num_samples=_INTEGER)),
-    LINK_TOPIC: ("sentinel.Connection", _object(connected={"type": "boolean"}, reason=_TEXT)),
-}
+CHECK_DISK_NS = 1_000_000_000  # so often what was taken is written to the disk: the most that a crash may cost
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +91,8 @@ class Recorder:
         self.path = path
         self._now_ns = now_ns
         self._wall_minus_monotonic_ns = time.time_ns() - now_ns()
-        self._file = _create(path)
         self._min_free_bytes = min_free_bytes
+        self._file = _create(path, min_free_bytes)
         self._waiting: queue.Queue[_Entry | None] = queue.Queue()
         self._messages = 0
         self._frames_taken = 0
@@ -207,6 +190,23 @@ class Recorder:
     def on_notice(self, notice: ErrorNotice) -> None:
         self._put(NOTICE_TOPIC, None, {"code": notice.code, "message": notice.message})
 
+    # What the station decides
+
+    def on_command(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
+        content = {"driver": driver, "linear": linear, "angular": angular, "ttl_ms": ttl_ms}
+        self._put(COMMAND_TOPIC, None, content)
+
+    def on_slam(self, update: SlamUpdate) -> None:
+        self._put(STATE_TOPIC, update.t_robot_ns, slam_state(update))
+        if (pose := slam_pose(update)) is not None:
+            self._put(POSE_TOPIC, update.t_robot_ns, pose)
+
+    def on_answer(self, report: PlaceReport) -> None:
+        self._put(ANSWER_TOPIC, report.answer.t_robot_ns, place_answer(report))
+
+    def on_log(self, line: LogLine) -> None:
+        self._put(LOG_TOPIC, None, log_line(line))
+
     # The recorder's thread
 
     def _put(
@@ -243,7 +243,14 @@ class Recorder:
         writer.start(profile="", library="sentinel-robot")
         channels = _register_channels(writer)
         checked_ns = self._now_ns()
-        while (entry := self._waiting.get()) is not None:
+        while True:
+            try:
+                entry = self._waiting.get(timeout=max(0.05, CHECK_DISK_NS / 1e9))
+            except queue.Empty:  # a silent robot: what came last must not wait in memory
+                self._write_out(writer)
+                continue
+            if entry is None:
+                break
             self._messages += 1
             self._frames_written += entry.topic == IMAGE_TOPIC
             content = entry.content if isinstance(entry.content, bytes) else msgspec.json.encode(entry.content)
@@ -256,10 +263,17 @@ class Recorder:
             )
             if self._now_ns() - checked_ns >= CHECK_DISK_NS:
                 checked_ns = self._now_ns()
-                self._file.flush()
+                self._write_out(writer)
                 self._check_disk()
         finish: Callable[[], None] = writer.finish
         finish()
+
+    def _write_out(self, writer: Writer) -> None:
+        """End the chunk and wait until the disk has it."""
+        flush: Callable[[], None] = writer.flush  # mcap leaves it untyped
+        flush()
+        if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+            os.fsync(self._file.fileno())
 
     def _check_disk(self) -> None:
         free = _free_bytes(self.path)
@@ -270,9 +284,15 @@ class Recorder:
             )
 
 
-def _create(path: Path) -> BinaryIO:
+def _create(path: Path, min_free_bytes: int) -> BinaryIO:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        free = _free_bytes(path)
+        if free < min_free_bytes:
+            raise DataError(
+                f"cannot record to {path}: {free // 2**20} MiB are left on the disk, {min_free_bytes // 2**20} MiB are"
+                " kept free; delete old recordings"
+            )
         return path.open("wb")
     except OSError as exc:
         raise DataError(f"cannot record to {path} ({exc.strerror}); choose a folder that can be written") from exc

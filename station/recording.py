@@ -13,14 +13,16 @@ from typing import Protocol
 from shared.errors import DataError, RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.config import SlamConfig
+from station.config import RecordingConfig, SlamConfig
 from station.drive_library import DriveLibrary, DriveRecord
-from station.events import Events
+from station.events import Events, LogLine
 from station.frames import DriveSample, ImageFrame
+from station.kept_recordings import retain_recordings
 from station.link import LinkListener
 from station.live import LiveSlam
 from station.navigation import NavigationReport
 from station.navigation_files import load_navigation
+from station.place_report import PlaceReport
 from station.refusals import Conflict
 from station.slam.backend import SlamUpdate
 from station.slam_process import SlamProcess
@@ -38,6 +40,14 @@ class DriveRecorder(LinkListener, Protocol):
     def error(self) -> str:
         """Why it ended by itself, in a sentence; empty while it works."""
         ...
+
+    def on_command(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None: ...
+
+    def on_slam(self, update: SlamUpdate) -> None: ...
+
+    def on_answer(self, report: PlaceReport) -> None: ...
+
+    def on_log(self, line: LogLine) -> None: ...
 
     def close(self) -> object: ...
 
@@ -73,7 +83,9 @@ class Drives:
         events: Events,
         make_recorder: MakeRecorder,
         on_pose: Callable[[int, FloatArray, int], None],
+        recordings: RecordingConfig | None = None,
     ) -> None:
+        self._recordings = recordings or RecordingConfig()
         self.library = library
         self._config = config
         self._events = events
@@ -118,7 +130,7 @@ class Drives:
         # Before the drive is kept: one that cannot be recorded never was.
         recorder: DriveRecorder | None = None
         try:
-            recorder = self._make_recorder(self.library.folder(drive_id) / "recording.mcap")
+            recorder = self._make_recorder(self.library.recording(drive_id))
             self.library.keep(drive)
         except RobotSystemError:
             if recorder is not None:
@@ -287,6 +299,18 @@ class Drives:
         for recorder in self._recorders():
             recorder.on_notice(notice)
 
+    def on_command(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
+        for recorder in self._recorders():
+            recorder.on_command(driver, linear, angular, ttl_ms)
+
+    def on_answer(self, report: PlaceReport) -> None:
+        for recorder in self._recorders():
+            recorder.on_answer(report)
+
+    def on_log(self, line: LogLine) -> None:
+        for recorder in self._recorders():
+            recorder.on_log(line)
+
     def refresh(self) -> None:
         """Once a second: the counts of the running drive."""
         if self._running is not None:
@@ -304,6 +328,8 @@ class Drives:
         has_new_points = live.update(update)
         if self.live is not live:
             return
+        for recorder in self._recorders():
+            recorder.on_slam(update)
         if update.T_world_body is not None:
             self._on_pose(update.t_robot_ns, update.T_world_body, update.segment)
         now_s = time.monotonic()
@@ -344,6 +370,7 @@ class Drives:
             self._finishing.pop(drive.id, None)
             self._events.changed("pose")
             self._events.changed("landmarks")
+        await retain_recordings(self.library, self._recordings, self._events)
 
     def _recorders(self) -> tuple[DriveRecorder, ...]:
         """The open recorder, or none."""

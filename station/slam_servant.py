@@ -13,7 +13,7 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import EstimationError
 from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import NavigationReport
+from station.navigation import Navigation, NavigationReport
 from station.navigation_files import save_navigation
 from station.sequencer import Sequencer
 from station.slam.backend import SlamBackend
@@ -30,13 +30,15 @@ class SlamServant:
         self._sequencer = Sequencer(0.0, has_imu=False)
         self._started_s = 0.0
 
-    def begin(self, backend: str, calibration: Calibration, seed: int) -> None:
+    def begin(
+        self, backend: str, calibration: Calibration, seed: int, threads: int = -1, intrinsics_known: bool = True
+    ) -> None:
         """Start a navigation with a backend by name, or by "package.module:factory"."""
         camera = calibration.camera
         if ":" in backend:
             self._backend = resolve(backend)(calibration)
         else:
-            self._backend = make_backend(backend, calibration, seed)
+            self._backend = make_backend(backend, calibration, seed, threads, intrinsics_known)
         shift_s = camera.time_shift_s if camera else 0.0
         self._sequencer = Sequencer(shift_s, has_imu=calibration.imu is not None)
         self._started_s = time.monotonic()
@@ -55,6 +57,12 @@ class SlamServant:
 
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""
+        navigation = self.complete(navigation_id)
+        save_navigation(navigation, folder)
+        return navigation.report
+
+    def complete(self, navigation_id: str) -> Navigation:
+        """End the navigation. Raises EstimationError with the reason when nothing came out."""
         for item in self._sequencer.rest():
             self._feed(item)
         if self._backend is None:
@@ -63,9 +71,7 @@ class SlamServant:
         wall_s, cpu_s = time.monotonic() - self._started_s, time.process_time()
         factor = navigation.report.duration_s / wall_s
         report = replace(navigation.report, wall_s=wall_s, cpu_s=cpu_s, realtime_factor=factor)
-        navigation = replace(navigation, report=report)
-        save_navigation(navigation, folder)
-        return navigation.report
+        return replace(navigation, report=report)
 
     def _advance(self) -> None:
         for item in self._sequencer.ready():

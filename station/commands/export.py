@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from shared.errors import DataError
+from station.colmap_export import export_colmap
 from station.exporting import export_euroc, export_mcap, export_ply
 from station.maps.folder import load_map_folder
 from station.maps.map import PlaceMap
@@ -27,6 +28,7 @@ class ExportFormat(StrEnum):
     GRAPHML = "graphml"
     EUROC = "euroc"
     MCAP = "mcap"
+    COLMAP = "colmap"
 
 
 def register(app: typer.Typer) -> None:
@@ -35,10 +37,10 @@ def register(app: typer.Typer) -> None:
 
 def export(
     source: Annotated[Path, typer.Argument(help="Folder of a navigation (station slam) or a map (station map build).")],
-    out: Annotated[Path, typer.Option("--out", help="File to write; a folder for euroc. Must not exist.")],
+    out: Annotated[Path, typer.Option("--out", help="File to write; a folder for euroc and colmap. Must not exist.")],
     file_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
 ) -> None:
-    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml) or all for Foxglove (mcap)."""
+    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), a COLMAP model, or all for Foxglove (mcap)."""
     try:
         is_taken = out.exists()
     except OSError as exc:  # too long a name
@@ -64,6 +66,7 @@ def export(
         ExportFormat.PLY: lambda path: export_ply(nav, path),
         ExportFormat.EUROC: lambda path: export_euroc(nav, path),
         ExportFormat.MCAP: lambda path: export_mcap(nav, path),
+        ExportFormat.COLMAP: lambda path: export_colmap(nav, path),
     }
     _whole_or_not(out, writers[file_format])
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from shared.errors import DataError
+from station.commands import map_store
 from station.commands.experiment import places_config
 from station.commands.outputs import check_out_folder
 from station.commands.progress import working
@@ -26,6 +27,7 @@ def register(app: typer.Typer) -> None:
     maps.command("build")(build)
     maps.command("show")(show)
     maps.command("route")(route)
+    map_store.register(maps)
     app.add_typer(maps, name="map")
 
 

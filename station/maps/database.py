@@ -17,7 +17,8 @@ from sqlalchemy.pool import NullPool
 
 from shared.errors import ConfigError, DataError
 
-HEAD = "0002"  # the newest migration in migrations/versions
+REVISIONS = ("0001", "0002")  # the migrations in migrations/versions
+HEAD = REVISIONS[-1]
 LOCK_WAIT_S = 30
 _MIGRATIONS_LOCK = 7_400_001  # advisory lock numbers of ours in PostgreSQL
 _SQLITE_IS_BROKEN = re.compile(
@@ -101,17 +102,23 @@ class Database:
             revision = self.revision(connection)
         if revision == HEAD:
             return False
-        if revision is not None and not re.fullmatch(r"\d{4}", revision):
-            raise IndexDamaged(f"{self.place} is damaged (it says it is at migration {revision!r})")
-        if revision is not None and revision > HEAD:
-            raise DataError(
-                f"{self.place} was written by a newer station (migration {revision}, this one knows {HEAD}); update"
-                " this station"
-            )
+        if revision is not None and revision not in REVISIONS:
+            self._refuse(revision)
         with self.writing("migrations") as connection:
             was_empty = self.revision(connection) is None
             upgrade(connection)
         return was_empty
+
+    def _refuse(self, revision: str) -> None:
+        """A revision this program does not know: of a newer one, whose tables differ, or a wrong bit."""
+        with self.reading() as connection:
+            columns = {column["name"] for column in inspect(connection).get_columns(VERSIONS.name)}
+        if columns == set(VERSIONS.c.keys()):
+            raise IndexDamaged(f"{self.place} is damaged (it says it is at migration {revision!r})")
+        raise DataError(
+            f"{self.place} was written by a newer station (migration {revision}, this one knows {HEAD}); update this"
+            " station"
+        )
 
     def check(self) -> None:
         """SQLite: compare pages and indices. Raises IndexDamaged, in words. Nothing to do in PostgreSQL."""
@@ -126,7 +133,9 @@ class Database:
         """Give a broken SQLite file another name, so that a new one can be made; the new name."""
         assert self.path is not None
         with _flock(self._folder, exclusive=True):
-            aside = self.path.with_name(f"{self.path.name}.damaged-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}")
+            aside = self.path.with_name(
+                f"{self.path.name}.damaged-{time.strftime('%Y%m%d-%H%M%S')}-{time.time_ns() % 10**9:09d}"
+            )
             try:
                 os.replace(self.path, aside)
                 self.path.with_name(f"{self.path.name}-journal").unlink(missing_ok=True)

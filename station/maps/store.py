@@ -216,6 +216,26 @@ class MapStore:
             why = f"version {record.content} again"
             return self._append(connection, rows, replace(record, why=why), record, "restored")
 
+    def append_restored(self, content: MapRecord) -> bool:
+        """Make this content (of a backup; its blobs are here) the newest version; False when it is that already."""
+        with self._changing(content.map_id) as connection:
+            rows = versions.history(connection, content.map_id)
+            newest = self._readable(rows)
+            if newest is not None and newest.kind != "deleted" and _same_content(newest, content):
+                return False
+            self._append(connection, rows, replace(content, why="from a backup"), newest, "saved")
+        return True
+
+    def bury(self, map_id: str) -> MapRecord:
+        """Write a last version of a deleted map that names no files any more, so that they can go."""
+        with self._changing(map_id) as connection:
+            rows = versions.history(connection, map_id)
+            newest = self._readable(rows)
+            if newest is None or newest.kind != "deleted":
+                raise DataError(f"map {map_id} is not deleted; delete it first")
+            empty = replace(newest, why="purged", files={}, places=(), edges=())
+            return self._append(connection, rows, empty, None, "deleted")
+
     def content_hash(self, map_id: str) -> str:
         """What the newest version is, whoever made it and when (record.content_hash)."""
         record = self._present(self._history(map_id), map_id)
@@ -223,6 +243,10 @@ class MapStore:
 
     def record(self, row: VersionRow) -> MapRecord:
         """The record of a row, checked. Raises Damaged."""
+        return self.record_and_bytes(row)[0]
+
+    def record_and_bytes(self, row: VersionRow) -> tuple[MapRecord, bytes]:
+        """The same, and what it was decoded from."""
         if not row.is_sealed:
             raise Damaged(self._unsealed(row))
         what = f"map {row.map_id}, version {row.number}"
@@ -232,7 +256,7 @@ class MapStore:
             raise Damaged(
                 f"{what}: its record is of {record.map_id}, version {record.number}; run `station map repair`"
             )
-        return record
+        return record, data
 
     def open(self, *, writes: bool = False) -> bool:
         """Once: check, migrate, take in what is there. False when there is nothing yet and nothing is to be written."""

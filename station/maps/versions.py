@@ -100,6 +100,13 @@ def all_rows(connection: Connection) -> list[VersionRow]:
     return _rows(connection.execute(select(VERSIONS).order_by(VERSIONS.c.map_id, VERSIONS.c.number)).all())
 
 
+def replace_row(connection: Connection, row: VersionRow) -> None:
+    """A row anew, in the place of a damaged one."""
+    at = (VERSIONS.c.map_id == row.map_id) & (VERSIONS.c.number == row.number)
+    connection.execute(delete(VERSIONS).where(at))
+    add(connection, [row])
+
+
 def forget(connection: Connection, map_id: str, below: int) -> None:
     """Take away the rows of a map with smaller numbers."""
     connection.execute(delete(VERSIONS).where((VERSIONS.c.map_id == map_id) & (VERSIONS.c.number < below)))

@@ -7,6 +7,7 @@ import logging
 import math
 import threading
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,14 @@ from shared.messages import (
     Status,
 )
 from station.datasets import open_dataset
+from station.events import LogLine
 from station.foxglove import encode_image
+from station.place_report import PlaceReport
+from station.places.answer import PlaceAnswer, PlaceCandidate
 from station.recorder import Recorder, RecordingReport
+from station.recovery import recover_recording
+from station.retention import KeptRecording, to_remove
+from station.slam.backend import SlamUpdate
 
 HELLO = Hello(
     protocol=1,
@@ -221,7 +228,8 @@ def test_a_disk_that_runs_full_ends_the_file_properly(
 ) -> None:
     caplog.set_level(logging.CRITICAL)
     monkeypatch.setattr(station.recorder, "CHECK_DISK_NS", 0)
-    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=2**62)
+    recorder = Recorder(tmp_path / "d.mcap")
+    monkeypatch.setattr(station.recorder, "_free_bytes", lambda path: 2**20)
     recorder.on_connected(HELLO)
     recorder.on_imu(batch(0))
     report = recorder.close()
@@ -280,8 +288,8 @@ def test_a_write_error_of_another_kind_is_told_too(
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(station.recorder, "CHECK_DISK_NS", 0)
-    monkeypatch.setattr(station.recorder, "_free_bytes", unplugged)
     recorder = Recorder(tmp_path / "d.mcap")
+    monkeypatch.setattr(station.recorder, "_free_bytes", unplugged)
     recorder.on_connected(HELLO)
     assert "Input/output error" in recorder.close().error
 
@@ -321,3 +329,78 @@ def test_another_run_of_the_robot_ends_what_is_read(tmp_path: Path, caplog: pyte
     assert len(dataset.require_imu()) == 20
     assert "restarted" in caplog.text
     assert not dataset.has_images
+
+
+def test_a_full_disk_is_noticed_before_recording_begins(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="MiB are kept free; delete old recordings"):
+        Recorder(tmp_path / "d.mcap", min_free_bytes=2**62)
+    assert list(tmp_path.iterdir()) == []
+
+
+def messages_of(path: Path, topic: str) -> list[dict[str, object]]:
+    with path.open("rb") as file:
+        found = make_reader(file).iter_messages(topics=[topic])
+        return [msgspec.json.decode(message.data) for _, _, message in found]
+
+
+def test_what_the_station_decides_is_recorded_with_its_reasons(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+    sofa = PlaceCandidate("place-1", "Sofa", 0.9)
+    answer = PlaceAnswer(
+        "known", sofa, 0.4, np.array([1.0, 2.0, 3.0]), START_NS, START_NS, 3, 40, (), "40 points agree"
+    )
+    lost = replace(answer, state="lost", place=None, distance=None, position_map=None, reason="carried")
+    for one in (answer, lost):
+        recorder.on_answer(PlaceReport("map-1", one, None, None, "found"))
+    recorder.on_command("page", 0.1, -0.2, 300)
+    T = np.eye(4)
+    T[0, 3] = 0.5
+    recorder.on_slam(SlamUpdate(START_NS, "tracking", "fine", T, 12, True))
+    recorder.on_slam(SlamUpdate(START_NS + 1, "lost", "dark", None, 12, False))
+    recorder.on_log(LogLine(1, 1.5e9, "warning", "hijack", "picked up"))
+    path = recorder.close().path
+    known, unknown = messages_of(path, "/place/answer")
+    assert known["place"] == {"id": "place-1", "name": "Sofa", "probability": 0.9}
+    assert (known["reason"], known["attempt"], known["map"]) == ("40 points agree", "found", "map-1")
+    assert unknown["state"] == "lost" and "place" not in unknown and unknown["reason"] == "carried"
+    command = {"driver": "page", "linear": 0.1, "angular": -0.2, "ttl_ms": 300}
+    assert messages_of(path, "/drive/command") == [command]
+    assert [m["state"] for m in messages_of(path, "/slam/state")] == ["tracking", "lost"]
+    assert [m["pose"]["position"]["x"] for m in messages_of(path, "/slam/pose")] == [0.5]  # type: ignore[index]
+    assert [(m["level"], m["message"]) for m in messages_of(path, "/station/log")] == [(3, "picked up")]
+
+
+@settings(max_examples=25)
+@given(fraction=st.floats(0, 1))
+def test_a_cut_recording_gets_its_end_again(
+    whole: bytes, tmp_path_factory: pytest.TempPathFactory, fraction: float
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "recovered.mcap"
+    path.write_bytes(whole[: int(fraction * len(whole))])
+    try:
+        readable = [f.encoded for f in open_dataset(path).frames()]
+    except DataError:
+        readable = []
+    try:
+        recovery = recover_recording(path)
+    except DataError:
+        assert readable == []
+        return
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None and summary.statistics is not None
+    if recovery is not None:
+        assert summary.statistics.message_count == recovery.messages and str(path) in str(recovery)
+    if readable:
+        assert [f.encoded for f in open_dataset(path).frames()] == readable
+    assert recover_recording(path) is None
+    assert not path.with_name(".recovered.mcap.recovered").exists()
+
+
+def test_the_oldest_recordings_go_first() -> None:
+    kept = [KeptRecording(str(day), day * 86_400.0, 10) for day in range(5)]
+    now_s = 5 * 86_400.0
+    assert to_remove(kept, 0, 0, now_s) == []
+    assert [r.drive_id for r in to_remove(kept, 25, 0, now_s)] == ["0", "1", "2"]
+    assert [r.drive_id for r in to_remove(kept, 0, 3.5 * 86_400, now_s)] == ["0", "1"]
+    assert [r.drive_id for r in to_remove(kept, 45, 4.5 * 86_400, now_s)] == ["0"]

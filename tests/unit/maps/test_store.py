@@ -209,6 +209,7 @@ def test_a_newer_database_is_refused(place_map: PlaceMap, tmp_path: Path) -> Non
     MapStore(tmp_path).save(place_map)
     with sqlite3.connect(tmp_path / "maps.db") as connection:
         connection.execute("UPDATE alembic_version SET version_num = '9000'")
+        connection.execute("ALTER TABLE map_version ADD COLUMN mood TEXT")
     connection.close()
     with pytest.raises(DataError, match="newer station"):
         MapStore(tmp_path).list()

@@ -1,0 +1,186 @@
+"""`station map list, history, undo, delete, purge, verify, repair, backup, restore`: the maps a station keeps."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from shared.errors import DataError
+from station.config import load_config
+from station.maps.store import MapStore, StoreAddress
+
+Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
+Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file, where maps lie elsewhere.")]
+MapId = Annotated[str, typer.Argument(metavar="MAP", help="Id of a map; `station map list` shows them.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+
+
+def register(maps: typer.Typer) -> None:
+    maps.command("list")(list_maps)
+    maps.command("history")(history)
+    maps.command("undo")(undo)
+    maps.command("delete")(delete)
+    maps.command("purge")(purge_map)
+    maps.command("verify")(verify_maps)
+    maps.command("repair")(repair_maps)
+    maps.command("backup")(backup)
+    maps.command("restore")(restore)
+
+
+def store_address(data: Path | None, config: Path | None) -> StoreAddress:
+    """Where the maps of a station with this data folder and this configuration lie."""
+    settings = load_config(config)
+    root = (data or settings.data_dir) / "maps"
+    return StoreAddress(root, settings.store.database, settings.store.blobs, settings.name)
+
+
+def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
+    """The maps of a station, and those that were deleted but not purged."""
+    store = _store(data, config)
+    maps, deleted = store.list(), store.deleted()
+    if as_json:
+        shown = [
+            {"id": s.id, "name": s.name, "places": s.places, "deleted": s in deleted, "damaged": s.damaged}
+            for s in (*maps, *deleted)
+        ]
+        print(json.dumps({"maps": shown}))
+        return
+    for summary in maps:
+        print(f"{summary.id}  {summary.name}: {summary.damaged or f'{summary.places} places'}")
+    for summary in deleted:
+        print(f"{summary.id}  {summary.name}: deleted; `station map undo {summary.id}` brings it back")
+    if not maps and not deleted:
+        print(f"no maps in {store.bucket.place}")
+
+
+def history(map_id: MapId, data: Data = None, config: Config = None, as_json: Json = False) -> None:
+    """Every version of a map, the newest first."""
+    records = _store(data, config).history(map_id)
+    if as_json:
+        keys = ("number", "kind", "why", "author", "created_ms", "previous", "content", "name")
+        print(json.dumps({"versions": [{key: getattr(record, key) for key in keys} for record in records]}))
+        return
+    for record in records:
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(record.created_ms / 1000))
+        author = f" by {record.author}" if record.author else ""
+        print(f"{record.number:4d}  {when}  {record.kind}{author}: {record.why} ({len(record.places)} places)")
+
+
+def undo(
+    map_id: MapId,
+    to: Annotated[int | None, typer.Option("--to", help="Go to this version instead of one step back.")] = None,
+    data: Data = None,
+    config: Config = None,
+) -> None:
+    """Take back the last change of a map, also its deletion; again: the change before."""
+    record = _store(data, config).undo(map_id, to)
+    print(
+        f"{record.name} ({map_id}) is {record.why}, with {len(record.places)} places; this is version {record.number}"
+    )
+
+
+def delete(map_id: MapId, data: Data = None, config: Config = None) -> None:
+    """Delete a map; `station map undo` brings it back until it is purged."""
+    _store(data, config).delete(map_id)
+    print(
+        f"{map_id} is deleted; `station map undo {map_id}` brings it back, `station map purge {map_id}` frees its space"
+    )
+
+
+def purge_map(
+    map_id: MapId,
+    yes: Annotated[bool, typer.Option("--yes", help="Do it: there is no way back.")] = False,
+    data: Data = None,
+    config: Config = None,
+) -> None:
+    """Forget the earlier versions of a map for good; a deleted map altogether."""
+    if not yes:
+        raise DataError(f"purging {map_id} cannot be undone; add --yes")
+    from station.maps.checking import purge
+
+    purge(_store(data, config), map_id)
+    print(f"the earlier versions of {map_id} are gone")
+
+
+def verify_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
+    """Compare every byte of every version with its checksum. Exit code 1 when something is damaged."""
+    from station.maps.checking import verify
+
+    found: list[str] = []
+    damages = verify(_store(data, config, found))
+    if as_json:
+        print(json.dumps({"repaired": found, "damaged": [damage.sentence for damage in damages]}))
+    else:
+        for sentence in (*found, *(damage.sentence for damage in damages)):
+            print(sentence)
+        if not damages:
+            print("all maps are as they were written")
+    if damages:
+        sys.exit(1)
+
+
+def repair_maps(
+    copies: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FOLDER]...", help="Folders that may hold copies of damaged files."),
+    ] = None,
+    data: Data = None,
+    config: Config = None,
+) -> None:
+    """Put right what can be: from checksums, from the navigations maps were made from, from earlier versions."""
+    from station.maps.checking import repair
+
+    found: list[str] = []
+    address = store_address(data, config)
+    folders = [folder for folder in (address.root.parent / "navigations", *(copies or [])) if folder.is_dir()]
+    result = repair(MapStore(address, found.append), folders)
+    for sentence in dict.fromkeys((*found, *result.done)):
+        print(sentence)
+    for damage in result.left:
+        print(f"not repaired: {damage.sentence}")
+    if not result.left:
+        print("all maps are as they were written")
+    else:
+        sys.exit(1)
+
+
+def backup(
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="File to write, .tar; must not exist.")],
+    data: Data = None,
+    config: Config = None,
+) -> None:
+    """All maps with their history in one file."""
+    from station.maps.backup import write_backup
+
+    report = write_backup(_store(data, config), out)
+    for sentence in report.damaged:
+        print(f"not in the backup: {sentence}", file=sys.stderr)
+    print(f"{report.maps} maps, {report.versions} versions, {report.bytes / 1e6:.1f} MB, written to {out}")
+    if report.damaged:
+        sys.exit(1)
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(help="File written by `station map backup`.")],
+    data: Data = None,
+    config: Config = None,
+) -> None:
+    """Bring the maps of a backup into this station; what it has already stays in the history."""
+    from station.maps.backup import restore_backup
+
+    report = restore_backup(_store(data, config), file)
+    for sentence in report.damaged:
+        print(sentence, file=sys.stderr)
+    print(f"{report.maps} maps read from {file}, {report.versions} versions added")
+    if report.damaged:
+        sys.exit(1)
+
+
+def _store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:
+    address = store_address(data, config)
+    return MapStore(address, found.append if found is not None else lambda sentence: print(sentence, file=sys.stderr))

@@ -1,0 +1,45 @@
+"""Care for the recordings on disk: ones that the station's end cut are recovered, ones beyond the limits removed."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+
+from shared.errors import RobotSystemError
+from station.config import RecordingConfig
+from station.drive_library import DriveLibrary, DriveRecord
+from station.events import Events
+from station.recovery import recover_recording
+from station.retention import to_remove
+
+
+async def recover_recordings(library: DriveLibrary, interrupted: Iterable[DriveRecord], events: Events) -> None:
+    """Give the recordings of drives that the station's end cut their own end, and say what was saved."""
+    for drive in interrupted:
+        path = library.recording(drive.id)
+        try:
+            recovery = await asyncio.to_thread(recover_recording, path) if path.is_file() else None
+            if recovery is None:
+                continue
+            message = f"interrupted; {recovery.seconds:.0f} s are recovered: station slam {path} makes a navigation"
+            if drive in library.list():  # nobody deleted it meanwhile
+                library.keep(replace(drive, message=message))
+                events.changed("navigation", library.get(drive.id), drive.id)
+            events.say("navigation", f"{drive.name}: {recovery}", "warning")
+        except RobotSystemError as exc:
+            events.say("navigation", f"{drive.name}: {exc}", "error")
+
+
+async def retain_recordings(library: DriveLibrary, limits: RecordingConfig, events: Events) -> None:
+    """Remove the recordings that are beyond the limits; what SLAM made of them stays."""
+    kept = await asyncio.to_thread(library.finished_recordings)
+    for old in to_remove(kept, round(limits.max_gb * 1e9), limits.max_days * 86_400.0, time.time()):
+        try:
+            await asyncio.to_thread(library.remove_recording, old.drive_id)
+        except RobotSystemError as exc:
+            events.say("navigation", str(exc), "error")
+            continue
+        text = f"the recording of {old.drive_id} was removed, as recordings.max_gb and max_days ask"
+        events.say("navigation", f"{text}; its trajectory and landmarks stay")

@@ -1,0 +1,169 @@
+"""All maps of a store in one file, and back: a plain tar of records and blobs, each under its checksum."""
+
+from __future__ import annotations
+
+import io
+import os
+import tarfile
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from shared.errors import DataError
+from station.maps import versions
+from station.maps.address import ADDRESS, address_of, is_whole
+from station.maps.blobs import Damaged, blob_name
+from station.maps.bucket import flush
+from station.maps.record import MapRecord, decode_record, parse_record_name, record_name
+from station.maps.store import MapStore
+from station.maps.versions import row_of
+
+README = b"Maps of a Sentinel station: `station map restore FILE` brings them back. File names end in sha256-crc32.\n"
+
+
+@dataclass(frozen=True, slots=True)
+class BackupReport:
+    """What went into or came out of a backup."""
+
+    maps: int
+    versions: int
+    bytes: int
+    damaged: tuple[str, ...]  # sentences about what is not in it
+
+
+def write_backup(store: MapStore, path: Path) -> BackupReport:
+    """Every version that can be read, into a new file that appears when it is whole.
+
+    Raises:
+        DataError: the file exists or cannot be written.
+    """
+    if path.exists():
+        raise DataError(f"{path} exists already; give a new name")
+    store.open()
+    damaged: list[str] = []
+    records = list(_readable(store, damaged))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, scratch = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(descriptor, "wb") as file, tarfile.open(fileobj=file, mode="w|") as archive:
+                _add(archive, "README.txt", README)
+                written: set[str] = set()
+                for record, data in records:
+                    if _add_blobs(store, archive, record, written, damaged):
+                        _add(archive, record_name(record, data), data)
+            flush(Path(scratch))
+            os.replace(scratch, path)
+            flush(path.parent)
+        finally:
+            Path(scratch).unlink(missing_ok=True)
+    except OSError as exc:
+        raise DataError(f"{path} cannot be written ({exc.strerror}); free space or choose another place") from exc
+    return BackupReport(len({r.map_id for r, _ in records}), len(records), path.stat().st_size, tuple(damaged))
+
+
+def restore_backup(store: MapStore, path: Path) -> BackupReport:
+    """Bring the maps of a backup into a store.
+
+    A map the store does not have comes with its whole history; one it has gets the backup's newest content as a new
+    version, unless that is in its history already. Nothing of the store is lost.
+
+    Raises:
+        DataError: this is no backup, or the store cannot be written.
+    """
+    damaged: list[str] = []
+    records: dict[str, list[tuple[MapRecord, bytes]]] = {}
+    store.open(writes=True)
+    there: set[str] = set()
+    try:
+        with tarfile.open(path, mode="r|") as archive:
+            for name, data in _members(archive):
+                parsed = parse_record_name(name)
+                address = parsed[2] if parsed else name.rpartition("/")[2]
+                if not is_whole(data, address):
+                    damaged.append(f"{path}: {name} is damaged (its checksum differs); it is left out")
+                elif parsed:
+                    records.setdefault(parsed[0], []).append((decode_record(data, name), data))
+                else:
+                    store.blobs.put([data])
+                    there.add(address)
+    except OSError as exc:
+        raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
+    except (tarfile.TarError, EOFError) as exc:
+        if not records:
+            raise DataError(f"{path} is no backup ({exc}); give a file written by `station map backup`") from exc
+        damaged.append(f"{path} ends early ({exc}); what came before was restored")
+    count = 0
+    for map_id, found in records.items():
+        whole = []
+        for record, data in found:
+            if {ref.address for ref in record.files.values()} <= there:
+                whole.append((record, data))
+            else:
+                damaged.append(f"{path}: version {record.number} of map {map_id} lacks files; it is left out")
+        count += _restore_map(store, map_id, sorted(whole, key=lambda pair: pair[0].number))
+    return BackupReport(len(records), count, path.stat().st_size, tuple(damaged))
+
+
+def _restore_map(store: MapStore, map_id: str, found: list[tuple[MapRecord, bytes]]) -> int:
+    """How many versions were added."""
+    if not found:
+        return 0
+    with store.database.writing(map_id) as connection:
+        rows = versions.history(connection, map_id)
+        if not rows:
+            store.bucket.put({record_name(record, data): data for record, data in found})
+            versions.add(connection, [row_of(record, data) for record, data in found])
+            return len(found)
+    newest, data = found[-1]
+    if newest.kind == "deleted" or any(row.record == address_of(data) for row in rows):
+        return 0
+    return int(store.append_restored(newest))
+
+
+def _readable(store: MapStore, damaged: list[str]) -> Iterator[tuple[MapRecord, bytes]]:
+    if not store.database.exists:
+        return
+    with store.database.reading() as connection:
+        rows = versions.all_rows(connection)
+    for row in rows:
+        try:
+            yield store.record_and_bytes(row)
+        except Damaged as exc:
+            damaged.append(str(exc))
+
+
+def _add_blobs(
+    store: MapStore, archive: tarfile.TarFile, record: MapRecord, written: set[str], damaged: list[str]
+) -> bool:
+    """The version's files, once each; False when one of them is lost."""
+    is_whole_version = True
+    for name, ref in record.files.items():
+        if ref.address in written:
+            continue
+        try:
+            data = store.blobs.get(ref.address, f"map {record.map_id}, version {record.number}: {name}")
+        except Damaged as exc:
+            damaged.append(str(exc))
+            is_whole_version = False
+            continue
+        _add(archive, blob_name(ref.address), data)
+        written.add(ref.address)
+    return is_whole_version
+
+
+def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:
+    member = tarfile.TarInfo(name)
+    member.size = len(data)
+    archive.addfile(member, io.BytesIO(data))
+
+
+def _members(archive: tarfile.TarFile) -> Iterator[tuple[str, bytes]]:
+    """Records and blobs by name; anything else in the file is passed over, nothing is unpacked to the disk."""
+    for member in archive:
+        last = member.name.rpartition("/")[2]
+        if member.isfile() and (parse_record_name(member.name) or ADDRESS.fullmatch(last)):
+            file = archive.extractfile(member)
+            if file is not None:
+                yield member.name, file.read()

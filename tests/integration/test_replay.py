@@ -1,0 +1,99 @@
+"""Replay: the same recording gives the same trajectory, map and answers, bit for bit, on any number of threads."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from shared.messages import CameraFrame, Capabilities, DriveApplied, Hello, ImuBatch, ImuSample
+from station.commands.replay import Metronome
+from station.main import app
+from station.recorder import Recorder
+from tests.made_up_workers import made_up_navigation
+
+KEYFRAMES = Path(__file__).parents[2].parent / "shared" / "data" / "euroc_v1_01_keyframes"
+MADE_UP = "tests.made_up_workers:StraightSlam"
+
+
+def record(path: Path, frames: int = 12, brightness: int = 0) -> Path:
+    """A recording with pictures of the made-up room."""
+    navigation = made_up_navigation()
+    able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False)
+    recorder = Recorder(path, min_free_bytes=0)
+    recorder.on_connected(Hello(1, "r", "R", "s", able, navigation.calibration))
+    for number in range(frames):
+        t_ns = 10**9 + number * 250_000_000
+        samples = tuple(ImuSample(t_ns + n * 10_000_000, (0.0, 0.0, 0.01 * n), (0.0, 0.0, 9.81)) for n in range(25))
+        picture = cv2.imdecode(np.frombuffer(navigation.keyframes.encoded[number], np.uint8), cv2.IMREAD_COLOR)
+        encoded = cv2.imencode(".jpg", cv2.add(picture, brightness))[1].tobytes()
+        height, width = picture.shape[:2]
+        recorder.on_imu(ImuBatch(number * 25, samples))
+        recorder.on_drive_applied(DriveApplied(t_robot_ns=t_ns, linear=0.1 * (number % 3), angular=0.0))
+        recorder.on_frame(CameraFrame(number, t_ns, 0, width, height, 0, encoded), number)
+    return recorder.close().path
+
+
+def replay(path: Path, *words: str) -> dict[str, object]:
+    result = CliRunner().invoke(app, ["replay", str(path), *words, "--json"])
+    assert result.exit_code == 0, result.output
+    content: dict[str, object] = msgspec.json.decode(result.stdout)
+    return content
+
+
+def test_the_same_recording_gives_the_same_bits(tmp_path: Path) -> None:
+    path = record(tmp_path / "drive.mcap")
+    first = replay(path, "--backend", MADE_UP, "--threads", "1", "--out", str(tmp_path / "out"))
+    assert replay(path, "--backend", MADE_UP, "--threads", "2") == first
+    assert first["answers_given"] == 12
+    hashes = json.loads((tmp_path / "out" / "hashes.json").read_text())
+    assert hashes == {key: first[key] for key in ("trajectory", "map", "answers")}
+    assert len((tmp_path / "out" / "answers.jsonl").read_text().splitlines()) == 12
+    in_its_map = replay(path, "--backend", MADE_UP, "--map", str(tmp_path / "out" / "map"))
+    assert in_its_map["map"] == first["map"]
+
+
+def test_a_different_recording_gives_other_answers(tmp_path: Path) -> None:
+    whole = replay(record(tmp_path / "a" / "drive.mcap"), "--backend", MADE_UP)
+    shorter = replay(record(tmp_path / "b" / "drive.mcap", frames=9), "--backend", MADE_UP)
+    assert whole["answers"] != shorter["answers"] and whole["map"] != shorter["map"]
+
+
+@pytest.mark.slow
+def test_real_images_give_the_same_bits_on_one_and_two_threads() -> None:
+    if not KEYFRAMES.is_dir():
+        pytest.skip("../shared/data/euroc_v1_01_keyframes is not here")
+    one = replay(KEYFRAMES, "--last", "11", "--threads", "1")
+    assert replay(KEYFRAMES, "--last", "11", "--threads", "2") == one
+    assert one["places"]
+
+
+def test_recorded_time_is_kept_at_the_speed_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("time.sleep", lambda s: now_s.__setitem__(0, now_s[0] + s))
+    metronome = Metronome(2.0)
+    for t_s in (5, 6, 9):
+        metronome.wait(t_s * 10**9)
+    assert now_s[0] == pytest.approx(102.0)
+    metronome.wait(5 * 10**9)  # the second pass begins
+    metronome.wait(6 * 10**9)
+    assert now_s[0] == pytest.approx(102.5)
+
+
+def test_what_cannot_be_replayed_is_one_sentence(tmp_path: Path) -> None:
+    path = record(tmp_path / "drive.mcap", frames=2)
+    for words, said in (
+        ([str(path), "--backend", MADE_UP], "fewer than 3 frames"),
+        ([str(path), "--speed", "0"], "--speed"),
+        ([str(path), "--threads", "0"], "threads"),
+        ([str(path), "--map", "nothing", "--data", str(tmp_path)], "no map"),
+        ([str(path), "--out", str(tmp_path)], "exists already"),
+    ):
+        result = CliRunner().invoke(app, ["replay", *words])
+        assert result.exit_code == 1 and said in str(result.exception)
