@@ -12,6 +12,7 @@ import random
 import shutil
 import signal
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -83,6 +84,8 @@ def kill_while(work: Callable[[Promise], None], after_s: float) -> list[object]:
 
                 promise("begun")
                 work(promise)
+        except BaseException:
+            traceback.print_exc()
         finally:
             os._exit(1)  # never back into the parent's code
     os.close(writing)
@@ -91,7 +94,8 @@ def kill_while(work: Callable[[Promise], None], after_s: float) -> list[object]:
         time.sleep(after_s)
         os.kill(pid, signal.SIGKILL)
         lines = pipe.read().split("\n")
-    os.waitpid(pid, 0)
+    _, status = os.waitpid(pid, 0)
+    assert os.WIFSIGNALED(status), "the child ended by itself"  # else nothing would have been tried
     return [json.loads(line) for line in lines[:-1]]  # the last one is empty, or half a line
 
 
@@ -272,11 +276,11 @@ def record_on(folder: Path, promise: Promise) -> None:
         batch = tuple(
             ImuSample(round(n * 1e9 / IMU_HZ), (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)) for n in range(samples, until)
         )
-        recorder.on_imu(ImuBatch(samples, batch))
+        recorder.on_imu(ImuBatch(first_sequence=samples, samples=batch))
         samples = until
-        recorder.on_frame(
-            CameraFrame(number, t_ns, 0, 640, 480, 0, PICTURE + number.to_bytes(4, "big")), time.monotonic_ns()
-        )
+        jpeg = PICTURE + number.to_bytes(4, "big")
+        frame = CameraFrame(seq=number, t_robot_ns=t_ns, exposure_ns=0, width=640, height=480, skipped=0, jpeg=jpeg)
+        recorder.on_frame(frame, time.monotonic_ns())
         promise(t_ns)
         time.sleep(max(0.0, begin_s + (number + 1) / FPS - time.monotonic()))
 

@@ -26,16 +26,30 @@ def record(path: Path, frames: int = 12, brightness: int = 0) -> Path:
     navigation = made_up_navigation()
     able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False)
     recorder = Recorder(path, min_free_bytes=0)
-    recorder.on_connected(Hello(1, "r", "R", "s", able, navigation.calibration))
+    recorder.on_connected(
+        Hello(
+            protocol=1,
+            robot_id="r",
+            name="R",
+            session_id="s",
+            capabilities=able,
+            calibration=navigation.calibration,
+        )
+    )
     for number in range(frames):
         t_ns = 10**9 + number * 250_000_000
         samples = tuple(ImuSample(t_ns + n * 10_000_000, (0.0, 0.0, 0.01 * n), (0.0, 0.0, 9.81)) for n in range(25))
         picture = cv2.imdecode(np.frombuffer(navigation.keyframes.encoded[number], np.uint8), cv2.IMREAD_COLOR)
         encoded = cv2.imencode(".jpg", cv2.add(picture, brightness))[1].tobytes()
         height, width = picture.shape[:2]
-        recorder.on_imu(ImuBatch(number * 25, samples))
+        recorder.on_imu(ImuBatch(first_sequence=number * 25, samples=samples))
         recorder.on_drive_applied(DriveApplied(t_robot_ns=t_ns, linear=0.1 * (number % 3), angular=0.0))
-        recorder.on_frame(CameraFrame(number, t_ns, 0, width, height, 0, encoded), number)
+        recorder.on_frame(
+            CameraFrame(
+                seq=number, t_robot_ns=t_ns, exposure_ns=0, width=width, height=height, skipped=0, jpeg=encoded
+            ),
+            number,
+        )
     return recorder.close().path
 
 

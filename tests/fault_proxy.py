@@ -1,0 +1,141 @@
+"""A wire between station and robot that does what networks do: late, slow, silent, cut, and sometimes rubbish."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+Direction = Literal["to robot", "to station"]
+CHUNK = 65_536
+
+
+@dataclass
+class Faults:
+    """What happens to bytes of one direction. Change it while they flow."""
+
+    delay_s: float = 0.0  # every piece comes so much later, in order
+    jitter_s: float = 0.0  # up to so much more, still in order: TCP knows no reordering but by a new connection
+    bytes_per_s: float = 0.0  # 0: no limit
+    is_swallowed: bool = False  # half-open: taken, never delivered, the connection lives
+    garbage: float = 0.0  # the share of pieces that get a wrong byte
+
+
+class FaultProxy:
+    """Relays TCP connections to one port. `port` stays the same over cuts."""
+
+    def __init__(self, target_port: int, seed: int = 0) -> None:
+        self._target_port = target_port
+        self._random = random.Random(seed)
+        self._server: asyncio.Server | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._writers: set[asyncio.StreamWriter] = set()
+        self._flows = asyncio.Event()
+        self._flows.set()
+        self.port = 0
+        self.connections = 0  # taken so far
+        self.faults: dict[Direction, Faults] = {"to robot": Faults(), "to station": Faults()}
+
+    async def mend(self) -> None:
+        """Take connections from now on."""
+        self._server = await asyncio.start_server(self._take, "127.0.0.1", self.port, limit=CHUNK)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def cut(self) -> None:
+        """No connection survives, none is taken, until it is mended."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        await self.reset()
+
+    async def reset(self) -> None:
+        """End the connections there are; new ones are taken."""
+        for writer in self._writers:
+            writer.transport.abort()
+        self._writers.clear()
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def stall(self) -> None:
+        """Bytes stay where they are, connections live."""
+        self._flows.clear()
+
+    def flow(self) -> None:
+        self._flows.set()
+
+    def heal(self) -> None:
+        """No faults from now on."""
+        self.faults = {"to robot": Faults(), "to station": Faults()}
+        self.flow()
+
+    async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        self._writers.add(writer)
+        try:
+            robot_reader, robot_writer = await asyncio.open_connection("127.0.0.1", self._target_port, limit=CHUNK)
+        except OSError:
+            writer.transport.abort()
+            self._writers.discard(writer)
+            return
+        self._writers.add(robot_writer)
+        self._relay(reader, robot_writer, lambda: self.faults["to robot"])
+        self._relay(robot_reader, writer, lambda: self.faults["to station"])
+
+    def _relay(self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, faults: Callable[[], Faults]) -> None:
+        queue: asyncio.Queue[tuple[float, bytes] | None] = asyncio.Queue(maxsize=64)
+        for coroutine in (self._read(source, queue, faults), self._write(sink, queue, faults)):
+            task = asyncio.create_task(coroutine)
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _read(
+        self,
+        source: asyncio.StreamReader,
+        queue: asyncio.Queue[tuple[float, bytes] | None],
+        faults: Callable[[], Faults],
+    ) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            while data := await source.read(CHUNK):
+                now = faults()
+                if now.is_swallowed:
+                    continue
+                if now.garbage and self._random.random() < now.garbage:
+                    data = self._spoilt(data)
+                await queue.put((loop.time() + now.delay_s + self._random.random() * now.jitter_s, data))
+        except OSError:
+            pass
+        await queue.put(None)
+
+    async def _write(
+        self,
+        sink: asyncio.StreamWriter,
+        queue: asyncio.Queue[tuple[float, bytes] | None],
+        faults: Callable[[], Faults],
+    ) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            while (item := await queue.get()) is not None:
+                due_s, data = item
+                await asyncio.sleep(max(0.0, due_s - loop.time()))
+                await self._flows.wait()
+                rate = faults().bytes_per_s
+                step = max(1, int(rate / 50)) if rate else len(data)
+                for begin in range(0, len(data), step):
+                    sink.write(data[begin : begin + step])
+                    await sink.drain()
+                    if rate:
+                        await asyncio.sleep(step / rate)
+        except OSError:
+            pass
+        finally:
+            sink.transport.abort()
+
+    def _spoilt(self, data: bytes) -> bytes:
+        spoilt = bytearray(data)
+        spoilt[self._random.randrange(len(spoilt))] ^= self._random.randrange(1, 256)
+        return bytes(spoilt)

@@ -1,0 +1,96 @@
+"""The link over a bad network: late, slow, half-open, cut in the middle, with wrong bytes. It comes back by itself."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from tests.fault_proxy import FaultProxy
+from tests.link_support import Bench, Notes, linked, running_robot, until
+
+
+@asynccontextmanager
+async def over_a_bad_network(seed: int = 1) -> AsyncIterator[tuple[Bench, FaultProxy, Notes]]:
+    async with running_robot() as bench:
+        proxy = FaultProxy(bench.port, seed)
+        await proxy.mend()
+        try:
+            async with linked(proxy.port) as (_, notes):
+                yield bench, proxy, notes
+        finally:
+            await proxy.cut()
+
+
+def is_gapless(notes: Notes, count: int) -> bool:
+    return notes.sequences == list(range(count))
+
+
+async def test_what_is_late_still_comes_whole_and_in_order() -> None:
+    async with over_a_bad_network() as (bench, proxy, notes):
+        for faults in proxy.faults.values():
+            faults.delay_s, faults.jitter_s = 0.15, 0.1
+        for number in range(30):
+            bench.imu.inject(10)
+            bench.camera.put(number + 1)
+            await asyncio.sleep(0.01)
+        await until(lambda: is_gapless(notes, 300))
+        assert notes.gaps == [] and notes.reasons == [] and proxy.connections == 1
+
+
+async def test_a_slow_network_costs_frames_and_no_imu_sample() -> None:
+    async with over_a_bad_network() as (bench, proxy, notes):
+        proxy.faults["to station"].bytes_per_s = 100_000
+        for number in range(100):
+            bench.camera.put(number + 1, size=20_000)  # twenty times what the network takes
+            bench.imu.inject(2)
+            await asyncio.sleep(0.005)
+        await until(lambda: is_gapless(notes, 200))
+        assert notes.gaps == [] and notes.reasons == []
+        assert len(notes.frames) < 100
+
+
+async def test_a_half_open_connection_is_noticed_and_made_anew() -> None:
+    async with over_a_bad_network() as (bench, proxy, notes):
+        proxy.faults["to station"].is_swallowed = True
+        await until(lambda: notes.reasons)
+        proxy.heal()
+        await until(lambda: len(notes.hellos) >= 2)
+        bench.imu.inject(5)
+        await until(lambda: notes.sequences[-5:] == list(range(bench.imu.next_sequence - 5, bench.imu.next_sequence)))
+
+
+@pytest.mark.parametrize("direction", ["to robot", "to station"])
+async def test_wrong_bytes_end_a_connection_and_never_become_samples(direction: str) -> None:
+    async with over_a_bad_network() as (bench, proxy, notes):
+        proxy.faults[direction].garbage = 0.3  # type: ignore[index]
+        for _ in range(100):
+            bench.imu.inject(3)
+            await asyncio.sleep(0.005)
+        proxy.heal()
+        await proxy.reset()
+        before = len(notes.hellos)
+        await until(lambda: len(notes.hellos) > before)
+        bench.imu.inject(5)
+        await until(lambda: notes.sequences and notes.sequences[-1] == bench.imu.next_sequence - 1)
+
+
+async def test_cuts_in_the_middle_of_messages_never_repeat_or_reorder_samples() -> None:
+    async with over_a_bad_network() as (bench, proxy, notes):
+        bench.imu.inject(1)  # what is lost before the first sample cannot be known
+        await until(lambda: is_gapless(notes, 1))
+        for cut in range(15):
+            bench.imu.inject(20)
+            bench.camera.put(cut + 1, size=200_000)
+            await asyncio.sleep(0.01 * (cut % 4))
+            hellos = len(notes.hellos)
+            await proxy.reset()
+            await until(lambda hellos=hellos: len(notes.hellos) > hellos)
+        bench.imu.inject(5)
+        await until(lambda: notes.sequences[-1] == bench.imu.next_sequence - 1)
+        assert notes.sequences == sorted(set(notes.sequences))
+        missing = bench.imu.next_sequence - len(notes.sequences)
+        assert sum(notes.gaps) == missing
+        assert len(asyncio.all_tasks()) < 40  # of 15 connections none left anything behind
