@@ -17,6 +17,7 @@ import numpy.typing as npt
 from shared.errors import DataError, RobotSystemError
 from station.events import Events
 from station.live import NO_PLACE
+from station.maps.checking import collect_garbage
 from station.maps.map import Place, PlaceMap
 from station.maps.purging import purge
 from station.maps.store import MapStore, MapSummary, StoreAddress
@@ -124,6 +125,7 @@ class Maps:
     async def purge(self, map_id: str) -> None:
         """Delete a deleted map for good."""
         await asyncio.to_thread(purge, self._store, map_id)
+        await asyncio.to_thread(collect_garbage, self._store)
 
     async def rename_place(self, place_id: str, name: str) -> Place:
         """Raises Conflict, Unknown, or DataError for a name in use."""

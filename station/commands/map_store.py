@@ -101,9 +101,9 @@ def purge_map(
     """Forget the earlier versions of a map for good; a deleted map altogether."""
     if not yes:
         raise DataError(f"purging {map_id} cannot be undone; add --yes")
-    from station.maps.checking import purge
+    from station.maps.checking import purge_versions
 
-    purge(_store(data, config), map_id)
+    purge_versions(_store(data, config), map_id)
     print(f"the earlier versions of {map_id} are gone")
 
 

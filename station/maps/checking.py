@@ -10,6 +10,7 @@ from station.maps import opening, versions
 from station.maps.address import is_whole
 from station.maps.blobs import Damaged, blob_name
 from station.maps.bucket import SCRATCH
+from station.maps.purging import purge
 from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
 from station.maps.store import MapStore
 from station.maps.versions import VersionRow, row_of
@@ -91,20 +92,21 @@ def collect_garbage(store: MapStore) -> list[str]:
     return [f"{len(unused) + len(parts)} unused files were removed"] if unused or parts else []
 
 
-def purge(store: MapStore, map_id: str) -> None:
+def purge_versions(store: MapStore, map_id: str) -> None:
     """Forget the earlier versions of a map; all of it, without way back, where it was deleted.
 
     Raises:
         DataError: there is no such map.
     """
     newest = store.history(map_id)[0]
-    if newest.kind == "deleted" and newest.files:
-        newest = store.bury(map_id)
-    with store.database.writing(map_id) as connection:
-        old = [row for row in versions.history(connection, map_id) if row.number < newest.number]
-        versions.forget(connection, map_id, below=newest.number)
-    for row in old:  # after the commit: a record without row and with a smaller number than the newest never counts
-        store.bucket.remove(row.record_name)
+    if newest.kind == "deleted":
+        purge(store, map_id)
+    else:
+        with store.database.writing(map_id) as connection:
+            old = [row for row in versions.history(connection, map_id) if row.number < newest.number]
+            versions.forget(connection, map_id, below=newest.number)
+        for row in old:  # after the commit: a record without row and with a smaller number than the newest never counts
+            store.bucket.remove(row.record_name)
     collect_garbage(store)
 
 

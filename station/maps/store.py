@@ -226,16 +226,6 @@ class MapStore:
             self._append(connection, rows, replace(content, why="from a backup"), newest, "saved")
         return True
 
-    def bury(self, map_id: str) -> MapRecord:
-        """Write a last version of a deleted map that names no files any more, so that they can go."""
-        with self._changing(map_id) as connection:
-            rows = versions.history(connection, map_id)
-            newest = self._readable(rows)
-            if newest is None or newest.kind != "deleted":
-                raise DataError(f"map {map_id} is not deleted; delete it first")
-            empty = replace(newest, why="purged", files={}, places=(), edges=())
-            return self._append(connection, rows, empty, None, "deleted")
-
     def content_hash(self, map_id: str) -> str:
         """What the newest version is, whoever made it and when (record.content_hash)."""
         record = self._present(self._history(map_id), map_id)

@@ -19,7 +19,7 @@ from station.maps import versions
 from station.maps.address import address_of, heal
 from station.maps.backup import restore_backup, write_backup
 from station.maps.blobs import Damaged
-from station.maps.checking import purge, repair, verify
+from station.maps.checking import purge_versions, repair, verify
 from station.maps.map import PlaceMap
 from station.maps.record import map_content_hash
 from station.maps.store import MapStore, StoreAddress
@@ -183,13 +183,13 @@ def test_purging_frees_the_space_of_a_deleted_map(
     place_map: PlaceMap, store: MapStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("station.maps.checking.UNUSED_S", -1.0)
-    purge(store, place_map.id)
+    purge_versions(store, place_map.id)
     assert [r.number for r in store.history(place_map.id)] == [3]
     assert store.load(place_map.id).places[0].name == "Couch"
     store.delete(place_map.id)
-    purge(store, place_map.id)
+    purge_versions(store, place_map.id)
     assert list(blobs(store)) == [] and store.list() == ()
-    with pytest.raises(DataError, match="no earlier version"):
+    with pytest.raises(DataError, match="holds no map"):
         store.undo(place_map.id)
     assert MapStore(store.address).list() == ()
     store.save(replace(place_map, name="again"))
