@@ -33,7 +33,8 @@ DRIVE_TOPIC = "/drive/applied"
 
 NANO = 1_000_000_000
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length must not fill the memory
-DAMAGE = (McapError, CRCValidationError, RuntimeError, struct.error, ValueError, EOFError)  # lz4 raises RuntimeError
+# lz4 raises RuntimeError; a length beyond the memory the last two.
+DAMAGE = (McapError, CRCValidationError, RuntimeError, struct.error, ValueError, EOFError, MemoryError, OverflowError)
 _VARINT, _LENGTH = 0, 2  # wire types of protobuf
 
 
@@ -147,12 +148,18 @@ def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:
             raise DataError(f"{path} is not an MCAP file; give a recording made by this station")
         file.seek(0)
         wanted: dict[int, str] = {}
+        number = 0  # the recorder counts its messages from 1; 0: written by something that does not
         try:
             for record in StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records:
                 if isinstance(record, Channel) and record.topic in topics:
                     wanted[record.id] = record.topic
-                elif isinstance(record, Message) and record.channel_id in wanted:
-                    yield wanted[record.channel_id], record.data
+                elif isinstance(record, Message):
+                    if number and record.sequence and record.sequence != (number + 1) & 0xFFFFFFFF:
+                        # A chunk whose kind is damaged is passed over without a word, as one of a kind yet to come.
+                        raise ValueError(f"messages {number + 1} to {record.sequence - 1} are missing")
+                    number = record.sequence
+                    if record.channel_id in wanted:
+                        yield wanted[record.channel_id], record.data
         except DAMAGE as exc:
             logger.warning("%s ends early (%s): read up to its last whole chunk", path, type(exc).__name__)
 
