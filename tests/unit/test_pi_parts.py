@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,8 +16,11 @@ from robot.devices.pi import adapter
 from robot.devices.pi.exposure import TARGET, Exposure, ExposureControl
 from robot.devices.pi.gpio_parts import GpioMotors, GpioProcess
 from robot.devices.pi.gpio_pins import Guard
+from robot.devices.pi.ina219 import Ina219Battery
 from robot.devices.pi.kinematics import DriveGeometry
+from robot.devices.ports import BatteryState
 from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
+from tests import pi_stubs
 
 speeds = st.floats(-2, 2)
 
@@ -210,6 +214,31 @@ def test_gpiozero_motors_turn_the_pins_they_are_given(monkeypatch: pytest.Monkey
     pins.stop()
     assert [factory.pin(n).state for n in (17, 27, 23, 24)] == [0, 0, 0, 0]
     factory.reset()
+
+
+@pytest.fixture
+def _i2c() -> Iterator[None]:
+    pi_stubs.install()
+    yield
+    pi_stubs.uninstall()
+
+
+@pytest.mark.usefixtures("_i2c")
+def test_the_ina219_is_read_as_its_datasheet_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    battery = Ina219Battery(1, 0x40, 6.4, 8.4)
+    monkeypatch.setattr(pi_stubs.StubIna219, "voltage_v", 6.9)
+    assert battery.read() == BatteryState(pytest.approx(6.9, abs=0.002), pytest.approx(0.25, abs=0.001))
+    monkeypatch.setattr(pi_stubs.StubSMBus, "connected", False)
+    with pytest.raises(DeviceLost, match="0x40"):
+        battery.read()
+
+
+@pytest.mark.usefixtures("_i2c")
+def test_a_missing_i2c_bus_or_chip_is_named_with_its_remedy() -> None:
+    with pytest.raises(DeviceUnavailable, match="raspi-config"):
+        Ina219Battery(7, 0x40, 6.4, 8.4)
+    with pytest.raises(DeviceLost, match="0x41"):
+        Ina219Battery(1, 0x41, 6.4, 8.4).read()
 
 
 def test_settings_that_contradict_each_other_are_refused() -> None:

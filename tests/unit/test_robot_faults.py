@@ -58,3 +58,35 @@ async def test_a_camera_that_hung_is_opened_again(monkeypatch: pytest.MonkeyPatc
         assert await asyncio.wait_for(frame_after_failures(camera), 30) == 640
     finally:
         await camera.close()
+
+
+@pytest.mark.usefixtures("_stubs")
+async def test_a_camera_whose_software_never_returns_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its thread hangs in the call, whatever the call's time-out: the robot says so, and ends when it is told to."""
+    monkeypatch.setattr(camera_module, "SILENCE_S", 0.1)
+    camera = PiCamera(CameraSettings())
+    pi_stubs.StubPicamera2.stuck.clear()
+    try:
+        with pytest.raises(DeviceLost, match="no frame"):
+            await captures_until_failure(camera)
+        await asyncio.wait_for(camera.close(), 30)
+    finally:
+        pi_stubs.StubPicamera2.stuck.set()
+
+
+@pytest.mark.usefixtures("_stubs")
+async def test_a_camera_that_failed_and_cannot_be_opened_anew_is_asked_until_it_can(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(camera_module, "SILENCE_S", 0.1)
+    camera = PiCamera(CameraSettings())
+    pi_stubs.StubPicamera2.broken = True
+    with pytest.raises(DeviceLost):
+        await captures_until_failure(camera)
+    pi_stubs.StubPicamera2.stuck.clear()
+    with pytest.raises(DeviceLost, match="software hangs"):
+        await captures_until_failure(camera)
+    pi_stubs.StubPicamera2.broken = False
+    pi_stubs.StubPicamera2.stuck.set()
+    assert await asyncio.wait_for(frame_after_failures(camera), 30) == 640
+    await camera.close()

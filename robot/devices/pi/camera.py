@@ -6,6 +6,7 @@ import asyncio
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +48,7 @@ class PiCamera:
         self._failure = ""
         self._dark = False
         self._closed = threading.Event()
+        self._reopening: _Errand | None = None
         self._camera = self._open()
         self._thread = self._start()
 
@@ -68,10 +70,12 @@ class PiCamera:
         return frame
 
     async def close(self) -> None:
-        """Release the camera. Safe to call twice."""
+        """Release the camera; one that hangs is left to the process' end. Safe to call twice."""
         self._closed.set()
         await asyncio.to_thread(self._thread.join, SILENCE_S)
-        self._camera.close()
+        closing = _Errand(self._release)
+        if not await asyncio.to_thread(closing.wait, SILENCE_S):
+            logger.warning("the camera does not let itself be closed")
 
     def _why_silent(self) -> str:
         if self._dark:
@@ -117,20 +121,34 @@ class PiCamera:
         return thread
 
     def _reopen(self) -> None:
-        self._camera.close()
-        try:
-            self._camera = self._open()
-        except DeviceUnavailable as exc:
-            raise DeviceLost(str(exc)) from exc
+        """Close what failed and open it anew. Raises DeviceLost where that fails or hangs; call again."""
+        if self._reopening is None:
+            self._reopening = _Errand(self._release_and_open)
+        if not self._reopening.wait(SILENCE_S):
+            raise DeviceLost("the camera's software hangs; if this lasts, restart the Pi")
+        done, self._reopening = self._reopening, None
+        if done.error is not None:
+            raise DeviceLost(str(done.error)) from done.error
         self._failure = ""
         self._thread = self._start()
+
+    def _release(self) -> None:
+        # The job that timed out still stands first in picamera2's queue; a stop would wait behind it.
+        if hasattr(self._camera, "cancel_all_and_flush"):
+            self._camera.cancel_all_and_flush()
+        self._camera.close()
+
+    def _release_and_open(self) -> None:
+        self._release()
+        self._camera = self._open()
 
     def _run(self) -> None:
         control = ExposureControl(self._settings.max_exposure_us, self._settings.max_gain)
         count = 0
         try:
             while not self._closed.is_set():
-                request = self._camera.capture_request(wait=SILENCE_S)  # a hung camera ends this thread as a failed one
+                # Seconds, then TimeoutError: picamera2 0.3.20 and later. Older ones wait for ever; capture() says so.
+                request = self._camera.capture_request(wait=SILENCE_S)
                 try:
                     image, metadata = request.make_array("main"), request.get_metadata()
                 finally:
@@ -170,6 +188,26 @@ class PiCamera:
                 waiter[0].call_soon_threadsafe(waiter[1].set)
             except RuntimeError:
                 logger.debug("frame after the event loop's end")
+
+
+class _Errand:
+    """A call in a thread of its own that may never return: whoever waits for it, and the program's end, need not."""
+
+    def __init__(self, call: Callable[[], None]) -> None:
+        self.error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, args=(call,), name="camera-errand", daemon=True)
+        self._thread.start()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Whether it has returned."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self, call: Callable[[], None]) -> None:
+        try:
+            call()
+        except Exception as exc:  # told to whoever waits, whatever the camera stack throws
+            self.error = exc
 
 
 def boot_to_monotonic_ns() -> int:
