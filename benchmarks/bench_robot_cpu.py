@@ -140,7 +140,7 @@ async def measure(seconds: float) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         mega = PlayedMega()
         command = [sys.executable, "-m", "benchmarks.stop_robot", "--serial", mega.port]
-        command += ["--log", f"{folder}/log", "--rate-hz", str(RATE_HZ), "--frame-bytes", str(FRAME_BYTES)]
+        command += ["--log", f"{folder}/log", "--rate-hz", str(RATE_HZ), "--ready-frames", str(FRAME_BYTES)]
         server = await asyncio.create_subprocess_exec(*command, cwd=ROOT, stdin=-1, stdout=-1)
         try:
             assert server.stdout is not None

@@ -141,10 +141,16 @@ async def mend(chain: Chain, fault: Fault) -> None:
         if process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 chain.signal(process, signal.SIGCONT)
-    chain.cable.is_cut = False
+    chain.cable.is_cut = chain.page_cable.is_cut = False
+    for clock in chain.clocks.values():
+        clock.jump(0.0)
     if fault.name == "serial unplugged":
         chain.board.command("serial 1")
-    if fault.name.startswith("robot-server's loop"):
+    if fault.name == "camera hung, holds the interpreter":
+        chain.let_interpreter_go()
+        await chain.logged("unblock")
+    if fault.name == "robot-server's loop blocked":
+        await chain.tell_robot("go on")
         await chain.logged("unblock")
     with contextlib.suppress(TimeoutError):  # a killed process is told to us a moment later
         await asyncio.wait_for(chain.robot.wait(), 2.0 if fault.name == "robot-server SIGKILL" else 0.001)
@@ -154,7 +160,6 @@ async def mend(chain: Chain, fault: Fault) -> None:
         await chain.start_robot()
     else:
         await chain.tell_robot("camera normal")
-        await chain.tell_robot("clock 0")
     if chain.station.returncode is not None:
         await chain.kill(chain.station)
         await chain.start_station()

@@ -1,4 +1,4 @@
-"""One whole chain: page (WebSocket) → station → network (a proxy that can be cut) → robot-server → emulated Mega."""
+"""One whole chain: page (WebSocket) → station → robot-server → emulated Mega; proxies that can be cut lie between."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import websockets
 
+from benchmarks.stop_clock import SettableClock
 from robot.devices.emulated.board import BoardEvent, EmulatedBoard
 
 ROOT = Path(__file__).parents[1]
@@ -32,7 +33,7 @@ class LineEntry:
 
 
 class Cable:
-    """TCP proxy between station and robot-server. Cut, it keeps both connections open and carries nothing."""
+    """TCP proxy between two programs. Cut, it keeps both connections open and carries nothing."""
 
     def __init__(self) -> None:
         self.target = 0
@@ -141,7 +142,12 @@ class Chain:
         self.folder = Path(self._folder.name)
         self.board = EmulatedBoard(folder=self.folder)
         self.board.command("sample 0 0 9.81 0 0 0")
-        self.cable = Cable()
+        self.cable = Cable()  # station to robot-server
+        self.page_cable = Cable()  # page to station
+        self.clocks = {name: SettableClock(self.folder, name) for name in ("robot", "station")}
+        self.hold = self.folder / "hold"
+        os.mkfifo(self.hold)
+        self._hold_fd = os.open(self.hold, os.O_RDWR)
         self.motor_log = self.folder / "motors"
         self.motor_log.touch()
         self._log_from = 0
@@ -154,6 +160,7 @@ class Chain:
 
     async def start(self) -> None:
         await self.cable.start()
+        await self.page_cable.start()
         command = [sys.executable, "-m", "benchmarks.stop_canary", str(self.folder / "canary")]
         self._canary = await self._spawn(command)
         await self.start_robot()
@@ -162,14 +169,17 @@ class Chain:
 
     async def start_robot(self) -> None:
         command = [sys.executable, "-m", "benchmarks.stop_robot", "--serial", str(self.board.port)]
-        self.robot = await self._spawn([*command, "--log", str(self.motor_log)], stdin=True)
+        self.robot = await self._spawn(
+            [*command, "--log", str(self.motor_log), "--hold", str(self.hold)], "robot", stdin=True
+        )
         self.cable.target = int((await self._line(self.robot, "port ")).split()[1])
 
     async def start_station(self) -> None:
         command = [sys.executable, "-m", "station.main", "serve", "--robot", f"127.0.0.1:{self.cable.port}"]
-        self.station = await self._spawn([*command, "--port", "0", "--data", str(self.folder / "data")])
+        self.station = await self._spawn([*command, "--port", "0", "--data", str(self.folder / "data")], "station")
         line = await self._line(self.station, "station: page")
-        self.address = line.split()[-1].replace("http://", "ws://")
+        self.page_cable.target = int(line.rstrip("/").rpartition(":")[2])
+        self.address = f"ws://127.0.0.1:{self.page_cable.port}"
 
     async def open_page(self) -> None:
         self.page = Page(self.address, "driver", 0.3)
@@ -180,6 +190,10 @@ class Chain:
         assert self.robot is not None and self.robot.stdin is not None
         self.robot.stdin.write(line.encode() + b"\n")
         await self.robot.stdin.drain()
+
+    def let_interpreter_go(self) -> None:
+        """Ends what `hold` began: robot-server cannot read its stdin meanwhile."""
+        os.write(self._hold_fd, b"!")
 
     async def moving(self, timeout_s: float = START_TIMEOUT_S) -> None:
         """Hold the joystick until the pins turn and have turned for a moment."""
@@ -240,12 +254,16 @@ class Chain:
             whole = log.read().rpartition("\n")[0].splitlines()
         return [LineEntry(int(b), int(a), what) for b, a, what in (line.split() for line in whole)]
 
+    def age_s(self, entry: LineEntry) -> float:
+        """How long ago it was written."""
+        return (time.monotonic_ns() - entry.before_ns) * 1e-9
+
     async def logged(self, what: str) -> LineEntry:
-        """The first such entry of robot-server's log since `forget`."""
+        """The first entry of robot-server's log since `forget` that begins so."""
         deadline = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline:
             for entry in self.line_log():
-                if entry.what == what:
+                if entry.what.startswith(what):
                     return entry
             await asyncio.sleep(0.005)
         raise RuntimeError(f"robot-server does not log {what!r}")
@@ -256,8 +274,12 @@ class Chain:
         for process in (self.station, self.robot, self._canary):
             if process is not None:
                 await self.kill(process)
-        await self.cable.close()
+        for cable in (self.cable, self.page_cable):
+            await cable.close()
         self.board.close()
+        os.close(self._hold_fd)
+        for clock in self.clocks.values():
+            clock.close()
         self._folder.cleanup()
 
     async def kill(self, process: asyncio.subprocess.Process) -> None:
@@ -276,8 +298,10 @@ class Chain:
         assert process is not None
         os.killpg(process.pid, number)
 
-    async def _spawn(self, command: list[str], stdin: bool = False) -> asyncio.subprocess.Process:
+    async def _spawn(self, command: list[str], clock: str = "", stdin: bool = False) -> asyncio.subprocess.Process:
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        if clock:
+            environment |= self.clocks[clock].environment
         with (self.folder / "errors").open("ab") as errors:
             return await asyncio.create_subprocess_exec(
                 *command,

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 from benchmarks.stop_chain import Chain, Page
 
-BLOCK_S = 1.6  # longer than a trial watches before the joystick is let go
-
 
 @dataclass(frozen=True)
 class Instant:
@@ -45,9 +43,39 @@ async def page_frozen(chain: Chain, _rng: random.Random) -> Instant:
     return instant
 
 
-async def network_cut(chain: Chain, _rng: random.Random) -> Instant:
+async def network_cut(chain: Chain, rng: random.Random) -> Instant:
+    """Behind the station or before it."""
     instant = await now(chain)
-    chain.cable.is_cut = True
+    rng.choice([chain.cable, chain.page_cable]).is_cut = True
+    return instant
+
+
+async def page_and_network_stall(chain: Chain, rng: random.Random) -> Instant:
+    """The page says nothing any more, and within a moment one network or both stand still with what is under way."""
+    assert chain.page is not None
+    cables = rng.choice([[chain.cable], [chain.page_cable], [chain.cable, chain.page_cable]])
+    page_first = rng.random() < 0.5
+    instant = await now(chain)
+    if page_first:
+        chain.page.holds = False
+        await asyncio.sleep(0.15 * rng.random())
+    for cable in cables:
+        cable.is_cut = True
+    if not page_first:
+        await asyncio.sleep(0.15 * rng.random())
+        chain.page.holds = False
+    return instant
+
+
+async def page_dies_in_stall(chain: Chain, rng: random.Random) -> Instant:
+    """A network stands still, the page talks on into it and then dies; what it had said flows when the stall ends."""
+    assert chain.page is not None
+    cables = rng.choice([[chain.cable], [chain.page_cable], [chain.cable, chain.page_cable]])
+    instant = await now(chain)
+    for cable in cables:
+        cable.is_cut = True
+    await asyncio.sleep(0.4 * rng.random())
+    chain.page.vanish()
     return instant
 
 
@@ -62,7 +90,7 @@ def killing(who: str, number: int) -> Inject:
 
 async def loop_blocked(chain: Chain, rng: random.Random) -> Instant:
     instant = await now(chain)
-    await chain.tell_robot(f"{rng.choice(['block', 'sleep'])} {BLOCK_S}")
+    await chain.tell_robot(rng.choice(["busy", "asleep"]))
     return Instant(
         (await chain.logged("block")).before_ns, instant.mega_us
     )  # stamped by the loop itself, as its last deed
@@ -72,6 +100,26 @@ async def serial_unplugged(chain: Chain, _rng: random.Random) -> Instant:
     instant = await now(chain)
     chain.board.command("serial 0")
     return instant
+
+
+async def interpreter_held(chain: Chain, _rng: random.Random) -> Instant:
+    """The camera's library hangs and lets no other Python run: what robot-server has left is the firmware."""
+    instant = await now(chain)
+    await chain.tell_robot("hold")
+    return Instant((await chain.logged("block")).before_ns, instant.mega_us)
+
+
+async def clock_jumped(chain: Chain, rng: random.Random) -> Instant:
+    """The wall clock of robot, station or both, forwards or backwards, by a day or by less than a command lives."""
+    for name in rng.choice([["robot"], ["station"], ["robot", "station"]]):
+        chain.clocks[name].jump(rng.choice([-1.0, 1.0]) * rng.choice([86_400.0, 3.0, 0.2]))
+    await chain.tell_robot("wall")
+    entry = await chain.logged("wall:")
+    told_s = (int(entry.what.removeprefix("wall:")) - time.time_ns()) * 1e-9
+    if abs(told_s - chain.clocks["robot"].shift_s) > 0.1 + chain.age_s(entry):
+        raise RuntimeError(f"robot-server's wall clock is off by {told_s:.2f} s, not {chain.clocks['robot'].shift_s}")
+    await asyncio.sleep(0.1 * rng.random())
+    return await page_frozen(chain, rng)
 
 
 def then_silent(line: str) -> Inject:
@@ -111,6 +159,8 @@ FAULTS = [
     Fault("page closed", 60, page_closed),
     Fault("page frozen", 60, page_frozen),
     Fault("network cut (half-open)", 45, network_cut, lasts=True),
+    Fault("page and network stall together", 45, page_and_network_stall, lasts=True),
+    Fault("page dies during a stall", 45, page_dies_in_stall, lasts=True),
     Fault("station SIGKILL", 10, killing("station", signal.SIGKILL), lasts=True),
     Fault("station SIGSTOP", 50, killing("station", signal.SIGSTOP), lasts=True),
     Fault("robot-server's loop blocked", 45, loop_blocked, lasts=True),
@@ -118,7 +168,8 @@ FAULTS = [
     Fault("robot-server SIGKILL", 30, killing("robot", signal.SIGKILL), is_above_server=False, lasts=True),
     Fault("serial unplugged", 45, serial_unplugged, is_above_server=False, lasts=True),
     Fault("camera hung, driver silent", 45, then_silent("camera hang")),
+    Fault("camera hung, holds the interpreter", 45, interpreter_held, is_above_server=False, lasts=True),
     Fault("flood of frames, driver silent", 45, then_silent("camera flood")),
     Fault("two drivers, both silent", 45, two_drivers),
-    Fault("wall clock jumped, driver silent", 45, then_silent("clock 86400")),
+    Fault("wall clock jumped, driver silent", 45, clock_jumped),
 ]

@@ -11,6 +11,7 @@ from robot.config import PiConfig
 from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaBattery, MegaImu, MegaMotors, MegaPanTilt
+from robot.devices.pi.serial_line import PySerialLine, SerialLine
 from robot.devices.ports import Battery, Camera, DeviceSet, Motors, PanTilt
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.errors import ConfigError
@@ -81,9 +82,12 @@ def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
 
 def open_mega(config: PiConfig) -> Mega:
     """The Mega at its serial port."""
-    from robot.devices.pi.serial_line import PySerialLine
+    return Mega(lambda: open_line(config.serial_port), *mega_settings(config))
 
-    return Mega(lambda: PySerialLine(config.serial_port), *mega_settings(config))
+
+def open_line(path: str) -> SerialLine:
+    """The serial port itself."""
+    return PySerialLine(path)
 
 
 def load_calibration(config: PiConfig) -> Calibration:
