@@ -18,6 +18,7 @@ from shared.errors import DeviceLost, DeviceUnavailable
 logger = logging.getLogger(__name__)
 
 START_TIMEOUT_S = 10.0
+PROGRAM = [sys.executable, "-m", "robot.devices.pi.gpio_pins"]
 
 
 class GpioProcess:
@@ -25,7 +26,7 @@ class GpioProcess:
 
     def __init__(self, pins: tuple[int, int, int, int, int, int], command: list[str] | None = None) -> None:
         """Starts it. Raises DeviceUnavailable where the pins cannot be had."""
-        command = command or [sys.executable, "-m", "robot.devices.pi.gpio_pins", *map(str, pins)]
+        command = command or [*PROGRAM, *map(str, pins)]
         # A session of its own: Ctrl-C must reach robot-server first, which stops the motors in order.
         # Its stderr is ours: a pipe nobody reads would fill, and the process would wait in its own complaint.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
