@@ -6,6 +6,7 @@ import asyncio
 import atexit
 import importlib
 import logging
+import os
 import signal
 import socket
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from robot.announce import Announcement, announced_addresses
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
+from robot.systemd import Systemd
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.listening import bind
 
@@ -34,7 +36,8 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
     """Serve until SIGINT or SIGTERM. The port is taken first: a second robot-server must not touch the devices."""
     listener = bind(config.server.host, config.server.port)
     with listener:
-        server = RobotServer(open_devices(kind, config), config, starts_with_first_station=kind == "recorded")
+        devices, systemd = open_devices(kind, config), Systemd.of(os.environ)
+        server = RobotServer(devices, config, starts_with_first_station=kind == "recorded", systemd=systemd)
         atexit.register(server.stop_motors)
         host, port = listener.getsockname()[:2]
         addresses = announced_addresses(host)

@@ -17,6 +17,7 @@ from robot.health import CpuMeter, read_temperatures
 from robot.outbox import FrameCursor, FrameSlot, ImuBacklog, ImuCursor
 from robot.sensors import Faults, pump_camera, pump_imu
 from robot.station_client import StationClient
+from robot.systemd import Systemd
 from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
 from shared.errors import HardwareError
 from shared.messages import (
@@ -49,8 +50,10 @@ class RobotServer:
         *,
         starts_with_first_station: bool = False,
         now_ns: Callable[[], int] = time.monotonic_ns,
+        systemd: Systemd | None = None,
     ) -> None:
         self._devices = devices
+        self._systemd = systemd or Systemd()
         self._config = config
         self._now_ns = now_ns
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -79,9 +82,11 @@ class RobotServer:
                 try:
                     tasks.create_task(self._tick_forever())
                     tasks.create_task(self._run_sensors())
+                    self._systemd.ready()
                     await asyncio.Event().wait()
                 finally:
                     self.stop_motors()
+                    self._systemd.ending()
                     server.close()
                     await self._say_goodbye()
         finally:
@@ -218,6 +223,9 @@ class RobotServer:
         for count in itertools.count():
             await asyncio.sleep(TICK_S)
             self._check_motors()
+            # This loop turns and the motors' guard looks: only then is this robot-server worth keeping.
+            if self.watchdog is None or self.watchdog.is_working:
+                self._systemd.alive(self._now_ns())
             if count % TICKS_PER_STATUS == 0:
                 self.faults.keep("robot", self._devices.problems())
             for client in list(self._clients.values()):

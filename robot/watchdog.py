@@ -20,6 +20,7 @@ logger = logging.getLogger(__name__)
 
 MAX_TTL_NS = MAX_DRIVE_TTL_MS * 1_000_000
 LATEST_CHECK_S = 0.05  # the thread looks at the clock at least so often, even if a wake-up was lost
+STUCK_NS = 1_000_000_000  # a thread that has not looked for so long hangs in the motors' driver
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,7 @@ class MotorWatchdog:
         self._changed = threading.Condition()
         self._closed = False
         self._applied = STANDSTILL
+        self._looked_ns = now_ns()
         self._told_commands = 0  # how many commands the motors have been told
         self.fault = ""  # why the motors do not obey, in a sentence
         motors.stop()  # whatever ran here before may have left them running
@@ -112,6 +114,11 @@ class MotorWatchdog:
     def applied(self) -> Velocity:
         """What the motors were told last."""
         return self._applied
+
+    @property
+    def is_working(self) -> bool:
+        """Whether our thread lives and has looked at the clock lately."""
+        return self._thread.is_alive() and self._now_ns() - self._looked_ns < STUCK_NS
 
     def command(self, wish: Velocity, until_ns: int) -> bool:
         """Hold a velocity until a monotonic time. False when closed or when our thread died: then nothing may move.
@@ -163,6 +170,7 @@ class MotorWatchdog:
             self._note(STANDSTILL)
 
     def _apply_once(self) -> None:
+        self._looked_ns = self._now_ns()
         with self._changed:
             if not self._is_due() and not self._closed:
                 self._changed.wait(self._time_to_wait_s())
