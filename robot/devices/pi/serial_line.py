@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import termios
 from pathlib import Path
@@ -33,7 +34,7 @@ class SerialLine(Protocol):
 
 
 class PySerialLine:
-    """A tty. Opening it pulls DTR, which resets a Mega."""
+    """A tty, ours alone (flock). Opening it pulls DTR, which resets a Mega."""
 
     def __init__(self, path: str) -> None:
         try:
@@ -41,6 +42,11 @@ class PySerialLine:
             self._fd = self._tty.fileno()
             os.set_blocking(self._fd, False)
         except _FAILURES as exc:
+            if getattr(exc, "errno", None) in (errno.EAGAIN, errno.EBUSY):  # of flock, of a port opened exclusively
+                raise DeviceUnavailable(
+                    f"the Mega's serial port {path} is in use by another program (robot-server, or the flashing of the"
+                    " Mega); end it first: sudo systemctl stop sentinel-robot"
+                ) from exc
             why = str(exc) if Path(path).exists() else "no such device"
             raise DeviceUnavailable(
                 f"the Mega's serial port {path} cannot be opened ({why}); check the USB cable, `pi.serial_port` and"
