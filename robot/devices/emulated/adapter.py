@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import dataclasses
 import threading
+from typing import Any
 
 from robot.devices.emulated.board import EmulatedBoard
 from robot.devices.pi.kinematics import DriveGeometry
@@ -98,6 +99,7 @@ def open_emulated(base: DeviceSet | None = None, geometry: DriveGeometry | None 
     feeder = None if base is None or base.imu is None else Feeder(base.imu, board)
     imu, motors = EmulatedImu(mega, board, feeder), MegaMotors(mega, geometry)
     battery = MegaBattery(mega, 6.4, 8.4)
+    parts: dict[str, Any] = {"imu": imu, "motors": motors, "battery": battery, "problems": mega.problems}
     if base is None:
-        return DeviceSet(calibration=REFERENCE_ROBOT, camera=None, imu=imu, motors=motors, battery=battery)
-    return dataclasses.replace(base, imu=imu, motors=motors, battery=battery)
+        return DeviceSet(calibration=REFERENCE_ROBOT, camera=None, **parts)
+    return dataclasses.replace(base, **parts)
