@@ -16,6 +16,7 @@ from station.refusals import Conflict, NoRobot, NotCapable, NotDriver, OutOfRang
 
 MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 250 ms at most (station/api/robot.py)
 MAX_DRIVER_NAME = 64
+LATE_FOR_NS = 500_000_000
 LET_GO_NS = 500_000_000  # after a stop by somebody else the driver says nothing for so long, or zero, or stop
 
 
@@ -66,6 +67,32 @@ class DriverLease:
             self._held = None
         if self._driver == driver:
             self._driver = None
+
+
+class LateOrders:
+    """Tells a link that is too slow for driving from one that stood still for a moment. Time is an argument.
+
+    Commands that arrive older than they may hold move nothing. After a standstill they come in one burst and fresh
+    ones follow; where they keep coming one by one, whoever holds the joystick must be told why nothing moves.
+    """
+
+    def __init__(self) -> None:
+        self._since_ns: int | None = None
+        self._last_ns = 0
+
+    def fresh(self) -> None:
+        """A command came in time."""
+        self._since_ns = None
+
+    def late(self, now_ns: int) -> bool:
+        """A command came too late. True when they have done so, and nothing else, for LATE_FOR_NS; told anew after."""
+        if self._since_ns is None or now_ns - self._last_ns > LATE_FOR_NS:
+            self._since_ns = now_ns
+        self._last_ns = now_ns
+        if now_ns - self._since_ns < LATE_FOR_NS:
+            return False
+        self._since_ns = None
+        return True
 
 
 class DriveLink(Protocol):

@@ -30,7 +30,7 @@ from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, P
 from station.api.problems import kind_of, responses
 from station.api.views import robot_model
 from station.app import Station
-from station.driving import MAX_DRIVER_NAME
+from station.driving import MAX_DRIVER_NAME, LateOrders
 from station.events import Event
 from station.mailbox import MessageReader
 from station.refusals import Busy, NoRobot
@@ -92,8 +92,9 @@ async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "")
     """The joystick: commands in (`DriveRequest`), answers out (`DriveAnswer`). `?driver=` names who drives.
 
     When the socket closes, the robot stops if its driver drove. A command's `ttl_ms` counts from our `time` that it
-    repeats, so an old one (a frozen network delivers the past in one burst) is passed over silently. One that repeats
-    none cannot be told from a fresh one: it holds for 100 ms from its arrival at most.
+    repeats, so an old one (a frozen network delivers the past in one burst) is passed over silently; when only old ones
+    come for half a second, `refused` says so (problem `late`). One that repeats none cannot be told from a fresh one:
+    it holds for 100 ms from its arrival at most.
     """
     await socket.accept()
     try:
@@ -107,12 +108,13 @@ async def _take_orders(socket: WebSocket, station: Station, driver: str) -> None
     # Two nameless pages of one computer are two drivers: one at a time.
     place = f"page at {socket.client.host}" if socket.client else "page"
     name = driver[:MAX_DRIVER_NAME] or f"{place} #{next(_connections)}"
+    late = LateOrders()
     lost_socket = (WebSocketDisconnect, RuntimeError)
     with station.events.hub.subscribe() as changes:
         telling = [asyncio.create_task(c) for c in (_tell_driver(socket, station, name, changes), _tell_time(socket))]
         try:
             while True:
-                await _obey(socket, station, name, await receive_text(socket))
+                await _obey(socket, station, name, await receive_text(socket), late)
         except lost_socket:
             pass
         finally:
@@ -125,7 +127,7 @@ async def _take_orders(socket: WebSocket, station: Station, driver: str) -> None
                 station.driving.release(name)
 
 
-async def _obey(socket: WebSocket, station: Station, name: str, text: str) -> None:
+async def _obey(socket: WebSocket, station: Station, name: str, text: str, late: LateOrders) -> None:
     try:
         command = drive_request.validate_json(text)
     except ValidationError as exc:
@@ -134,8 +136,12 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str) -> No
     try:
         match command:
             case DriveCommand():
-                if (left_ms := life_left_ms(command, _now_ms())) <= 0:
+                now_ms = _now_ms()
+                if (left_ms := life_left_ms(command, now_ms)) <= 0:
+                    if late.late(now_ms * 1_000_000):
+                        await socket.send_text(too_late(command, now_ms).model_dump_json())
                     return
+                late.fresh()
                 station.driving.drive(name, command.linear, command.angular, left_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
             case StopCommand():
@@ -179,6 +185,16 @@ def life_left_ms(command: DriveCommand, now_ms: int) -> int:
     if command.heard_ms is None:
         return min(ttl_ms, UNDATED_MS)
     return ttl_ms - max(0, now_ms - command.heard_ms)
+
+
+def too_late(command: DriveCommand, now_ms: int) -> DriveRefused:
+    """Why a page over a slow link cannot drive."""
+    age_ms = now_ms - (command.heard_ms or 0)
+    text = (
+        f"the connection to the station is too slow for driving: commands are {age_ms} ms old when they arrive and hold"
+        f" for {min(command.ttl_ms, MAX_DRIVE_TTL_MS)} ms; use a faster network or come closer"
+    )
+    return DriveRefused(problem="late", text=text)
 
 
 def _now_ms() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import multiprocessing
 import struct
@@ -216,6 +217,25 @@ async def test_what_a_page_said_before_everything_froze_moves_nothing_after(tmp_
             continue
         assert answer["seq"] == 60
         await drive_off(bench, lambda: socket.send(json.dumps({**order, "seq": 61})))
+
+
+async def test_a_page_behind_a_slow_link_is_told_why_nothing_moves(tmp_path: Path) -> None:
+    async with (
+        at_work(tmp_path) as (desk, bench, _),
+        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
+    ):
+        order = {"type": "drive", "linear": 0.2, "angular": 0.0, "ttl_ms": 200}
+        answer = json.loads(await socket.recv())
+        for seq in itertools.count():
+            while answer["type"] not in ("time", "refused"):
+                answer = json.loads(await socket.recv())
+            if answer["type"] == "refused":
+                break
+            # Twenty times a second, with the station's clock as it was 300 ms ago.
+            await socket.send(json.dumps({**order, "seq": seq, "heard_ms": answer["t_ms"] - 300}))
+            answer = json.loads(await socket.recv())
+        assert answer["problem"] == "late" and "too slow" in answer["text"]
+        assert desk.station.driving.driver is None and bench.motors.are_off
 
 
 async def test_pages_of_other_sites_get_no_socket(tmp_path: Path) -> None:
