@@ -62,7 +62,9 @@ class Hello:
     version: int
     firmware_major: int
     firmware_minor: int
-    reset_cause: int  # MCUSR: 1 power on, 2 external (DTR), 4 brown-out, 8 watchdog
+    # Bits of MCUSR: 1 power on, 2 reset line (DTR), 4 brown-out, 8 watchdog. The stock bootloader clears it: 0 is then
+    # any of the first three; a watchdog reset is told as 8 all the same unless the firmware hung with interrupts off.
+    reset_cause: int
     imu_address: int  # 0 while none was found
     imu_who: int
     gyro_scale: int

@@ -44,7 +44,9 @@ enum : uint16_t {
 struct Hello {
   uint8_t version;
   uint8_t firmware_major, firmware_minor;
-  uint8_t reset_cause;  // MCUSR: 1 power on, 2 external (DTR), 4 brown-out, 8 watchdog; 0: hidden by the bootloader
+  // Bits of MCUSR: 1 power on, 2 reset line (DTR), 4 brown-out, 8 watchdog. The stock bootloader clears it: 0 is then
+  // any of the first three; a watchdog reset is told as 8 all the same unless the firmware hung with interrupts off.
+  uint8_t reset_cause;
   uint8_t imu_address;  // 0 while none was found
   uint8_t imu_who;
   uint8_t gyro_scale, accel_scale, gyro_filter, accel_filter, divider;
