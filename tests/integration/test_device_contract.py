@@ -15,6 +15,7 @@ import pytest_asyncio
 
 from robot.config import PiConfig, load_config
 from robot.devices.emulated import EmulatedBoard, open_emulated
+from robot.devices.emulated.adapter import EmulatedImu
 from robot.devices.pi import gpio_parts, open_pi
 from robot.devices.ports import Camera, CapturedFrame, DeviceSet, Imu, ImuReading
 from robot.devices.recorded import open_recorded
@@ -232,3 +233,18 @@ async def test_battery_is_a_voltage_and_a_share(devices: DeviceSet) -> None:
         pytest.skip("these devices have no battery sensor")
     state = devices.battery.read()
     assert 3.0 < state.voltage_v < 13.0 and 0.0 <= state.fraction <= 1.0
+
+
+async def test_an_emulated_robot_tells_what_its_mega_complains_of(tmp_path: Path) -> None:
+    with ExitStack() as undo:
+        devices = emulated(Bench(tmp_path, undo))
+        assert isinstance(devices.imu, EmulatedImu)
+        try:
+            assert devices.problems() == {}
+            devices.imu.board.command("imu_unplug")
+            await until(lambda: "IMU_MISSING" in devices.problems())
+            assert "ICM-20948" in devices.problems()["IMU_MISSING"]
+        finally:
+            assert devices.motors is not None
+            devices.motors.close()
+            await devices.imu.close()

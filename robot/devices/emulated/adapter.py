@@ -28,13 +28,13 @@ class EmulatedImu(MegaImu):
 
     def __init__(self, mega: Mega, board: EmulatedBoard, feeder: Feeder | None) -> None:
         super().__init__(mega)
-        self._board, self._feeder = board, feeder
+        self.board, self._feeder = board, feeder
 
     async def close(self) -> None:
         await super().close()
         if self._feeder is not None:
             self._feeder.close()
-        self._board.close()
+        self.board.close()
 
 
 class Feeder:
