@@ -2,7 +2,8 @@
 
     python benchmarks/check_robot_wheels.py
 
-Resolves with pip for aarch64 and the Pi OS Pythons (bookworm 3.11, trixie 3.13); downloads into a temporary folder.
+Resolves with pip for aarch64 and the Pi OS Pythons (bookworm 3.11, trixie 3.13) beside the numpy that Debian has there
+(robot/install.sh keeps it); downloads into a temporary folder.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {"open3d", "scipy", "pycolmap", "gtsam", "scikit-learn", "opencv-python-headless", "matplotlib"}
+DEBIAN_NUMPY = {"3.11": "1.24.2", "3.13": "2.2.4"}  # python3-numpy of bookworm, of trixie
 PLATFORMS = [f"manylinux_2_{minor}_aarch64" for minor in (17, 24, 26, 27, 28, 31, 34)] + ["manylinux2014_aarch64"]
 
 
@@ -40,8 +42,8 @@ def check(python: str, requirements: list[str]) -> dict[str, object]:
 def main() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     requirements = project["dependencies"] + project["optional-dependencies"]["robot"]
-    for python in ("3.11", "3.13"):
-        print(json.dumps(check(python, requirements), indent=1))
+    for python, numpy in DEBIAN_NUMPY.items():
+        print(json.dumps(check(python, [*requirements, f"numpy=={numpy}"]), indent=1))
 
 
 if __name__ == "__main__":

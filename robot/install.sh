@@ -45,9 +45,9 @@ install -D -m 644 "$here/robot/setup/watchdog.conf" /etc/systemd/system.conf.d/s
 if [ "$service" = yes ]; then
   echo "install: service"
   install -m 644 "$here/robot/setup/sentinel-robot.service" /etc/systemd/system/
-  systemctl daemon-reload
+  systemctl daemon-reexec  # reads the unit, and starts to feed the hardware watchdog
   systemctl enable --quiet sentinel-robot
-  systemctl restart sentinel-robot
+  systemctl restart --no-block sentinel-robot  # it is ready only with a Mega that is flashed
 fi
 echo "install: done. Flash the Mega once: make -C firmware && make -C firmware upload"
 echo "install: then test each part:  sudo systemctl stop sentinel-robot && sudo -u $user $target/venv/bin/robot-server --devices pi --config /etc/sentinel/robot.toml --check"

@@ -240,7 +240,7 @@ async def test_an_emulated_robot_tells_what_its_mega_complains_of(tmp_path: Path
         devices = emulated(Bench(tmp_path, undo))
         assert isinstance(devices.imu, EmulatedImu)
         try:
-            assert devices.problems() == {}
+            await until(lambda: devices.problems() == {})  # the chip is being set up at first
             devices.imu.board.command("imu_unplug")
             await until(lambda: "IMU_MISSING" in devices.problems())
             assert "ICM-20948" in devices.problems()["IMU_MISSING"]
