@@ -26,7 +26,7 @@ apt-get install -y -qq --no-install-recommends python3-venv python3-numpy python
 echo "install: $target"
 getent passwd "$user" >/dev/null || useradd --system --create-home --home-dir "$target" "$user"
 usermod -aG dialout,video,gpio,i2c "$user" 2>/dev/null || usermod -aG dialout,video "$user"
-mkdir -p "$target"
+mkdir -p "$target" && chmod 755 "$target"  # whoever logs in runs the check
 [ -x "$target/venv/bin/python" ] || python3 -m venv --system-site-packages "$target/venv"
 # Debian's numpy stays: pip may add, not replace.
 numpy=$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)')
@@ -50,4 +50,4 @@ if [ "$service" = yes ]; then
   systemctl restart --no-block sentinel-robot  # it is ready only with a Mega that is flashed
 fi
 echo "install: done. Flash the Mega once: make -C firmware && make -C firmware upload"
-echo "install: then test each part:  sudo systemctl stop sentinel-robot && sudo -u $user $target/venv/bin/robot-server --devices pi --config /etc/sentinel/robot.toml --check"
+echo "install: then test each part:  sudo systemctl stop sentinel-robot && $target/venv/bin/robot-server --devices pi --config /etc/sentinel/robot.toml --check"

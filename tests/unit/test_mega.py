@@ -317,6 +317,8 @@ def test_flags_and_rising_counters_become_sentences() -> None:
         assert mega.problems() == {}
         flags = int(sp.Flag.DRIVER_FAULT | sp.Flag.BUS_ERROR)
         line.say(sp.Status(200, flags, 0, 0, 0, 0, 1, 0, 7, 0, 0, 0, 7400, 0, 0, 100, 6000))
+        until(lambda: set(mega.problems()) == {"DRIVER_FAULT", "rx_bad"})  # the bus is still being set up
+        line.say(sp.Status(2500, flags, 0, 0, 0, 0, 1, 0, 7, 0, 0, 0, 7400, 0, 0, 100, 6000))
         until(lambda: set(mega.problems()) == {"DRIVER_FAULT", "BUS_ERROR", "rx_bad"})
         line.say(sp.Status(6000, 0, 0, 0, 0, 0, 1, 0, 7, 0, 0, 0, 7400, 0, 0, 100, 6000))
         until(lambda: mega.problems() == {})

@@ -19,6 +19,7 @@ from robot.devices.pi.gpio_pins import Guard
 from robot.devices.pi.ina219 import Ina219Battery
 from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.ports import BatteryState
+from shared.calibration import REFERENCE_ROBOT
 from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
 from tests import pi_stubs
 
@@ -248,6 +249,18 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
         adapter.open_pi(PiConfig(gpio_pins=(1, 1, 2, 3, 4, 5)))
     with pytest.raises(ConfigError, match="640x480"):
         adapter.load_calibration(PiConfig(width=1280, height=720))
+
+
+def test_a_camera_calibrated_alone_is_mounted_and_timed_as_the_reference_robots(tmp_path: Path) -> None:
+    file = tmp_path / "camera.yaml"
+    file.write_text("resolution: [640, 480]\nintrinsics: [1000.0, 1001.0, 320.0, 240.0]\n")
+    config, reference = PiConfig(calibration=str(tmp_path)), REFERENCE_ROBOT.camera
+    own = adapter.load_calibration(config).camera
+    assert own is not None and reference is not None and own.fx == 1000.0
+    assert (own.T_body_cam, own.time_shift_s) == (reference.T_body_cam, reference.time_shift_s)
+    file.write_text(file.read_text() + "T_BS: [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\ntime_shift_s: 0.0\n")
+    own = adapter.load_calibration(config).camera
+    assert own is not None and own.T_body_cam[3] == 0.1 and own.time_shift_s == 0.0
 
 
 def test_a_missing_serial_port_is_named_with_its_remedy() -> None:

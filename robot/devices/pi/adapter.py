@@ -13,7 +13,7 @@ from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaBattery, MegaImu, MegaMotors, MegaPanTilt
 from robot.devices.pi.serial_line import PySerialLine, SerialLine
 from robot.devices.ports import Battery, Camera, DeviceSet, Motors, PanTilt
-from shared.calibration import REFERENCE_ROBOT, Calibration
+from shared.calibration import REFERENCE_ROBOT, Calibration, CameraCalibration
 from shared.errors import ConfigError
 from shared.serial_protocol import ACCEL_RANGES_G, GYRO_RANGES_DEG_S, ConfigImu, ConfigMotors
 
@@ -94,9 +94,7 @@ def load_calibration(config: PiConfig) -> Calibration:
     """The robot's own calibration, or the reference robot's; the picture size must fit."""
     calibration = REFERENCE_ROBOT
     if config.calibration:
-        from shared.sensor_yaml import read_camera
-
-        camera = read_camera(Path(config.calibration) / "camera.yaml")
+        camera = _read_own_camera(Path(config.calibration) / "camera.yaml")
         calibration = msgspec.structs.replace(calibration, camera=camera)
     if calibration.camera is not None and config.camera:
         size = (calibration.camera.width, calibration.camera.height)
@@ -106,6 +104,19 @@ def load_calibration(config: PiConfig) -> Calibration:
                 " calibrate at that size or set the calibrated one"
             )
     return calibration
+
+
+def _read_own_camera(path: Path) -> CameraCalibration:
+    """The file's camera. How it is mounted and timed is the reference robot's where the file does not say."""
+    from shared.sensor_yaml import read_camera, read_yaml
+
+    content = read_yaml(path)
+    camera, reference = read_camera(path, content), REFERENCE_ROBOT.camera
+    assert reference is not None
+    missing = [key for key in ("time_shift_s", "line_delay_s") if content.get(key) is None]
+    if content.get("T_BS") is None and content.get("T_body_cam") is None:
+        missing.append("T_body_cam")
+    return msgspec.structs.replace(camera, **{key: getattr(reference, key) for key in missing})
 
 
 def _open_motion(

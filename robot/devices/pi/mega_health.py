@@ -8,6 +8,8 @@ from shared.serial_protocol import Flag, Status
 
 WINDOW_MS = 5000  # a counter that rose within so long tells of something that goes on
 DEEPEST_STACK_FREE = 256  # bytes
+SET_UP_MS = 2000  # the firmware has found and set up its IMU by then, once at its start and once as we say how
+SET_UP = Flag.IMU_MISSING | Flag.MAG_MISSING | Flag.BUS_ERROR  # say nothing before
 
 FLAGS = {
     Flag.IMU_MISSING: "the Mega finds no ICM-20948; check its four wires (SDA 20, SCL 21, 3.3 V, GND)",
@@ -44,7 +46,8 @@ class MegaHealth:
         if not past:
             return {}
         first, last = past[0], past[-1]
-        found = {str(flag.name): text for flag, text in FLAGS.items() if last.flags & flag}
+        told = last.flags & ~SET_UP if last.uptime_ms < SET_UP_MS else last.flags
+        found = {str(flag.name): text for flag, text in FLAGS.items() if told & flag}
         found |= {name: text for name, text in COUNTERS.items() if getattr(last, name) != getattr(first, name)}
         if last.stack_free < DEEPEST_STACK_FREE:
             found["stack_free"] = f"the Mega has {last.stack_free} bytes of stack left; report this as a bug"
