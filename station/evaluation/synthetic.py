@@ -150,6 +150,7 @@ def observe(
                 xy=lens.unproject(measured),
                 num_tracked=tracked,
                 num_previous=before,
+                num_vanished=0,
                 flow_px=flow,
                 parallax_px=flow,
                 brightness=128.0,

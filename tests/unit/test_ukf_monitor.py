@@ -22,9 +22,9 @@ def result(observed: int, passed: int, tried: int, used: int, misfits: int = 0) 
     return FrameResult(0, 0.0, 1, observed, passed, observed, used, tried, misfits, none, none, ())
 
 
-def view(num_tracked: int) -> TrackedFrame:
+def view(num_tracked: int, num_vanished: int = 0) -> TrackedFrame:
     nothing = np.zeros((0, 2))
-    return TrackedFrame(np.zeros(0, np.int64), nothing, nothing, num_tracked, 100, 1.0, 1.0, 100.0)
+    return TrackedFrame(np.zeros(0, np.int64), nothing, nothing, num_tracked, 100, num_vanished, 1.0, 1.0, 100.0)
 
 
 def resting() -> FilterState:
@@ -32,11 +32,16 @@ def resting() -> FilterState:
 
 
 def seconds_until_lost(
-    results: FrameResult, state: FilterState, num_tracked: int = 80, has_wheels: bool = False, limit: int = 200
+    results: FrameResult,
+    state: FilterState,
+    num_tracked: int = 80,
+    num_vanished: int = 0,
+    has_wheels: bool = False,
+    limit: int = 200,
 ) -> float | None:
     monitor = TrackingMonitor(UkfConfig())
     for k in range(limit):
-        if monitor.why_lost(state, view(num_tracked), k * FRAME_NS, has_wheels, results) is not None:
+        if monitor.why_lost(state, view(num_tracked, num_vanished), k * FRAME_NS, has_wheels, results) is not None:
             return k * FRAME_NS * 1e-9
     return None
 
@@ -63,13 +68,14 @@ def test_a_camera_that_seldom_fits_is_given_up_within_two_seconds(wrong: FrameRe
     assert lost_s is not None and lost_s <= 2.0
 
 
-@pytest.mark.parametrize("has_wheels", [False, True])
-def test_a_blank_picture_is_an_outage_sooner_without_wheels(has_wheels: bool) -> None:
-    lost_s = seconds_until_lost(result(0, 0, 0, 0), resting(), num_tracked=0, has_wheels=has_wheels)
-    config = UkfConfig()
-    limit = config.max_outage_wheels_s if has_wheels else config.max_outage_s
-    assert lost_s == pytest.approx(limit + 0.05, abs=0.051)
-    assert limit <= 2.0
+def test_on_wheels_a_blank_wall_is_borne_longer_than_a_covered_lens() -> None:
+    nothing, config = result(0, 0, 0, 0), UkfConfig()
+    flown_s = seconds_until_lost(nothing, resting(), num_tracked=0)
+    wall_s = seconds_until_lost(nothing, resting(), num_tracked=0, num_vanished=7, has_wheels=True)
+    covered_s = seconds_until_lost(nothing, resting(), num_tracked=0, num_vanished=26, has_wheels=True)
+    assert flown_s == pytest.approx(config.max_outage_s + 0.05, abs=0.051)
+    assert wall_s == pytest.approx(config.max_outage_wheels_s + 0.05, abs=0.051)
+    assert covered_s is not None and covered_s <= 2.0
 
 
 def test_a_robot_that_rises_or_tilts_is_lifted_and_a_drone_is_not() -> None:

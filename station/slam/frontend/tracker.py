@@ -15,6 +15,7 @@ from station.slam.frontend.lens import BoolArray, Lens
 from station.slam.frontend.two_view import epipolar_inliers
 
 PointsArray = npt.NDArray[np.float32]  # (N, 1, 2), OpenCV's shape of points
+VANISHING_BORDER = 0.08  # of the width: a robot that drives on takes features nearer to the border out of the picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,7 @@ class TrackedFrame:
     xy: FloatArray  # (N, 2) normalised, undistorted
     num_tracked: int  # of the previous frame's features, how many were found again
     num_previous: int  # features the previous frame had
+    num_vanished: int  # of those not found again: how many the camera's rotation left well inside the picture
     flow_px: float  # median motion of the found ones; 0 without any
     parallax_px: float  # median motion left after the predicted rotation
     brightness: float  # mean grey value
@@ -82,9 +84,9 @@ class Tracker:
         rng = np.random.default_rng([self._seed, self._num_frames])
         self._num_frames += 1
         num_previous = len(self._ids)
-        flow = parallax = 0.0
+        flow, parallax, num_vanished = 0.0, 0.0, 0
         if self._previous is not None and num_previous:
-            flow, parallax = self._follow(self._previous, grey, R_prev_cur, is_bias_known, rng)
+            flow, parallax, num_vanished = self._follow(self._previous, grey, R_prev_cur, is_bias_known, rng)
         num_tracked = len(self._ids)
         if num_tracked < self.config.redetect_below * self.config.num_features:
             self._add_corners(grey)
@@ -95,6 +97,7 @@ class Tracker:
             xy=self._xy.copy(),
             num_tracked=num_tracked,
             num_previous=num_previous,
+            num_vanished=num_vanished,
             flow_px=flow,
             parallax_px=parallax,
             brightness=float(cv2.mean(grey)[0]),
@@ -107,8 +110,8 @@ class Tracker:
         R_prev_cur: FloatArray,
         is_bias_known: bool,
         rng: np.random.Generator,
-    ) -> tuple[float, float]:
-        """Move every track into the new image or end it; returns median flow and parallax (px)."""
+    ) -> tuple[float, float, int]:
+        """Move every track into the new image or end it; returns median flow, parallax (px) and how many vanished."""
         config = self.config
         predicted_xy, in_front = self._rotate(self._xy, R_prev_cur.T)
         predicted_uv = np.where(in_front[:, None], self.lens.project(predicted_xy), self._uv)
@@ -130,8 +133,10 @@ class Tracker:
         flow = float(np.median(np.linalg.norm(uv[index] - self._uv[index], axis=1))) if len(index) else 0.0
         left = np.linalg.norm(uv[index] - predicted_uv[index], axis=1)
         parallax = float(np.median(left)) if len(index) else 0.0
+        stays = in_front & self.lens.is_inside(predicted_uv, VANISHING_BORDER * self.lens.camera.width)
+        num_vanished = int(np.count_nonzero(stays)) - int(np.count_nonzero(stays[index]))
         self._ids, self._uv, self._xy = self._ids[index], uv[index], xy
-        return flow, parallax
+        return flow, parallax, num_vanished
 
     def _rotate(self, xy: FloatArray, R: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Normalised coordinates after a rotation, and which of them stay well in front of the camera."""
