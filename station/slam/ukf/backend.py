@@ -60,7 +60,7 @@ class UkfBackend:
         cv2.setNumThreads(1)  # order of additions, hence every last bit, must not depend on the machine
         self._blas = ThreadpoolController()  # the same for BLAS
         self._calibration = calibration
-        self._config = config or UkfConfig()
+        self._config = (config or UkfConfig()).for_robot(calibration.robot_kind)
         self._seed = seed
         self._given = initial_state
         self._camera = CameraModel.of(calibration.camera, self._config.filter.sigma_px)
