@@ -40,7 +40,7 @@ def nudge(
                 shift = R_up.T @ np.array([dx * voxel, dy * voxel, 0.0])
                 candidates.append(se3(R, landed + shift - R @ centre))
     moved = np.concatenate([p @ X[:3, :3].T + X[:3, 3] for X in candidates])
-    distance, index = target.tree.query(moved, distance_upper_bound=1.5 * voxel)
+    distance, index = target.tree.query(moved, distance_upper_bound=1.5 * voxel, workers=2)
     near = np.isfinite(distance)
     index = np.where(near, index, 0)
     along = np.einsum("ni,ni->n", moved - target.points[index], target.normals[index])
