@@ -59,6 +59,8 @@ def register_files(
                     "seconds": seconds,
                     "backend": result.backend,
                     "score": result.score,
+                    "confidence": _number(result.confidence),
+                    "evidence": result.evidence,
                     "covariance": None if result.covariance is None else result.covariance.tolist(),
                     "eigenvalues": None if result.eigenvalues is None else result.eigenvalues.tolist(),
                     "alternatives": [

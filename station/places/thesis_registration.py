@@ -60,6 +60,8 @@ def register_as_thesis(
         scale=float(np.cbrt(np.linalg.det(T_target_source[:3, :3]))),
         rmse=float(np.sqrt((distance[kept] ** 2).mean())),  # in the units registered in: normalised ones in the thesis
         inlier_ratio=config.inlier_ratio,
+        confidence=float("nan"),
+        evidence={},
         overlap=float(np.mean(distance <= 3 * np.median(distance))),
         covariance=None,
         eigenvalues=None,

@@ -118,6 +118,8 @@ def register_clouds(
         scale=scale_of(best.T_target_source),
         rmse=score.rmse,
         inlier_ratio=score.inlier_ratio,
+        confidence=verdict.confidence,
+        evidence=evidence.features(),
         overlap=score.overlap,
         covariance=verdict.covariance,
         eigenvalues=verdict.eigenvalues,

@@ -30,6 +30,8 @@ class Registration:
     scale: float
     rmse: float  # of inliers along the target's surface normals, target units
     inlier_ratio: float  # share of the source's points in the shared space that lie on the target's surfaces
+    confidence: float  # probability that the alignment is right, as learned from synthetic pairs
+    evidence: dict[str, float]  # what that is made from
     overlap: float  # share of points with a neighbour in the other cloud, the smaller of both directions
     covariance: FloatArray | None  # (7, 7) of (rotation rad, translation, log scale), target frame; fixed ones are 0
     eigenvalues: FloatArray | None  # of the normal equations per inlier, ascending: a small one is a free direction
@@ -40,4 +42,4 @@ class Registration:
 
 def refused(reason: str, backend: str) -> Registration:
     """A registration that found nothing to even judge."""
-    return Registration(False, (reason,), None, 1.0, float("nan"), 0.0, 0.0, None, None, backend, 0.0, ())
+    return Registration(False, (reason,), None, 1.0, float("nan"), 0.0, 0.0, {}, 0.0, None, None, backend, 0.0, ())

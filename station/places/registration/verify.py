@@ -13,9 +13,19 @@ from station.places.registration.refine import Refined, scale_of
 from station.places.registration.result import Gravity, Scale
 from station.places.registration.score import Contrast, Score, inverse_similarity
 
-# Set on the training seeds of benchmarks/bench_registration.py.
-MIN_EVIDENCE = 0.38
-MIN_INLIER_SHARE = 0.2
+# Logistic regression on the training seeds of benchmarks/bench_registration.py, all its sets:
+# `python -m benchmarks.fit_registration_verdict` prints these numbers.
+WEIGHTS = {
+    "inlier share": 3.4,
+    "inlier ratio": 12.9,
+    "coinciding landmarks": 20.3,
+    "contrast": 8.8,
+    "least contrast": 19.2,
+    "runner-up's contrast": -29.3,
+}
+OFFSET = -8.56
+MIN_CONFIDENCE = 0.85
+# What no training pair could show, as these were checked first.
 MIN_OVERLAP = 0.2
 MAX_RUNNER_UP = 0.85
 MAX_TILT_RAD = np.radians(6.0)
@@ -43,12 +53,24 @@ class Evidence:
     target_given: FloatArray  # the clouds as the rays index them
     source_given: FloatArray
 
+    def features(self) -> dict[str, float]:
+        """What the confidence is made from, by the names in WEIGHTS."""
+        return {
+            "inlier share": self.score.inlier_share,
+            "inlier ratio": self.score.inlier_ratio,
+            "coinciding landmarks": self.score.point_share,
+            "contrast": self.contrast.mean,
+            "least contrast": self.contrast.least,
+            "runner-up's contrast": max(self.runner_up.mean, 0.0) if self.runner_up is not None else 0.0,
+        }
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     """Accepted or not, why, and how certain."""
 
     accepted: bool
+    confidence: float  # probability 0..1 that the alignment is right, before the checks that can only refuse
     reasons: tuple[str, ...]
     covariance: FloatArray | None
     eigenvalues: FloatArray | None
@@ -58,21 +80,18 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
     """Every check that fails adds a reason; none failed means accepted."""
     T = e.refined.T_target_source
     against: list[str] = []
-    if e.score.inlier_share < MIN_INLIER_SHARE:
+    features = e.features()
+    logit = OFFSET + sum(WEIGHTS[name] * value for name, value in features.items())
+    confidence = float(1.0 / (1.0 + np.exp(-np.clip(logit, -50, 50))))
+    if confidence < MIN_CONFIDENCE:
         against.append(
-            f"only {e.score.inlier_share:.0%} of the points lie on the other cloud's surfaces, "
-            f"needs {MIN_INLIER_SHARE:.0%}: too little in common, or different rooms"
+            f"right with {confidence:.0%}, needs {MIN_CONFIDENCE:.0%}: {e.score.inlier_share:.0%} of the points lie on "
+            f"the other cloud's surfaces, and {max(e.contrast.least, 0):.0%} fit here and not beside it; "
+            "too little in common, or different rooms"
         )
     if e.score.overlap < MIN_OVERLAP:
         against.append(f"the clouds share {e.score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}")
-    second = e.runner_up.mean if e.runner_up is not None else 0.0
-    ratio = max(second, 0.0) / max(e.contrast.mean, 1e-9)
-    evidence = e.contrast.mean + e.contrast.least + (e.contrast.mean - max(second, 0.0))
-    if evidence < MIN_EVIDENCE:
-        against.append(
-            f"the evidence is {evidence:.2f}, needs {MIN_EVIDENCE}: too few of the points fit here and nowhere else; "
-            "too little in common, or different rooms"
-        )
+    ratio = features["runner-up's contrast"] / max(e.contrast.mean, 1e-9)
     if ratio > MAX_RUNNER_UP:
         against.append(f"another alignment fits {ratio:.0%} as well: the room looks alike from there")
     if e.gravity == "known":
@@ -91,10 +110,10 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
     if violation > MAX_VIOLATION:
         against.append(f"{violation:.0%} of the points would hang where the other drive saw through empty space")
     if against:
-        return Verdict(False, tuple(against), covariance, eigenvalues)
+        return Verdict(False, confidence, tuple(against), covariance, eigenvalues)
     pro = [f"{e.score.inlier_share:.0%} of the points lie on the other cloud's surfaces"]
-    pro.append(f"evidence {evidence:.2f}; the next best alignment fits {ratio:.0%} as well")
-    return Verdict(True, tuple(pro), covariance, eigenvalues)
+    pro.append(f"right with {confidence:.1%}; the next best alignment fits {ratio:.0%} as well")
+    return Verdict(True, confidence, tuple(pro), covariance, eigenvalues)
 
 
 def _uncertainty(e: Evidence) -> tuple[FloatArray | None, FloatArray | None]:

@@ -1,0 +1,93 @@
+"""Learn how sure a registration may be of itself: the numbers in station/places/registration/verify.py.
+
+    python -m benchmarks.fit_registration_verdict [--pairs 100] [--rows FILE.jsonl]
+
+Logistic regression (weight decay 1 on standardised features) on the training seeds of every set of
+bench_registration.py. `--rows` keeps what was measured, and goes on from there. Beside the weights it prints, by
+ten-fold cross validation, how many right and wrong alignments would have been believed at several limits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.bench_registration import FIRST_SEED, SETS, errors
+from benchmarks.registration_clouds import make_pair
+from shared.geometry import FloatArray
+from station.places.registration import register_clouds
+from station.places.registration.verify import WEIGHTS
+
+LIMITS = (0.5, 0.7, 0.8, 0.85, 0.9, 0.95)
+BASIN_DEG, BASIN_M = 2.0, 0.1  # the right alignment, though perhaps not exact enough
+
+
+def measure(name: str, seed: int) -> dict[str, Any]:
+    """One training pair: the features of what was found, and whether it is right."""
+    pair = make_pair(seed, shared_landmarks=bool(seed % 2), **SETS[name])
+    found = register_clouds(pair.target, pair.source, scale="free" if "scale_range" in SETS[name] else "known")
+    right = False
+    if pair.T_target_source is not None and found.T_target_source is not None:
+        e = errors(found.T_target_source, pair)
+        right = e[0] <= BASIN_DEG and e[1] <= BASIN_M
+    return {"set": name, "seed": seed, "right": right, "evidence": found.evidence}
+
+
+def fit(X: FloatArray, right: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:
+    """Weights (n,) and offset of P(right) = sigmoid(X w + b), by Newton's method."""
+    mean, spread = X.mean(axis=0), X.std(axis=0)
+    Z = np.column_stack([(X - mean) / spread, np.ones(len(X))])
+    decay = np.append(np.ones(X.shape[1]), 0.0)
+    w = np.zeros(Z.shape[1])
+    for _ in range(50):
+        p = 1.0 / (1.0 + np.exp(-Z @ w))
+        H = (Z * (p * (1 - p))[:, None]).T @ Z + np.diag(decay + 1e-9)
+        w -= np.linalg.solve(H, Z.T @ (p - right) + decay * w)
+    return w[:-1] / spread, float(w[-1] - (w[:-1] * mean / spread).sum())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pairs", type=int, default=100, help="of each set")
+    parser.add_argument("--rows", type=Path, default=None)
+    a = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    if a.rows is not None and a.rows.exists():
+        rows = [json.loads(line) for line in a.rows.read_text().splitlines()]
+    done = {(row["set"], row["seed"]) for row in rows}
+    for name in SETS:
+        for seed in range(FIRST_SEED["train"], FIRST_SEED["train"] + a.pairs):
+            if (name, seed) in done:
+                continue
+            rows.append(measure(name, seed))
+            if a.rows is not None:
+                with a.rows.open("a") as out:
+                    out.write(json.dumps(rows[-1]) + "\n")
+    rows = [row for row in rows if row["evidence"]]
+    X = np.array([[row["evidence"][name] for name in WEIGHTS] for row in rows])
+    right = np.array([row["right"] for row in rows])
+    sets = np.array([row["set"] for row in rows])
+    w, b = fit(X, right)
+    print("WEIGHTS:", {name: round(float(v), 1) for name, v in zip(WEIGHTS, w, strict=True)}, "OFFSET:", round(b, 2))
+    fold = np.random.default_rng(0).integers(0, 10, len(rows))
+    score = np.zeros(len(rows))
+    for k in range(10):
+        w, b = fit(X[fold != k], right[fold != k])
+        score[fold == k] = X[fold == k] @ w + b
+    for limit in LIMITS:
+        believed = score > np.log(limit / (1 - limit))
+        counts = {
+            str(name): f"{np.sum(believed & right & (sets == name))} of {np.sum(right & (sets == name))} right, "
+            f"{np.sum(believed & ~right & (sets == name))} wrong"
+            for name in SETS
+        }
+        print(f"believed above {limit}:", json.dumps(counts))
+
+
+if __name__ == "__main__":
+    main()
