@@ -236,12 +236,17 @@ class CurrentPlaceEstimator:
                 reason=f"{best.inliers} landmarks of the map were recognised"
                 + (f"; odometry over the {age_s:.0f} s since" if age_s >= 1.0 else ""),
             )
-        is_unknown = belief.unmapped >= self.config.unknown_from or not len(order)
+        is_localized = best is not None and best.weight > 0.5
+        is_unknown = (
+            not len(order)
+            or belief.unmapped >= self.config.unknown_from
+            or (is_localized and self._doubts_only_the_map(belief))
+        )
         return PlaceAnswer(
             state="unknown" if is_unknown else "lost",
             place=None,
             distance=None,
-            position_map=p_body if best is not None and best.weight > 0.5 else None,
+            position_map=p_body if is_localized else None,
             t_robot_ns=t_robot_ns,
             evidence_t_robot_ns=best.evidence_t_robot_ns if best else None,
             evidence_keyframe=best.evidence_keyframe if best else None,
@@ -250,12 +255,17 @@ class CurrentPlaceEstimator:
             reason=self._reason(is_unknown, belief, best),
         )
 
+    def _doubts_only_the_map(self, belief: Belief) -> bool:
+        """Were the position surely in the map, so was the place: what is open is where the map ends."""
+        clearest = float(belief.tie.max())
+        return clearest >= self.config.known_from * (1 - belief.unmapped) and 2 * belief.unmapped >= 1 - clearest
+
     def _reason(self, is_unknown: bool, belief: Belief, best: Hypothesis | None) -> str:
         if not len(belief.place):
             return "the active maps hold no places"
         if is_unknown:
             if best is not None and best.weight > 0.5:
-                return f"the robot is more than {self.config.covered_m:.1f} m from where the mapping drive went"
+                return "the robot is farther from where the mapping drive went than the map is sure to reach"
             return f"images match nothing in the map ({belief.unmapped:.0%} that this place is not in it)"
         if best is not None and best.weight > 0.5:
             return "the robot is between places, or its position has become too uncertain"

@@ -235,6 +235,15 @@ def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:
     assert answer.state == "unknown" and "mapping drive" in answer.reason
 
 
+def test_at_the_edge_of_the_map_the_place_is_unknown_and_the_robot_not_lost() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    for k in range(6):  # beside Place 1, not quite as far away as the map is sure to end
+        estimator.on_localization(seen(k, pose(3.0, 0.9)))
+    answer = estimator.answer(6 * SECOND)
+    assert answer.state == "unknown" and answer.position_map is not None
+    assert answer.alternatives[0].name == "Place 1" and answer.alternatives[0].probability > 0.5
+
+
 def test_halfway_between_two_places_both_count_as_right() -> None:
     estimator = CurrentPlaceEstimator(make_map())
     estimator.on_localization(seen(0.0, pose(1.5, 0.0)))
