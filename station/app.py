@@ -217,7 +217,7 @@ class Station:
             try:
                 arguments = (recording, chosen, self.config.slam.seed, drive_id, folder)
                 report = await worker.call("reprocess", *arguments)
-                await self.drives.reprocessed(drive_id, chosen, report)
+                await self.drives.reprocessed(drive_id, report)
             finally:
                 self.drives.release(drive_id)
             return {"navigation": drive_id, "landmarks": report.landmarks}

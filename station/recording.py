@@ -25,6 +25,7 @@ from station.navigation_files import load_navigation
 from station.place_report import PlaceReport
 from station.refusals import Conflict
 from station.slam.backend import SlamUpdate
+from station.slam.backends import choose_backend
 from station.slam_process import SlamProcess
 
 logger = logging.getLogger(__name__)
@@ -122,7 +123,7 @@ class Drives:
             name=name or time.strftime("Drive of %-d %b, %H:%M", time.localtime()),
             state="recording",
             started_wall_s=time.time(),
-            backend=self._config.backend,
+            backend=choose_backend(self._config.backend, hello.calibration),
             message="recording",
             robot_id=hello.robot_id,
         )
@@ -195,12 +196,12 @@ class Drives:
         if drive_id in self._reserved:
             raise Conflict(f"SLAM runs over {drive_id} just now; wait for the job or cancel it (GET /jobs)")
 
-    async def reprocessed(self, drive_id: str, backend: str, report: NavigationReport) -> None:
+    async def reprocessed(self, drive_id: str, report: NavigationReport) -> None:
         """SLAM ran over a drive's recording again and left its navigation."""
         drive = replace(
             self.library.get(drive_id),
             state="ready",
-            backend=backend,
+            backend=report.backend,
             landmarks=report.landmarks,
             scale=report.scale,
             message="; ".join(report.messages) or f"{report.landmarks} landmarks",

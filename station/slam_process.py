@@ -14,6 +14,7 @@ from station.config import SlamConfig
 from station.events import Events
 from station.navigation import NavigationReport
 from station.slam.backend import SlamUpdate
+from station.slam.backends import choose_backend
 from station.workers import Worker, WorkerDied
 
 LIVE_BACKENDS = ("ukf",)
@@ -38,6 +39,7 @@ class SlamProcess:
         self._name = name
         self._config = config
         self._calibration = calibration
+        self.backend = choose_backend(config.backend, calibration)
         self._events = events
         self._on_update = on_update
         self._on_trouble = on_trouble
@@ -73,7 +75,7 @@ class SlamProcess:
         await asyncio.wait({self._starting})
 
     def _launch(self) -> tuple[Worker, asyncio.Task[None]]:
-        is_live = self._config.backend in LIVE_BACKENDS  # an offline backend may be behind, a live one may not
+        is_live = self.backend in LIVE_BACKENDS  # an offline backend may be behind, a live one may not
         limits = {
             "frame": self._config.live_frame_backlog if is_live else self._config.frame_backlog,
             "imu": self._config.imu_backlog,
@@ -88,7 +90,7 @@ class SlamProcess:
             on_failure=self._on_failure,
         )
         # Asked before the first frame can come; what arrives until SLAM is up waits behind it.
-        begun = worker.ask("begin", self._config.backend, self._calibration, self._config.seed)
+        begun = worker.ask("begin", self.backend, self._calibration, self._config.seed)
         return worker, asyncio.create_task(self._start(worker, begun), name=f"start {self._name}")
 
     async def _start(self, worker: Worker, begun: asyncio.Future[None]) -> None:

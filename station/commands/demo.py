@@ -25,7 +25,7 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Which flat.")] = 1,
     port: Annotated[int, typer.Option(help="Port of the page and the API.")] = 8080,
     world: Annotated[str, typer.Option(help="Simulated world.")] = "small",
-    backend: Annotated[str | None, typer.Option(help="SLAM: ukf or sfm; without it the station's default.")] = None,
+    backend: Annotated[str | None, typer.Option(help="SLAM: auto, ukf or sfm; without it the station's own.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for results.json, logs and data.")] = Path("demo"),
 ) -> None:
     """Simulated robot, robot-server and station: map, hijack, drive again, and name the place."""

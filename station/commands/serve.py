@@ -27,7 +27,7 @@ def serve(
     host: Annotated[str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to serve on; 0 takes a free one.")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder for navigations and maps.")] = None,
-    backend: Annotated[str | None, typer.Option(help="SLAM while recording: sfm, ukf.")] = None,
+    backend: Annotated[str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
 ) -> None:

@@ -13,19 +13,29 @@ if TYPE_CHECKING:
     from station.slam.ukf.start import GivenState
 
 BACKENDS = ("sfm", "ukf")
+AUTO = "auto"  # what suits the robot
 
 
 def check_backend(name: str) -> None:
-    """Whether there is such a backend: one of BACKENDS or "package.module:factory". Raises ConfigError."""
-    if name in BACKENDS:
+    """Whether there is such a backend: one of BACKENDS, "auto" or "package.module:factory". Raises ConfigError."""
+    if name in (*BACKENDS, AUTO):
         return
+    choices = ", ".join((AUTO, *BACKENDS))
     module, colon, factory = name.partition(":")
     try:
         if colon and callable(getattr(importlib.import_module(module), factory, None)):
             return
     except (ImportError, ValueError) as exc:
-        raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {', '.join(BACKENDS)}") from exc
-    raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join(BACKENDS)}")
+        raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {choices}") from exc
+    raise ConfigError(f"backend {name!r} is unknown; choose one of {choices}")
+
+
+def choose_backend(name: str, calibration: Calibration) -> str:
+    """The backend that is meant: "auto" is ukf for a robot on wheels with an IMU, else sfm, which needs images only."""
+    if name != AUTO:
+        return name
+    has_imu = calibration.imu is not None and calibration.camera is not None
+    return "ukf" if has_imu and calibration.robot_kind == "sentinel" else "sfm"
 
 
 def make_backend(
@@ -40,7 +50,7 @@ def make_backend(
     """A fresh backend for one navigation.
 
     Args:
-        name: one of BACKENDS.
+        name: one of BACKENDS, or "auto".
         seed: of everything random in it.
         threads: 1 makes runs repeatable where threads would not be; -1 uses all cores.
         intrinsics_known: False where the camera's numbers are only a guess (refined where the backend can).
@@ -49,6 +59,7 @@ def make_backend(
     Raises:
         ConfigError: unknown name, a library that is missing, or a calibration that the backend cannot use.
     """
+    name = choose_backend(name, calibration)
     if name != "ukf" and (landmarks != "default" or initial_state is not None):
         raise ConfigError(f"backend {name} has no thesis landmarks and no initial state; use --backend ukf for them")
     try:
@@ -66,4 +77,4 @@ def make_backend(
         raise ConfigError(
             f"backend {name} needs {exc.name}, which is missing; run: pip install '.[station]' in Sentinel's folder"
         ) from exc
-    raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join(BACKENDS)}")
+    raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join((AUTO, *BACKENDS))}")

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import station.workers
+from shared.calibration import REFERENCE_ROBOT
 from shared.errors import ConfigError
 from shared.messages import Capabilities
 from station.commands.serve import _settings as serve_settings
@@ -22,7 +24,7 @@ from station.live import PointBuffer, pack_points
 from station.mailbox import Latest, MessageHub
 from station.refusals import Conflict, NotDriver, OutOfRange
 from station.sequencer import HOLD_BACK_NS, Sequencer
-from station.slam.backends import check_backend
+from station.slam.backends import check_backend, choose_backend
 from station.workers import Outbox, Worker, WorkerDied, WorkerFailed
 
 MS = 1_000_000
@@ -273,13 +275,20 @@ def test_addresses_are_read(text: str, address: tuple[str, int]) -> None:
     assert parse_address(text, "--robot") == address
 
 
+def test_a_robot_on_wheels_with_an_imu_is_followed_by_the_filter_and_others_by_their_images() -> None:
+    assert choose_backend("auto", REFERENCE_ROBOT) == "ukf"
+    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, imu=None)) == "sfm"
+    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, robot_kind="generic")) == "sfm"
+    assert choose_backend("sfm", REFERENCE_ROBOT) == "sfm"
+
+
 def test_a_backend_that_does_not_exist_is_named_before_anything_starts() -> None:
     check_backend("sfm")
     check_backend("tests.made_up_workers:StraightSlam")
     for name in ("nonsense", "", "tests.made_up_workers:Nothing", "no_such_module:Slam", ":Slam"):
-        with pytest.raises(ConfigError, match="choose one of sfm, ukf"):
+        with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf"):
             check_backend(name)
-        with pytest.raises(ConfigError, match="choose one of sfm, ukf"):
+        with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf"):
             serve_settings(StationConfig(slam=SlamConfig(backend=name)), None, None, None, None, None)
 
 
