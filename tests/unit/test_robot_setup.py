@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import subprocess
 import tomllib
 from pathlib import Path
@@ -12,10 +13,12 @@ from packaging.requirements import Requirement
 
 from benchmarks.check_robot_wheels import DEBIAN_NUMPY
 from robot.config import load_config
+from robot.devices.pi.gpio_pins import ENDING
 
 ROOT = Path(__file__).parents[2]
 SETUP = ROOT / "robot" / "setup"
 UNIT = SETUP / "sentinel-robot.service"
+KILL_SIGNALS = {"KillSignal": "SIGTERM", "WatchdogSignal": "SIGABRT"}  # and what they are where the unit says nothing
 
 
 @pytest.mark.parametrize("numpy", DEBIAN_NUMPY.values())
@@ -33,6 +36,14 @@ def test_the_settings_it_installs_are_valid() -> None:
 def test_the_unit_waits_for_ready_and_restarts_for_ever_what_falls_silent() -> None:
     lines = set(UNIT.read_text().splitlines())
     assert {"Type=notify", "WatchdogSec=5", "Restart=always", "StartLimitIntervalSec=0"} <= lines
+
+
+def test_all_that_the_unit_sends_to_the_motor_pins_process_lets_it_stop_the_motors() -> None:
+    """KillMode "mixed" sends it SIGKILL as soon as robot-server has died; systemd's watchdog sends SIGABRT."""
+    settings = dict(line.split("=", 1) for line in UNIT.read_text().splitlines() if "=" in line and line[0] != "#")
+    assert settings.get("KillMode", "control-group") == "control-group"
+    sent = {signal.Signals[settings.get(key, default)] for key, default in KILL_SIGNALS.items()}
+    assert sent <= set(ENDING)
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")

@@ -3,7 +3,7 @@
 Runs as a process of its own (`python -m robot.devices.pi.gpio_pins`), because these motors have no firmware watchdog:
 it stops them when commands stop coming, also when robot-server was stopped or killed. Lines on stdin:
 `drive LEFT RIGHT UNTIL_MS` (permille; monotonic clock of this computer: a line that waited is old), `stop`,
-`servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off; so do SIGTERM, SIGINT and SIGHUP. SIGKILL
+`servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off; so do SIGTERM, SIGINT, SIGHUP and SIGABRT. SIGKILL
 does not: the pins keep what they had (docs/robot.md).
 """
 
@@ -88,7 +88,8 @@ class Guard:
         return self._until_s - now_s
 
 
-ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+# SIGABRT is what systemd's watchdog sends, to us too.
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGABRT)
 
 
 def _end(number: int, _frame: FrameType | None) -> None:
