@@ -1,5 +1,6 @@
 """The real robot's parts that think, without hardware: kinematics, exposure, the guard of GPIO motors, settings."""
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +23,7 @@ from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.ports import BatteryState
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
-from tests import pi_stubs
+from tests import mock_gpio, pi_stubs
 
 speeds = st.floats(-2, 2)
 
@@ -200,6 +202,43 @@ def test_gpio_motors_drive_and_stop_through_their_process() -> None:
     motors.stop()
     with pytest.raises(DeviceLost):
         motors.drive(0.2, 0.0)
+
+
+def test_another_process_stops_the_motors_when_the_one_that_owned_the_pins_was_killed(tmp_path: Path) -> None:
+    pytest.importorskip("gpiozero")
+    log, pins = tmp_path / "pins", (17, 27, 23, 24, 12, 13)
+    process = GpioProcess(pins, [sys.executable, "-m", "tests.mock_gpio", str(log), *map(str, pins)])
+    motors = GpioMotors(process, DriveGeometry())
+
+    def are_turning() -> bool:
+        return any(mock_gpio.states(log).get(pin, 0.0) for pin in pins[:4])
+
+    def drive_off() -> None:
+        deadline = time.monotonic() + 60
+        while not are_turning():
+            assert time.monotonic() < deadline
+            with contextlib.suppress(DeviceLost):
+                motors.drive(0.3, 0.0)
+            time.sleep(0.01)
+
+    (owner,) = [child for child in psutil.Process().children() if str(log) in child.cmdline()]
+    drive_off()
+    owner.suspend()
+    while not are_turning():  # it had stopped them by itself before it stood still
+        owner.resume()
+        drive_off()
+        owner.suspend()
+    owner.kill()
+    owner.wait(30)
+    assert are_turning()
+    motors.stop()  # as robot-server does when its driver falls silent
+    deadline = time.monotonic() + 60
+    while are_turning():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    drive_off()
+    motors.close()
+    assert not are_turning()
 
 
 def test_gpiozero_motors_turn_the_pins_they_are_given(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,8 +3,8 @@
 Runs as a process of its own (`python -m robot.devices.pi.gpio_pins`), because these motors have no firmware watchdog:
 it stops them when commands stop coming, also when robot-server was stopped or killed. Lines on stdin:
 `drive LEFT RIGHT UNTIL_MS` (permille; monotonic clock of this computer: a line that waited is old), `stop`,
-`servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off; so do SIGTERM, SIGINT, SIGHUP and SIGABRT. SIGKILL
-does not: the pins keep what they had (docs/robot.md).
+`servo PAN_US TILT_US` (0 lets go). The end of stdin ends it, motors off; so do SIGTERM, SIGINT, SIGHUP and SIGABRT.
+SIGKILL does not: the pins keep what they had until robot-server has started another one (docs/robot.md).
 """
 
 from __future__ import annotations
