@@ -183,6 +183,10 @@ class Driving:
         self._command = None if is_still else _Command(linear, angular, self._now_ns() + ttl_ms * 1_000_000)
         self._changed.set()
 
+    def is_held_by(self, driver: str) -> bool:
+        """This driver's command moves the robot now."""
+        return self.is_moving and self.driver == driver
+
     def stop(self, by: str | None = None) -> bool:
         """Motors off now. Anyone may say it, also one who does not drive: then the driver must let go first.
 

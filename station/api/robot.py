@@ -137,7 +137,12 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str, late:
         match command:
             case DriveCommand():
                 now_ms = _now_ms()
-                if (left_ms := life_left_ms(command, now_ms)) <= 0:
+                left_ms = life_left_ms(command, now_ms)
+                if command.linear == command.angular == 0.0 and station.driving.is_held_by(name):
+                    # Never too late to stop what moves. Where nothing of ours moves, an old zero must not count: it
+                    # would let go of a joystick that is held against somebody's stop.
+                    left_ms = max(1, left_ms)
+                if left_ms <= 0:
                     if late.late(now_ms * 1_000_000):
                         await socket.send_text(too_late(command, now_ms).model_dump_json())
                     return

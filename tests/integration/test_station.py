@@ -219,6 +219,36 @@ async def test_what_a_page_said_before_everything_froze_moves_nothing_after(tmp_
         await drive_off(bench, lambda: socket.send(json.dumps({**order, "seq": 61})))
 
 
+async def test_a_zero_that_comes_late_stops_what_moves_and_counts_for_nothing_at_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with (
+        at_work(tmp_path) as (desk, bench, _),
+        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
+    ):
+        freeze(desk, monkeypatch)
+        while (answer := json.loads(await socket.recv()))["type"] != "time":
+            continue
+
+        async def say_late_zero(seq: int) -> list[int]:
+            """Which commands were accepted by the time it has been read."""
+            zero = {"type": "drive", "linear": 0.0, "angular": 0.0, "seq": seq, "heard_ms": answer["t_ms"] - 251}
+            await socket.send(json.dumps(zero))
+            await socket.send("nonsense")
+            accepted = []
+            while (reply := await heard(socket))["type"] != "refused":
+                accepted += [reply["seq"]] if reply["type"] == "accepted" else []
+            return accepted
+
+        assert await say_late_zero(1) == []
+        order = {"linear": 0.2, "angular": 0.0, "ttl_ms": 1000}
+        await drive_off(bench, lambda: desk.http.post("/drive", json=order, headers={"X-Driver": "page"}))
+        assert desk.station.driving.is_moving
+        assert await say_late_zero(2) == [2]
+        assert not desk.station.driving.is_moving
+        await until(lambda: bench.motors.are_off)
+
+
 async def test_a_page_behind_a_slow_link_is_told_why_nothing_moves(tmp_path: Path) -> None:
     async with (
         at_work(tmp_path) as (desk, bench, _),
