@@ -243,8 +243,8 @@ class Mega:
 
     def _serve_line(self) -> None:
         """Read one line until it is lost; open it again when there is none."""
-        self._close_given_up()
         line = self._line
+        self._close_given_up()  # after that look: the port has one owner, and a line given up still holds its lock
         if line is None:
             self._closed.wait(REOPEN_PERIOD_S)
             if not self._closed.is_set():
