@@ -429,19 +429,31 @@ static void test_imu_settings_come_while_any_operation_is_on_the_bus() {
   }
 }
 
-static void test_every_sample_is_sent_or_counted_as_lost() {
+// A chip that was set up, and its samples one by one.
+struct RunningImu {
   Icm20948 imu;
   FakeChip chip;
-  bus(imu, chip, 0, 300);
   uint8_t data[IMU_BURST];
   BusOp op;
   ImuPacket packet;
+
+  RunningImu() { bus(imu, chip, 0, 300); }
+
+  // Reads the sample that waits. True when that gives a packet.
+  bool read(uint32_t now_ms) {
+    if (!imu.next(now_ms, &op)) return false;
+    imu.done(now_ms, chip.transfer(op, data), data);
+    return imu.take(&packet);
+  }
+};
+
+static void test_every_sample_is_sent_or_counted_as_lost() {
+  RunningImu running;
+  Icm20948& imu = running.imu;
   const auto sample = [&](bool room) {
     imu.data_ready(1);
     CHECK(imu.lost() == 0 || !room);
-    CHECK(imu.next(300, &op));
-    imu.done(300, chip.transfer(op, data), data);
-    CHECK(imu.take(&packet));
+    CHECK(running.read(300));
     if (room) imu.count_sent();
   };
   sample(true);
@@ -451,25 +463,20 @@ static void test_every_sample_is_sent_or_counted_as_lost() {
   imu.data_ready(1);
   imu.data_ready(2);  // one was never read, one waits
   CHECK(imu.samples() == 4 && imu.lost() == 2);
-  CHECK(imu.next(300, &op));
+  CHECK(imu.next(300, &running.op));
   CHECK(imu.lost() == 2);
-  imu.done(300, false, data);  // no acknowledge
+  imu.done(300, false, running.data);  // no acknowledge
   CHECK(imu.lost() == 3);
 }
 
 static void test_each_set_up_anew_leaves_a_hole_in_the_numbers() {
-  Icm20948 imu;
-  FakeChip chip;
-  uint8_t data[IMU_BURST];
-  BusOp op;
-  ImuPacket packet;
+  RunningImu running;
+  Icm20948& imu = running.imu;
   for (uint32_t start = 0; start < 3; ++start) {
-    bus(imu, chip, 400 * start, 400 * start + 300);
+    if (start > 0) bus(imu, running.chip, 400 * start, 400 * start + 300);
     CHECK(imu.running() && imu.starts() == start + 1);
     imu.data_ready(1);
-    CHECK(imu.next(400 * start + 300, &op));
-    imu.done(400 * start + 300, chip.transfer(op, data), data);
-    CHECK(imu.take(&packet) && packet.sequence == 2 * start);
+    CHECK(running.read(400 * start + 300) && running.packet.sequence == 2 * start);
     imu.count_sent();
     CHECK(imu.lost() == start);
     imu.configure(ConfigImu{3, 2, 1, 5, static_cast<uint8_t>(9 + start)});
@@ -477,20 +484,14 @@ static void test_each_set_up_anew_leaves_a_hole_in_the_numbers() {
 }
 
 static void test_a_sample_that_comes_during_a_burst_makes_it_uncertain_and_lost() {
-  Icm20948 imu;
-  FakeChip chip;
-  bus(imu, chip, 0, 300);
-  uint8_t data[IMU_BURST];
-  BusOp op;
-  ImuPacket packet;
+  RunningImu running;
+  Icm20948& imu = running.imu;
   imu.data_ready(1000);
-  CHECK(imu.next(305, &op));  // late
-  imu.data_ready(5444);       // before or after the chip gave the burst out: nobody knows
-  imu.done(306, chip.transfer(op, data), data);
-  CHECK(!imu.take(&packet) && imu.lost() == 1);
-  CHECK(imu.next(306, &op));
-  imu.done(307, chip.transfer(op, data), data);
-  CHECK(imu.take(&packet) && packet.sequence == 1 && packet.t_us == 5444);
+  CHECK(imu.next(305, &running.op));  // late
+  imu.data_ready(5444);               // before or after the chip gave the burst out: nobody knows
+  imu.done(306, running.chip.transfer(running.op, running.data), running.data);
+  CHECK(!imu.take(&running.packet) && imu.lost() == 1);
+  CHECK(running.read(307) && running.packet.sequence == 1 && running.packet.t_us == 5444);
   imu.count_sent();
   CHECK(imu.lost() == 1);
 }
