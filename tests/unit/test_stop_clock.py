@@ -13,10 +13,13 @@ import pytest
 
 from benchmarks.stop_clock import SettableClock
 
+SLACK_S = 0.01  # floats, and a wall clock that is being adjusted
+
 PROGRAM = """
 import datetime, sys, time
 for _ in sys.stdin:
-    print(time.time(), time.monotonic(), time.time_ns() // 10**9, datetime.datetime.now().timestamp(), flush=True)
+    begun_s, walls = time.monotonic(), (time.time(), time.time_ns() / 1e9, datetime.datetime.now().timestamp())
+    print(begun_s, time.monotonic(), *walls, flush=True)
 """
 
 
@@ -30,21 +33,26 @@ def test_a_running_programs_wall_clock_jumps_and_its_monotonic_clock_does_not(tm
     ) as program:
         assert program.stdin is not None and program.stdout is not None
 
-        def ask() -> tuple[float, float, float, float]:
+        def ask() -> tuple[float, float, list[float]]:
+            """Between which moments of the monotonic clock its wall clocks were read, and what they said."""
             assert program.stdin is not None and program.stdout is not None
             program.stdin.write("\n")
             program.stdin.flush()
-            wall_s, mono_s, whole_s, date_s = map(float, program.stdout.readline().split())
-            return wall_s - mono_s, mono_s, whole_s - mono_s, date_s - mono_s
+            begun_s, ended_s, *walls_s = map(float, program.stdout.readline().split())
+            return begun_s, ended_s, walls_s
 
-        true_s = time.time() - time.monotonic()
-        assert ask()[0] == pytest.approx(true_s, abs=0.2)
+        def check(shift_s: float) -> None:
+            # In these orders a pause between two looks, however long on a busy machine, only widens what is allowed.
+            least_s = time.time() - time.monotonic()
+            before_s = time.monotonic()
+            begun_s, ended_s, walls_s = ask()
+            assert before_s <= begun_s <= ended_s <= time.monotonic()
+            most_s = -time.monotonic() + time.time()
+            for wall_s in walls_s:
+                assert begun_s + least_s + shift_s - SLACK_S <= wall_s <= ended_s + most_s + shift_s + SLACK_S
+
+        check(0.0)
         clock.jump(shift_s)
-        before_s = time.monotonic()
-        wall_s, mono_s, whole_s, date_s = ask()
-        assert wall_s == pytest.approx(true_s + shift_s, abs=0.2)
-        assert date_s == pytest.approx(true_s + shift_s, abs=0.2)
-        assert whole_s == pytest.approx(true_s + shift_s, abs=1.2)
-        assert before_s <= mono_s <= time.monotonic()
+        check(shift_s)
         program.stdin.close()
     clock.close()
