@@ -91,9 +91,8 @@ def killing(who: str, number: int) -> Inject:
 async def loop_blocked(chain: Chain, rng: random.Random) -> Instant:
     instant = await now(chain)
     await chain.tell_robot(rng.choice(["busy", "asleep"]))
-    return Instant(
-        (await chain.logged("block")).before_ns, instant.mega_us
-    )  # stamped by the loop itself, as its last deed
+    blocked = await chain.logged("block")  # stamped by the loop itself, as its last deed
+    return Instant(blocked.before_ns, instant.mega_us)
 
 
 async def serial_unplugged(chain: Chain, _rng: random.Random) -> Instant:

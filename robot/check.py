@@ -209,4 +209,4 @@ async def _set_alone(config: PiConfig) -> str:
     devices = adapter.open_pi(config)
     if not await check_devices(devices, config.track_m):
         raise CheckFailed("see above")
-    return "Mega and what hangs on it answer"
+    return "all of it answers"
