@@ -26,7 +26,7 @@ from station.kept_recordings import recover_recordings, retain_recordings
 from station.link import LinkState, RobotLink
 from station.locating import Locating
 from station.mailbox import Broadcast
-from station.map_library import Maps
+from station.map_library import Maps, PlacesChange
 from station.maps.map import Place
 from station.maps.store import MapSummary, StoreAddress
 from station.recorder import Recorder
@@ -303,6 +303,13 @@ class Station:
         self._regroup()
         self.events.say("map", f"{len(set(place_ids))} places are {place.name} now")
         return place
+
+    async def undo_places(self, version: int | None) -> PlacesChange:
+        """Take back the newest change of the places. Raises Conflict."""
+        change = await self.maps.undo(version)
+        self._regroup()
+        self.events.say("map", f"taken back: {change.why}")
+        return change
 
     def _regroup(self) -> None:
         place_map = self.maps.require_active().place_map

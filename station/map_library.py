@@ -8,6 +8,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -18,14 +19,17 @@ from shared.errors import DataError, RobotSystemError
 from station.events import Events
 from station.live import NO_PLACE
 from station.maps.checking import collect_garbage
+from station.maps.editing import with_place_renamed
 from station.maps.map import Place, PlaceMap
 from station.maps.purging import purge
+from station.maps.record import MapRecord
 from station.maps.store import MapStore, MapSummary, StoreAddress
 from station.places.changes import with_place_hidden, with_places_merged
 from station.places.evidence import gather_evidence
 from station.refusals import Conflict, Unknown
 
 logger = logging.getLogger(__name__)
+MAX_WHY = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +50,15 @@ class ActiveMap:
     def visible_places(self) -> tuple[Place, ...]:
         """Those that are not hidden: the graph's nodes."""
         return tuple(place for place in self.place_map.places if not place.hidden)
+
+
+@dataclass(frozen=True, slots=True)
+class PlacesChange:
+    """A place was renamed, hidden or shown, or places were merged."""
+
+    version: int  # of the map, that it led to
+    why: str  # for a person
+    changed_wall_s: float
 
 
 class Maps:
@@ -131,28 +144,59 @@ class Maps:
         """Raises Conflict, Unknown, or DataError for a name in use."""
         async with self._changing:
             active = self.require_active()
-            active.place(place_id)
-            place_map = await asyncio.to_thread(self._store.rename_place, active.place_map.id, place_id, name)
+            why = f"{active.place(place_id).name} is {name.strip()} now"[:MAX_WHY]
+            rename = partial(with_place_renamed, place_id=place_id, name=name)
+            place_map = await asyncio.to_thread(self._store.edit, active.place_map.id, rename, why)
             return self._take(place_map).place(place_id)
 
     async def hide_place(self, place_id: str, hidden: bool) -> Place:
         """Leave a place out of answers and graph, or show it again. Raises Conflict, Unknown."""
-        why = f"{place_id} is hidden" if hidden else f"{place_id} is shown"
-        await self._regroup([place_id], lambda m: with_place_hidden(m, place_id, hidden), why)
+        await self._regroup(
+            [place_id],
+            lambda m: with_place_hidden(m, place_id, hidden),
+            lambda places: f"{places[0].name} is {'hidden' if hidden else 'shown again'}",
+        )
         return self.require_active().place(place_id)
 
     async def merge_places(self, place_ids: Sequence[str]) -> Place:
         """Make several places one, which keeps id and name of the first. Raises Conflict, Unknown, DataError."""
-        why = f"merged {' and '.join(place_ids)}"
-        await self._regroup(place_ids, lambda m: with_places_merged(m, place_ids), why)
+        await self._regroup(
+            place_ids,
+            lambda m: with_places_merged(m, place_ids),
+            lambda places: f"{' and '.join(place.name for place in places)} are one",
+        )
         return self.require_active().place(place_ids[0])
 
-    async def _regroup(self, place_ids: Sequence[str], change: Callable[[PlaceMap], PlaceMap], why: str) -> None:
+    async def _regroup(
+        self, place_ids: Sequence[str], change: Callable[[PlaceMap], PlaceMap], why: Callable[[Sequence[Place]], str]
+    ) -> None:
         async with self._changing:
             active = self.require_active()
-            for place_id in place_ids:
-                active.place(place_id)
-            self._take(await asyncio.to_thread(self._store.edit, active.place_map.id, change, why[:200]))
+            places = tuple(active.place(place_id) for place_id in place_ids)
+            self._take(await asyncio.to_thread(self._store.edit, active.place_map.id, change, why(places)[:MAX_WHY]))
+
+    async def changes(self) -> tuple[PlacesChange, ...]:
+        """What people made of the active map's places, the newest first: what `undo` takes back. Raises Conflict."""
+        map_id = self.require_active().place_map.id
+        return _changes(await asyncio.to_thread(self._store.history, map_id))
+
+    async def undo(self, version: int | None) -> PlacesChange:
+        """Take back the newest change of the places; `version`: only if it is that one. Returns what was taken back.
+
+        Raises:
+            Conflict: no map is active, there is nothing to take back, or another change came since.
+        """
+        async with self._changing:
+            map_id = self.require_active().place_map.id
+            history = await asyncio.to_thread(self._store.history, map_id)
+            changes = _changes(history)
+            if not changes:
+                raise Conflict("no change of the places can be taken back: they are as they were made")
+            if version is not None and changes[0].version != version:
+                raise Conflict(f"another change came since: {changes[0].why}; GET /places/changes lists them")
+            await asyncio.to_thread(self._store.undo, map_id, newest_is=history[0].number)
+            self._take(await asyncio.to_thread(self._store.load, map_id))
+            return changes[0]
 
     def _take(self, place_map: PlaceMap) -> ActiveMap:
         """The active map with other places or names."""
@@ -206,6 +250,18 @@ def keyframe_image(place_map: PlaceMap, keyframe: int) -> bytes:
 def _derive(store: MapStore, map_id: str) -> ActiveMap:
     place_map = store.load(map_id)
     return ActiveMap(place_map, _place_of_point(place_map))
+
+
+def _changes(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
+    """The edits that led from the map as it was made to the newest version; those taken back are not among them."""
+    by_number = {record.number: record for record in history}
+    changes: list[PlacesChange] = []
+    record = by_number.get(history[0].content) if history else None
+    while record is not None and record.kind == "edited":
+        changes.append(PlacesChange(record.number, record.why, record.created_ms / 1e3))
+        before = by_number.get(record.previous or 0)
+        record = None if before is None else by_number.get(before.content)
+    return tuple(changes)
 
 
 def _place_of_point(place_map: PlaceMap) -> npt.NDArray[np.uint8]:

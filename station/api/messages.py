@@ -13,6 +13,7 @@ from station.api.models import (
     Model,
     NavigationModel,
     Number,
+    Question,
     RobotModel,
     SlamModel,
     VisitModel,
@@ -98,7 +99,7 @@ EventMessage = Annotated[
 # /ws/drive, page to station
 
 
-class DriveCommand(Model):
+class DriveCommand(Question):
     type: Literal["drive"] = "drive"
     seq: int = Field(ge=0, le=2**53)
     linear: Number
@@ -107,24 +108,24 @@ class DriveCommand(Model):
     heard_ms: int | None = Field(default=None, ge=0, le=2**53, description="t_ms of the newest `time` heard before")
 
 
-class StopCommand(Model):
+class StopCommand(Question):
     """Motors off, and why: the log shows it."""
 
     type: Literal["stop"] = "stop"
     reason: str = Field(default="", max_length=100)
 
 
-class PanTiltCommand(Model):
+class PanTiltCommand(Question):
     type: Literal["pan_tilt"] = "pan_tilt"
     pan: Number
     tilt: Number
 
 
-class TakeOverCommand(Model):
+class TakeOverCommand(Question):
     type: Literal["take_over"] = "take_over"
 
 
-class ReleaseCommand(Model):
+class ReleaseCommand(Question):
     type: Literal["release"] = "release"
 
 
@@ -161,7 +162,7 @@ class DriveReply(Model):
 
 
 class TimeReply(Model):
-    """The station's clock, ten times a second. A drive command that repeats it shows by it that it is not old."""
+    """The station's clock, twenty times a second. A drive command that repeats it shows by it that it is not old."""
 
     type: Literal["time"] = "time"
     t_ms: int

@@ -15,6 +15,12 @@ class Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Question(Model):
+    """Base of what is asked: no value is taken for another kind, so that `true` is no speed."""
+
+    model_config = ConfigDict(strict=True)
+
+
 class Problem(BaseModel):
     """What went wrong (RFC 9457)."""
 
@@ -88,17 +94,37 @@ class PlaceModel(Model):
     hidden: bool = Field(description="by a person: never the current place, and not in the graph")
 
 
-class PlaceChange(Model):
+class PlaceChange(Question):
     """What is to be otherwise; what is left out or null stays."""
 
     name: str | None = Field(default=None, min_length=1, max_length=80, examples=["Kitchen"])
     hidden: bool | None = Field(default=None, examples=[False])
 
 
-class PlaceMerge(Model):
+class PlaceMerge(Question):
     """Which places are one; it keeps id and name of the first."""
 
     places: list[str] = Field(min_length=2, max_length=50, examples=[["place-5a1c09", "place-77d0e2"]])
+
+
+class PlacesChangeModel(Model):
+    """What a person made of the places: renamed, hidden, merged."""
+
+    version: int = Field(description="of the map, that the change led to", examples=[4])
+    why: str = Field(examples=["Kitchen and Place 3 are one"])
+    unix_s: float
+
+
+class UndoOrder(Question):
+    """What to take back."""
+
+    version: int | None = Field(
+        default=None,
+        ge=1,
+        le=2**53,
+        description="only if this is the newest change; null: whatever it is",
+        examples=[4],
+    )
 
 
 class EdgeModel(Model):
@@ -128,7 +154,7 @@ class MapModel(Model):
     damaged: str = Field(description="a sentence, where the map cannot be read", examples=[""])
 
 
-class MapOrder(Model):
+class MapOrder(Question):
     """What to build a map from."""
 
     navigations: list[str] = Field(min_length=1, max_length=20, examples=[["nav-20260105-101500"]])
@@ -137,7 +163,7 @@ class MapOrder(Model):
     activate: bool = Field(default=True, description="use the map as soon as it is built")
 
 
-class MapChoice(Model):
+class MapChoice(Question):
     id: str | None = Field(description="null: no map", examples=["map-0a1b"])
 
 
@@ -161,7 +187,7 @@ class NavigationModel(Model):
     recording: str | None = Field(description="where to download the MCAP file")
 
 
-class ReprocessOrder(Model):
+class ReprocessOrder(Question):
     """How to run SLAM over a recording again."""
 
     backend: Literal["sfm", "ukf"] | None = Field(default=None, description="null: the station's own")
@@ -176,7 +202,7 @@ class ReplayModel(Model):
     T_world_cam: list[list[float]] = Field(description="row-major 4x4 each")
 
 
-class ComparisonOrder(Model):
+class ComparisonOrder(Question):
     """Which drives to compare: places are made of the first one and looked for in the second."""
 
     first: str = Field(examples=["nav-20260105-101500"])
@@ -200,7 +226,7 @@ class ComparisonModel(Model):
     report: str = Field(examples=["/comparisons/cmp-20260106-091200/report.html"])
 
 
-class NavigationStart(Model):
+class NavigationStart(Question):
     name: str = Field(default="", max_length=80, examples=["Tuesday, all rooms"])
 
 
@@ -323,7 +349,7 @@ class RobotModel(Model):
     faults: list[str]
 
 
-class DriveOrder(Model):
+class DriveOrder(Question):
     """Hold this velocity, then stop."""
 
     linear: Number = Field(description="m/s, forward", examples=[0.2])
@@ -331,12 +357,12 @@ class DriveOrder(Model):
     ttl_ms: int = Field(default=250, ge=1, le=1000, description="stop after this, unless told again", examples=[250])
 
 
-class PanTiltOrder(Model):
+class PanTiltOrder(Question):
     pan: Number = Field(description="rad, left", examples=[0.3])
     tilt: Number = Field(description="rad, up", examples=[0.0])
 
 
-class HijackOrder(Model):
+class HijackOrder(Question):
     x: Number = Field(description="m, the simulated world's frame", examples=[1.0])
     y: Number = Field(examples=[2.0])
     yaw: Number = Field(description="rad", examples=[0.0])

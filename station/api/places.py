@@ -9,9 +9,18 @@ from fastapi import APIRouter, Query, Response
 
 from station.api.deps import StationDep
 from station.api.maps import image_response
-from station.api.models import CurrentPlace, GraphModel, PlaceChange, PlaceMerge, PlaceModel, VisitModel
+from station.api.models import (
+    CurrentPlace,
+    GraphModel,
+    PlaceChange,
+    PlaceMerge,
+    PlaceModel,
+    PlacesChangeModel,
+    UndoOrder,
+    VisitModel,
+)
 from station.api.problems import responses
-from station.api.views import current_place, edge_model, place_model, visit_model
+from station.api.views import change_model, current_place, edge_model, place_model, visit_model
 from station.map_library import keyframe_image, mean_image
 from station.places.changes import shown
 from station.places.graph import to_graphml
@@ -50,6 +59,12 @@ async def places(station: StationDep) -> list[PlaceModel]:
     return [place_model(active, place) for place in active.place_map.places]
 
 
+@router.get("/places/changes", summary="What people made of the places, the newest first", responses=responses(409))
+async def changes(station: StationDep) -> list[PlacesChangeModel]:
+    """Changes of the active map that can be taken back, one after the other; those taken back are not listed."""
+    return [change_model(change) for change in await station.maps.changes()]
+
+
 @router.get("/places/{place_id}", summary="One place", responses=responses(404, 409))
 async def place(place_id: str, station: StationDep) -> PlaceModel:
     active = station.maps.require_active()
@@ -58,9 +73,15 @@ async def place(place_id: str, station: StationDep) -> PlaceModel:
 
 @router.post("/places/merge", summary="Make several places one", responses=responses(404, 409))
 async def merge(order: PlaceMerge, station: StationDep) -> PlaceModel:
-    """The place keeps id and name of the first one; the others are gone. The map's history has them."""
+    """The place keeps id and name of the first one; the others are gone. POST /places/undo takes it back."""
     merged = await station.merge_places(order.places)
     return place_model(station.maps.require_active(), merged)
+
+
+@router.post("/places/undo", summary="Take back the newest change of the places", responses=responses(409))
+async def undo(station: StationDep, order: UndoOrder | None = None) -> PlacesChangeModel:
+    """A new name, hiding or a merge. Answers what was taken back; 409 when another change came after `version`."""
+    return change_model(await station.undo_places(order.version if order else None))
 
 
 @router.patch("/places/{place_id}", summary="Rename, hide or show a place", responses=responses(404, 409))

@@ -24,6 +24,7 @@ from station.api.models import (
     PlaceModel,
     PlaceName,
     PlaceProbability,
+    PlacesChangeModel,
     RatesModel,
     ReplayModel,
     RobotModel,
@@ -37,7 +38,7 @@ from station.drive_library import DriveRecord
 from station.events import LogLine
 from station.jobs import Job
 from station.locating import Visit
-from station.map_library import ActiveMap
+from station.map_library import ActiveMap, PlacesChange
 from station.maps.map import Place, PlaceEdge
 from station.maps.store import MapSummary
 from station.navigation import Navigation
@@ -192,6 +193,10 @@ def place_model(active: ActiveMap, place: Place) -> PlaceModel:
         colour=[p.id for p in active.place_map.places].index(place.id),
         hidden=place.hidden,
     )
+
+
+def change_model(change: PlacesChange) -> PlacesChangeModel:
+    return PlacesChangeModel(version=change.version, why=change.why, unix_s=change.changed_wall_s)
 
 
 def edge_model(edge: PlaceEdge) -> EdgeModel:

@@ -17,6 +17,7 @@ from station.exporting import export_euroc, export_mcap, export_ply
 from station.maps.folder import load_map_folder
 from station.maps.map import PlaceMap
 from station.navigation_files import load_navigation, write_tum
+from station.places.changes import shown
 from station.places.graph import to_graphml
 
 
@@ -58,7 +59,7 @@ def export(
     if file_format is ExportFormat.GRAPHML:
         if place_map is None:
             raise DataError(f"{source} is a navigation and has no place graph; give a map for --format graphml")
-        text = to_graphml(place_map)
+        text = to_graphml(shown(place_map))
         _whole_or_not(out, lambda path: path.write_text(text))
         return
     writers: dict[ExportFormat, Callable[[Path], None]] = {

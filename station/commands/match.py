@@ -15,6 +15,7 @@ from station.experiments.experiment import Experiment, Story, judge
 from station.experiments.inputs import open_truth
 from station.maps.folder import load_map_folder
 from station.navigation_files import load_navigation
+from station.places.changes import shown
 from station.places.match import match_navigation
 
 
@@ -42,7 +43,8 @@ def match(
     check_out_folder(out)
     config = places_config(mode, eps, min_pts, inlier_ratio, align_by)
     truths = open_truth(truth1), open_truth(truth2)
-    place_map, second = load_map_folder(path), load_navigation(navigation)
+    # A place that a person has hidden is no answer here either.
+    place_map, second = shown(load_map_folder(path)), load_navigation(navigation)
     with working(f"matching {second.id} with {place_map.name}"):
         result = match_navigation(place_map, second, config, seed=seed)
         judgement, not_judged = judge(place_map, second, truths, result)

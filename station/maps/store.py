@@ -195,11 +195,13 @@ class MapStore:
             record = self._present(rows, map_id)
             self._append(connection, rows, replace(record, why="deleted"), record, "deleted")
 
-    def undo(self, map_id: str, to: int | None = None) -> MapRecord:
+    def undo(self, map_id: str, to: int | None = None, *, newest_is: int | None = None) -> MapRecord:
         """Take back the last change, also a deletion; again: the one before. `to`: go to this version instead.
 
+        Args:
+            newest_is: the version the caller saw last; nothing happens when there is a newer one by now.
         Raises:
-            DataError: there is nothing to take back, or no such version.
+            DataError: there is nothing to take back, no such version, or a newer one than `newest_is`.
         """
         self.open(writes=True)
         with self._changing(map_id) as connection:
@@ -207,6 +209,10 @@ class MapStore:
             newest = self._readable(rows)
             if newest is None:
                 raise self._no_map(map_id)
+            if newest_is is not None and newest.number != newest_is:
+                raise DataError(
+                    f"map {map_id} was changed since: it is at version {newest.number}, not {newest_is}; look again"
+                )
             target = to if to is not None else self._before(rows, newest)
             row = next((row for row in rows if row.number == target), None)
             if row is None:

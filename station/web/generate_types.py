@@ -37,6 +37,7 @@ def generate() -> str:
             and model
             not in (
                 models.Model,
+                models.Question,
                 BaseModel,
             )
         ):

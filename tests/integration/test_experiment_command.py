@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, quat_from_rotation, se3, yaw_rotation
 from station.main import app
-from station.maps.folder import save_map_folder
+from station.maps.folder import load_map_folder, save_map_folder
 from station.navigation_files import load_navigation, save_navigation
 from station.places.build import build_map
+from station.places.changes import with_place_hidden
 from tests.synthetic_home import drive, furnished_room, navigate
 
 
@@ -106,6 +107,16 @@ def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
     results = json.loads((tmp_path / "match" / "results.json").read_text())
     assert results["truth"] == "none" and results["precision"] is None
     assert results["matches"] and all(match["correct"] is None for match in results["matches"])
+    # A place that a person hides is no answer any more, and not in the graph; its neighbours are.
+    place_map = load_map_folder(tmp_path / "map")
+    hidden = results["matches"][0]["place"]
+    save_map_folder(with_place_hidden(place_map, hidden, hidden=True), tmp_path / "map")
+    run("match", tmp_path / "map", data / "nav2", "--out", tmp_path / "again")
+    again = json.loads((tmp_path / "again" / "results.json").read_text())
+    assert again["places"] == results["places"] - 1
+    assert again["matches"] and hidden not in {match["place"] for match in again["matches"]}
+    run("export", tmp_path / "map", "--format", "graphml", "--out", tmp_path / "shown.graphml")
+    assert f'id="{hidden}"' not in (tmp_path / "shown.graphml").read_text()
 
 
 @pytest.mark.parametrize(

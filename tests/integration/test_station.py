@@ -394,6 +394,37 @@ async def test_places_are_hidden_shown_and_merged_and_that_outlives_the_station(
         await wait_for(desk, "/place/current", lambda a: a["place"] and a["place"]["name"] == "Sofa")
 
 
+async def test_what_was_made_of_places_is_taken_back_one_after_the_other(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    first, second, third = place_map.places[:3]
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        assert is_problem(await http.post("/places/undo"), 409)  # no map is active
+        await http.put("/maps/active", json={"id": place_map.id})
+        assert (await http.get("/places/changes")).json() == []
+        assert is_problem(await http.post("/places/undo"), 409)  # there is nothing to take back
+        await http.patch(f"/places/{first.id}", json={"name": "Sofa"})
+        await http.post("/places/merge", json={"places": [first.id, second.id]})
+        merge, rename = (await http.get("/places/changes")).json()
+        assert (merge["why"], rename["why"]) == (f"Sofa and {second.name} are one", f"{first.name} is Sofa now")
+        await http.patch(f"/places/{third.id}", json={"hidden": True})
+        # Another change came since the page offered to take the merge back.
+        assert is_problem(await http.post("/places/undo", json={"version": merge["version"]}), 409)
+        await http.post("/places/undo")
+        assert (await http.post("/places/undo", json={"version": merge["version"]})).json() == merge
+        places = {p["id"]: p for p in (await http.get("/places")).json()}
+        assert (places[first.id]["name"], places[third.id]["hidden"]) == ("Sofa", False)
+        assert places[second.id]["landmarks"] == len(second.landmark_index)
+        await wait_for(desk, "/place/current", lambda a: a["place"] and a["place"]["name"] == "Sofa")
+        assert (await http.get("/places/changes")).json() == [rename]
+        await http.post("/places/undo")
+        assert is_problem(await http.post("/places/undo"), 409)  # as it was made: the map itself stays
+        assert [(p["id"], p["name"]) for p in (await http.get("/places")).json()] == [
+            (p.id, p.name) for p in place_map.places
+        ]
+        assert "taken back" in (await http.get("/log")).text
+
+
 async def test_the_active_map_is_still_active_after_a_restart(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
     async with running_station(1, tmp_path) as desk:

@@ -366,6 +366,14 @@ export interface PlaceProbability {
   probability: number;
 }
 
+/** What a person made of the places: renamed, hidden, merged. */
+export interface PlacesChangeModel {
+  /** of the map, that the change led to */
+  version: number;
+  why: string;
+  unix_s: number;
+}
+
 export interface PoseMessage {
   type: "pose";
   slam: SlamModel;
@@ -466,7 +474,7 @@ export interface TakeOverCommand {
   type: "take_over";
 }
 
-/** The station's clock, ten times a second. A drive command that repeats it shows by it that it is not old. */
+/** The station's clock, twenty times a second. A drive command that repeats it shows by it that it is not old. */
 export interface TimeReply {
   type: "time";
   t_ms: number;
@@ -481,6 +489,12 @@ export interface TrajectoryModel {
   t_robot_ns: number[];
   /** body positions, (N, 3) */
   p_world: number[][];
+}
+
+/** What to take back. */
+export interface UndoOrder {
+  /** only if this is the newest change; null: whatever it is */
+  version: number | null;
 }
 
 /** A stretch of time with one answer. */
