@@ -38,6 +38,7 @@ pick --runs 1000 -- --runs 20;                                 bench clock bench
 pick --inputs 1000000 -- --inputs 2000;                        bench fuzz benchmarks.bench_fuzz "${picked[@]}"
 pick --kills 600 -- --kills 6;                                 bench crash benchmarks.bench_crash --out "$results/${quick:+quick-}crash.jsonl" "${picked[@]}"
 pick --flips 1000 -- --flips 10;                               bench flips benchmarks.bench_flips "${picked[@]}"
+pick --examples 100 -- --examples 2;                           bench openapi benchmarks.bench_openapi "${picked[@]}"
 pick --minutes 2 -- --minutes 0.1 --stall-minutes 0.2;         bench link benchmarks.bench_link "${picked[@]}"
 pick --seconds 20 -- --seconds 2;                              bench robot_cpu benchmarks.bench_robot_cpu "${picked[@]}"
 pick --trials 100 -- --trials 2 --plain-minutes 0.5;           bench hijack benchmarks.bench_hijack "${picked[@]}"
