@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+import msgspec
+
 from robot.announce import Announcement, announced_addresses
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
@@ -24,6 +26,8 @@ from shared.listening import bind
 logger = logging.getLogger(__name__)
 
 DeviceKind = Literal["simulated", "recorded", "pi"]
+# What a page calls a robot that nobody named; one of flesh and wire goes by its host's name.
+UNNAMED = {"simulated": "Simulated robot", "recorded": "Recorded robot"}
 EXTRA = {
     "simulated": "simulation",
     "emulated": "robot",
@@ -37,7 +41,8 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
     listener = bind(config.server.host, config.server.port)
     with listener:
         devices, systemd = open_devices(kind, config), Systemd.of(os.environ)
-        server = RobotServer(devices, config, starts_with_first_station=kind == "recorded", systemd=systemd)
+        is_replay = kind == "recorded"
+        server = RobotServer(devices, named(kind, config), starts_with_first_station=is_replay, systemd=systemd)
         atexit.register(server.stop_motors)
         host, port = listener.getsockname()[:2]
         addresses = announced_addresses(host)
@@ -50,6 +55,14 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
             server.stop_motors()
             if announcement is not None:
                 announcement.close()
+
+
+def named(kind: DeviceKind, config: RobotConfig) -> RobotConfig:
+    """The configuration with a name for people, where the file gives none and the host's says nothing of the robot."""
+    identity = config.identity
+    if identity.name or identity.id or kind not in UNNAMED:
+        return config
+    return msgspec.structs.replace(config, identity=msgspec.structs.replace(identity, name=UNNAMED[kind]))
 
 
 def check(kind: DeviceKind, config: RobotConfig) -> bool:

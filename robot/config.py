@@ -28,7 +28,7 @@ class IdentityConfig(_Section, frozen=True, kw_only=True):
     """Who this robot is."""
 
     id: ShortText = ""  # empty: the host's name
-    name: ShortText = ""  # empty: the id
+    name: ShortText = ""  # for people; empty: the id, and "Simulated robot" for a simulated one without id
 
 
 class ServerConfig(_Section, frozen=True, kw_only=True):

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from robot.config import RobotConfig, load_config
+from robot.app import named
+from robot.config import IdentityConfig, RobotConfig, load_config
 from shared.errors import ConfigError
 
 
@@ -19,6 +20,13 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_defaults_work_without_a_file() -> None:
     assert load_config(None, {}) == RobotConfig()
     assert (RobotConfig().server.host, RobotConfig().server.port) == ("127.0.0.1", 7400)
+
+
+def test_a_simulated_robot_that_nobody_named_is_called_that_and_another_keeps_its_name() -> None:
+    assert named("simulated", RobotConfig()).identity.name == "Simulated robot"
+    assert named("pi", RobotConfig()) == RobotConfig()
+    mine = RobotConfig(identity=IdentityConfig(name="Rosa"))
+    assert named("simulated", mine) == mine
 
 
 def test_command_line_overrides_the_file(tmp_path: Path) -> None:
