@@ -152,6 +152,18 @@ async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> Non
     await expect(page.locator(f"[data-place='{third.id}']")).to_have_count(0)
     await expect(page.locator(f"[data-place='{second.id}']")).to_have_count(1)
     assert third.id not in [p["id"] for p in (await room.desk.http.get("/places")).json()]
+    await page.locator("#toast").get_by_role("button", name="Undo").click()
+    await expect(page.locator(f"[data-place='{third.id}']")).to_have_count(1)
+    places = {p["id"]: p for p in (await room.desk.http.get("/places")).json()}
+    assert places[second.id]["landmarks"] == len(second.landmark_index)
+    # What came before can be taken back too, also when the page is opened anew.
+    await page.reload()
+    await expect(page.locator("#undo-text")).to_have_text(f"{first.name} is shown again")
+    await page.locator("#undo-places").click()
+    await expect(page.locator("#undo-text")).to_have_text(f"{first.name} is hidden")
+    await page.locator("#undo-places").click()
+    await expect(page.locator("#undo")).to_be_hidden()
+    await expect(page.locator("#place-name")).to_have_text(first.name)
 
 
 async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
@@ -172,7 +184,8 @@ async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> 
 async def test_the_hijack_button_moves_a_simulated_robot(room: Room) -> None:
     page = await room.open()
     await page.locator("#hijack").click()
-    await page.locator("#ask input").fill("2 1 90")
+    for label, value in (("x, m", "2"), ("y, m", "1"), ("heading, degrees", "90")):
+        await page.get_by_role("spinbutton", name=label).fill(value)
     await page.locator("#ask button[type=submit]").click()
     await until(lambda: [m[:2] for m in room.bench.head.moved] == [(2.0, 1.0)])
     await expect(page.locator("#log")).to_contain_text("put down elsewhere")

@@ -24,7 +24,7 @@ async def download(page: Page, link: str) -> bytes:
     return path.read_bytes()
 
 
-async def test_record_build_and_download(room: Room) -> None:
+async def test_record_build_compare_replay_and_download(room: Room) -> None:
     keep_drive(room.desk.station.config.data_dir, "nav-before")
     room.desk.station.drives.library.open()
     page = await room.open()
@@ -41,6 +41,25 @@ async def test_record_build_and_download(room: Room) -> None:
     assert (await download(page, "MCAP")).startswith(b"\x89MCAP")
     assert (await download(page, "PLY")).startswith(b"ply")
     assert len((await download(page, "TUM")).splitlines()) > 10
+    await page.get_by_role("checkbox", name="Drive nav-before").check()
+    await page.get_by_role("button", name="Compare").click()
+    await page.locator("#comparisons").get_by_role("button", name="Show").click(timeout=300_000)
+    await expect(page.locator("#review-note")).to_contain_text("places found again")
+    await expect(page.locator("[data-registered=true]")).to_have_attribute("aria-pressed", "true")
+    await page.locator("[data-registered=false]").click()
+    await expect(page.locator("[data-registered=false]")).to_have_attribute("aria-pressed", "true")
+    assert b"<!doctype html>" in (await download(page, "Download")).lower()
+    [comparison] = (await room.desk.http.get("/comparisons")).json()
+    assert comparison["accepted"]
+
+    await recorded.get_by_role("button", name="More about").click()
+    await page.get_by_role("button", name="Replay").click()
+    await expect(page.locator("#replay-video")).to_be_visible()
+    await page.wait_for_function("() => Number(document.getElementById('replay-video').dataset.shown) > 1")
+    await expect(page.locator("#review-title")).to_have_text(await recorded.locator("strong").inner_text())
+    await expect(page.locator(".age")).not_to_have_class("tag age bad")  # the live picture goes on
+    await page.get_by_role("button", name="Close", exact=True).click()
+    await expect(page.locator("#review")).to_be_hidden()
 
 
 async def test_drives_and_maps_are_deleted_and_brought_back(room: Room) -> None:
@@ -71,7 +90,8 @@ async def test_a_hijack_is_told_and_the_new_place_is_shown(room: Room) -> None:
     await room.desk.http.put("/maps/active", json={"id": place_map.id})
     await expect(page.locator("#place-name")).to_have_text(first.name)
     await page.locator("#hijack").click()
-    await page.locator("#ask input").fill("2 1 90")
+    for label, value in (("x, m", "2"), ("y, m", "1"), ("heading, degrees", "90")):
+        await page.get_by_role("spinbutton", name=label).fill(value)
     await page.locator("#ask button[type=submit]").click()
     await until(lambda: room.bench.head.moved)
     room.film.turn_the_light_out()

@@ -56,16 +56,24 @@ export function attempt(action: () => Promise<unknown>): void {
   action().catch((error: unknown) => toast(error instanceof Error ? error.message : String(error)));
 }
 
-/** Ask for a text, or for consent when there is no field. Null when the person changes their mind. */
-export function ask(title: string, confirm: string, field?: { label: string; value: string }): Promise<string | null> {
+export interface Field {
+  label: string;
+  value: string;
+  isNumber?: boolean;
+}
+
+/** Ask for some texts or numbers, or for consent when there is no field. Null when the person changes their mind. */
+export function askAll(title: string, confirm: string, fields: Field[], note = ""): Promise<string[] | null> {
   const dialog = by<HTMLDialogElement>("ask");
   return new Promise((resolve) => {
-    const input = field ? make("input", { value: field.value, maxlength: "80", required: true }) : null;
+    const inputs = fields.map(({ value, isNumber }) =>
+      make("input", isNumber ? { value, type: "number", step: "any", required: true } : { value, maxlength: "80", required: true }));
     const form = make(
       "form",
       { method: "dialog" },
       make("h2", {}, title),
-      field && make("label", {}, field.label, input!),
+      fields.length > 0 && make("div", { class: "fields" }, ...fields.map(({ label }, i) => make("label", {}, label, inputs[i]!))),
+      note !== "" && make("p", { class: "note" }, note),
       make(
         "div",
         { class: "row end" },
@@ -73,12 +81,18 @@ export function ask(title: string, confirm: string, field?: { label: string; val
         make("button", { type: "submit", class: "primary", value: "yes" }, confirm),
       ),
     );
+    dialog.setAttribute("aria-label", title);
     dialog.replaceChildren(form);
-    dialog.onclose = () => resolve(dialog.returnValue === "yes" ? (input?.value.trim() ?? "yes") : null);
+    dialog.onclose = () => resolve(dialog.returnValue === "yes" ? inputs.map((input) => input.value.trim()) : null);
     dialog.returnValue = "";
     dialog.showModal();
-    input?.select();
+    inputs[0]?.select();
   });
+}
+
+/** Ask for one text. Null when the person changes their mind. */
+export async function ask(title: string, confirm: string, field: Field): Promise<string | null> {
+  return (await askAll(title, confirm, [field]))?.[0] ?? null;
 }
 
 export const percent = (p: number): string => `${Math.round(p * 100)} %`;

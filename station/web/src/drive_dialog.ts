@@ -41,7 +41,7 @@ export function openDrive(n: NavigationModel, others: NavigationModel[], actions
     make("div", { class: "row wrap" }, make("span", { class: "note" }, "Download"),
       n.recording !== null && file("recording.mcap", "MCAP"), isReady && file("trajectory.tum", "TUM"), isReady && file("landmarks.ply", "PLY")),
     make("div", { class: "row end wrap" },
-      button("Delete", () => actions.remove(n), "quiet"),
+      button("Delete", () => actions.remove(n), "quiet apart"),
       button("Close", async () => {}, "quiet"),
       n.recording !== null && button("Run SLAM again", () => call("POST", `/navigations/${n.id}/reprocess`, {})),
       n.recording !== null && button("Replay", () => actions.replay(n)),

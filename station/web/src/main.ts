@@ -1,7 +1,7 @@
 // The page: parts that show, one event stream that tells them.
 import "./style.css";
 import { call, LastingSocket } from "./api";
-import { ask, attempt, by, show } from "./dom";
+import { askAll, attempt, by, show } from "./dom";
 import { DriveControl } from "./drive";
 import { HealthView } from "./health";
 import { Library } from "./library";
@@ -29,7 +29,7 @@ function makeMap(): MapView | null {
 }
 
 if (map) map.onPlace = (place) => places.open(place);
-if (map) map.onPlaces = (all) => places.setPlaces(all);
+if (map) map.onPlaces = (all, changes) => places.setPlaces(all, changes);
 const review = new Review(map);
 library.onReplay = (navigation) => review.replay(navigation);
 library.onCompare = (id) => review.compare(id);
@@ -105,11 +105,15 @@ async function load(): Promise<void> {
 
 by("hijack").addEventListener("click", () =>
   attempt(async () => {
-    const where = await ask("Put the simulated robot down elsewhere", "Hijack", { label: "x y heading (m, m, degrees)", value: "1.0 1.0 90" });
+    const where = await askAll(
+      "Put the simulated robot down elsewhere",
+      "Hijack",
+      ["x, m", "y, m", "heading, degrees"].map((label, i) => ({ label, value: ["1", "1", "90"][i]!, isNumber: true })),
+      "In the simulated world's own coordinates, which no map knows. A spot that is not free floor is refused; the events say so.",
+    );
     if (!where) return;
-    const [x, y, degrees] = where.trim().split(/[\s,;]+/).map(Number);
-    if (![x, y, degrees].every((n) => Number.isFinite(n))) throw new Error("three numbers are needed: x y heading");
-    await call("POST", "/robot/hijack", { x, y, yaw: (degrees! * Math.PI) / 180 });
+    const [x, y, degrees] = where.map(Number) as [number, number, number];
+    await call("POST", "/robot/hijack", { x, y, yaw: (degrees * Math.PI) / 180 });
   }),
 );
 

@@ -5,8 +5,9 @@ import { call } from "./api";
 import { Camera3d } from "./camera3d";
 import { type Cloud, extent, fetchCloud, PALETTE, setPointSize, toPoints } from "./cloud";
 import { by, make, setText, show } from "./dom";
+import { Labels } from "./labels";
 import { Refresh } from "./refresh";
-import type { CurrentPlace, GraphModel, PlaceModel, SlamModel, TrajectoryModel } from "./messages";
+import type { CurrentPlace, GraphModel, PlaceModel, PlacesChangeModel, SlamModel, TrajectoryModel } from "./messages";
 
 type View = "follow" | "top" | "free";
 type Layer = "map" | "live" | "review"; // of the active map, of the running or last drive, of what a person looks at again
@@ -15,10 +16,10 @@ const MAX_CHUNKS = 40; // then the live cloud is fetched whole again: fewer, lar
 
 export class MapView {
   onPlace: (place: PlaceModel) => void = () => {};
-  onPlaces: (places: PlaceModel[]) => void = () => {}; // of another map, or changed ones; hidden ones too
+  onPlaces: (places: PlaceModel[], changes: PlacesChangeModel[]) => void = () => {}; // of another map, or changed ones; hidden ones too
   private graph: GraphModel | null = null;
   private readonly host = by("scene");
-  private readonly labels = by("labels");
+  private readonly labels = new Labels(by("labels"));
   private readonly renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, powerPreference: "low-power" });
   private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
   private readonly controls: OrbitControls;
@@ -29,7 +30,6 @@ export class MapView {
   private readonly track: THREE.Vector3[] = [];
   private trackLine: THREE.Line | null = null;
   private graphLines: THREE.LineSegments | null = null;
-  private labelNodes: { node: HTMLElement; at: THREE.Vector3 }[] = [];
   private boxes: Record<Layer, THREE.Box3 | null> = { map: null, live: null, review: null };
   private points: Record<Layer, number> = { map: 0, live: 0, review: 0 };
   private layer: Layer = "map";
@@ -93,28 +93,29 @@ export class MapView {
   private async fetchMap(): Promise<void> {
     const wanted = this.wantedMap;
     if (wanted.id === null) {
-      this.takeMap(wanted, null, [], null);
+      this.takeMap(wanted, null, [], [], null);
       return;
     }
     const isNew = wanted.id !== this.map.id || wanted.revision !== this.map.revision;
     try {
-      const [graph, places, cloud] = await Promise.all([
+      const [graph, places, changes, cloud] = await Promise.all([
         call<GraphModel>("GET", "/graph"),
         call<PlaceModel[]>("GET", "/places"),
+        call<PlacesChangeModel[]>("GET", "/places/changes"),
         isNew ? fetchCloud(`/maps/${wanted.id}/landmarks`) : null,
       ]);
       // Another one's graph: it was chosen meanwhile, and its event is on the way.
-      if (this.wantedMap === wanted && graph.map === wanted.id) this.takeMap(wanted, graph, places, cloud);
+      if (this.wantedMap === wanted && graph.map === wanted.id) this.takeMap(wanted, graph, places, changes, cloud);
     } catch (error) {
       if (this.wantedMap === wanted) throw error; // of a map that nobody wants any more it means nothing
     }
   }
 
-  private takeMap(map: { id: string | null; revision: number }, graph: GraphModel | null, places: PlaceModel[], cloud: Cloud | null): void {
+  private takeMap(map: { id: string | null; revision: number }, graph: GraphModel | null, places: PlaceModel[], changes: PlacesChangeModel[], cloud: Cloud | null): void {
     const isOther = map.id !== this.map.id;
     this.map = map;
     this.graph = graph;
-    this.onPlaces(places);
+    this.onPlaces(places, changes);
     if (isOther || cloud) {
       this.clear("map");
       if (cloud) this.addCloud("map", cloud);
@@ -133,7 +134,7 @@ export class MapView {
     const id = place.place?.id ?? null;
     if (id !== this.currentPlaceId) {
       this.currentPlaceId = id;
-      for (const { node } of this.labelNodes) node.classList.toggle("here", node.dataset["place"] === id);
+      this.labels.setHere(id);
     }
     if (this.layer === "map") this.follow(this.robot.map.group);
     this.drawSoon();
@@ -304,8 +305,7 @@ export class MapView {
       this.graphLines.geometry.dispose();
       this.graphLines = null;
     }
-    this.labelNodes = [];
-    this.labels.replaceChildren();
+    this.labels.clear();
     const graph = this.graph;
     if (!graph) return;
     const at = new Map(graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]));
@@ -315,7 +315,7 @@ export class MapView {
       ends.push(a, b);
       const degrees = Math.round((edge.bearing_rad * 180) / Math.PI);
       const text = `${degrees}° · ${edge.distance.toFixed(1)}`;
-      this.addLabel(make("span", { class: "bearing" }, text), a.clone().lerp(b, 0.5));
+      this.labels.add(make("span", { class: "bearing" }, text), a.clone().lerp(b, 0.5), -edge.distance);
     }
     this.graphLines = new THREE.LineSegments(
       new THREE.BufferGeometry().setFromPoints(ends),
@@ -325,15 +325,10 @@ export class MapView {
     for (const node of graph.nodes) {
       const button = make("button", { type: "button", class: "place-label", "data-place": node.id }, node.name);
       button.style.setProperty("--own", PALETTE[node.colour % PALETTE.length]!);
-      button.classList.toggle("here", node.id === this.currentPlaceId);
       button.addEventListener("click", () => this.onPlace(node));
-      this.addLabel(button, at.get(node.id)!);
+      this.labels.add(button, at.get(node.id)!, node.landmarks);
     }
-  }
-
-  private addLabel(node: HTMLElement, at: THREE.Vector3): void {
-    this.labels.append(node);
-    this.labelNodes.push({ node, at });
+    this.labels.setHere(this.currentPlaceId);
   }
 
   private describe(): void {
@@ -375,20 +370,9 @@ export class MapView {
     requestAnimationFrame(() => {
       this.pending = false;
       this.renderer.render(this.scene, this.camera);
-      this.placeLabels();
+      this.labels.place(this.camera, this.layer === "map", this.host);
       this.frames += 1;
       this.host.dataset["frames"] = String(this.frames);
     });
-  }
-
-  private placeLabels(): void {
-    const { clientWidth: w, clientHeight: h } = this.host;
-    const p = new THREE.Vector3();
-    for (const { node, at } of this.labelNodes) {
-      p.copy(at).project(this.camera);
-      const visible = this.layer === "map" && p.z < 1 && Math.abs(p.x) < 1.05 && Math.abs(p.y) < 1.05;
-      node.style.display = visible ? "" : "none";
-      if (visible) node.style.transform = `translate(-50%,-50%) translate(${((p.x + 1) / 2) * w}px,${((1 - p.y) / 2) * h}px)`;
-    }
   }
 }

@@ -2,7 +2,7 @@
 import { call } from "./api";
 import { PALETTE } from "./cloud";
 import { ask, attempt, by, clock, duration, make, percent, present, setText, show, toast } from "./dom";
-import type { CurrentPlace, PlaceChange, PlaceModel, VisitModel } from "./messages";
+import type { CurrentPlace, PlaceChange, PlaceModel, PlacesChangeModel, VisitModel } from "./messages";
 
 const TIMELINE_S = 180;
 
@@ -25,9 +25,15 @@ export class PlaceView {
     this.drawTimeline();
   }
 
-  /** The places of the map in use, hidden ones too. */
-  setPlaces(places: PlaceModel[]): void {
+  /** The places of the map in use, hidden ones too, and what people made of them. */
+  setPlaces(places: PlaceModel[], changes: PlacesChangeModel[]): void {
     this.places = places;
+    const [last] = changes;
+    show(by("undo"), last !== undefined);
+    if (last) {
+      setText(by("undo-text"), last.why);
+      by("undo-places").onclick = () => attempt(() => undo(last));
+    }
     this.colours = new Map(places.map((p) => [p.id, p.colour]));
     const hidden = places.filter((p) => p.hidden);
     show(by("hidden"), hidden.length > 0);
@@ -50,20 +56,17 @@ export class PlaceView {
       make("button", { type: "button", class: kind, onclick: () => { dialog.close(); attempt(act); } }, text);
     const rename = async () => {
       const name = await ask("Name this place", "Save", { label: "Name", value: place.name });
-      if (name) await change(place, { name });
+      if (name && name !== place.name) await undoable(() => change(place, { name }));
     };
-    const hide = async () => {
-      await change(place, { hidden: true });
-      toast(`${place.name} is hidden: it is never the current place.`, "Undo", () => change(place, { hidden: false }));
-    };
+    const hide = () => undoable(() => change(place, { hidden: true }));
     const select = make("select", { id: "merge-with" }, ...others.map((p) => make("option", { value: p.id }, p.name)));
-    const merge = () => call("POST", "/places/merge", { places: [place.id, select.value] });
+    const merge = () => undoable(() => call("POST", "/places/merge", { places: [place.id, select.value] }));
     dialog.replaceChildren(...present(
       make("h2", {}, place.name),
       make("div", { class: "evidence" }, picture(place.representative_image, "representative"), picture(place.mean_image, "mean")),
       make("p", { class: "note" }, `${place.landmarks} landmarks · seen in ${place.images} pictures · quality ${percent(place.quality)}`),
       others.length > 0 && make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, button("Merge", merge)),
-      make("div", { class: "row end" }, button("Close", async () => {}, "quiet"), button("Hide", hide), button("Rename", rename, "primary")),
+      make("div", { class: "row end" }, button("Close", async () => {}, "quiet apart"), button("Hide", hide), button("Rename", rename, "primary")),
     ));
     dialog.showModal();
   }
@@ -138,6 +141,17 @@ export class PlaceView {
 function setImage(image: HTMLImageElement, path: string | null): void {
   show(image, path !== null);
   if (path !== null && image.getAttribute("src") !== path) image.src = path;
+}
+
+/** Do it, and offer for a while to take just that back; later there is the list of drives and maps. */
+async function undoable(work: () => Promise<unknown>): Promise<void> {
+  await work();
+  const [made] = await call<PlacesChangeModel[]>("GET", "/places/changes");
+  if (made) toast(`${made.why}.`, "Undo", () => undo(made));
+}
+
+function undo(made: PlacesChangeModel): Promise<unknown> {
+  return call("POST", "/places/undo", { version: made.version });
 }
 
 function change(place: PlaceModel, what: Partial<PlaceChange>): Promise<PlaceModel> {
