@@ -191,13 +191,19 @@ async def test_the_hijack_button_moves_a_simulated_robot(room: Room) -> None:
     await expect(page.locator("#log")).to_contain_text("put down elsewhere")
 
 
+WIDTH_WITH_A_LONG_NAME = """() => {
+  document.querySelector('#link .text').textContent = 'The simulated robot of the second floor, left';
+  return document.documentElement.scrollWidth;
+}"""
+
+
 async def test_a_phone_shows_video_and_joystick_in_its_first_screen(room: Room) -> None:
     page = await room.open(**PHONE)
     for part in ("#video", "#stick", "#stop"):
         box = await page.locator(part).bounding_box()
         assert box is not None and box["y"] >= 0 and box["y"] + box["height"] <= 844, f"{part} is out of sight"
         assert box["x"] >= 0 and box["x"] + box["width"] <= 390
-    assert await page.evaluate("() => document.documentElement.scrollWidth") <= 390
+    assert await page.evaluate(WIDTH_WITH_A_LONG_NAME) <= 390
     stick = await page.locator("#stick").bounding_box()
     assert stick is not None
     x, y = stick["x"] + stick["width"] / 2, stick["y"] + 20

@@ -64,8 +64,7 @@ export class DriveControl {
       if (slider.disabled) slider.value = "0";
     }
     const v = robot.applied ?? { linear: 0, angular: 0 };
-    const text = `${v.linear.toFixed(2)} m/s\u2002${v.angular.toFixed(2)} rad/s`;
-    if (!this.isDriving) setText(by("velocity"), text);
+    if (!this.isDriving) showVelocity(v.linear, v.angular);
   }
 
   showDriver(driver: string | null): void {
@@ -132,7 +131,7 @@ export class DriveControl {
       return;
     }
     this.isDriving = true;
-    setText(by("velocity"), `${linear.toFixed(2)} m/s\u2002${angular.toFixed(2)} rad/s`);
+    showVelocity(linear, angular);
   }
 
   private stopDriving(reason: string): void {
@@ -257,6 +256,11 @@ export class DriveControl {
     const angle = (id: string) => (Number(by<HTMLInputElement>(id).value) * Math.PI) / 180;
     this.send({ type: "pan_tilt", pan: -angle("pan"), tilt: angle("tilt") });
   }
+}
+
+function showVelocity(linear: number, angular: number): void {
+  setText(by("linear"), `${linear.toFixed(2)} m/s`);
+  setText(by("angular"), `${angular.toFixed(2)} rad/s`);
 }
 
 function isTyping(target: EventTarget | null): boolean {

@@ -10,6 +10,7 @@ export class PlaceView {
   private visits: VisitModel[] = [];
   private places: PlaceModel[] = [];
   private colours = new Map<string, number>();
+  private current: string | null = null;
 
   constructor() {
     setInterval(() => this.drawTimeline(), 1000);
@@ -35,6 +36,7 @@ export class PlaceView {
       by("undo-places").onclick = () => attempt(() => undo(last));
     }
     this.colours = new Map(places.map((p) => [p.id, p.colour]));
+    this.showColour();
     const hidden = places.filter((p) => p.hidden);
     show(by("hidden"), hidden.length > 0);
     by("hidden-places").replaceChildren(
@@ -53,7 +55,7 @@ export class PlaceView {
     const picture = (path: string | null, text: string) =>
       path && make("figure", {}, make("img", { src: path, alt: `${text} picture of ${place.name}` }), make("figcaption", {}, text));
     const button = (text: string, act: () => Promise<unknown>, kind = "") =>
-      make("button", { type: "button", class: kind, onclick: () => { dialog.close(); attempt(act); } }, text);
+      make("button", { type: "button", class: kind, autofocus: kind === "primary", onclick: () => { dialog.close(); attempt(act); } }, text);
     const rename = async () => {
       const name = await ask("Name this place", "Save", { label: "Name", value: place.name });
       if (name && name !== place.name) await undoable(() => change(place, { name }));
@@ -82,8 +84,8 @@ export class PlaceView {
     setText(by("place-kicker"), place.place && place.distance_m !== null
       ? `Current place · ${place.distance_m.toFixed(1)} m away` : "Current place");
     setText(by("place-reason"), place.reason);
-    const colour = place.place ? this.colours.get(place.place.id) : undefined;
-    card.style.setProperty("--own", colour === undefined ? "transparent" : PALETTE[colour % PALETTE.length]!);
+    this.current = place.place?.id ?? null;
+    this.showColour();
     by("alternatives").replaceChildren(
       ...place.alternatives
         .filter((a) => a.probability >= 0.01)
@@ -100,6 +102,12 @@ export class PlaceView {
       if (last && last.start_unix_s === visit.start_unix_s) this.visits[this.visits.length - 1] = visit;
       else this.visits.push(visit);
     }
+  }
+
+  /** Answers and the places they name come one by one: whichever is later shows the colour. */
+  private showColour(): void {
+    const colour = this.current === null ? undefined : this.colours.get(this.current);
+    by("place").style.setProperty("--own", colour === undefined ? "transparent" : PALETTE[colour % PALETTE.length]!);
   }
 
   private showEvidence(place: CurrentPlace): void {
