@@ -2,6 +2,8 @@
 
 `DriveGuard` decides, with time as an argument. `MotorWatchdog` is the thread that makes it true; nobody else touches
 the motors. Every fresh command reaches them, also an unchanged one, so that the station feeds the firmware's watchdog.
+A start is told twice, each time after a look at the clock: this process may be stopped between look and word, and the
+firmware's motors start at the second word only, so that one that is told too late moves nothing.
 """
 
 from __future__ import annotations
@@ -175,7 +177,8 @@ class MotorWatchdog:
             if not self._is_due() and not self._closed:
                 self._changed.wait(self._time_to_wait_s())
             is_due, velocity = self._is_due(), self._guard.velocity(self._now_ns())
-            self._told_commands = self._guard.num_commands
+            is_start = self._applied.is_zero and not velocity.is_zero
+            self._told_commands = self._guard.num_commands - is_start
         # Outside the lock: a driver that blocks must not keep `stop` from being called.
         if is_due:
             self._tell(velocity)

@@ -7,6 +7,11 @@ void MotorControl::command(const Drive& drive) {
     stop();
     return;
   }
+  if (ttl_ms_ == 0 && start_ms_ == 0) {
+    start_ms_ = START_WINDOW_MS;
+    return;
+  }
+  start_ms_ = 0;
   ttl_ms_ = drive.ttl_ms < MAX_TTL_MS ? drive.ttl_ms : MAX_TTL_MS;
   target_left_ = drive.left;
   target_right_ = drive.right;
@@ -30,6 +35,7 @@ void MotorControl::configure(const ConfigMotors& config) {
 
 void MotorControl::halt() {
   ttl_ms_ = 0;
+  start_ms_ = 0;
   target_left_ = target_right_ = 0;
   if (bridge_ == Bridge::RUN) {
     bridge_ = Bridge::BRAKE;
@@ -63,6 +69,7 @@ int16_t MotorControl::ramp(int16_t now, int16_t target) const {
 
 void MotorControl::tick() {
   watch_battery();
+  if (start_ms_ != 0) --start_ms_;
   if (ttl_ms_ != 0 && --ttl_ms_ == 0) {
     halt();
     ttl_stop_ = true;

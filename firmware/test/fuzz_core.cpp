@@ -82,6 +82,7 @@ int main(int argc, char** argv) {
         case Type::DRIVE:
           if (parse(body, n, &drive) == Result::DONE) {
             motors.command(drive);
+            motors.command(drive);  // a start: whatever got through moves
           } else {
             ++refused;
           }

@@ -168,11 +168,39 @@ static void run(MotorControl& motors, int ms) {
   for (int i = 0; i < ms; ++i) motors.tick();
 }
 
+// As robot-server starts: every start is told twice.
+static void start(MotorControl& motors, const Drive& drive) {
+  motors.command(drive);
+  motors.command(drive);
+}
+
+static void test_one_command_alone_starts_nothing() {
+  MotorControl motors;
+  motors.command(Drive{1000, 1000, 300});  // decided on by a process that was stopped, and written when it went on
+  run(motors, START_WINDOW_MS);
+  CHECK(motors.left() == 0 && motors.bridge() == Bridge::COAST && !motors.driving());
+  motors.command(Drive{1000, 1000, 300});  // too far apart: again a first one
+  run(motors, 5);
+  CHECK(motors.left() == 0);
+  motors.stop();  // the process looked at the clock
+  motors.command(Drive{1000, 1000, 300});
+  run(motors, 5);
+  CHECK(motors.left() == 0);
+  motors.command(Drive{1000, 1000, 300});
+  run(motors, 250);
+  CHECK(motors.left() == 1000);
+  run(motors, 50);  // silence ended it: what comes then is a first one
+  CHECK(motors.left() == 0);
+  motors.command(Drive{1000, 1000, 300});
+  run(motors, 5);
+  CHECK(motors.left() == 0 && motors.bridge() != Bridge::RUN);
+}
+
 static void test_motors_are_off_until_a_command_and_stop_when_commands_go_silent() {
   MotorControl motors;
   run(motors, 1000);
   CHECK(motors.left() == 0 && motors.bridge() == Bridge::COAST);
-  motors.command(Drive{1000, -1000, 300});
+  start(motors, Drive{1000, -1000, 300});
   CHECK(motors.left() == 0);  // only tick moves
   run(motors, 299);
   CHECK(motors.left() == 1000 && motors.right() == -1000 && motors.driving());
@@ -187,7 +215,7 @@ static void test_motors_are_off_until_a_command_and_stop_when_commands_go_silent
 
 static void test_time_to_live_has_an_upper_bound() {
   MotorControl motors;
-  motors.command(Drive{500, 500, 60000});
+  start(motors, Drive{500, 500, 60000});
   run(motors, MAX_TTL_MS - 1);
   CHECK(motors.left() == 500);
   run(motors, 1);
@@ -199,7 +227,7 @@ static void test_time_to_live_has_an_upper_bound() {
 
 static void test_stop_is_at_once_and_a_fresh_command_is_needed() {
   MotorControl motors;
-  motors.command(Drive{800, 800, 300});
+  start(motors, Drive{800, 800, 300});
   run(motors, 250);
   motors.stop();
   CHECK(motors.left() == 0 && motors.right() == 0);
@@ -233,12 +261,12 @@ static void test_low_battery_holds_the_motors_off_until_it_recovers() {
   run(motors, 200);
   CHECK(motors.low_battery() && motors.left() == 0);
   motors.battery(6500);  // within the hysteresis
-  motors.command(Drive{500, 500, 300});
+  start(motors, Drive{500, 500, 300});
   run(motors, 50);
   CHECK(motors.left() == 0);
   motors.battery(6800);
   run(motors, 1);
-  motors.command(Drive{500, 500, 300});
+  start(motors, Drive{500, 500, 300});
   run(motors, 200);
   CHECK(motors.left() == 500 && !motors.low_battery());
 }
@@ -252,7 +280,7 @@ static void test_a_repeated_configuration_keeps_an_empty_battery_empty() {
   run(motors, 600);
   CHECK(motors.low_battery());
   motors.configure(ConfigMotors{0, 8, 20, 6400});
-  motors.command(Drive{500, 500, 300});
+  start(motors, Drive{500, 500, 300});
   run(motors, 100);
   CHECK(motors.low_battery() && motors.left() == 0);
   motors.configure(ConfigMotors{1, 4, 10, 5000});
@@ -509,6 +537,7 @@ int main(int argc, char** argv) {
       TEST(test_damage_costs_one_frame_and_an_overlong_one_is_dropped),
       TEST(test_cobs_keeps_every_length_and_zero_pattern),
       TEST(test_ring_buffer_keeps_order_and_refuses_when_full),
+      TEST(test_one_command_alone_starts_nothing),
       TEST(test_motors_are_off_until_a_command_and_stop_when_commands_go_silent),
       TEST(test_time_to_live_has_an_upper_bound),
       TEST(test_stop_is_at_once_and_a_fresh_command_is_needed),

@@ -97,8 +97,8 @@ def uart(command: sp.Command) -> str:
 
 
 def drive(seconds: list[float], left: int, right: int, ttl_ms: int = 250) -> list[tuple[float, str]]:
-    """Drive commands at these times."""
-    return [(t, uart(sp.Drive(left, right, ttl_ms))) for t in seconds]
+    """Drive commands at these times, the first one twice, as robot-server starts."""
+    return [(t, uart(sp.Drive(left, right, ttl_ms))) for t in (*seconds[:1], *seconds)]
 
 
 def symbol(name: str) -> int:

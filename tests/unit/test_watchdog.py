@@ -49,6 +49,16 @@ class FakeMotors:
             return self.told.wait_for(lambda: bool(self.history) and self.history[-1] == (linear, angular), 10)
 
 
+class FrozenClock:
+    """Stands until it is moved."""
+
+    def __init__(self) -> None:
+        self.t_ns = 10**9
+
+    def __call__(self) -> int:
+        return self.t_ns
+
+
 def later_ns(ms: int) -> int:
     return time.monotonic_ns() + ms * MS
 
@@ -132,8 +142,22 @@ def test_every_command_reaches_the_motors_also_an_unchanged_one() -> None:
     for count in range(1, 4):
         watchdog.command(AHEAD, later_ns(250))
         with motors.told:
-            assert motors.told.wait_for(lambda count=count: motors.history.count((0.3, 0.1)) == count, 10)
+            # The start is told twice.
+            assert motors.told.wait_for(lambda count=count: motors.history.count((0.3, 0.1)) == count + 1, 10)
     watchdog.close()
+
+
+def test_a_start_that_was_told_too_late_is_not_told_again() -> None:
+    motors, clock = FakeMotors(), FrozenClock()
+    watchdog = MotorWatchdog(motors, now_ns=clock)
+    motors.may_go_on.clear()
+    watchdog.command(AHEAD, clock.t_ns + 250 * MS)
+    assert motors.wait_for_last(0.3, 0.1)
+    clock.t_ns += 900 * MS  # the process was stopped after its look at the clock, and now the word goes out
+    motors.may_go_on.set()
+    assert motors.wait_for_last(0.0, 0.0)
+    watchdog.close()
+    assert motors.history.count((0.3, 0.1)) == 1
 
 
 def test_changes_are_reported_once_each() -> None:
