@@ -36,7 +36,7 @@ def keyframe(number: int, moved_px: float, segment: int = 0, T: FloatArray | Non
     """All features moved that far since the first keyframe."""
     uv = np.random.default_rng(1).uniform(200, 400, (50, 2)) + np.array([moved_px, 0.0])
     tracked = TrackedFrame(np.arange(50), uv, MODEL.lens.unproject(uv), 50, 50, 0, 0.0, 0.0, 100.0)
-    image = ImageFrame(number, number * 50_000_000, 0, PICTURE)
+    image = ImageFrame(number, number * 250_000_000, 0, PICTURE)
     pose = np.eye(4) if T is None else T
     rgb = np.zeros((50, 3), dtype=np.uint8)
     return Keyframe(image, tracked, rgb, pose, np.zeros(3), np.array([0.0, 0.0, 0.4]), np.zeros(6), segment, None, None)
@@ -49,6 +49,13 @@ def test_a_keyframe_becomes_a_view_when_the_picture_has_moved_or_a_segment_begin
     assert [v.frame_index for v in views.items] == [0, 2, 4]
     assert [(a, b) for a, b, _ in views.pairs] == [(0, 1)]  # never across segments
     assert len(views.pairs[0][2]) > 100
+
+
+def test_views_keep_a_distance_in_time() -> None:
+    views = MapViews(MODEL.lens, ViewConfig(min_flow=0.2, min_interval_s=0.6), 0)
+    for number in range(6):  # a quarter of a second and enough motion between each
+        views.add(keyframe(number, 130.0 * number))
+    assert [v.frame_index for v in views.items] == [0, 3]
 
 
 def test_many_views_are_thinned_and_stay_connected() -> None:

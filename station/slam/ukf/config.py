@@ -43,6 +43,7 @@ class ViewConfig:
     min_flow: float = 0.1  # median motion of common features since the last view, as a fraction of the image width
     min_common: float = 0.6  # or fewer than that share of the last view's features are left
     max_interval_s: float = 2.0
+    min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
     num_previous: int = 4  # views before, that each one is matched with
     capacity: int = 300  # beyond, every second view goes and the spacing grows by half
 

@@ -57,11 +57,14 @@ class MapViews:
         if not self.items or self.items[-1].segment != keyframe.segment:
             return True
         last, config = self.items[-1].keyframe, self._config
+        since_s = (keyframe.image.t_robot_ns - last.image.t_robot_ns) * 1e-9
+        if since_s < config.min_interval_s:
+            return False
         _, i, j = np.intersect1d(last.tracked.ids, keyframe.tracked.ids, assume_unique=True, return_indices=True)
         if len(i) == 0 or len(i) < config.min_common / self._spacing * len(last.tracked.ids):
             return True
         flow = float(np.median(np.linalg.norm(last.tracked.uv_px[i] - keyframe.tracked.uv_px[j], axis=1)))
-        waited = (keyframe.image.t_robot_ns - last.image.t_robot_ns) * 1e-9 > config.max_interval_s * self._spacing
+        waited = since_s > config.max_interval_s * self._spacing
         enough = self._spacing * config.min_flow * self._lens.camera.width
         return flow > enough or (waited and flow > 0.2 * enough)
 
