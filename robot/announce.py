@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import ipaddress
 import logging
 import socket
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from shared.discovery import SERVICE_TYPE
@@ -16,57 +17,91 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+LOOK_AGAIN_S = 5.0
+
 
 class Announcement:
-    """A DNS-SD entry that lives until `close`. Registering takes seconds, hence a thread; failing is only logged."""
+    """A DNS-SD entry that lives until `close` and follows the robot's address; failing is only logged.
 
-    def __init__(self, robot_id: str, port: int, addresses: Sequence[str], interfaces: Sequence[str] = ()) -> None:
+    A thread of its own: registering takes seconds, and a robot that starts with its Pi has no address before the Wi-Fi.
+    """
+
+    def __init__(
+        self, robot_id: str, port: int, addresses: Callable[[], list[str]], interfaces: Sequence[str] = ()
+    ) -> None:
+        """`addresses` is asked again and again; an empty list: none at present. `interfaces` empty: all."""
         self._robot_id = robot_id
         self._port = port
-        self._addresses = list(addresses)
-        self._interfaces = list(interfaces)  # empty: all
+        self._addresses = addresses
+        self._interfaces = list(interfaces)
         self._zeroconf: Zeroconf | None = None
-        self._thread = threading.Thread(target=self._register, name="announce", daemon=True)
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="announce", daemon=True)
         self._thread.start()
 
-    def _register(self) -> None:
-        try:
-            from zeroconf import InterfaceChoice, ServiceInfo, Zeroconf
-        except ImportError:
+    def close(self) -> None:
+        """Take the entry back."""
+        self._closed.set()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        if importlib.util.find_spec("zeroconf") is None:
             logger.info("zeroconf is not installed: stations need this robot's address")
             return
+        announced: list[str] = []
+        complaint = ""
+        while not self._closed.is_set():
+            addresses = self._addresses()
+            if addresses != announced:
+                try:
+                    self._take_back()
+                    announced = []
+                    if addresses:
+                        self._register(addresses)
+                        announced = addresses
+                except Exception as exc:  # its errors have no common base, and none may keep a robot from working
+                    if repr(exc) != complaint:
+                        logger.warning("this robot cannot be announced in the network (%r); trying on", exc)
+                    complaint = repr(exc)
+            self._closed.wait(LOOK_AGAIN_S)
+        self._take_back()
+
+    def _register(self, addresses: list[str]) -> None:
+        from zeroconf import InterfaceChoice, ServiceInfo, Zeroconf
+
         label = self._robot_id.replace(".", "-")[:63] or "robot"
         info = ServiceInfo(
             SERVICE_TYPE,
             f"{label}.{SERVICE_TYPE}",
             port=self._port,
-            parsed_addresses=self._addresses,
+            parsed_addresses=addresses,
             server=f"{label}.local.",
             properties={"robot_id": self._robot_id},
         )
-        try:
-            self._zeroconf = Zeroconf(interfaces=self._interfaces or InterfaceChoice.All)
-            self._zeroconf.register_service(info, allow_name_change=True)
-            logger.info("announced as %s at %s", info.name, ", ".join(self._addresses))
-        except Exception as exc:  # its errors have no common base, and none may keep a robot from working
-            logger.warning("this robot cannot be announced in the network (%r); stations need its address", exc)
+        # Made anew each time: it knows only the interfaces that were up when it was made.
+        self._zeroconf = Zeroconf(interfaces=self._interfaces or InterfaceChoice.All)
+        self._zeroconf.register_service(info, allow_name_change=True)
+        logger.info("announced as %s at %s", info.name, ", ".join(addresses))
 
-    def close(self) -> None:
-        """Take the entry back."""
-        self._thread.join(timeout=5.0)
-        if self._zeroconf is not None:
-            self._zeroconf.close()
+    def _take_back(self) -> None:
+        ended, self._zeroconf = self._zeroconf, None
+        if ended is not None:
+            ended.close()
+
+
+def may_be_announced(host: str) -> bool:
+    """Whether others can ever reach a listener on `host`: not on loopback, nor do we ask what a name stands for."""
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def announced_addresses(host: str) -> list[str]:
-    """Addresses under which others reach a listener on `host`; none for loopback."""
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
+    """Addresses under which others reach a listener on `host` now."""
+    if not may_be_announced(host):
         return []
-    if address.is_loopback:
-        return []
-    if not address.is_unspecified:
+    if not ipaddress.ip_address(host).is_unspecified:
         return [host]
     # The address of the interface that leads out. Connecting a datagram socket sends nothing.
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

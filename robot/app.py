@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import functools
 import importlib
 import logging
 import os
@@ -15,7 +16,7 @@ from typing import Literal
 
 import msgspec
 
-from robot.announce import Announcement, announced_addresses
+from robot.announce import Announcement, announced_addresses, may_be_announced
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
@@ -45,8 +46,9 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
         server = RobotServer(devices, named(kind, config), starts_with_first_station=is_replay, systemd=systemd)
         atexit.register(server.stop_motors)
         host, port = listener.getsockname()[:2]
-        addresses = announced_addresses(host)
-        announcement = Announcement(server.hello().robot_id, port, addresses) if addresses else None
+        announcement = None
+        if may_be_announced(host):
+            announcement = Announcement(server.hello().robot_id, port, functools.partial(announced_addresses, host))
         print(f"robot-server: {kind} devices on {host}:{port}", flush=True)
         try:
             with asyncio.Runner(loop_factory=_loop_factory()) as runner:

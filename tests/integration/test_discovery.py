@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import socket
 
 import pytest
 
+from robot import announce
 from robot.announce import Announcement, announced_addresses
 from station.discovery import find_robot
 from station.link import RobotLink
@@ -22,7 +24,7 @@ def test_loopback_and_host_names_are_not_announced() -> None:
 
 def test_an_announced_robot_is_found_and_a_closed_one_is_not() -> None:
     port = _free_port()
-    announcement = Announcement(f"robot-{port}", port, LOOPBACK, interfaces=LOOPBACK)
+    announcement = Announcement(f"robot-{port}", port, lambda: LOOPBACK, interfaces=LOOPBACK)
     try:
         found = find_robot(10.0, LOOPBACK)
         if found is None:
@@ -32,6 +34,21 @@ def test_an_announced_robot_is_found_and_a_closed_one_is_not() -> None:
         announcement.close()
     while find_robot(1.0, LOOPBACK) == ("127.0.0.1", port):
         continue  # the goodbye takes its time; a robot that never says it fails here by the test's own time limit
+
+
+def test_a_robot_that_starts_before_its_network_is_announced_when_it_has_an_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(announce, "LOOK_AGAIN_S", 0.01)
+    port, asked = _free_port(), itertools.count()
+    announcement = Announcement(f"robot-{port}", port, lambda: LOOPBACK if next(asked) > 2 else [], LOOPBACK)
+    try:
+        found = find_robot(10.0, LOOPBACK)
+        if found is None:
+            pytest.skip("this machine passes no multicast on its loopback interface")
+        assert found == ("127.0.0.1", port)
+    finally:
+        announcement.close()
 
 
 async def test_the_link_looks_for_a_robot_until_there_is_one() -> None:
