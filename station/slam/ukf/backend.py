@@ -20,6 +20,7 @@ from station.navigation import Navigation
 from station.slam.backend import SlamUpdate, TrackingState
 from station.slam.frontend.tracker import Tracker
 from station.slam.ukf import lie
+from station.slam.ukf.coasting import Coasting
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.constraints import BodyVelocity, wheel_velocity
 from station.slam.ukf.filter import SoftConstraint, VioFilter
@@ -29,7 +30,7 @@ from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.keyframes import is_grey, sample_grey
 from station.slam.ukf.measurement import CameraModel
 from station.slam.ukf.memory import DriveMemory, Points, RecentFrame
-from station.slam.ukf.monitor import TrackingMonitor
+from station.slam.ukf.monitor import LIFTED, TrackingMonitor
 from station.slam.ukf.propagation import ImuSegment
 from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
 from station.slam.ukf.state import FilterState
@@ -79,7 +80,8 @@ class UkfBackend:
         self._monitor = TrackingMonitor(self._config)
         self._messages: list[str] = []
         self._memory = DriveMemory(self._camera, calibration.imu, self._config, self._make_views())
-        self._anchor = ORIGIN
+        self._coasting = Coasting(ORIGIN, 0)
+        self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command
         self._speed_since = 0  # when the commanded speed last changed
         self._previous_t: int | None = None  # IMU time of the frame before
@@ -121,6 +123,8 @@ class UkfBackend:
         rgb = sample_grey(grey, tracked.uv_px) if is_grey(frame.encoded) else None
         current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu), rgb)
         if self._filter is None:
+            if self._lost_since is not None:
+                self._coasting.advance(segment, t_imu, self._commanded_speed())
             update = self._wait_for_start(current, is_still)
         else:
             update = self._track(self._filter, current, segment, is_still)
@@ -177,7 +181,7 @@ class UkfBackend:
             return self._start(state_from_given(given, self._config.filter.error), current, False)
         v_body, sigma = current.wheels or (np.zeros(3), np.full(3, np.inf))
         waiting = WaitingFrame(frame.index, current.t_imu_ns, current.tracked, v_body, sigma)
-        found = self._starter.try_start(waiting, self._imu, is_still, self._anchor)
+        found = self._starter.try_start(waiting, self._imu, is_still, self._coasting.at)
         if isinstance(found, str):
             self._memory.forget_waiting(current.t_imu_ns)
             return self._update(frame, f"not initialised yet: {found}", None)
@@ -223,7 +227,7 @@ class UkfBackend:
         outage = self._monitor.outage_since
         memory.flush(vio, outage)
         memory.poses.drop_after(t_imu_ns if outage is None else outage, memory.segment)
-        self._anchor = _anchor(memory.poses.last(), vio.state)
+        self._coasting = Coasting(self._anchor(reason, vio.state), t_imu_ns)
         self._filter = None
         self._lost_since = self._intake.last_t_ns
         self._messages.append(f"tracking lost after {self._intake.elapsed_s:.1f} s: {reason}")
@@ -307,8 +311,8 @@ class UkfBackend:
         bias = np.zeros(3)
         if self._filter is not None:
             bias = self._filter.state.bias_gyro
-        elif self._anchor.bias is not None:
-            bias = self._anchor.bias[:3]
+        elif self._coasting.bias_gyro is not None:
+            bias = self._coasting.bias_gyro
         R = np.eye(3)
         for turn in lie.so3_exp((segment.gyro - bias) * segment.dt_s[:, None]):
             R = R @ turn
@@ -328,10 +332,20 @@ class UkfBackend:
         known = wheel_velocity(self._config.wheels, float(segment.end_gyro[2] - bias[2]), command, since)
         return None if known is None else (known.v_body, known.sigma)
 
+    def _commanded_speed(self) -> float | None:
+        """m/s that wheels roll forwards; None where nothing is known of wheels, or the robot is in somebody's hands."""
+        if self._calibration.robot_kind != "sentinel" or self._is_lifted:
+            return None
+        return 0.0 if self._drive is None else self._config.wheels.speed_efficiency * self._drive.linear_m_s
 
-def _anchor(T_world_body: FloatArray | None, state: FilterState) -> Anchor:
-    """Where the next segment begins: at the last known place with the last known yaw, and biases if they are sound."""
-    bias = np.concatenate([state.bias_gyro, state.bias_accel])
-    sound = is_finite(state) and float(np.abs(bias[:3]).max()) < 0.2 and float(np.abs(bias[3:]).max()) < 1.0
-    T = np.eye(4) if T_world_body is None else T_world_body
-    return Anchor(T[:3, 3].copy(), float(np.arctan2(T[1, 0], T[0, 0])), bias if sound else None)
+    def _anchor(self, reason: str, state: FilterState) -> Anchor:
+        """Where the next segment begins: where wheels have carried the robot, else the last known place; and biases."""
+        bias = np.concatenate([state.bias_gyro, state.bias_accel])
+        sound = is_finite(state) and float(np.abs(bias[:3]).max()) < 0.2 and float(np.abs(bias[3:]).max()) < 1.0
+        self._is_lifted = reason == LIFTED
+        T = self._memory.poses.last()
+        if self._calibration.robot_kind == "sentinel" and not self._is_lifted and sound:
+            T = state.T_world_body  # dead reckoned through the outage, in which no poses were kept
+        if T is None:
+            T = np.eye(4)
+        return Anchor(T[:3, 3].copy(), float(np.arctan2(T[1, 0], T[0, 0])), bias if sound else None)

@@ -17,6 +17,7 @@ FEW_PASSED = 0.3  # share of the landmarks that pass their gate
 FEW_FIT = 0.4  # of landmarks and tracks over a second; 0.98 on a real flight
 MEMORY = 0.95  # per frame: about a second of measurements
 MIN_REMEMBERED = 25  # landmarks and tracks
+LIFTED = "the robot is being lifted"
 LIFTED_FRAMES = 3  # consecutive
 # Before a blank wall features leave over the picture's border, under a hand they vanish within it: of those lost in the
 # last frames 0.07 against 0.26 to 0.68 vanished (simulated walls, and a cover drawn over simulated drives in 0.3 s).
@@ -53,7 +54,7 @@ class TrackingMonitor:
             tilts = float(state.R[2, 2]) < config.min_upright
             self._lifted = self._lifted + 1 if climbs or tilts else 0
             if self._lifted >= LIFTED_FRAMES:
-                return "the robot is being lifted"
+                return LIFTED
         speed = float(np.linalg.norm(state.v))
         if speed > config.max_speed_m_s:
             return f"the estimated speed of {speed:.0f} m/s is impossible"

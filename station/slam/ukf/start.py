@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,10 +77,14 @@ class Starter:
         self._frames.clear()
 
     def try_start(
-        self, frame: WaitingFrame, imu: ImuBuffer, is_still: bool, anchor: Anchor
+        self, frame: WaitingFrame, imu: ImuBuffer, is_still: bool, anchor_at: Callable[[int], Anchor]
     ) -> tuple[FilterState, MotionStart | None] | str:
-        """Take a frame in; a state at its time, or what is missing, in words."""
+        """Take a frame in; a state at its time, or what is missing, in words.
+
+        anchor_at: where the robot was at an IMU time, ns.
+        """
         config = self._config
+        anchor = anchor_at(frame.t_imu_ns)
         if self._frames and len(np.intersect1d(self._frames[-1].tracked.ids, frame.tracked.ids)) < 8:
             self._frames.clear()  # nothing connects it with what was seen before
         self._frames.append(frame)
@@ -116,7 +121,7 @@ class Starter:
             self._reason = found
             return found
         self._frames.clear()
-        return state_in_motion(found, self._kind, anchor), found
+        return state_in_motion(found, self._kind, anchor_at(int(found.t_imu_ns[0]))), found
 
 
 def state_at_rest(
@@ -171,7 +176,7 @@ def state_from_given(given: GivenState, kind: ErrorKind) -> FilterState:
 
 
 def state_in_motion(start: MotionStart, kind: ErrorKind, anchor: Anchor) -> FilterState:
-    """Core and cloned poses from a solved window, with their joint covariance."""
+    """Core and cloned poses from a solved window, whose first pose is at `anchor`, with their joint covariance."""
     states, cov = start.solution.states, start.solution.covariance
     turn = yaw_rotation(anchor.yaw_rad)
     R, v = turn @ states.R, states.v @ turn.T
