@@ -16,11 +16,13 @@ from typing import Literal
 
 import msgspec
 
+from robot.access import open_gate, pairing_sentence
 from robot.announce import Announcement, announced_addresses, may_be_announced
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
 from robot.systemd import Systemd
+from shared.access import Role
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.listening import bind
 
@@ -41,15 +43,19 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
     """Serve until SIGINT or SIGTERM. The port is taken first: a second robot-server must not touch the devices."""
     listener = bind(config.server.host, config.server.port)
     with listener:
+        gate = open_gate(config)
         devices, systemd = open_devices(kind, config), Systemd.of(os.environ)
-        is_replay = kind == "recorded"
-        server = RobotServer(devices, named(kind, config), starts_with_first_station=is_replay, systemd=systemd)
+        is_replay, settings = kind == "recorded", named(kind, config)
+        server = RobotServer(devices, settings, starts_with_first_station=is_replay, systemd=systemd, gate=gate)
         atexit.register(server.stop_motors)
         host, port = listener.getsockname()[:2]
         announcement = None
         if may_be_announced(host):
             announcement = Announcement(server.hello().robot_id, port, functools.partial(announced_addresses, host))
         print(f"robot-server: {kind} devices on {host}:{port}", flush=True)
+        if gate is not None and gate.is_unpaired:
+            code = gate.desk.open_code(Role.DRIVE, gate.now_s())
+            print(f"robot-server: no station is paired yet; {pairing_sentence(code)}", flush=True)
         try:
             with asyncio.Runner(loop_factory=_loop_factory()) as runner:
                 runner.run(serve_until_signal(server, listener))

@@ -34,13 +34,20 @@ class IdentityConfig(_Section, frozen=True, kw_only=True):
 class ServerConfig(_Section, frozen=True, kw_only=True):
     """Where stations connect, and how much is kept for them."""
 
-    host: str = "127.0.0.1"  # whoever reaches the port can drive: open it to the network on purpose only
+    host: str = "127.0.0.1"  # beyond loopback only with access control (docs/access.md)
     port: Annotated[int, Meta(ge=0, le=65535)] = DEFAULT_PORT  # 0: any free port, printed at start
     max_stations: Annotated[int, Meta(ge=1, le=64)] = 8
     max_waiting: Annotated[int, Meta(ge=1, le=256)] = 32  # connections that have not joined yet; the oldest yields
     # 36 s at 225 Hz: a station that was away or stalled for less gets every sample.
     imu_backlog_samples: Annotated[int, Meta(ge=256, le=1_000_000)] = 8192
     imu_batch_interval_ms: Annotated[int, Meta(ge=0, le=100)] = 10  # one packet per sample would cost the Pi a core
+
+
+class AccessConfig(_Section, frozen=True, kw_only=True):
+    """Who may connect (docs/access.md). On loopback without a folder: everybody on this machine."""
+
+    folder: str = ""  # of key, certificate and tokens; empty: ~/.local/state/sentinel/robot-access beyond loopback
+    insecure: bool = False  # no access control: whoever reaches the port can watch and drive
 
 
 class DriveConfig(_Section, frozen=True, kw_only=True):
@@ -110,6 +117,7 @@ class RobotConfig(_Section, frozen=True, kw_only=True):
 
     identity: IdentityConfig = IdentityConfig()
     server: ServerConfig = ServerConfig()
+    access: AccessConfig = AccessConfig()
     drive: DriveConfig = DriveConfig()
     simulated: SimulatedConfig = SimulatedConfig()
     recorded: RecordedConfig = RecordedConfig()

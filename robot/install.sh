@@ -42,6 +42,13 @@ udevadm control --reload && udevadm trigger --subsystem-match=tty || true
 # The Pi restarts by itself when Linux hangs: systemd feeds the hardware watchdog.
 install -D -m 644 "$here/robot/setup/watchdog.conf" /etc/systemd/system.conf.d/sentinel-watchdog.conf
 
+echo "install: access control in /var/lib/sentinel"
+# A file of an earlier release has no such section, and robot-server would not start without one.
+grep -q '^\[access\]' /etc/sentinel/robot.toml || printf '\n[access]\nfolder = "/var/lib/sentinel"\n' >>/etc/sentinel/robot.toml
+install -d -m 700 -o "$user" -g "$user" /var/lib/sentinel
+as_robot() { runuser -u "$user" -- "$target/venv/bin/robot-server" "$@" --folder /var/lib/sentinel; }
+as_robot access init
+
 if [ "$service" = yes ]; then
   echo "install: service"
   install -m 644 "$here/robot/setup/sentinel-robot.service" /etc/systemd/system/
@@ -49,5 +56,6 @@ if [ "$service" = yes ]; then
   systemctl enable --quiet sentinel-robot
   systemctl restart --no-block sentinel-robot  # it is ready only with a Mega that is flashed
 fi
+echo "install: $(as_robot pair)"
 echo "install: done. Flash the Mega once: make -C firmware && make -C firmware upload"
 echo "install: then test each part:  sudo systemctl stop sentinel-robot && $target/venv/bin/robot-server --devices pi --config /etc/sentinel/robot.toml --check"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ from typing import Annotated
 import typer
 
 from robot import app
+from robot.access_commands import cli as access_cli
 from robot.config import load_config
 from shared.command_line import run_program
 
@@ -54,9 +56,15 @@ def serve(
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Test each part in turn, say what is wrong, and end.")] = False,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="No access control: whoever reaches the port can watch and drive.")
+    ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
 ) -> None:
-    """Serve this robot's camera, IMU and motors to stations."""
+    """Serve this robot's camera, IMU and motors to stations.
+
+    Who may connect: robot-server access --help; a code for a new station: robot-server pair (docs/access.md).
+    """
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="robot-server: %(levelname)s: %(message)s"
     )
@@ -64,6 +72,7 @@ def serve(
         config,
         {
             "server": {"host": host, "port": port},
+            "access": {"insecure": insecure or None},
             "simulated": {"world": world, "seed": seed, "sim_port": sim_port, "imu": imu.value if imu else None},
             "recorded": {
                 "dataset": None if dataset is None else str(dataset),
@@ -79,7 +88,8 @@ def serve(
 
 def main() -> None:
     """Run one command; a mistake of usage or an error of ours becomes one sentence on stderr."""
-    run_program(cli, "robot-server")
+    # Subcommands beside a program that is a command itself: `robot-server --devices …` stays as it is.
+    run_program(access_cli if sys.argv[1:2] in (["access"], ["pair"]) else cli, "robot-server")
 
 
 if __name__ == "__main__":

@@ -10,9 +10,11 @@ import socket
 import time
 from collections.abc import Callable
 
+from robot.access import UNKNOWN_STATION, Gate, check_roles, may
 from robot.commands import CommandDesk, notice
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
+from robot.doorstep import Doorstep
 from robot.health import CpuMeter, read_temperatures
 from robot.outbox import FrameCursor, FrameSlot, ImuBacklog, ImuCursor
 from robot.sensors import Faults, pump_camera, pump_imu
@@ -26,6 +28,9 @@ from shared.messages import (
     Heartbeat,
     Hello,
     Join,
+    PairProof,
+    PairRequest,
+    Prove,
     Received,
     Refusal,
     StationMessage,
@@ -38,6 +43,7 @@ logger = logging.getLogger(__name__)
 
 TICK_S = 0.05  # also the interval of drive reports: 20 Hz
 TICKS_PER_STATUS = 20
+TICKS_PER_LOOK = 10  # at the book of tokens: who was revoked is out within half a second
 
 
 class RobotServer:
@@ -49,9 +55,14 @@ class RobotServer:
         config: RobotConfig,
         *,
         starts_with_first_station: bool = False,
+        gate: Gate | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         systemd: Systemd | None = None,
     ) -> None:
+        """`gate`: who may connect; None: everybody who reaches the port."""
+        check_roles()
+        self._doorstep = Doorstep(gate)
+        self._ends = False
         self._devices = devices
         self._systemd = systemd or Systemd()
         self._config = config
@@ -77,7 +88,10 @@ class RobotServer:
         try:
             async with asyncio.TaskGroup() as tasks:
                 server = await asyncio.start_server(
-                    lambda reader, writer: self._take_in(tasks, reader, writer), sock=listener, backlog=128
+                    lambda reader, writer: self._take_in(tasks, reader, writer),
+                    sock=listener,
+                    backlog=128,
+                    **self._doorstep.tls(),
                 )
                 try:
                     tasks.create_task(self._tick_forever())
@@ -87,6 +101,7 @@ class RobotServer:
                 finally:
                     self.stop_motors()
                     self._systemd.ending()
+                    self._ends = True
                     server.close()
                     await self._say_goodbye()
         finally:
@@ -105,7 +120,7 @@ class RobotServer:
         if self.watchdog is not None:
             self.watchdog.close()
 
-    def hello(self) -> Hello:
+    def hello(self, challenge: bytes = b"") -> Hello:
         """What every station is told first."""
         identity = self._config.identity
         robot_id = identity.id or socket.gethostname() or "robot"
@@ -116,29 +131,36 @@ class RobotServer:
             session_id=self._session_id,
             capabilities=self.desk.capabilities(),
             calibration=self._devices.calibration,
+            challenge=challenge,
         )
 
     # Connections
 
     def _take_in(self, tasks: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self._ends:  # its handshake took longer than we live
+            writer.transport.abort()
+            return
         connection = writer.get_extra_info("socket")
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client = StationClient(self._next_client_id, reader, writer, self._now_ns, self._devices.clock)
         self._next_client_id += 1
+        self._doorstep.receive(client)
         self._make_room()
         self._clients[client.id] = client
         tasks.create_task(self._serve_client(client))
 
     def _make_room(self) -> None:
         """Who waits longest without joining yields, so that silent connections cannot keep a real station out."""
-        waiting = [c for c in self._clients.values() if c.session.state in (State.OPENING, State.JOINING)]
+        waiting = [
+            c for c in self._clients.values() if c.session.state in (State.OPENING, State.PAIRING, State.JOINING)
+        ]
         if len(waiting) >= self._config.server.max_waiting:
             reason = f"{len(waiting)} connections wait to join, and this one waited longest"
             waiting[0].end(Event.REFUSAL, Refusal(reason=reason))
 
     async def _serve_client(self, client: StationClient) -> None:
         try:
-            await client.run(self.hello(), self._handle, lambda leaving: self.desk.leave(leaving.id))
+            await client.run(self.hello(client.challenge), self._handle, lambda leaving: self.desk.leave(leaving.id))
         except Exception:
             logger.exception("connection %d failed", client.id)
         finally:
@@ -147,6 +169,12 @@ class RobotServer:
             logger.info("%s left: %s", name, client.session.close_reason)
 
     def _handle(self, client: StationClient, message: Join | StationMessage) -> None:
+        if not may(client.role, message):
+            self._refuse(client, message)
+            return
+        if isinstance(message, Prove | PairRequest | PairProof):
+            self._doorstep.introduce(client, message)
+            return
         if isinstance(message, Join):
             self._welcome(client, message)
             return
@@ -158,6 +186,13 @@ class RobotServer:
             client.put(reply_to(message, t_robot_ns, t_robot_ns))
         if (refusal := self.desk.handle(client.id, message, client.read_ns)) is not None:
             client.put(refusal)
+
+    def _refuse(self, client: StationClient, message: StationMessage) -> None:
+        if client.role is None:
+            client.end(Event.REFUSAL, Refusal(reason=UNKNOWN_STATION))
+            return
+        self.desk.refused += 1
+        client.put(notice("not_allowed", f"{message} is refused: this station may only {client.role.value}"))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
         limit = self._config.server.max_stations
@@ -228,6 +263,8 @@ class RobotServer:
                 self._systemd.alive(self._now_ns())
             if count % TICKS_PER_STATUS == 0:
                 self.faults.keep("robot", self._devices.problems())
+            if count % TICKS_PER_LOOK == 0:
+                self._doorstep.look(list(self._clients.values()))
             for client in list(self._clients.values()):
                 if client.tick():
                     self.desk.go_quiet(client.id)

@@ -11,6 +11,7 @@ import msgspec
 
 from robot.commands import notice
 from robot.outbox import FrameCursor, ImuCursor
+from shared.access import Role
 from shared.errors import RemoteProtocolError
 from shared.messages import (
     CameraFrame,
@@ -19,10 +20,12 @@ from shared.messages import (
     HeartbeatReply,
     Join,
     Message,
+    Paired,
     Received,
     Refusal,
     StationMessage,
 )
+from shared.pairing import Pake
 from shared.session import Event, Session, State, Tick
 
 logger = logging.getLogger(__name__)
@@ -50,6 +53,11 @@ class StationClient:
         """`now_ns` is the program's monotonic clock, `clock` the robot's, which may be a recording's."""
         self.id = client_id
         self.station_name = ""
+        self.address = str((writer.get_extra_info("peername") or ("?",))[0])
+        self.challenge = b""  # what this connection must answer; empty: no access control
+        self.role: Role | None = None  # None: who it is is not known yet
+        self.token_id = ""
+        self.pairing: tuple[Pake, str] | None = None  # the exchange so far, and the station's name
         self.imu: ImuCursor | None = None
         self.frames: FrameCursor | None = None
         self.messages_dropped = 0
@@ -64,7 +72,7 @@ class StationClient:
         self._ending = asyncio.Event()
         self._last_word = b""
         # Everything waits in our own queues, where it can be skipped and counted, not in the transport's.
-        writer.transport.set_write_buffer_limits(high=0)
+        writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
 
     @property
     def is_joined(self) -> bool:
@@ -101,12 +109,18 @@ class StationClient:
         self._queue.append(message)
         self._wake.set()
 
-    def end(self, event: Event, last_word: ErrorNotice | Refusal) -> None:
+    def end(self, event: Event, last_word: ErrorNotice | Refusal | Paired) -> None:
         """Close the connection, after telling the station why."""
         if self._ending.is_set():
             return
         self._last_word = self.session.send(last_word)
-        self.session.close(event, last_word.message if isinstance(last_word, ErrorNotice) else last_word.reason)
+        match last_word:
+            case ErrorNotice():
+                self.session.close(event, last_word.message)
+            case Refusal():
+                self.session.close(event, last_word.reason)
+            case Paired():
+                pass  # said is done
         self._ending.set()
 
     def tick(self) -> bool:
@@ -192,7 +206,8 @@ class StationClient:
                 if self._last_word:
                     self._writer.write(self._last_word)
                     await self._writer.drain()
-                    self._writer.write_eof()
+                    if self._writer.can_write_eof():  # TLS cannot end one direction alone
+                        self._writer.write_eof()
                     # Closing a socket with unread bytes resets it, and the peer would lose the last word.
                     while await self._reader.read(READ_BYTES):
                         pass

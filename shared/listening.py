@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 
 from shared.errors import ConfigError
@@ -30,3 +31,16 @@ def bind(host: str, port: int) -> socket.socket:
         ) from exc
     listener.setblocking(False)
     return listener
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs on this machine reach this address (or all addresses that this name has)."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        pass
+    try:
+        found = {str(address[0]) for *_, address in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)}
+    except (OSError, UnicodeError):
+        return False
+    return bool(host) and bool(found) and all(ipaddress.ip_address(a.partition("%")[0]).is_loopback for a in found)

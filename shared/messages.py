@@ -29,6 +29,8 @@ MAX_POSITION_M = 1000.0
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH)]
 Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]
 Count = Annotated[int, Meta(ge=0)]
+Proof = Annotated[bytes, Meta(min_length=32, max_length=32)]
+PakeMessage = Annotated[bytes, Meta(min_length=33, max_length=33)]
 ImageSide = Annotated[int, Meta(ge=1, le=MAX_IMAGE_SIDE_PX)]
 
 
@@ -66,6 +68,47 @@ class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     session_id: Name  # new at every start of robot-server: sequence numbers are comparable only within one
     capabilities: Capabilities
     calibration: Calibration
+    challenge: Annotated[bytes, Meta(max_length=64)] = b""  # to be answered by `Prove`; empty: no access control
+
+
+class Prove(_Message, frozen=True, kw_only=True, tag="prove"):
+    """Station's first message to a robot with access control: the answer to the challenge (shared/access.py)."""
+
+    token_id: Name
+    proof: Proof
+
+    def __repr__(self) -> str:
+        return f"Prove({self.token_id})"
+
+
+class PairRequest(_Message, frozen=True, kw_only=True, tag="pair_request"):
+    """Station's first message when it has no token yet but a code: its part of the exchange (shared/pairing.py)."""
+
+    protocol: int
+    station_name: Name
+    message: PakeMessage
+
+
+class PairReply(_Message, frozen=True, kw_only=True, tag="pair_reply"):
+    """The robot's part."""
+
+    message: PakeMessage
+
+
+class PairProof(_Message, frozen=True, kw_only=True, tag="pair_proof"):
+    """Shows that the station knew the code, and sees the robot's own certificate."""
+
+    mac: Proof
+
+
+class Paired(_Message, frozen=True, kw_only=True, tag="paired"):
+    """Shows that the robot knew the code, and gives the station its token; then the robot closes."""
+
+    mac: Proof
+    token: Annotated[str, Meta(max_length=128)]
+
+    def __repr__(self) -> str:
+        return "Paired()"  # the token is for nobody's log
 
 
 class Join(_Message, frozen=True, kw_only=True, tag="join"):
@@ -234,14 +277,36 @@ class ErrorNotice(_Message, frozen=True, kw_only=True, tag="error"):
     """Something was refused or failed. After a fatal one the sender closes the connection."""
 
     code: Literal[
-        "protocol", "not_driver", "not_capable", "out_of_range", "device", "end_of_recording", "shutdown", "silent"
+        "protocol",
+        "not_driver",
+        "not_capable",
+        "not_allowed",
+        "out_of_range",
+        "device",
+        "end_of_recording",
+        "shutdown",
+        "silent",
     ]
     message: Sentence
     fatal: bool = False
 
 
-RobotMessage = Hello | Welcome | Refusal | HeartbeatReply | CameraFrame | ImuBatch | DriveApplied | Status | ErrorNotice
-StationMessage = Join | Heartbeat | Received | Drive | Stop | PanTilt | Hijack | ErrorNotice
+RobotMessage = (
+    Hello
+    | Welcome
+    | Refusal
+    | PairReply
+    | Paired
+    | HeartbeatReply
+    | CameraFrame
+    | ImuBatch
+    | DriveApplied
+    | Status
+    | ErrorNotice
+)
+StationMessage = (
+    Join | Prove | PairRequest | PairProof | Heartbeat | Received | Drive | Stop | PanTilt | Hijack | ErrorNotice
+)
 Message = RobotMessage | StationMessage
 
 # msgspec leaves broken UTF-8 a UnicodeDecodeError, which is a ValueError.

@@ -18,6 +18,11 @@ from shared.messages import (
     Hello,
     Join,
     Message,
+    Paired,
+    PairProof,
+    PairReply,
+    PairRequest,
+    Prove,
     Refusal,
     Welcome,
     decode_robot_message,
@@ -38,6 +43,7 @@ class State(Enum):
 
     OPENING = "opening"  # robot: hello sent; station: waiting for it
     JOINING = "joining"  # the station has sent its join, the robot has not answered yet
+    PAIRING = "pairing"  # instead of joining: a code is exchanged for a token, then the connection ends
     ACTIVE = "active"
     QUIET = "quiet"  # joined, but nothing was heard for QUIET_AFTER_NS
     CLOSED = "closed"
@@ -47,6 +53,10 @@ class Event(Enum):
     """What moves a connection from state to state."""
 
     HELLO = "hello"
+    PROOF = "proof"  # of a token, where the hello asks for one
+    PAIR = "pair request or reply"
+    PAIR_PROOF = "pair proof"
+    PAIRED = "paired"
     JOIN = "join"
     WELCOME = "welcome"
     REFUSAL = "refusal"
@@ -61,7 +71,19 @@ class Event(Enum):
 _ENDS = dict.fromkeys((Event.FATAL_ERROR, Event.TIMED_OUT, Event.BROKE_RULES, Event.LOST), State.CLOSED)
 
 ROBOT_RULES: dict[State, dict[Event, State]] = {
-    State.OPENING: {Event.JOIN: State.JOINING, Event.REFUSAL: State.CLOSED, **_ENDS},
+    State.OPENING: {
+        Event.PROOF: State.OPENING,
+        Event.JOIN: State.JOINING,
+        Event.PAIR: State.PAIRING,
+        Event.REFUSAL: State.CLOSED,
+        **_ENDS,
+    },
+    State.PAIRING: {
+        Event.PAIR_PROOF: State.PAIRING,
+        Event.PAIRED: State.CLOSED,
+        Event.REFUSAL: State.CLOSED,
+        **_ENDS,
+    },
     State.JOINING: {Event.WELCOME: State.ACTIVE, Event.REFUSAL: State.CLOSED, **_ENDS},
     State.ACTIVE: {Event.MESSAGE: State.ACTIVE, Event.WENT_QUIET: State.QUIET, **_ENDS},
     State.QUIET: {Event.MESSAGE: State.ACTIVE, **_ENDS},
@@ -69,7 +91,8 @@ ROBOT_RULES: dict[State, dict[Event, State]] = {
 }
 STATION_RULES: dict[State, dict[Event, State]] = {
     State.OPENING: {Event.HELLO: State.JOINING, Event.REFUSAL: State.CLOSED, **_ENDS},
-    State.JOINING: {Event.WELCOME: State.ACTIVE, Event.REFUSAL: State.CLOSED, **_ENDS},
+    State.JOINING: {Event.WELCOME: State.ACTIVE, Event.PAIR: State.PAIRING, Event.REFUSAL: State.CLOSED, **_ENDS},
+    State.PAIRING: {Event.PAIRED: State.CLOSED, Event.REFUSAL: State.CLOSED, **_ENDS},
     State.ACTIVE: {Event.MESSAGE: State.ACTIVE, Event.WENT_QUIET: State.QUIET, **_ENDS},
     State.QUIET: {Event.MESSAGE: State.ACTIVE, **_ENDS},
     State.CLOSED: {},
@@ -79,6 +102,11 @@ _EVENT_OF: dict[type, Event] = {
     Join: Event.JOIN,
     Welcome: Event.WELCOME,
     Refusal: Event.REFUSAL,
+    Prove: Event.PROOF,
+    PairRequest: Event.PAIR,
+    PairReply: Event.PAIR,
+    PairProof: Event.PAIR_PROOF,
+    Paired: Event.PAIRED,
 }
 _JOINED = (State.ACTIVE, State.QUIET)
 
@@ -146,6 +174,8 @@ class Session:
             self._happen(Event.WELCOME, str(message))
         elif self._is_robot and isinstance(message, Refusal):
             self.close(Event.REFUSAL, message.reason)
+        elif self._is_robot and isinstance(message, Paired):
+            self.close(Event.PAIRED, "paired")
         return data
 
     def tick(self, now_ns: int) -> list[Tick]:
@@ -177,7 +207,7 @@ class Session:
             self._happen(event, reason)
 
     def _check_version(self, message: Message) -> None:
-        if isinstance(message, Hello | Join) and message.protocol != PROTOCOL_VERSION:
+        if isinstance(message, Hello | Join | PairRequest) and message.protocol != PROTOCOL_VERSION:
             raise RemoteProtocolError(version_mismatch(message.protocol, self._peer))
 
     def _happen(self, event: Event, what: str) -> None:

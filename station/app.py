@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.access import open_access
 from station.bin import Bin, Kind
 from station.comparisons import Comparisons, summarise
 from station.config import RecordingConfig, StationConfig
@@ -58,12 +59,18 @@ class Station:
         make_recorder: Callable[[Path], DriveRecorder | None] | None = None,
         place_servant: str = "station.place_servant:PlaceServant",
     ) -> None:
-        """`place_servant` names the class that the localisation worker runs."""
+        """`place_servant` names the class that the localisation worker runs.
+
+        Raises ConfigError: others than this machine would reach it, and it is not set up who may.
+        """
         self.config = config
         self.started_s = time.monotonic()
         self.events = Events()
         self.camera: Broadcast[SeenFrame] = Broadcast()
-        self.link = RobotLink(config.robot.host, config.robot.port, self, station_name=config.name)
+        self.access = open_access(config)
+        self.link = RobotLink(
+            config.robot.host, config.robot.port, self, station_name=config.name, robots=self.access.robots
+        )
         self.driving = Driving(
             self.link,
             config.drive,
@@ -111,6 +118,7 @@ class Station:
                 tasks.create_task(self._every_second(), name="second")
                 tasks.create_task(self._every_hour(), name="bin")
                 tasks.create_task(self._tidy_up(interrupted), name="recordings")
+                tasks.create_task(self.access.door.watch(), name="door")
                 started()
         finally:
             await self.drives.close()

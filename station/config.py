@@ -35,6 +35,14 @@ class ApiConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class AccessConfig:
+    """Who may ask (docs/access.md). On loopback: everybody on this machine."""
+
+    on_loopback: bool = False  # tokens and TLS there too, for a machine with several users or behind a proxy
+    insecure: bool = False  # no access control, and robots without TLS: whoever reaches the port can watch and drive
+
+
+@dataclass(frozen=True, slots=True)
 class DriveConfig:
     """Who may drive, and for how long without a word."""
 
@@ -100,6 +108,7 @@ class StationConfig:
     name: str = "station"
     robot: RobotConfig = field(default_factory=RobotConfig)
     api: ApiConfig = field(default_factory=ApiConfig)
+    access: AccessConfig = field(default_factory=AccessConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
     slam: SlamConfig = field(default_factory=SlamConfig)
     localization: LocalizationConfig = field(default_factory=LocalizationConfig)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import socket
 import time
 from collections.abc import Callable
 from typing import Protocol
 
-from shared.errors import LocalProtocolError, RemoteProtocolError
+from shared.access import prove
+from shared.errors import ConfigError, LocalProtocolError, RemoteProtocolError
 from shared.messages import (
     MAX_DRIVE_TTL_MS,
     PROTOCOL_VERSION,
@@ -25,6 +25,7 @@ from shared.messages import (
     Join,
     Message,
     PanTilt,
+    Prove,
     Received,
     Refusal,
     StationMessage,
@@ -33,13 +34,16 @@ from shared.messages import (
     Welcome,
 )
 from shared.session import Event, Session, State, Tick
+from station.connecting import READ_BYTES, Connection, ConnectionRefused, connect
 from station.link_state import LinkClock, LinkState, RateMeter
+from station.paired_robots import PairedRobots
 
 __all__ = ["LinkListener", "LinkState", "RobotLink"]
 
 logger = logging.getLogger(__name__)
 
 RETRY_S = 0.25  # a robot that just started is found well within two seconds
+REFUSED_RETRY_S = 2.0  # somebody must do something first: pair, or set up
 CONNECT_WITHIN_S = 1.5
 TICK_S = 0.025
 AUTO = "auto"  # as host: look for a robot
@@ -47,9 +51,8 @@ FIND_WITHIN_S = 2.0
 NO_ROBOT_FOUND = (
     "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
 )
-READ_BYTES = 256 * 1024
 # What is sent first when several things are due. Each kind has room for one: the newest wins.
-SENDING_ORDER: tuple[type, ...] = (Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
+SENDING_ORDER: tuple[type, ...] = (Prove, Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
 
 
 class LinkListener(Protocol):
@@ -93,13 +96,18 @@ class RobotLink:
         station_name: str = "station",
         now_ns: Callable[[], int] = time.monotonic_ns,
         find: Callable[[float], tuple[str, int] | None] | None = None,
+        robots: PairedRobots | None = None,
     ) -> None:
+        """`robots`: who is paired with this station; None: robots are met without TLS wherever they are."""
         self._find = find if find is not None or host != AUTO else _find_in_network
         self._host = host
         self._port = port
         self._listener = listener
         self._station_name = station_name
         self._now_ns = now_ns
+        self._robots = robots
+        self._connection: Connection | None = None
+        self._retry_s = RETRY_S
         self._session = Session("station", now_ns())
         self._due: dict[type, StationMessage] = {}
         self._wake = asyncio.Event()
@@ -204,6 +212,7 @@ class RobotLink:
         """Connect, and connect again whenever the connection is lost, until cancelled."""
         while True:
             was_connected = False
+            self._retry_s = RETRY_S
             try:
                 self._reason = await self._connect_once()
             finally:
@@ -212,7 +221,7 @@ class RobotLink:
             if was_connected:
                 logger.warning("robot lost: %s", self._reason)
                 self._listener.on_disconnected(self._reason)
-            await asyncio.sleep(RETRY_S)
+            await asyncio.sleep(self._retry_s)
 
     async def _connect_once(self) -> str:
         """Connect and stay connected; returns the sentence why not any longer."""
@@ -224,19 +233,24 @@ class RobotLink:
         address = f"{self._host}:{self._port}"
         try:
             async with asyncio.timeout(CONNECT_WITHIN_S):
-                reader, writer = await self._open()
+                connection = await connect(self._host, self._port, self._robots)
         except TimeoutError:
             return f"no answer from {address}; check that the robot is on and in this network"
         except OSError as exc:
             return f"cannot connect to {address} ({exc.strerror or exc}); start robot-server there"
+        except (ConnectionRefused, ConfigError) as exc:
+            self._retry_s = REFUSED_RETRY_S
+            return str(exc)
         except UnicodeError as exc:  # no name that DNS could hold, such as a..b
             return f"{self._host} is no host name ({exc}); give --robot HOST:PORT"
+        writer = connection.writer
+        self._connection = connection
         self._session = Session("station", self._now_ns())
         self._due.clear()
         self._seq = 0
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._read(reader))
+                tasks.create_task(self._read(connection.reader))
                 tasks.create_task(self._write(writer))
                 tasks.create_task(self._tick())
         except* _Ended:
@@ -246,26 +260,6 @@ class RobotLink:
         finally:
             writer.transport.abort()
         return self._session.close_reason
-
-    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        loop = asyncio.get_running_loop()
-        error: OSError | None = None
-        for family, kind, protocol, _, address in await loop.getaddrinfo(
-            self._host, self._port, type=socket.SOCK_STREAM
-        ):
-            connection = socket.socket(family, kind, protocol)
-            try:
-                connection.setblocking(False)
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                await loop.sock_connect(connection, address)
-                return await asyncio.open_connection(sock=connection, limit=READ_BYTES)
-            except OSError as exc:
-                error = exc
-                connection.close()
-            except BaseException:
-                connection.close()
-                raise
-        raise error or OSError("no address found")
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         session = self._session
@@ -283,7 +277,7 @@ class RobotLink:
         raise _Ended
 
     async def _write(self, writer: asyncio.StreamWriter) -> None:
-        writer.transport.set_write_buffer_limits(high=0)
+        writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -338,6 +332,7 @@ class RobotLink:
                 if self._hello is not None:
                     self._listener.on_connected(self._hello)
             case Refusal():
+                self._retry_s = REFUSED_RETRY_S if self._hello is not None and self._hello.challenge else RETRY_S
                 self._session.close_reason = f"the robot refused this station: {message.reason}"
             case _:
                 pass
@@ -355,6 +350,10 @@ class RobotLink:
             self._newest_frame = -1
             self._clock = LinkClock()
         self._hello = hello
+        connection = self._connection
+        if hello.challenge and connection is not None and connection.token is not None:
+            proof = prove(connection.token, hello.challenge, connection.fingerprint)
+            self._put(Prove(token_id=connection.token.id, proof=proof))
         self._put(
             Join(
                 protocol=PROTOCOL_VERSION,

@@ -6,6 +6,7 @@ import typer
 
 from shared.command_line import run_program
 from station.commands import (
+    access,
     demo,
     doctor,
     experiment,
@@ -32,6 +33,7 @@ def station() -> None:
 
 
 for command in (
+    access,
     demo,
     doctor,
     experiment,

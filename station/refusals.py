@@ -31,3 +31,19 @@ class OutOfRange(RobotSystemError):
 
 class Busy(RobotSystemError):
     """As many use it already as are allowed (503)."""
+
+
+class WrongToken(RobotSystemError):
+    """Nobody knows who asks (401)."""
+
+
+class NotAllowed(RobotSystemError):
+    """Who asks is known, and may not (403)."""
+
+
+class TooManyGuesses(RobotSystemError):
+    """This address showed too many wrong tokens (429)."""
+
+    def __init__(self, text: str, wait_s: float) -> None:
+        super().__init__(text)
+        self.wait_s = wait_s

@@ -29,8 +29,11 @@ class _Server(uvicorn.Server):
 async def serve(station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None) -> None:
     """Run until cancelled."""
     api = make_api(station)
+    identity = station.access.identity
     settings = uvicorn.Config(
         api,
+        ssl_keyfile=None if identity is None else identity.key,
+        ssl_certfile=None if identity is None else identity.certificate,
         log_level="warning",
         access_log=False,
         lifespan="off",

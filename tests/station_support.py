@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -16,7 +17,7 @@ import numpy as np
 from robot.devices.ports import CapturedFrame
 from shared.listening import bind
 from station.app import Station
-from station.config import ApiConfig, LocalizationConfig, RobotConfig, SlamConfig, StationConfig
+from station.config import AccessConfig, ApiConfig, LocalizationConfig, RobotConfig, SlamConfig, StationConfig
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore
 from station.places.build import build_map
@@ -87,24 +88,29 @@ class Desk:
 
 @asynccontextmanager
 async def running_station(
-    robot_port: int, data_dir: Path, *, backend: str = "tests.made_up_workers:StraightSlam"
+    robot_port: int,
+    data_dir: Path,
+    *,
+    backend: str = "tests.made_up_workers:StraightSlam",
+    verify: ssl.SSLContext | None = None,
 ) -> AsyncIterator[Desk]:
-    """Serve a station that looks for its robot at this port."""
+    """Serve a station that looks for its robot at this port; with `verify` by TLS, and with access control."""
     config = StationConfig(
         data_dir=data_dir,
         robot=RobotConfig("127.0.0.1", robot_port),
         api=ApiConfig(port=0),
+        access=AccessConfig(on_loopback=verify is not None),
         slam=SlamConfig(backend=backend),
         localization=LocalizationConfig(rate_hz=4),
     )
     station = Station(config, place_servant="tests.made_up_workers:PlaceByLight")
     listener = bind(config.api.host, config.api.port)
-    address = f"http://127.0.0.1:{listener.getsockname()[1]}"
+    address = f"{'https' if verify else 'http'}://127.0.0.1:{listener.getsockname()[1]}"
     started = asyncio.Event()
     serving = asyncio.create_task(serve(station, listener, started.set))
     # No connection is used twice: one that rested for 5 s may be closed by the server just as the next call is sent.
     fresh = httpx.Limits(max_keepalive_connections=0)
-    async with httpx.AsyncClient(base_url=address, timeout=20.0, limits=fresh) as http:
+    async with httpx.AsyncClient(base_url=address, timeout=20.0, limits=fresh, verify=verify or True) as http:
         try:
             await until(lambda: started.is_set() or serving.done())
             yield Desk(station, address, http)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import socket
 from typing import Annotated, cast
 from urllib.parse import urlsplit
 
@@ -10,10 +11,17 @@ from fastapi import Depends, Header
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
+from shared.listening import is_loopback
+from station.access import Visitor
+from station.api.doorkeeper import Found
+from station.api.roles import ROLES
 from station.app import Station
 from station.config import ApiConfig
+from station.refusals import NotAllowed
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
+# What this machine is called in its own network. No site can be: its name would have a dot of another domain.
+OWN_NAMES = {name for host in [socket.gethostname().lower()] if host for name in (host, f"{host}.local")}
 EVERYWHERE = ("0.0.0.0", "::")  # noqa: S104 - compared with, not listened on
 
 
@@ -22,12 +30,11 @@ def get_station(connection: HTTPConnection) -> Station:
 
 
 def admit(connection: HTTPConnection) -> None:
-    """The one place that decides who may use the API; tokens belong here.
+    """The one place that decides who may use the API: every call and socket goes through it, by its role in `ROLES`.
 
-    Now: everybody who reaches the port, which listens on loopback unless --host says otherwise. But not pages of other
-    sites: a browser on this machine would lend them its way to the robot. A page without a site (`Origin: null`: a
-    sandboxed frame, a file) is one of them; so is a site whose name was pointed at this machine after the page was
-    loaded (DNS rebinding): its name stands in `Host`, so the names of this station are a list.
+    Not pages of other sites: a browser would lend them its way to the robot, and its cookie. A page without a site
+    (`Origin: null`: a sandboxed frame, a file) is one of them; so is a site whose name was pointed at this machine
+    after the page was loaded (DNS rebinding): its name stands in `Host`, so the names of this station are a list.
     """
     host = connection.headers.get("host", "")
     if not _is_ours(host, get_station(connection).config.api):
@@ -37,6 +44,31 @@ def admit(connection: HTTPConnection) -> None:
     origin = connection.headers.get("origin")
     if origin is not None and urlsplit(origin).netloc != host:
         raise HTTPException(403, f"pages of {origin} may not use this station")
+    call = call_of(connection)
+    needed = ROLES[call]
+    if needed is None:
+        return
+    visitor: Found = connection.state.visitor
+    if not isinstance(visitor, Visitor):
+        raise visitor
+    if visitor.by == "cookie" and origin is None and not call.startswith("GET "):
+        raise NotAllowed("a browser says which page asks (`Origin`); programs send `Authorization: Bearer` instead")
+    if not visitor.role.includes(needed):
+        raise NotAllowed(f"{visitor.name} may {visitor.role.value}, and this needs the role {needed.value}")
+
+
+def call_of(connection: HTTPConnection) -> str:
+    """The name of what is called, in `ROLES`."""
+    path = connection.scope["route"].path
+    return f"WS {path}" if connection.scope["type"] == "websocket" else f"{connection.scope['method']} {path}"
+
+
+def get_visitor(connection: HTTPConnection) -> Visitor:
+    """Who asks, on a call that not everybody may."""
+    visitor = connection.state.visitor
+    if not isinstance(visitor, Visitor):
+        raise visitor
+    return visitor
 
 
 def _is_ours(host: str, api: ApiConfig) -> bool:
@@ -49,6 +81,8 @@ def _is_ours(host: str, api: ApiConfig) -> bool:
     except ValueError:
         return False
     if name in {*LOOPBACK, api.host.lower(), *(allowed.lower() for allowed in api.allowed_hosts)}:
+        return True
+    if name in OWN_NAMES and not is_loopback(api.host):
         return True
     return api.host in EVERYWHERE and _is_address(name)
 
@@ -71,5 +105,6 @@ def get_driver(
     return f"API client at {connection.client.host}" if connection.client else "API client"
 
 
+VisitorDep = Annotated[Visitor, Depends(get_visitor)]
 StationDep = Annotated[Station, Depends(get_station)]
 DriverDep = Annotated[str, Depends(get_driver)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fastapi import APIRouter, FastAPI, Request
-from fastapi.responses import FileResponse, HTMLResponse, Response
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 
 from station.refusals import Unknown
 
@@ -56,6 +56,11 @@ async def docs(request: Request) -> Response:
     if not (DIST / "docs" / "swagger-ui-bundle.js").is_file():
         return HTMLResponse(_plain_docs(request.app), headers=HEADERS)
     return HTMLResponse(DOCS, headers=HEADERS)
+
+
+@router.get("/openapi.json")
+async def openapi(request: Request) -> Response:
+    return JSONResponse(request.app.openapi())
 
 
 @router.get("/docs/start.js")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -20,6 +21,9 @@ MEDIA_TYPE = "application/problem+json"
 
 # What was raised -> slug, title, status; the first that fits.
 KINDS: tuple[tuple[type[RobotSystemError], str, str, int], ...] = (
+    (refusals.WrongToken, "unauthorized", "Who are you", 401),
+    (refusals.NotAllowed, "not-allowed", "Not allowed", 403),
+    (refusals.TooManyGuesses, "too-many-guesses", "Too many wrong tokens", 429),
     (refusals.Unknown, "not-found", "Not found", 404),
     (refusals.NotDriver, "not-driver", "Another one drives", 409),
     (refusals.NotCapable, "not-capable", "This robot cannot do that", 409),
@@ -51,7 +55,9 @@ def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """OpenAPI entries of the problems a call may answer with."""
     titles = {
         400: "no text in UTF-8",
-        403: "foreign page",
+        401: "no token, or one that is not valid",
+        403: "a foreign page, or the token's role may not",
+        429: "too many wrong tokens",
         404: "not found",
         409: "not now",
         422: "not valid",
@@ -77,7 +83,12 @@ def install(app: FastAPI) -> None:
         slug, title, status = kind_of(exc)
         if status >= 500 and slug == "failed":
             logger.error("%s %s: %s", request.method, request.url.path, exc)
-        return problem(request, status, slug, title, str(exc))
+        answer = problem(request, status, slug, title, str(exc))
+        if isinstance(exc, refusals.WrongToken):
+            answer.headers["WWW-Authenticate"] = "Bearer"
+        if isinstance(exc, refusals.TooManyGuesses):
+            answer.headers["Retry-After"] = str(math.ceil(exc.wait_s))
+        return answer
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, exc: RequestValidationError) -> JSONResponse:

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from shared.certificates import show_fingerprint
 from shared.listening import bind
 from station.config import RobotConfig, StationConfig, load_config, parse_address
 from station.slam.backends import check_backend
@@ -29,6 +30,9 @@ def serve(
     data: Annotated[Path | None, typer.Option(help="Folder for navigations and maps.")] = None,
     backend: Annotated[str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="No access control: whoever reaches the port can watch and drive.")
+    ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
 ) -> None:
     """Serve the page and the API: drive, map, and ask which place the robot is at."""
@@ -38,16 +42,23 @@ def serve(
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="station: %(levelname)s: %(message)s"
     )
-    settings = _settings(load_config(config), robot, host, port, data, backend)
+    settings = _settings(load_config(config), robot, host, port, data, backend, insecure)
     listener = bind(settings.api.host, settings.api.port)
     with listener:
         name, number = listener.getsockname()[:2]
-        address = f"http://{f'[{name}]' if ':' in name else name}:{number}"
+        station = Station(settings)
+        identity = station.access.identity
+        scheme = "http" if identity is None else "https"
+        address = f"{scheme}://{f'[{name}]' if ':' in name else name}:{number}"
+
+        def started() -> None:
+            print(f"station: page and API at {address}", flush=True)
+            if identity is not None:
+                shown = show_fingerprint(identity.fingerprint)
+                print(f"station: certificate {shown}; tokens: station access --help", flush=True)
 
         async def run() -> None:
-            await serve_until_signal(
-                Station(settings), listener, lambda: print(f"station: page and API at {address}", flush=True)
-            )
+            await serve_until_signal(station, listener, started)
 
         with asyncio.Runner(loop_factory=_loop_factory()) as runner:
             runner.run(run())
@@ -60,6 +71,7 @@ def _settings(
     port: int | None,
     data: Path | None,
     backend: str | None,
+    insecure: bool,
 ) -> StationConfig:
     """The file's settings with the options over them."""
     api = dataclasses.replace(
@@ -68,7 +80,9 @@ def _settings(
     link = RobotConfig(*parse_address(robot, "--robot")) if robot else settings.robot
     slam = dataclasses.replace(settings.slam, backend=backend or settings.slam.backend)
     check_backend(slam.backend)
-    return dataclasses.replace(settings, api=api, robot=link, slam=slam, data_dir=data or settings.data_dir)
+    access = dataclasses.replace(settings.access, insecure=insecure or settings.access.insecure)
+    folder = data or settings.data_dir
+    return dataclasses.replace(settings, api=api, robot=link, slam=slam, data_dir=folder, access=access)
 
 
 def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:

@@ -18,12 +18,14 @@ from shared.messages import CameraFrame
 from station.api.limits import MAX_BODY_BYTES, TRY_AGAIN_LATER, UNSUPPORTED
 from station.api.server import make_api
 from station.app import SeenFrame, Station
-from station.config import ApiConfig, StationConfig, load_config
+from station.config import AccessConfig, ApiConfig, StationConfig, load_config
 from tests.link_support import until
 
 
 def asking(tmp_path: Path, api: ApiConfig | None = None) -> httpx.AsyncClient:
-    app = make_api(Station(StationConfig(data_dir=tmp_path, api=api or ApiConfig())))
+    # Who may is not asked here (test_access_http.py does), only under which name and from which page.
+    config = StationConfig(data_dir=tmp_path, api=api or ApiConfig(), access=AccessConfig(insecure=True))
+    app = make_api(Station(config))
     return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://127.0.0.1:8080")
 
 

@@ -1,0 +1,139 @@
+"""Who may do what with this robot: the table of messages and roles, and the gate that stations come in by."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_args
+
+from robot.config import RobotConfig
+from robot.pairing import CODE_LIFE_S, PairingDesk
+from shared.access import GuessLimit, Role
+from shared.certificates import open_identity
+from shared.errors import ConfigError, LocalProtocolError
+from shared.listening import is_loopback
+from shared.messages import (
+    Drive,
+    ErrorNotice,
+    Heartbeat,
+    Hijack,
+    Join,
+    PairProof,
+    PairRequest,
+    PanTilt,
+    Prove,
+    Received,
+    StationMessage,
+    Stop,
+)
+from shared.pairing import show_code
+from shared.token_book import TokenBook, TokenRecord
+
+# Every message a station can say, and who may. None: who is not known yet; these are how one becomes known.
+MESSAGE_ROLES: dict[type, Role | None] = {
+    Prove: None,
+    PairRequest: None,
+    PairProof: None,
+    Join: Role.WATCH,
+    Heartbeat: Role.WATCH,
+    Received: Role.WATCH,
+    ErrorNotice: Role.WATCH,
+    Stop: Role.WATCH,  # whoever sees the robot may stop it
+    Drive: Role.DRIVE,
+    PanTilt: Role.DRIVE,
+    Hijack: Role.DRIVE,
+}
+UNKNOWN_STATION = (
+    "this robot admits only paired stations; run `robot-server pair` on it, then `station pair` with its code"
+)
+TOKEN_REFUSED = "the station's token is not valid here any more; pair station and robot again"
+
+
+def check_roles() -> None:
+    """Raises LocalProtocolError when a message has no role: nothing is open because somebody forgot."""
+    missing = [kind.__name__ for kind in get_args(StationMessage) if kind not in MESSAGE_ROLES]
+    if missing:
+        raise LocalProtocolError(f"no role is set for {', '.join(missing)}; add it to MESSAGE_ROLES in robot/access.py")
+
+
+def may(role: Role | None, message: StationMessage) -> bool:
+    """Whether a station in this role (None: not known yet) may say this."""
+    needed = MESSAGE_ROLES[type(message)]
+    return needed is None or (role is not None and role.includes(needed))
+
+
+def default_folder() -> Path:
+    """Where the robot's key and book are when the settings name no other place."""
+    return Path.home() / ".local" / "state" / "sentinel" / "robot-access"
+
+
+class Gate:
+    """Key, certificate, book and pairing desk of a robot with access control."""
+
+    def __init__(self, folder: Path, now_s: Callable[[], float] = time.time) -> None:
+        """Raises ConfigError: not set up."""
+        identity = open_identity(folder)
+        self.book = TokenBook(folder)
+        self.fingerprint = identity.fingerprint
+        self.context: ssl.SSLContext = identity.server_context()
+        self.desk = PairingDesk(folder, self.book, identity.fingerprint)
+        self._guesses = GuessLimit()
+        self._now_s = now_s
+
+    def admit(self, prove: Prove, challenge: bytes, address: str) -> TokenRecord | str:
+        """Who answered the challenge, or the sentence why nobody did."""
+        now_s = self._now_s()
+        if wait_s := self._guesses.wait_s(address, now_s):
+            return f"too many wrong tokens came from {address}; wait {wait_s:.0f} s"
+        self.book.refresh()
+        record = self.book.find_proof(prove.token_id, prove.proof, challenge, self.fingerprint, now_s)
+        if record is None:
+            self._guesses.wrong(address, prove.proof, now_s)
+            return TOKEN_REFUSED
+        self.book.use(record, now_s)
+        return record
+
+    def is_live(self, token_id: str) -> bool:
+        """Whether a token that was admitted still may; after `refresh`."""
+        return self.book.live(token_id, self._now_s()) is not None
+
+    def refresh(self) -> bool:
+        """Look whether the book was changed."""
+        return self.book.refresh()
+
+    @property
+    def is_unpaired(self) -> bool:
+        """First use: nobody may yet."""
+        return not self.book.has_live_token(self._now_s())
+
+    def now_s(self) -> float:
+        return self._now_s()
+
+
+def open_gate(config: RobotConfig) -> Gate | None:
+    """The gate that the settings ask for; None: only this machine reaches the robot, or a person said `--insecure`.
+
+    Raises ConfigError: others would reach the robot, and nothing says who may.
+    """
+    host, access = config.server.host, config.access
+    if access.insecure or (not access.folder and is_loopback(host)):
+        return None
+    folder = Path(access.folder).expanduser() if access.folder else default_folder()
+    try:
+        return Gate(folder)
+    except ConfigError as exc:
+        option = f" --folder {folder}" if access.folder else ""
+        raise ConfigError(
+            f"others reach this robot at {host} and it is not set up who may ({exc});"
+            f" run `robot-server access init{option}`, then `robot-server pair{option}`"
+        ) from exc
+
+
+def pairing_sentence(code: str) -> str:
+    """What a person at the robot is told."""
+    host, shown = f"{socket.gethostname() or 'ROBOT'}.local", show_code(code)
+    minutes = CODE_LIFE_S / 60
+    return f"pairing code {shown}, good for {minutes:.0f} minutes; on the PC: station pair {host} --code {shown}"

@@ -1,0 +1,66 @@
+"""Files that only their owner may read, replaced whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+from shared.errors import ConfigError
+
+_OTHERS = 0o077
+
+
+def make_private_folder(folder: Path) -> None:
+    """A folder that only its owner may enter. Raises ConfigError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        folder.chmod(0o700)
+    except OSError as exc:
+        raise ConfigError(f"{folder} cannot be made ({exc.strerror}); give a folder that you may write to") from exc
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Replace a file in one step, mode 0600. Raises ConfigError; the old one stays then."""
+    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(path)
+    except OSError as exc:
+        with contextlib.suppress(OSError):
+            fresh.unlink(missing_ok=True)
+        raise ConfigError(f"{path} cannot be written ({exc.strerror}); free space or correct its owner") from exc
+
+
+def read_private(path: Path) -> bytes | None:
+    """The content; None: there is no such file. Raises ConfigError when others may read it too."""
+    try:
+        with path.open("rb") as file:
+            if os.fstat(file.fileno()).st_mode & _OTHERS:
+                raise ConfigError(f"{path} holds secrets and others may read it; run: chmod 600 {path}")
+            return file.read()
+    except FileNotFoundError:
+        return None
+    except OSError as exc:
+        raise ConfigError(f"{path} cannot be read ({exc.strerror}); run as the user that owns it") from exc
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep other programs from changing a file meanwhile; a file beside it, `.lock`, is what is locked."""
+    try:
+        descriptor = os.open(path.with_name(f"{path.name}.lock"), os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError as exc:
+        raise ConfigError(f"{path.parent} cannot be written ({exc.strerror}); run as the user that owns it") from exc
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,109 @@
+"""Which role each call and socket needs. One that is missing here keeps the station from starting."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from fastapi.routing import APIRoute, APIWebSocketRoute
+from starlette.routing import BaseRoute
+
+from shared.access import Role
+from shared.errors import LocalProtocolError
+
+OPEN, WATCH, DRIVE, ADMIN = None, Role.WATCH, Role.DRIVE, Role.ADMIN
+
+# None: open to everybody, which only the page's own files are, and the door itself.
+ROLES: dict[str, Role | None] = {
+    "GET /": OPEN,
+    "GET /assets/{name}": OPEN,
+    "GET /favicon.svg": OPEN,
+    "POST /login": OPEN,
+    "POST /logout": WATCH,
+    "GET /session": WATCH,
+    "GET /docs": WATCH,
+    "GET /docs/start.js": WATCH,
+    "GET /docs/{name}": WATCH,
+    "GET /openapi.json": WATCH,
+    # The robot
+    "GET /robot": WATCH,
+    "POST /stop": WATCH,  # whoever sees the robot may stop it
+    "POST /drive": DRIVE,
+    "POST /drive/take-over": DRIVE,
+    "POST /drive/release": DRIVE,
+    "POST /pan-tilt": DRIVE,
+    "POST /robot/hijack": DRIVE,
+    "POST /robot/pair": ADMIN,
+    "WS /ws/drive": DRIVE,
+    # What it sees, where it is
+    "GET /camera/frame.jpg": WATCH,
+    "GET /camera/stream.mjpg": WATCH,
+    "WS /ws/camera": WATCH,
+    "WS /ws/events": WATCH,
+    "WS /ws/replay": WATCH,
+    "GET /log": WATCH,
+    "GET /healthz": WATCH,
+    "GET /metrics": WATCH,
+    "GET /pose": WATCH,
+    "GET /trajectory": WATCH,
+    "GET /landmarks": WATCH,
+    "GET /place/current": WATCH,
+    "GET /place/timeline": WATCH,
+    "GET /place/current/images/{t_robot_ns}.jpg": WATCH,
+    "GET /places": WATCH,
+    "GET /places/{place_id}": WATCH,
+    "GET /places/{place_id}/images/{kind}": WATCH,
+    "GET /graph": WATCH,
+    "GET /places/changes": WATCH,
+    "POST /places/undo": DRIVE,
+    "PATCH /places/{place_id}": DRIVE,
+    "POST /places/merge": DRIVE,
+    # Maps and drives
+    "GET /maps": WATCH,
+    "GET /maps/{map_id}/landmarks": WATCH,
+    "GET /maps/{map_id}/images/{keyframe}.jpg": WATCH,
+    "POST /maps": DRIVE,
+    "PUT /maps/active": DRIVE,
+    "POST /maps/{map_id}/restore": DRIVE,
+    "DELETE /maps/{map_id}": ADMIN,
+    "GET /navigations": WATCH,
+    "GET /navigations/{navigation_id}": WATCH,
+    "GET /navigations/{navigation_id}/landmarks": WATCH,
+    "GET /navigations/{navigation_id}/replay": WATCH,
+    "GET /navigations/{navigation_id}/replay.mjpg": WATCH,
+    "GET /navigations/{navigation_id}/{name}": WATCH,
+    "POST /navigations": DRIVE,
+    "POST /navigations/{navigation_id}/stop": DRIVE,
+    "POST /navigations/{navigation_id}/reprocess": DRIVE,
+    "POST /navigations/{navigation_id}/restore": DRIVE,
+    "DELETE /navigations/{navigation_id}": ADMIN,
+    "GET /comparisons": WATCH,
+    "GET /comparisons/{comparison_id}": WATCH,
+    "GET /comparisons/{comparison_id}/{name}": WATCH,
+    "POST /comparisons": DRIVE,
+    "DELETE /comparisons/{comparison_id}": ADMIN,
+    "GET /jobs": WATCH,
+    "GET /jobs/{job_id}": WATCH,
+    "DELETE /jobs/{job_id}": DRIVE,
+    "GET /bin": WATCH,
+    "DELETE /bin": ADMIN,
+    # Who may
+    "GET /access/tokens": ADMIN,
+    "POST /access/tokens": ADMIN,
+    "DELETE /access/tokens/{token_id}": ADMIN,
+}
+
+
+def calls_of(route: BaseRoute) -> list[str]:
+    """The names of a route in the table."""
+    if isinstance(route, APIWebSocketRoute):
+        return [f"WS {route.path}"]
+    if isinstance(route, APIRoute):
+        return [f"{method} {route.path}" for method in sorted(route.methods or ())]
+    return [f"{type(route).__name__} {getattr(route, 'path', '?')}"]  # never in the table: it would pass by the door
+
+
+def check_roles(routes: Iterable[BaseRoute]) -> None:
+    """Raises LocalProtocolError when a call has no role: nothing is open because somebody forgot."""
+    missing = [call for route in routes for call in calls_of(route) if call not in ROLES]
+    if missing:
+        raise LocalProtocolError(f"no role is set for {', '.join(missing)}; add it to ROLES in station/api/roles.py")

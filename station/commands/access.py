@@ -1,0 +1,199 @@
+"""`station access …`, `station pair` and `station robots`: who may use this station, and which robots it trusts."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import datetime
+import json
+import socket
+import time
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from shared.access import Role
+from shared.certificates import CERTIFICATE_NAME, make_identity, open_identity, show_fingerprint
+from shared.errors import ConfigError
+from shared.pairing import parse_code
+from shared.token_book import TokenBook, TokenRecord
+from shared.token_lines import revoke_token, show_tokens
+from station.access import LINK_S, access_folder
+from station.config import DEFAULT_DATA_DIR, load_config, parse_address
+from station.paired_robots import PairedRobots
+from station.pairing import pair as pair_with
+
+CERTIFICATE_DAYS = 820  # some browsers take no longer one
+FIRST = "owner"
+
+access = typer.Typer(no_args_is_help=True, help="Who may use this station.")
+
+Data = Annotated[Path | None, typer.Option(help="The station's data folder.")]
+Config = Annotated[Path | None, typer.Option(help="The station's TOML file.")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object as the last line.")]
+
+
+class RoleName(str, Enum):  # noqa: UP042  # typer shows the values of a str enum
+    """What somebody may do."""
+
+    watch = "watch"
+    drive = "drive"
+    admin = "admin"
+
+
+def register(app: typer.Typer) -> None:
+    app.add_typer(access, name="access")
+    app.command()(pair)
+    app.command()(robots)
+
+
+@access.command()
+def init(
+    data: Data = None,
+    config: Config = None,
+    name: Annotated[list[str] | None, typer.Option(help="A further name or address that browsers use.")] = None,
+    renew: Annotated[bool, typer.Option("--renew", help="A new certificate; tokens stay.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Make this station's certificate and the first admin token, which is shown once; what is there already stays."""
+    folder = _folder(data, config)
+    book = TokenBook.create(folder)
+    if renew or not (folder / CERTIFICATE_NAME).exists():
+        _make_certificate(folder, name or [])
+    identity = open_identity(folder)
+    token = None if book.has_live_token(time.time()) else book.add(FIRST, Role.ADMIN, time.time()).text
+    if as_json:
+        certificate = str(identity.certificate)
+        print(json.dumps({"token": token, "fingerprint": identity.fingerprint.hex(), "certificate": certificate}))
+        return
+    print(f"certificate {show_fingerprint(identity.fingerprint)}: {identity.certificate}")
+    if token is not None:
+        _show_token(token, FIRST, Role.ADMIN)
+
+
+@access.command()
+def add(
+    name: Annotated[str, typer.Argument(help="Who or what it is for, such as anna or garden-display.")],
+    role: Annotated[RoleName, typer.Option(help="watch; drive: also move, record, name; admin: also delete.")],
+    data: Data = None,
+    config: Config = None,
+    days: Annotated[float | None, typer.Option(min=0.001, help="It ends by itself after so many days.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a token for somebody; it is shown once."""
+    book = TokenBook(_folder(data, config))
+    token = book.add(name, Role(role.value), time.time(), None if days is None else days * 86_400).text
+    if as_json:
+        print(json.dumps({"name": name, "role": role.value, "token": token}))
+        return
+    _show_token(token, name, Role(role.value))
+
+
+@access.command()
+def link(
+    name: Annotated[str, typer.Argument(help="Whose token: name or id.")],
+    address: Annotated[str, typer.Option(help="Where the page is, such as https://192.168.1.20:8080.")] = "",
+    data: Data = None,
+    config: Config = None,
+) -> None:
+    """A link that logs one browser in, once, within ten minutes: for a phone that cannot paste a token."""
+    book, now_s = TokenBook(_folder(data, config)), time.time()
+    code = book.add_for(_one(book, name, now_s), "link", now_s, LINK_S).text
+    where = address.rstrip("/") or f"https://{socket.gethostname()}:8080"
+    print(f"{where}/#login={code}")
+
+
+@access.command("list")
+def list_tokens(data: Data = None, config: Config = None, as_json: Json = False) -> None:
+    """Who may, and who no longer may."""
+    show_tokens(TokenBook(_folder(data, config)), as_json)
+
+
+@access.command()
+def revoke(
+    name: Annotated[str, typer.Argument(help="Name or id, as `access list` shows it.")],
+    data: Data = None,
+    config: Config = None,
+) -> None:
+    """A token counts no longer; what it has open is closed within a second."""
+    revoke_token(TokenBook(_folder(data, config)), name)
+
+
+def pair(
+    robot: Annotated[str, typer.Argument(help="HOST or HOST:PORT of robot-server.")],
+    code: Annotated[str, typer.Option(help="The code that the robot shows: `robot-server pair`.")],
+    data: Data = None,
+    config: Config = None,
+    as_json: Json = False,
+) -> None:
+    """Pair with a robot: its code becomes a token, and its certificate is remembered."""
+    settings = load_config(config)
+    host, port = parse_address(robot, "ROBOT")
+    station_name = f"{settings.name} on {socket.gethostname() or 'a PC'}"
+    paired = asyncio.run(pair_with(host, port, parse_code(code), station_name))
+    _robots(data, config).keep(paired)
+    shown = show_fingerprint(bytes.fromhex(paired.fingerprint))
+    if as_json:
+        print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))
+        return
+    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {host}:{port}")
+
+
+def robots(
+    data: Data = None,
+    config: Config = None,
+    forget: Annotated[str | None, typer.Option(help="Name of a robot that shall not be trusted any more.")] = None,
+    as_json: Json = False,
+) -> None:
+    """The robots this station is paired with."""
+    paired = _robots(data, config)
+    if forget is not None:
+        paired.forget(forget)
+    known = [(r.name, r.host, r.port, r.fingerprint) for r in paired.all()]
+    if as_json:
+        print(json.dumps([dict(zip(("name", "host", "port", "fingerprint"), r, strict=True)) for r in known]))
+        return
+    for name, host, port, fingerprint in known:
+        print(f"{name}  {host}:{port}  certificate {show_fingerprint(bytes.fromhex(fingerprint))}")
+    if not known:
+        print("none")
+
+
+def _make_certificate(folder: Path, names: list[str]) -> None:
+    host = socket.gethostname() or "station"
+    known = ["localhost", "127.0.0.1", "::1", host, f"{host}.local", *_own_addresses(), *names]
+    now = datetime.datetime.now(datetime.UTC)
+    make_identity(folder, f"Sentinel station {host}", known, CERTIFICATE_DAYS, now)
+
+
+def _own_addresses() -> list[str]:
+    """Addresses that this machine's name stands for, and the one it would reach others by; nothing is sent."""
+    found: list[str] = []
+    with contextlib.suppress(OSError):  # a machine without a name of its own
+        found += [str(a[0]).partition("%")[0] for *_, a in socket.getaddrinfo(socket.gethostname(), None)]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):  # no network
+        probe.connect(("192.0.2.1", 9))  # an address for documentation: only the route is looked up
+        found.append(str(probe.getsockname()[0]))
+    return found
+
+
+def _show_token(token: str, name: str, role: Role) -> None:
+    print(f"token of {name} ({role.value}), shown only now:\n{token}")
+
+
+def _one(book: TokenBook, name: str, now_s: float) -> TokenRecord:
+    for record in book.tokens():
+        if record.is_live(now_s) and name in (record.name, record.id):
+            return record
+    raise ConfigError(f"nobody named {name!r} may; `station access list` shows who may")
+
+
+def _folder(data: Path | None, config: Path | None) -> Path:
+    settings = load_config(config)
+    return access_folder(data or settings.data_dir or DEFAULT_DATA_DIR)
+
+
+def _robots(data: Path | None, config: Path | None) -> PairedRobots:
+    return PairedRobots(_folder(data, config))
