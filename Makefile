@@ -7,13 +7,13 @@ BIN := $(VENV)/bin
 SEED ?= 1
 PORT ?= 8080
 
-.PHONY: help demo setup test lint check firmware bench bench-stop bench-slam bench-page soak clean clean-cache
+.PHONY: help demo setup test lint audit check firmware bench bench-stop bench-slam bench-page soak clean clean-cache
 
 help:
 	@echo "make demo            simulated robot + station + page at http://127.0.0.1:8080 (ONCE=1: end by itself, SEED=n: another flat, PORT=n)"
 	@echo "make test            everything that needs no hardware: lint, types, tests"
 	@echo "make setup           only install, into .venv"
-	@echo "make lint | firmware | bench (QUICK=1: a try) | bench-stop | bench-slam | bench-page | soak | clean | clean-cache"
+	@echo "make lint | audit | firmware | bench (QUICK=1: a try) | bench-stop | bench-slam | bench-page | soak | clean | clean-cache"
 
 WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -type f -print 2>/dev/null)
 
@@ -31,7 +31,11 @@ demo: $(VENV)/.run
 lint: $(VENV)/.dev
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check .
+	@$(BIN)/bandit -q -c pyproject.toml -r robot station shared
 	@$(BIN)/mypy
+
+audit: $(VENV)/.dev
+	@scripts/audit.sh
 
 test: $(VENV)/.dev
 	@scripts/test.sh

@@ -8,5 +8,6 @@ scripts/apt-need.sh "database tests" postgresql
 [ -x firmware/install-deps.sh ] && firmware/install-deps.sh
 $bin/ruff format --check --quiet .
 $bin/ruff check --quiet .
+$bin/bandit -q -c pyproject.toml -r robot station shared
 $bin/mypy
 exec $bin/pytest -m "not hardware" "$@"

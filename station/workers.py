@@ -214,7 +214,7 @@ class Worker:
         assert self._connection is not None
         while True:
             try:
-                message = pickle.loads(self._connection.recv_bytes())  # noqa: S301 - from our own child
+                message = pickle.loads(self._connection.recv_bytes())  # from our own child  # noqa: S301  # nosec B301
             except (EOFError, OSError):
                 break
             _soon(loop, self._receive, message)
@@ -276,7 +276,7 @@ def _serve(connection: Connection, servant_path: str, arguments: tuple[Any, ...]
     servant = resolve(servant_path)(lambda event: connection.send((None, True, event)), *arguments)
     while True:
         try:
-            call, method, values = pickle.loads(connection.recv_bytes())  # noqa: S301 - from our own parent
+            call, method, values = pickle.loads(connection.recv_bytes())  # from our own parent  # noqa: S301  # nosec B301
         except (EOFError, OSError):
             return
         if method == END:

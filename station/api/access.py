@@ -16,7 +16,7 @@ from shared.token_book import TokenRecord
 from station.access import SESSION_S, Visitor
 from station.api.deps import StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
-from station.api.models import Model
+from station.api.models import Model, SessionModel
 from station.api.problems import responses
 from station.config import parse_address
 from station.pairing import PairingFailed, pair
@@ -28,12 +28,6 @@ STATION_NAME = 64
 
 class LoginOrder(Model):
     token: str = Field(max_length=256, description="a token, or the code of a login link")
-
-
-class SessionModel(Model):
-    controlled: bool = Field(description="false: everybody who reaches this station is admin")
-    name: str
-    role: Role
 
 
 class TokenOrder(Model):
@@ -144,7 +138,7 @@ async def pair_robot(order: PairOrder, station: StationDep) -> PairedModel:
 
 
 def _session(visitor: Visitor, controlled: bool) -> SessionModel:
-    return SessionModel(controlled=controlled, name=visitor.name, role=visitor.role)
+    return SessionModel(controlled=controlled, name=visitor.name, role=visitor.role.value)
 
 
 def _token(record: TokenRecord) -> TokenModel:

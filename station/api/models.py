@@ -395,3 +395,11 @@ class HealthModel(Model):
     uptime_s: float
     robot_connected: bool
     localisation: str = Field(description="in words")
+
+
+class SessionModel(Model):
+    """Who asks."""
+
+    controlled: bool = Field(description="false: everybody who reaches this station is admin")
+    name: str
+    role: Literal["watch", "drive", "admin"]

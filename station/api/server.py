@@ -52,11 +52,11 @@ def make_api(station: Station) -> FastAPI:
     check_roles([*app.routes, *(route for part in PARTS for route in part.router.routes)])
     for part in PARTS:
         app.include_router(part.router, dependencies=[Depends(admit)])
-    _describe(app)
+    _describe(app, asks_who=not station.access.door.is_open)
     return app
 
 
-def _describe(app: FastAPI) -> None:
+def _describe(app: FastAPI, asks_who: bool) -> None:
     """Put into OpenAPI what it cannot know: the problem document, how to show a token, which role a call needs."""
     original = app.openapi
 
@@ -69,7 +69,7 @@ def _describe(app: FastAPI) -> None:
         for path, calls in document["paths"].items():
             for method, call in calls.items():
                 role = ROLES[f"{method.upper()} {path}"]
-                call["security"] = [] if role is None else [{"token": []}]
+                call["security"] = [{"token": []}] if asks_who and role is not None else []
                 call["x-role"] = None if role is None else role.value
         return document
 

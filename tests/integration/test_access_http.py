@@ -6,12 +6,7 @@ import asyncio
 import contextlib
 import json
 import logging
-import ssl
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -22,41 +17,11 @@ from shared.token_book import TokenBook
 from station.api.doorkeeper import COOKIE, REVOKED
 from station.api.roles import ROLES
 from station.api.server import PARTS
-from tests.access_support import set_up
+from tests.access_support import Guarded, guarded_station
 from tests.link_support import running_robot, until
-from tests.station_support import Desk, Film, running_station
+from tests.station_support import Film, running_station
 
 SOCKETS = {"/ws/events": "", "/ws/camera": "", "/ws/drive": "", "/ws/replay": "?navigation=none"}
-
-
-@dataclass
-class Guarded:
-    """A station with access control, and a token of each role."""
-
-    desk: Desk
-    tokens: dict[Role, str]
-    context: ssl.SSLContext
-    folder: Path
-
-    def headers(self, role: Role | None) -> dict[str, str]:
-        return {} if role is None else {"Authorization": f"Bearer {self.tokens[role]}"}
-
-    @property
-    def origin(self) -> str:
-        return self.desk.address
-
-    def socket(self, path: str, **options: Any) -> websockets.connect:
-        return websockets.connect(self.desk.socket(path), ssl=self.context, **options)
-
-
-@asynccontextmanager
-async def guarded_station(tmp_path: Path, robot_port: int = 1) -> AsyncIterator[Guarded]:
-    folder = set_up(tmp_path / "access")
-    book = TokenBook(folder)
-    tokens = {role: book.add(f"{role.value}er", role, 0.0).text for role in Role}
-    context = ssl.create_default_context(cafile=str(folder / "certificate.pem"))
-    async with running_station(robot_port, tmp_path, verify=context) as desk:
-        yield Guarded(desk, tokens, context, folder)
 
 
 def is_problem(answer: httpx.Response, status: int) -> bool:

@@ -50,6 +50,8 @@ export function socketUrl(path: string): string {
   return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`;
 }
 
+const REVOKED = 4401; // station/api/doorkeeper.py
+
 /** A WebSocket that comes back by itself. */
 export class LastingSocket {
   private socket: WebSocket | null = null;
@@ -82,8 +84,9 @@ export class LastingSocket {
       this.onState(true);
     };
     socket.onmessage = (event) => this.onMessage(event.data);
-    socket.onclose = () => {
+    socket.onclose = (event) => {
       this.onState(false);
+      if (event.code === REVOKED) location.reload(); // and log in anew
       setTimeout(() => this.connect(), this.waitMs);
       this.waitMs = Math.min(this.waitMs * 2, 2000);
     };

@@ -1,6 +1,6 @@
 // Hold to drive. Commands go out 20 times a second while something is held; anything doubtful stops and says why.
-import { driverName, LastingSocket } from "./api";
-import { by, setText, show } from "./dom";
+import { call, driverName, LastingSocket } from "./api";
+import { attempt, by, setText, show } from "./dom";
 import type { CapabilitiesModel, DriveAnswer, DriveRequest, RobotModel } from "./messages";
 import type { VideoView } from "./video";
 
@@ -19,7 +19,7 @@ const KEYS: Record<string, [number, number]> = {
 const DEAD_ZONE = 0.12;
 
 export class DriveControl {
-  private readonly socket: LastingSocket;
+  private readonly socket: LastingSocket | null; // null: this visitor may only watch
   private readonly keys = new Set<string>();
   private stick: [number, number] | null = null;
   private pad: [number, number] | null = null;
@@ -32,15 +32,11 @@ export class DriveControl {
   private connected = false;
   private whyTimer = 0;
 
-  constructor(private readonly video: VideoView) {
-    this.socket = new LastingSocket(
-      `/ws/drive?driver=${encodeURIComponent(driverName)}`,
-      (data) => this.take(JSON.parse(data as string) as DriveAnswer),
-      (open) => {
-        this.heardMs = null; // of another station, perhaps
-        if (!open) this.halt("the station does not answer");
-      },
-    );
+  constructor(
+    private readonly video: VideoView,
+    mayDrive: boolean,
+  ) {
+    this.socket = mayDrive ? this.connect() : null;
     this.listenToStick();
     this.listenToKeys();
     this.listenToPage();
@@ -50,6 +46,17 @@ export class DriveControl {
     speed.addEventListener("input", () => setText(by("speed-text"), `${speed.value} %`));
     for (const id of ["pan", "tilt"]) by(id).addEventListener("input", () => this.pointHead());
     setInterval(() => this.tick(), REPEAT_MS);
+  }
+
+  private connect(): LastingSocket {
+    return new LastingSocket(
+      `/ws/drive?driver=${encodeURIComponent(driverName)}`,
+      (data) => this.take(JSON.parse(data as string) as DriveAnswer),
+      (open) => {
+        this.heardMs = null; // of another station, perhaps
+        if (!open) this.halt("the station does not answer");
+      },
+    );
   }
 
   /** What the robot can do, and what its motors were told. */
@@ -77,12 +84,12 @@ export class DriveControl {
 
   emergencyStop(reason: string): void {
     this.release();
-    this.send({ type: "stop", reason });
+    if (!this.send({ type: "stop", reason })) attempt(() => call("POST", "/stop")); // watchers may stop too
     this.say("Stopped");
   }
 
   private send(request: DriveRequest): boolean {
-    return this.socket.send(JSON.stringify(request));
+    return this.socket?.send(JSON.stringify(request)) ?? false;
   }
 
   private take(answer: DriveAnswer): void {
@@ -110,6 +117,10 @@ export class DriveControl {
     const direction = this.direction;
     if (!direction) {
       if (this.isDriving) this.stopDriving("");
+      return;
+    }
+    if (!this.socket) {
+      this.halt("your token may only watch");
       return;
     }
     if (this.video.hasPicture && this.video.isStale) {

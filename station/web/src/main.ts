@@ -1,5 +1,4 @@
 // The page: parts that show, one event stream that tells them.
-import "./style.css";
 import { call, LastingSocket } from "./api";
 import { askAll, attempt, by, show } from "./dom";
 import { DriveControl } from "./drive";
@@ -12,7 +11,7 @@ import { Review } from "./review";
 import { VideoView } from "./video";
 
 const video = new VideoView();
-const drive = new DriveControl(video);
+const drive = new DriveControl(video, document.body.dataset["role"] !== "watch");
 const library = new Library();
 const health = new HealthView(library);
 const places = new PlaceView();

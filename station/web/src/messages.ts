@@ -449,6 +449,14 @@ export interface RobotModel {
   faults: string[];
 }
 
+/** Who asks. */
+export interface SessionModel {
+  /** false: everybody who reaches this station is admin */
+  controlled: boolean;
+  name: string;
+  role: "watch" | "drive" | "admin";
+}
+
 /** The running SLAM, or the last one. */
 export interface SlamModel {
   navigation: string | null;
