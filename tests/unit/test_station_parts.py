@@ -289,12 +289,12 @@ def test_a_backend_that_does_not_exist_is_named_before_anything_starts() -> None
         with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf"):
             check_backend(name)
         with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf"):
-            serve_settings(StationConfig(slam=SlamConfig(backend=name)), None, None, None, None, None)
+            serve_settings(StationConfig(slam=SlamConfig(backend=name)), None, None, None, None, None, False)
 
 
 def test_options_of_serve_keep_what_the_file_says_beside_them() -> None:
     config = StationConfig(api=ApiConfig(host="0.0.0.0", allowed_hosts=("robots.local",)))
-    settings = serve_settings(config, "pi:7", None, 9000, None, "ukf")
+    settings = serve_settings(config, "pi:7", None, 9000, None, "ukf", False)
     assert settings.api == ApiConfig("0.0.0.0", 9000, ("robots.local",))
     assert (settings.slam.backend, settings.robot.host) == ("ukf", "pi")
 
