@@ -126,9 +126,11 @@ def open_gate(config: RobotConfig) -> Gate | None:
         return Gate(folder)
     except ConfigError as exc:
         option = f" --folder {folder}" if access.folder else ""
+        why = f"access.folder is {folder}" if is_loopback(host) else f"--host {host} lets others in"
+        wrong = f" ({exc})" if folder.exists() else ""
         raise ConfigError(
-            f"others reach this robot at {host} and it is not set up who may ({exc});"
-            f" run `robot-server access init{option}`, then `robot-server pair{option}`"
+            f"{why}, and it is not set up who may{wrong};"
+            f" run `robot-server access init{option}`, then `robot-server pair{option}` (docs/access.md)"
         ) from exc
 
 

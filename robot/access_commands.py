@@ -28,7 +28,7 @@ access = typer.Typer(no_args_is_help=True, help="Who may connect to this robot."
 cli.add_typer(access, name="access")
 
 Folder = Annotated[Path | None, typer.Option(help="Where key and tokens are; else as in --config.")]
-Config = Annotated[Path | None, typer.Option(help="robot-server's TOML file, for its [access] folder.")]
+Config = Annotated[Path | None, typer.Option(help="robot-server's TOML file, for its access.folder.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object as the last line.")]
 
 

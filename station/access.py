@@ -165,7 +165,9 @@ def open_access(config: StationConfig) -> Access:
     try:
         return Access(Door(TokenBook(folder)), robots, open_identity(folder))
     except ConfigError as exc:
+        why = "access.on_loopback is set" if is_loopback(host) else f"--host {host} lets others in"
+        wrong = f" ({exc})" if folder.exists() else ""
         raise ConfigError(
-            f"others reach this station at {host} and it is not set up who may ({exc});"
-            f" run `station access init --data {config.data_dir}`"
+            f"{why}, and it is not set up who may{wrong};"
+            f" run `station access init --data {config.data_dir}` (docs/access.md)"
         ) from exc
