@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import ssl
 import time
@@ -31,6 +32,8 @@ from shared.messages import (
 )
 from shared.pairing import show_code
 from shared.token_book import TokenBook, TokenRecord
+
+logger = logging.getLogger(__name__)
 
 # Every message a station can say, and who may. None: who is not known yet; these are how one becomes known.
 MESSAGE_ROLES: dict[type, Role | None] = {
@@ -86,11 +89,11 @@ class Gate:
     def admit(self, prove: Prove, challenge: bytes, address: str) -> TokenRecord | str:
         """Who answered the challenge, or the sentence why nobody did."""
         now_s = self._now_s()
-        if wait_s := self._guesses.wait_s(address, now_s):
-            return f"too many wrong tokens came from {address}; wait {wait_s:.0f} s"
         self.book.refresh()
         record = self.book.find_proof(prove.token_id, prove.proof, challenge, self.fingerprint, now_s)
         if record is None:
+            if wait_s := self._guesses.wait_s(address, now_s):
+                return f"{TOKEN_REFUSED} (too many wrong tokens came from {address}; wait {wait_s:.0f} s)"
             self._guesses.wrong(address, prove.proof, now_s)
             return TOKEN_REFUSED
         self.book.use(record, now_s)
@@ -113,13 +116,19 @@ class Gate:
         return self._now_s()
 
 
-def open_gate(config: RobotConfig) -> Gate | None:
+def open_gate(config: RobotConfig, bound: str = "") -> Gate | None:
     """The gate that the settings ask for; None: only this machine reaches the robot, or a person said `--insecure`.
 
+    `bound` is the address that is really listened on: a name may mean another one a moment later.
     Raises ConfigError: others would reach the robot, and nothing says who may.
     """
     host, access = config.server.host, config.access
-    if access.insecure or (not access.folder and is_loopback(host)):
+    is_private = is_loopback(host) and is_loopback(bound or host)
+    if access.insecure:
+        if not is_private:
+            logger.warning("--insecure: whoever reaches %s can watch and drive this robot", host)
+        return None
+    if not access.folder and is_private:
         return None
     folder = Path(access.folder).expanduser() if access.folder else default_folder()
     try:

@@ -22,7 +22,6 @@ from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
 from robot.systemd import Systemd
-from shared.access import Role
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.listening import bind
 
@@ -43,7 +42,7 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
     """Serve until SIGINT or SIGTERM. The port is taken first: a second robot-server must not touch the devices."""
     listener = bind(config.server.host, config.server.port)
     with listener:
-        gate = open_gate(config)
+        gate = open_gate(config, listener.getsockname()[0])
         devices, systemd = open_devices(kind, config), Systemd.of(os.environ)
         is_replay, settings = kind == "recorded", named(kind, config)
         server = RobotServer(devices, settings, starts_with_first_station=is_replay, systemd=systemd, gate=gate)
@@ -54,7 +53,7 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
             announcement = Announcement(server.hello().robot_id, port, functools.partial(announced_addresses, host))
         print(f"robot-server: {kind} devices on {host}:{port}", flush=True)
         if gate is not None and gate.is_unpaired:
-            code = gate.desk.open_code(Role.DRIVE, gate.now_s())
+            code = gate.desk.first_code(gate.now_s())
             print(f"robot-server: no station is paired yet; {pairing_sentence(code)}", flush=True)
         try:
             with asyncio.Runner(loop_factory=_loop_factory()) as runner:

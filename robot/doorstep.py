@@ -9,10 +9,11 @@ from typing import Any
 
 from robot.access import Gate
 from robot.commands import notice
+from robot.pairing import PairingRefused
 from robot.station_client import StationClient
 from shared.access import Role, new_challenge
 from shared.certificates import HANDSHAKE_WITHIN_S
-from shared.errors import RobotSystemError
+from shared.errors import RemoteProtocolError, RobotSystemError
 from shared.messages import Paired, PairProof, PairReply, PairRequest, Prove, Refusal
 from shared.pairing import Pake
 from shared.session import Event
@@ -66,7 +67,8 @@ class Doorstep:
                 if client.pairing is None:
                     _refuse(client, TOO_EARLY)
                 else:
-                    self._finish(gate, client, *client.pairing, message.mac)
+                    self._start(self._finish(gate, client, *client.pairing, message.mac))
+                    client.pairing = None  # one try
 
     def look(self, clients: Iterable[StationClient]) -> None:
         """Whose token was revoked is out, and its motors stop. Also notes when tokens were last used."""
@@ -76,8 +78,8 @@ class Doorstep:
         self._looks += 1
         if self._looks % FLUSH_AFTER_LOOKS == 0:
             self._start(self._flush(gate))
-        if not gate.refresh():
-            return
+        gate.refresh()
+        # All are asked every time: whether the book has changed, somebody's proof may have found out before.
         for client in clients:
             if client.token_id and not gate.is_live(client.token_id):
                 logger.warning("%s: its token was revoked", client.station_name or client.address)
@@ -87,17 +89,17 @@ class Doorstep:
         try:
             pake = await asyncio.to_thread(gate.desk.exchange, request.message, gate.now_s())
         except RobotSystemError as exc:
-            _refuse(client, str(exc))
+            _refuse(client, _told(exc))
             return
         client.pairing = pake, request.station_name
         client.put(PairReply(message=pake.message))
 
-    def _finish(self, gate: Gate, client: StationClient, pake: Pake, name: str, mac: bytes) -> None:
+    async def _finish(self, gate: Gate, client: StationClient, pake: Pake, name: str, mac: bytes) -> None:
         try:
-            token = gate.desk.finish(pake, mac, name, gate.now_s())
+            token = await asyncio.to_thread(gate.desk.finish, pake, mac, name, gate.now_s())
         except RobotSystemError as exc:
             logger.warning("pairing with %s refused", client.address)
-            _refuse(client, str(exc))
+            _refuse(client, _told(exc))
             return
         logger.info("paired with %s at %s", name, client.address)
         client.end(Event.PAIRED, Paired(mac=pake.mac("robot"), token=token.text))
@@ -112,6 +114,14 @@ class Doorstep:
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+
+
+def _told(exc: RobotSystemError) -> str:
+    """What a stranger may know of it: nothing of this machine's files."""
+    if isinstance(exc, PairingRefused | RemoteProtocolError):
+        return str(exc)
+    logger.error("nobody can pair: %s", exc)
+    return "this robot cannot pair just now; its log says why"
 
 
 def _refuse(client: StationClient, reason: str) -> None:

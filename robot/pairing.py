@@ -55,6 +55,13 @@ class PairingDesk:
             self._write(made)
         return made.code
 
+    def first_code(self, now_s: float) -> str:
+        """The code that is open, which the installer may just have shown; else a new one."""
+        try:
+            return self._open(now_s).code
+        except PairingRefused:
+            return self.open_code(Role.DRIVE, now_s)
+
     def exchange(self, message: bytes, now_s: float) -> Pake:
         """Take the station's part in. Computes for a while. Raises PairingRefused, RemoteProtocolError."""
         with locked(self._path):
@@ -71,6 +78,8 @@ class PairingDesk:
         """
         with locked(self._path):
             opened = self._open(now_s)
+            if not pake.is_for(opened.code):  # its role is another one's, and so are its tries
+                raise PairingRefused("another code was opened meanwhile; use that one")
             if not pake.is_mac("station", mac):
                 left = opened.tries_left - 1
                 self._write(msgspec.structs.replace(opened, tries_left=left))

@@ -6,6 +6,7 @@ import base64
 import binascii
 import hashlib
 import hmac
+import ipaddress
 import secrets
 from dataclasses import dataclass
 from enum import Enum
@@ -102,10 +103,12 @@ def _xor(a: bytes, b: bytes) -> bytes:
 
 
 class GuessLimit:
-    """How many different wrong secrets an address may show before it has to wait.
+    """How many different wrong secrets an address may show before it is told to wait.
 
-    The same wrong one again (a page with an old cookie) is no new guess. Memory is bounded: who was seen longest ago is
-    forgotten first.
+    The right one is let in meanwhile: others share an address (a router's, an IPv6 network's), and nobody's guesses may
+    keep them from stopping a robot. Nothing is lost by that: 256 random bits are found neither at ten tries a minute
+    nor at a million. The same wrong one again (a page with an old cookie) is no new guess. Memory is bounded: who was seen
+    longest ago is forgotten first.
     """
 
     def __init__(self, limit: int = 10, window_s: float = 60.0, max_addresses: int = 1024) -> None:
@@ -113,17 +116,29 @@ class GuessLimit:
         self._wrong: dict[str, dict[bytes, float]] = {}  # address → hash of what was shown → when
 
     def wait_s(self, address: str, now_s: float) -> float:
-        """How long this address must wait before anything it shows is looked at; 0: not at all."""
-        shown = self._wrong.get(address, {})
-        recent = sorted(t for t in shown.values() if now_s - t < self._window_s)
+        """How long this address is to wait before it shows something else; 0: not at all."""
+        shown = self._wrong.get(_network(address), {})
+        recent = sorted(t for t in shown.values() if 0 <= now_s - t < self._window_s)  # a clock may be set back
         return 0.0 if len(recent) < self._limit else recent[-self._limit] + self._window_s - now_s
 
     def wrong(self, address: str, shown: bytes, now_s: float) -> None:
         """It showed something that fits nobody."""
+        address = _network(address)
         seen = self._wrong.pop(address, {})
-        seen = {key: t for key, t in seen.items() if now_s - t < self._window_s}
+        seen = {key: t for key, t in seen.items() if 0 <= now_s - t < self._window_s}
         if len(seen) < self._limit:
             seen.setdefault(hashlib.sha256(shown).digest(), now_s)
         self._wrong[address] = seen
         while len(self._wrong) > self._max:
             del self._wrong[next(iter(self._wrong))]
+
+
+def _network(address: str) -> str:
+    """An IPv4 address (also as a socket for both kinds shows it), or the half of an IPv6 address that a home has."""
+    try:
+        known = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if isinstance(known, ipaddress.IPv4Address):
+        return str(known)
+    return str(known.ipv4_mapped or ipaddress.ip_network((known, 64), strict=False))

@@ -51,9 +51,14 @@ class Pake:
                 f"pairing needs {exc.name}, which is not installed; install sentinel-robot with [robot] or [station]"
             ) from exc
         kind = SPAKE2_A if side == "station" else SPAKE2_B
+        self._code = code
         self._exchange: Any = kind(code.encode("ascii"), idA=_STATION, idB=_ROBOT + fingerprint)
         self.message: bytes = self._exchange.start()
         self._key = b""
+
+    def is_for(self, code: str) -> bool:
+        """Whether this exchange was begun for that code."""
+        return hmac.compare_digest(self._code, code)
 
     def hear(self, message: bytes) -> None:
         """The other side's message. Raises RemoteProtocolError: it is none."""

@@ -29,10 +29,12 @@ def write_private(path: Path, content: bytes) -> None:
     try:
         descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "wb") as file:
+            _give_to_owner_of_folder(descriptor, path)
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         fresh.replace(path)
+        _keep_names(path.parent)  # or a power cut brings back who was revoked
     except OSError as exc:
         with contextlib.suppress(OSError):
             fresh.unlink(missing_ok=True)
@@ -56,11 +58,32 @@ def read_private(path: Path) -> bytes | None:
 def locked(path: Path) -> Iterator[None]:
     """Keep other programs from changing a file meanwhile; a file beside it, `.lock`, is what is locked."""
     try:
-        descriptor = os.open(path.with_name(f"{path.name}.lock"), os.O_RDWR | os.O_CREAT, 0o600)
+        # root must not follow a link that the folder's owner may have put there
+        name = path.with_name(f"{path.name}.lock")
+        try:
+            descriptor = os.open(name, os.O_RDWR | os.O_NOFOLLOW)
+        except FileNotFoundError:
+            descriptor = os.open(name, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+            _give_to_owner_of_folder(descriptor, name)
     except OSError as exc:
         raise ConfigError(f"{path.parent} cannot be written ({exc.strerror}); run as the user that owns it") from exc
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(descriptor)
+
+
+def _give_to_owner_of_folder(descriptor: int, path: Path) -> None:
+    """What root writes for a service (`sudo robot-server access revoke NAME`) must stay readable to it."""
+    if os.geteuid() == 0:
+        owner = path.parent.stat()
+        os.fchown(descriptor, owner.st_uid, owner.st_gid)
+
+
+def _keep_names(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
     finally:
         os.close(descriptor)

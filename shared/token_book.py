@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -49,7 +52,8 @@ class _File(msgspec.Struct, frozen=True, kw_only=True):
 class TokenBook:
     """Who may. Every change is written at once; what other programs wrote is seen after `refresh`.
 
-    The records are replaced, never changed: one thread may write while another asks.
+    The records are replaced, never changed: one thread may write while another asks. Threads write one after another,
+    and nothing is read anew meanwhile, which would undo what is about to be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,6 +62,7 @@ class TokenBook:
         self._records: dict[str, TokenRecord] = {}
         self._used: dict[str, float] = {}
         self._stamp: tuple[int, int, int] | None = None
+        self._writer = threading.Lock()
         if not self.path.is_file():
             raise ConfigError(f"{self.path} does not exist; make it with `access init`")
         self._read()
@@ -76,12 +81,16 @@ class TokenBook:
 
     def refresh(self) -> bool:
         """Look whether another program has changed the book. A book that cannot be read lets nobody in."""
+        if not self._writer.acquire(blocking=False):
+            return False  # a thread of ours writes, and has read before; who asks is not to wait for the disk
         try:
             if self._stamp == self._stamp_now():
                 return False
             self._read()
         except (OSError, ConfigError):
             self._records, self._stamp = {}, None
+        finally:
+            self._writer.release()
         return True
 
     def find(self, text: str, now_s: float) -> TokenRecord | None:
@@ -132,8 +141,7 @@ class TokenBook:
         if not 0 < len(name) <= 64 or not name.isprintable():
             raise ConfigError(f"{name!r} is no name for a token; give 1 to 64 printable characters")
         token = Token.new()
-        with locked(self.path):
-            self._read()
+        with self._changing():
             if any(r.kind == "token" and r.name == name and r.is_live(now_s) for r in self._records.values()):
                 raise ConfigError(f"there is a token named {name!r} already; revoke it first or choose another name")
             self._put(token, name=name, role=role, now_s=now_s, lifetime_s=lifetime_s)
@@ -144,8 +152,7 @@ class TokenBook:
         """A session or a link of a token."""
         owner = parent.parent or parent.id
         token = Token.new()
-        with locked(self.path):
-            self._read()
+        with self._changing():
             if self.live(owner, now_s) is None:
                 raise ConfigError("this token was revoked meanwhile")
             same = [r.id for r in self._records.values() if r.parent == owner and r.kind == kind]
@@ -159,8 +166,7 @@ class TokenBook:
 
     def revoke(self, name_or_id: str, now_s: float) -> list[TokenRecord]:
         """End a token (all live ones of this name, or the one with this id) and all that belongs to it."""
-        with locked(self.path):
-            self._read()
+        with self._changing():
             ended = [r for r in self._records.values() if r.is_live(now_s) and name_or_id in (r.id, r.name)]
             ended = [r for r in ended if r.kind == "token" or r.id == name_or_id]
             marked = {record.id: msgspec.structs.replace(record, revoked_s=now_s) for record in ended}
@@ -175,15 +181,18 @@ class TokenBook:
 
     def flush(self, now_s: float) -> None:
         """Write when tokens were last used, if that is older than USE_RESOLUTION_S in the file."""
+        used_now = list(self._used.items())  # in one step: another thread may note a use meanwhile
+        for token_id, _ in used_now:
+            if token_id not in self._records:
+                self._used.pop(token_id, None)  # a session that is over
         due = {
             token_id: t
-            for token_id, t in self._used.items()
+            for token_id, t in used_now
             if (record := self._records.get(token_id)) is not None and t - (record.last_used_s or 0) >= USE_RESOLUTION_S
         }
         if not due:
             return
-        with locked(self.path):
-            self._read()
+        with self._changing():
             used = {
                 token_id: msgspec.structs.replace(self._records[token_id], last_used_s=t)
                 for token_id, t in due.items()
@@ -215,7 +224,15 @@ class TokenBook:
         )
         self._records = {**self._records, token.id: made}
 
+    @contextlib.contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Alone among threads and programs, and with what they wrote last."""
+        with self._writer, locked(self.path):
+            self._read()
+            yield
+
     def _read(self) -> None:
+        stamp = self._stamp_now()  # before the content: what is written in between is found at the next look
         content = read_private(self.path)
         if content is None:
             raise ConfigError(f"{self.path} is gone; make it again with `access init`")
@@ -224,7 +241,7 @@ class TokenBook:
         except msgspec.DecodeError as exc:
             raise ConfigError(f"{self.path} is damaged ({exc}); delete it and run `access init` again") from exc
         self._records = {record.id: record for record in tokens}
-        self._stamp = self._stamp_now()
+        self._stamp = stamp
 
     def _write(self, now_s: float) -> None:
         """Without sessions that are over, or whose token is, and without what was revoked long ago."""
@@ -239,5 +256,8 @@ class TokenBook:
         self._stamp = self._stamp_now()
 
     def _stamp_now(self) -> tuple[int, int, int]:
-        status = self.path.stat()
+        try:
+            status = self.path.stat()
+        except FileNotFoundError as exc:
+            raise ConfigError(f"{self.path} is gone; make it again with `access init`") from exc
         return status.st_mtime_ns, status.st_ino, status.st_size

@@ -77,19 +77,24 @@ class Door:
     def login(self, shown: str, address: str) -> tuple[Visitor, str]:
         """Who shows this token or link, and the session for its browser. Raises WrongToken, TooManyGuesses."""
         record = self._find(shown, address)
+        if record.kind == "session":
+            raise WrongToken("a session makes no other session; log in with the token")
+        # Of two that come at once with one link, one ends it.
+        if record.kind == "link" and not self.book.revoke(record.id, self._now_s()):
+            raise WrongToken("this link was used already; ask for another")
         session = self.book.add_for(record, "session", self._now_s(), SESSION_S)
-        if record.kind != "token":
-            self.book.revoke(record.id, self._now_s())
         return Visitor(record.name, record.role, session.id, "cookie"), session.text
 
     def _find(self, shown: str, address: str) -> TokenRecord:
         now_s = self._now_s()
-        if wait_s := self._guesses.wait_s(address, now_s):
-            raise TooManyGuesses(f"too many wrong tokens came from your address; wait {wait_s:.0f} s", wait_s)
         self.book.refresh()
         record = self.book.find(shown, now_s)
         if record is None:
+            if wait_s := self._guesses.wait_s(address, now_s):
+                raise TooManyGuesses(f"too many wrong tokens came from your address; wait {wait_s:.0f} s", wait_s)
             self._guesses.wrong(address, shown.encode(), now_s)
+            if self._guesses.wait_s(address, now_s):
+                logger.warning("too many wrong tokens from %s", address)
             raise WrongToken("this token is not valid here, or not any more; ask who runs this station for another")
         return record
 
@@ -160,6 +165,8 @@ def open_access(config: StationConfig) -> Access:
     folder = access_folder(config.data_dir)
     robots = PairedRobots(folder, allow_open=config.access.insecure)
     host = config.api.host
+    if config.access.insecure and not is_loopback(host):
+        logger.warning("--insecure: whoever reaches %s can watch your home and drive", host)
     if config.access.insecure or (not config.access.on_loopback and is_loopback(host)):
         return Access(Door(None), robots, None)
     try:

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 
 import uvicorn
 
+from shared.errors import ConfigError
+from shared.listening import is_loopback
 from station.api.server import make_api
 from station.app import Station
 
@@ -27,7 +29,13 @@ class _Server(uvicorn.Server):
 
 
 async def serve(station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None) -> None:
-    """Run until cancelled."""
+    """Run until cancelled. Raises ConfigError: the socket is open to others than the settings' host meant."""
+    bound = str(listener.getsockname()[0])
+    if station.access.door.is_open and not station.config.access.insecure and not is_loopback(bound):
+        raise ConfigError(
+            f"{station.config.api.host} means {bound} here, which others reach; give --host 127.0.0.1, or run"
+            " `station access init` and give --host 0.0.0.0"
+        )
     api = make_api(station)
     identity = station.access.identity
     settings = uvicorn.Config(

@@ -42,7 +42,7 @@ def admit(connection: HTTPConnection) -> None:
             403, f"this station does not go by the name {host!r}; put it into allowed_hosts under [api] if it shall"
         )
     origin = connection.headers.get("origin")
-    if origin is not None and urlsplit(origin).netloc != host:
+    if origin is not None and not _is_our_page(origin, host, get_station(connection)):
         raise HTTPException(403, f"pages of {origin} may not use this station")
     call = call_of(connection)
     needed = ROLES[call]
@@ -69,6 +69,15 @@ def get_visitor(connection: HTTPConnection) -> Visitor:
     if not isinstance(visitor, Visitor):
         raise visitor
     return visitor
+
+
+def _is_our_page(origin: str, host: str, station: Station) -> bool:
+    """Anybody on the way can put words into a page of http://, so one is no page of a station that speaks https."""
+    try:
+        page = urlsplit(origin)
+    except ValueError:
+        return False
+    return page.netloc == host and (station.access.identity is None or page.scheme == "https")
 
 
 def _is_ours(host: str, api: ApiConfig) -> bool:

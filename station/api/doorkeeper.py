@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 from typing import Literal
 
 from starlette.requests import HTTPConnection
@@ -97,10 +96,5 @@ def shown_by(connection: HTTPConnection) -> tuple[Literal["bearer", "cookie"], s
 
 
 def address_of(connection: HTTPConnection) -> str:
-    """Whom to count wrong tokens against: an IPv4 address, or the half of an IPv6 address that a home has."""
-    host = connection.client.host if connection.client else "?"
-    try:
-        address = ipaddress.ip_address(host.partition("%")[0])
-    except ValueError:
-        return host
-    return str(ipaddress.ip_network((address, 64), strict=False)) if address.version == 6 else host
+    """Whom to count wrong tokens against."""
+    return connection.client.host if connection.client else "?"

@@ -199,17 +199,21 @@ async def test_a_proof_for_another_robots_certificate_is_refused(tmp_path: Path)
         assert isinstance(await talk.hear(), Refusal)
 
 
-async def test_many_wrong_tokens_close_the_gate_for_that_address(tmp_path: Path) -> None:
+async def test_many_wrong_tokens_close_the_gate_for_that_address_but_not_for_the_right_one(tmp_path: Path) -> None:
     async with guarded_robot(tmp_path) as bench:
         good = make_token(bench, Role.DRIVE)
         reasons = []
-        for token in [*(Token.new() for _ in range(10)), good]:
+        for token in (Token.new() for _ in range(11)):
             async with talking(bench) as talk:
                 talk.say(talk.prove(token, await talk.hear_hello()))
                 answer = await talk.hear()
                 assert isinstance(answer, Refusal)
                 reasons.append(answer.reason)
         assert "wait" in reasons[-1] and "wait" not in reasons[-2]
+        async with talking(bench) as talk:  # nobody's guesses keep out whose token is right
+            talk.say(talk.prove(good, await talk.hear_hello()))
+            talk.say(JOIN)
+            assert isinstance(await talk.hear(), Welcome)
 
 
 async def test_pairing_gives_a_token_that_joins_and_pins_the_robot(tmp_path: Path) -> None:
@@ -400,6 +404,42 @@ async def test_a_revoked_station_is_thrown_out_its_motors_stop_and_it_stays_out(
             await until(lambda: bench.motors.are_off)
             await until(lambda: "not valid" in link.state.reason)
             assert link.state.connections == 1
+
+
+async def test_a_revocation_that_somebodys_proof_finds_out_first_counts_too(tmp_path: Path) -> None:
+    """A thief who proves again and again must not keep the look at the book from seeing that it has changed."""
+    robots = PairedRobots(tmp_path / "station")
+    async with guarded_robot(tmp_path / "robot") as bench:
+        bench.admit("desk", Role.DRIVE, robots)
+        async with linked(bench.port, robots) as (link, _):
+            await until(lambda: link.state.connected)
+            TokenBook(bench.folder).revoke("desk", time.time())
+            bench.gate.admit(Prove(token_id="x", proof=bytes(32)), b"", "thief")
+            await until(lambda: not link.state.connected)
+
+
+async def test_strangers_learn_nothing_of_the_robots_files(tmp_path: Path) -> None:
+    async with guarded_robot(tmp_path) as bench:
+        code = bench.gate.desk.open_code(Role.DRIVE, time.time())
+        (tmp_path / "pairing.json").chmod(0o644)
+        with pytest.raises(PairingFailed, match="cannot pair just now") as failed:
+            await pair("127.0.0.1", bench.port, code, "desk")
+        assert str(tmp_path) not in str(failed.value)
+
+
+async def test_proofs_in_one_breath_are_one_try(tmp_path: Path) -> None:
+    async with guarded_robot(tmp_path) as bench, talking(bench) as talk:
+        code = bench.gate.desk.open_code(Role.DRIVE, time.time())
+        await talk.hear_hello()
+        pake = Pake("station", code, bench.gate.fingerprint)
+        talk.say(PairRequest(protocol=PROTOCOL_VERSION, station_name="thief", message=pake.message))
+        reply = await talk.hear()
+        assert isinstance(reply, PairReply)
+        pake.hear(reply.message)
+        burst = (PairProof(mac=bytes(32)), PairProof(mac=pake.mac("station")))
+        talk.say_bytes(b"".join(encode_payload(encode_message(proof), MAX_STATION_PAYLOAD) for proof in burst))
+        assert isinstance(await talk.hear(), Refusal)
+        assert not TokenBook(bench.folder).tokens()
 
 
 async def test_a_book_that_is_gone_lets_nobody_in_and_throws_out_who_is(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import socket
 import stat
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,17 +13,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import robot.access
+import shared.token_book
 import station.api.roles
 from robot.access import open_gate
 from robot.config import AccessConfig, RobotConfig, ServerConfig
-from robot.pairing import CODE_LIFE_S, MAX_EXCHANGES, PairingDesk, PairingRefused
+from robot.pairing import CODE_LIFE_S, MAX_EXCHANGES, TRIES, PairingDesk, PairingRefused
 from shared.access import GuessLimit, Role, Token, is_proof, is_secret_of, prove
 from shared.certificates import make_identity, open_identity
 from shared.errors import ConfigError, LocalProtocolError, RemoteProtocolError
 from shared.listening import is_loopback
 from shared.pairing import Pake, parse_code, show_code
-from shared.private_files import read_private, write_private
-from shared.token_book import MAX_SESSIONS, TokenBook
+from shared.private_files import locked, read_private, write_private
+from shared.token_book import MAX_SESSIONS, TokenBook, TokenRecord
 from station.access import Door, open_access
 from station.config import AccessConfig as StationAccessConfig
 from station.config import ApiConfig, StationConfig
@@ -139,6 +142,70 @@ def test_a_damaged_book_lets_nobody_in(tmp_path: Path) -> None:
         TokenBook(tmp_path)
 
 
+def test_what_is_written_while_a_book_is_read_is_found_at_the_next_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    book = TokenBook.create(tmp_path)
+    running, token = TokenBook(tmp_path), book.add("anna", Role.DRIVE, 0.0)
+    revoked: list[TokenRecord] = []
+
+    def read_late(path: Path) -> bytes | None:
+        content = read_private(path)
+        monkeypatch.undo()
+        revoked.extend(book.revoke("anna", 1.0))  # another program, between reading and looking at the file's time
+        return content
+
+    monkeypatch.setattr(shared.token_book, "read_private", read_late)
+    assert running.refresh() and revoked
+    assert running.refresh() and running.find(token.text, 2.0) is None
+
+
+def test_a_look_at_the_book_does_not_undo_what_another_thread_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    book = TokenBook.create(tmp_path)
+    token = book.add("anna", Role.DRIVE, 0.0)
+
+    def write_late(path: Path, content: bytes) -> None:
+        os.utime(path, ns=(1, 1))  # it looks changed
+        looking = threading.Thread(target=book.refresh)
+        looking.start()
+        looking.join()
+        write_private(path, content)
+
+    monkeypatch.setattr(shared.token_book, "write_private", write_late)
+    book.revoke("anna", 1.0)
+    assert book.find(token.text, 2.0) is None
+    made = book.add("ben", Role.WATCH, 1.0)
+    assert book.find(made.text, 2.0) is not None
+
+
+def test_what_is_written_outlives_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[bool] = []
+    monkeypatch.setattr(os, "fsync", lambda fd: kept.append(stat.S_ISDIR(os.fstat(fd).st_mode)))
+    write_private(tmp_path / "x", b"new")
+    assert kept == [False, True]  # the file before its name
+
+
+def test_what_root_writes_belongs_to_the_owner_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`sudo robot-server access revoke` must not take the book from the service."""
+    given: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(os, "fchown", lambda _, uid, gid: given.append((uid, gid)))
+    owner = (tmp_path.stat().st_uid, tmp_path.stat().st_gid)
+    for times in (1, 2):  # the lock's file is made once
+        with locked(tmp_path / "x"):
+            write_private(tmp_path / "x", b"new")
+        assert given == [owner] * (times + 1)
+
+
+def test_a_lock_follows_no_link(tmp_path: Path) -> None:
+    (tmp_path / "x.lock").symlink_to(tmp_path / "another's")
+    with pytest.raises(ConfigError), locked(tmp_path / "x"):
+        pass
+    assert not (tmp_path / "another's").exists()
+
+
 def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "x"
     write_private(path, b"old")
@@ -161,6 +228,27 @@ def test_wrong_guesses_are_counted_once_each_and_forgotten() -> None:
         limit.wrong("thief", bytes([t]), float(t))
     assert limit.wait_s("thief", 3.0) == pytest.approx(57.0) and limit.wait_s("page", 3.0) == 0
     assert limit.wait_s("thief", 60.0) == 0
+
+
+def test_a_clock_that_was_set_back_makes_nobody_wait_for_years() -> None:
+    limit = GuessLimit(limit=1, window_s=60.0)
+    limit.wrong("a", b"x", 1e9)
+    assert limit.wait_s("a", 1e9) > 0 and limit.wait_s("a", 0.0) == 0
+
+
+@pytest.mark.parametrize(
+    ("guesser", "same", "other"),
+    [
+        ("192.168.1.4", "::ffff:192.168.1.4", "192.168.1.5"),
+        ("::ffff:192.168.1.4", "192.168.1.4", "::ffff:192.168.1.5"),  # all of IPv4, to a socket for both kinds
+        ("fe80::1%eth0", "fe80::2", "fe81::1"),
+        ("2001:db8::1", "2001:db8::ffff:1", "2001:db8:0:1::1"),
+    ],
+)
+def test_guesses_count_for_a_machine_or_an_ipv6_network(guesser: str, same: str, other: str) -> None:
+    limit = GuessLimit(limit=1)
+    limit.wrong(guesser, b"x", 0.0)
+    assert limit.wait_s(same, 1.0) > 0 and limit.wait_s(other, 1.0) == 0
 
 
 def test_the_list_of_addresses_is_bounded() -> None:
@@ -219,6 +307,34 @@ def test_a_clock_that_was_set_back_does_not_lengthen_a_code(tmp_path: Path) -> N
             desk.exchange(Pake("station", code, b"f").message, now_s)
 
 
+def test_an_exchange_for_an_earlier_code_gets_nothing_of_the_next_one(tmp_path: Path) -> None:
+    """Who was shown a code to watch with gets no token to drive with, should that be the role of the next code."""
+    book = TokenBook.create(tmp_path)
+    desk = PairingDesk(tmp_path, book, b"f")
+    early = Pake("station", desk.open_code(Role.WATCH, 0.0), b"f")
+    robot_ = desk.exchange(early.message, 1.0)
+    early.hear(robot_.message)
+    code = desk.open_code(Role.DRIVE, 2.0)
+    for _ in range(TRIES):
+        with pytest.raises(PairingRefused, match="another code"):
+            desk.finish(robot_, early.mac("station"), "desk", 3.0)
+    assert not book.tokens()
+    late = Pake("station", code, b"f")
+    robot_ = desk.exchange(late.message, 4.0)
+    late.hear(robot_.message)
+    assert book.find(desk.finish(robot_, late.mac("station"), "desk", 5.0).text, 6.0) is not None
+
+
+def test_a_robot_that_starts_leaves_the_code_that_the_installer_showed(tmp_path: Path) -> None:
+    desk = PairingDesk(tmp_path, TokenBook.create(tmp_path), b"f")
+    first = desk.first_code(0.0)
+    assert desk.first_code(1.0) == first
+    with pytest.raises(PairingRefused):
+        desk.exchange(Pake("station", first, b"f").message, CODE_LIFE_S)
+    later = desk.first_code(CODE_LIFE_S)  # the first one is over
+    assert desk.exchange(Pake("station", later, b"f").message, CODE_LIFE_S + 1.0).is_for(later)
+
+
 def test_an_identity_is_known_again_and_a_new_one_is_another(tmp_path: Path) -> None:
     first = make_identity(tmp_path, "x", ["localhost", "127.0.0.1", "::1", "häuschen.local"], 10, NOW)
     assert open_identity(tmp_path) == first and stat.S_IMODE(first.key.stat().st_mode) == 0o600
@@ -246,7 +362,9 @@ def test_a_robot_beyond_loopback_does_not_start_unless_it_is_set_up(tmp_path: Pa
     set_up(folder)
     assert open_gate(guarded) is not None
     assert open_gate(RobotConfig(access=AccessConfig(folder=str(folder)))) is not None  # asked for on loopback
-    assert open_gate(RobotConfig()) is None
+    assert open_gate(RobotConfig()) is None and open_gate(RobotConfig(), "127.0.0.1") is None
+    with pytest.raises(ConfigError, match="not set up"):  # its name meant another address when the port was taken
+        open_gate(RobotConfig(server=ServerConfig(host="localhost")), "192.168.1.20")
     assert open_gate(RobotConfig(server=beyond, access=AccessConfig(insecure=True))) is None
 
 
@@ -260,6 +378,16 @@ def test_a_station_beyond_loopback_does_not_start_unless_it_is_set_up(tmp_path: 
     assert open_access(StationConfig(data_dir=tmp_path)).door.is_open
     on_loopback = StationConfig(data_dir=tmp_path, access=StationAccessConfig(on_loopback=True))
     assert not open_access(on_loopback).door.is_open
+
+
+async def test_a_station_does_not_serve_a_socket_that_others_reach_without_a_book(tmp_path: Path) -> None:
+    from station.app import Station
+    from station.serving import serve
+
+    with socket.socket() as taken:
+        taken.bind(("0.0.0.0", 0))  # taken, but not listened on: nobody reaches it
+        with pytest.raises(ConfigError, match="which others reach"):
+            await serve(Station(StationConfig(data_dir=tmp_path)), taken)
 
 
 def test_a_message_or_call_without_a_role_keeps_the_program_from_starting(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,5 +417,28 @@ def test_the_door_counts_guesses_and_a_link_is_good_for_one_login(tmp_path: Path
         with pytest.raises(WrongToken):
             door.admit(Token.new().text, "bearer", "a")
     with pytest.raises(TooManyGuesses):
-        door.admit(session, "cookie", "a")
-    assert door.admit(session, "cookie", "b").name == "anna"
+        door.admit(Token.new().text, "bearer", "a")
+    assert door.admit(session, "cookie", "a").name == "anna"  # others' guesses keep nobody from STOP
+    with pytest.raises(WrongToken, match="no other session"):
+        door.login(session, "a")
+
+
+def test_of_two_logins_at_once_with_one_link_one_gets_in(tmp_path: Path) -> None:
+    book = TokenBook.create(tmp_path)
+    record = book.find(book.add("anna", Role.DRIVE, 0.0).text, 1.0)
+    assert record is not None
+    link = book.add_for(record, "link", 1.0, 600.0).text
+    inside: list[str] = []
+
+    class Twice(Door):
+        def _find(self, shown: str, address: str) -> TokenRecord:
+            found = super()._find(shown, address)
+            if not inside:
+                inside.append("")
+                inside.append(self.login(link, "b")[1])
+            return found
+
+    door = Twice(book, lambda: 100.0)
+    with pytest.raises(WrongToken, match="used already"):
+        door.login(link, "a")
+    assert door.admit(inside[1], "cookie", "b").name == "anna"
