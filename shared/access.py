@@ -107,8 +107,8 @@ class GuessLimit:
 
     The right one is let in meanwhile: others share an address (a router's, an IPv6 network's), and nobody's guesses may
     keep them from stopping a robot. Nothing is lost by that: 256 random bits are found neither at ten tries a minute
-    nor at a million. The same wrong one again (a page with an old cookie) is no new guess. Memory is bounded: who was seen
-    longest ago is forgotten first.
+    nor at a million. The same wrong one again (a page with an old cookie) is no new guess. Memory is bounded: who was
+    seen longest ago is forgotten first.
     """
 
     def __init__(self, limit: int = 10, window_s: float = 60.0, max_addresses: int = 1024) -> None:
