@@ -1,12 +1,14 @@
 """Ask a station which place its robot is at; nothing but Python's standard library.
 
 python examples/place_client.py [--station http://127.0.0.1:8080] [--follow]
+A station that others reach asks who you are: --token TOKEN --certificate station-data/access/certificate.pem
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import ssl
 import sys
 import time
 import urllib.error
@@ -14,14 +16,19 @@ import urllib.request
 from typing import Any
 
 POLL_S = 0.5
-DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # a proxy of the network knows no loopback
 
 
 class Station:
     """The calls of docs/api.md, as far as this example needs them."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, token: str = "", certificate: str | None = None) -> None:
         self.address = address.rstrip("/")
+        self.headers = {"Content-Type": "application/json", "X-Driver": "place_client"}
+        if token:
+            self.headers["Authorization"] = f"Bearer {token}"
+        tls = urllib.request.HTTPSHandler(context=ssl.create_default_context(cafile=certificate))
+        # Directly: a proxy of the network knows no loopback.
+        self.opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), tls)
 
     def call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
         """One call. Raises RuntimeError with the station's own sentence."""
@@ -29,10 +36,10 @@ class Station:
             self.address + path,
             method=method,
             data=None if body is None else json.dumps(body).encode(),
-            headers={"Content-Type": "application/json", "X-Driver": "place_client"},
+            headers=self.headers,
         )
         try:
-            with DIRECT.open(request, timeout=10) as answer:
+            with self.opener.open(request, timeout=10) as answer:
                 text = answer.read()
         except urllib.error.HTTPError as exc:
             raise RuntimeError(json.load(exc)["detail"]) from exc  # errors are problem documents (RFC 9457)
@@ -60,8 +67,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Ask a station which place its robot is at.")
     parser.add_argument("--station", default="http://127.0.0.1:8080")
     parser.add_argument("--follow", action="store_true", help="say every change until Ctrl-C")
+    parser.add_argument("--token", default="", help="from `station access add`")
+    parser.add_argument("--certificate", help="the station's certificate.pem")
     options = parser.parse_args()
-    station = Station(options.station)
+    station = Station(options.station, options.token, options.certificate)
     told = None
     try:
         while True:

@@ -1,0 +1,61 @@
+"""What access control costs: CPU per megabyte of video with and without TLS, and the time of a pairing.
+
+python -m benchmarks.bench_access [--frames 600]
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import tempfile
+import time
+from pathlib import Path
+
+from shared.access import Role
+from shared.pairing import Pake
+from station.link import RobotLink
+from station.paired_robots import PairedRobots
+from tests.access_support import guarded_robot
+from tests.link_support import Bench, Notes, running_robot, until
+
+FRAME_BYTES = 60_000
+
+
+async def cpu_s_per_mb(bench: Bench, robots: PairedRobots | None, frames: int) -> float:
+    """Of robot and station together, one after the other frame."""
+    notes = Notes()
+    link = RobotLink("127.0.0.1", bench.port, notes, robots=robots)
+    task = asyncio.create_task(link.run())
+    await until(lambda: link.state.connected)
+    begun = time.process_time()
+    for number in range(frames):
+        bench.camera.put(number, FRAME_BYTES)
+        while not notes.frames or notes.frames[-1][0].t_robot_ns < number:
+            await asyncio.sleep(0)
+    used = time.process_time() - begun
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    return used / (frames * FRAME_BYTES * 1e-6)
+
+
+async def main(frames: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        async with running_robot() as bench:
+            plain = await cpu_s_per_mb(bench, None, frames)
+        async with guarded_robot(Path(folder) / "robot") as guarded:
+            robots = PairedRobots(Path(folder) / "station")
+            guarded.admit("desk", Role.DRIVE, robots)
+            tls = await cpu_s_per_mb(guarded, robots, frames)
+    print(f"CPU of both ends per MB: plain {plain * 1e3:.2f} ms, TLS {tls * 1e3:.2f} ms")
+    begun = time.process_time()
+    for _ in range(20):
+        robot, station = Pake("robot", "123456", b"f"), Pake("station", "123456", b"f")
+        robot.hear(station.message)
+        station.hear(robot.message)
+    print(f"pairing: {(time.process_time() - begun) / 40 * 1e3:.1f} ms of CPU on each side")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=600)
+    asyncio.run(main(parser.parse_args().frames))
