@@ -354,7 +354,10 @@ def test_everything_else_is_not(host: str) -> None:
     assert not is_loopback(host)
 
 
-def test_a_robot_beyond_loopback_does_not_start_unless_it_is_set_up(tmp_path: Path) -> None:
+def test_a_robot_beyond_loopback_does_not_start_unless_it_is_set_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))  # whoever runs this may have set up a robot of their own
     beyond, folder = ServerConfig(host="0.0.0.0"), tmp_path / "r"
     guarded = RobotConfig(server=beyond, access=AccessConfig(folder=str(folder)))
     with pytest.raises(ConfigError, match="robot-server access init"):
