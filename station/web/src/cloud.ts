@@ -23,7 +23,32 @@ export async function fetchCloud(path: string): Promise<Cloud | null> {
   const count = header.getUint32(4, true);
   const cloud = { first: header.getUint32(8, true), total: header.getUint32(12, true), source };
   const floats = new Float32Array(bytes, HEADER_BYTES, (count * STRIDE) / 4);
+  shuffle(new Uint32Array(bytes, HEADER_BYTES, (count * STRIDE) / 4));
   return { ...cloud, buffer: new THREE.InterleavedBuffer(floats, STRIDE / 4) };
+}
+
+/** Mix the points up, so that the first ones of a cloud are a thinner picture of it. The same every time. */
+function shuffle(words: Uint32Array): void {
+  const width = STRIDE / 4;
+  let state = 1;
+  for (let i = words.length / width - 1; i > 0; i--) {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    const j = Math.floor((state / 2 ** 32) * (i + 1));
+    for (let k = 0; k < width; k++) {
+      const kept = words[i * width + k]!;
+      words[i * width + k] = words[j * width + k]!;
+      words[j * width + k] = kept;
+    }
+  }
+}
+
+/** Draw only this share of the points of everything below. */
+export function thinOut(scene: THREE.Object3D, share: number): void {
+  scene.traverse((part) => {
+    if (!(part instanceof THREE.Points)) return;
+    const { geometry } = part as THREE.Points;
+    geometry.setDrawRange(0, share >= 1 ? Infinity : Math.ceil(geometry.getAttribute("position").count * share));
+  });
 }
 
 const uniforms = {

@@ -3,9 +3,10 @@ import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { call } from "./api";
 import { Camera3d } from "./camera3d";
-import { type Cloud, extent, fetchCloud, PALETTE, setPointSize, toPoints } from "./cloud";
+import { type Cloud, extent, fetchCloud, PALETTE, setPointSize, thinOut, toPoints } from "./cloud";
 import { by, make, setText, show } from "./dom";
 import { Labels } from "./labels";
+import { isSoftware, Pace } from "./pace";
 import { Refresh } from "./refresh";
 import type { CurrentPlace, GraphModel, PlaceModel, PlacesChangeModel, SlamModel, TrajectoryModel } from "./messages";
 
@@ -20,7 +21,7 @@ export class MapView {
   private graph: GraphModel | null = null;
   private readonly host = by("scene");
   private readonly labels = new Labels(by("labels"));
-  private readonly renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, powerPreference: "low-power" });
+  private readonly renderer = new THREE.WebGLRenderer({ antialias: !isSoftware(), alpha: true, powerPreference: "low-power" });
   private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
   private readonly controls: OrbitControls;
   private readonly groups: Record<Layer, THREE.Group> = { map: new THREE.Group(), live: new THREE.Group(), review: new THREE.Group() };
@@ -39,6 +40,7 @@ export class MapView {
   private pending = false;
   private soon = 0;
   private isHeld = false; // a hand turns or moves the view
+  private readonly pace = new Pace();
   private map: { id: string | null; revision: number } = { id: null, revision: -1 };
   private wantedMap: { id: string | null; revision: number } = { id: null, revision: -1 };
   private readonly mapContent = new Refresh(() => this.fetchMap());
@@ -58,7 +60,10 @@ export class MapView {
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.enableDamping = false;
     this.controls.addEventListener("change", () => (this.isHeld ? this.draw() : this.drawSoon()));
-    this.controls.addEventListener("end", () => (this.isHeld = false));
+    this.controls.addEventListener("end", () => {
+      this.isHeld = false;
+      this.drawSoon();
+    });
     this.controls.addEventListener("start", () => {
       this.isHeld = true;
       if (this.view === "follow") this.setView("free", false);
@@ -367,8 +372,10 @@ export class MapView {
   private draw(): void {
     if (this.pending) return;
     this.pending = true;
+    this.pace.asked();
     requestAnimationFrame(() => {
       this.pending = false;
+      thinOut(this.groups[this.layer], this.isHeld ? this.pace.share(this.points[this.layer]) : 1);
       this.renderer.render(this.scene, this.camera);
       this.labels.place(this.camera, this.layer === "map", this.host);
       this.frames += 1;

@@ -1,0 +1,114 @@
+"""The page for everybody: axe-core finds nothing, and the keyboard reaches everything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.async_api import Page, expect
+
+from tests.e2e.conftest import PHONE, Room
+from tests.integration.test_station_drives import keep_drive
+from tests.link_support import until
+from tests.station_support import store_map
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
+AXE = Path(__file__).parents[2] / "station" / "web" / "node_modules" / "axe-core" / "axe.min.js"
+
+
+FOCUSED = """() => {
+  const e = document.activeElement;
+  return [e.id, e.getAttribute('aria-label'), e === document.body ? '' : e.textContent.trim()];
+}"""
+
+
+async def violations(page: Page) -> list[str]:
+    """What axe-core finds, a line each."""
+    # By the debugger's way in, since the page's policy allows no foreign script.
+    await page.evaluate(AXE.read_text())
+    found = await page.evaluate("() => axe.run({resultTypes: ['violations']})")
+    lines = []
+    for violation in found["violations"]:
+        where = "; ".join(f"{node['html'][:120]} {node['failureSummary'][:200]}" for node in violation["nodes"][:4])
+        lines.append(f"{violation['id']}: {violation['help']}: {where}")
+    return lines
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("screen", ["laptop", "phone"])
+async def test_axe_finds_nothing(room: Room, theme: str, screen: str) -> None:
+    data_dir = room.desk.station.config.data_dir
+    for number in (1, 2):
+        keep_drive(data_dir, f"nav-{number}")
+    room.desk.station.drives.library.open()
+    place_map = store_map(data_dir)
+    options = PHONE if screen == "phone" else {"viewport": {"width": 1440, "height": 900}}
+    page = await room.open(**options, color_scheme=theme, reduced_motion="reduce")
+    await expect(page.locator("html")).to_have_attribute("data-theme", theme)
+    assert await violations(page) == []  # nothing there yet: the guide, empty lists
+    await room.desk.http.put("/maps/active", json={"id": place_map.id})
+    await expect(page.locator("#place-name")).to_have_text(place_map.places[0].name)
+    await room.desk.http.patch(f"/places/{place_map.places[1].id}", json={"hidden": True})
+    await expect(page.locator("#hidden")).to_be_visible()
+    await room.desk.http.delete("/navigations/nav-1")
+    await page.locator("#bin-summary").click()
+    await expect(page.locator("#bin-list li")).to_have_count(1)
+    assert await violations(page) == []
+    await page.locator(f"[data-place='{place_map.places[0].id}']").dispatch_event("click")
+    await expect(page.locator("#place-dialog")).to_be_visible()
+    assert await violations(page) == []
+    await page.keyboard.press("Escape")
+    await page.get_by_role("button", name="More about").first.click()
+    await expect(page.locator("#drive-dialog")).to_be_visible()
+    assert await violations(page) == []
+    await page.keyboard.press("Escape")
+    await page.locator("#hijack").click()
+    await expect(page.locator("#ask")).to_be_visible()
+    assert await violations(page) == []
+    await page.keyboard.press("Escape")
+    room.film.pause()
+    await expect(page.locator(".age")).to_have_class("tag age bad")
+    assert (
+        await page.locator(".age").evaluate("e => getComputedStyle(e).color") == "rgb(255, 255, 255)"
+    )  # was red on red
+    assert await violations(page) == []
+
+
+async def test_the_keyboard_reaches_everything_and_works_it(room: Room) -> None:
+    data_dir = room.desk.station.config.data_dir
+    keep_drive(data_dir, "nav-1")
+    room.desk.station.drives.library.open()
+    place_map = store_map(data_dir)
+    await room.desk.http.put("/maps/active", json={"id": place_map.id})
+    page = await room.open()
+    await expect(page.locator(f"[data-place='{place_map.places[0].id}']")).to_have_count(1)
+    reached = await tab_through(page)
+    wanted = ["theme", "stick", "speed", "stop", "record", "hijack", "Events", "More about Drive nav-1",
+              "Delete Drive nav-1", "Map", "Top", place_map.places[0].name]  # fmt: skip
+    assert [name for name in wanted if name not in reached] == []
+    assert "pan" not in reached  # the head must look straight ahead while a map is in use
+
+    await page.get_by_role("button", name="More about Drive nav-1").focus()
+    await page.keyboard.press("Enter")
+    await expect(page.locator("#drive-dialog")).to_be_visible()
+    await page.keyboard.press("Escape")
+    await expect(page.locator("#drive-dialog")).to_be_hidden()
+    # Back where the person was; and a key that means driving does so again.
+    assert await page.evaluate("document.activeElement.getAttribute('aria-label')") == "More about Drive nav-1"
+    await page.keyboard.down("w")
+    await until(lambda: room.motors_run)
+    await page.keyboard.press("Space")  # STOP, also while a button has the focus
+    await until(lambda: room.motors_rest)
+    await expect(page.locator("#drive-dialog")).to_be_hidden()
+
+
+async def tab_through(page: Page) -> set[str]:
+    """Ids and names of everything that Tab stops at, until it comes back to the first."""
+    reached: list[str] = []
+    for _ in range(80):
+        await page.keyboard.press("Tab")
+        who = await page.evaluate(FOCUSED)
+        reached.extend(filter(None, who))
+        if who == ["", None, ""]:
+            break
+    return set(reached)
