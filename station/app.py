@@ -38,7 +38,7 @@ from station.workers import Worker
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin")
 BIN_CHECK_S = 3600.0
-HIJACK_NOTICE = "the simulated robot was put down elsewhere, as asked"
+HIJACK_NOTICE = "the simulated robot is asked to be put down elsewhere"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,12 +195,16 @@ class Station:
         if first.id == second.id:
             raise Conflict("two different navigations are needed to compare them; GET /navigations lists them")
         title = f"{second.name} compared with {first.name}"
+        setting = (
+            f'In this report Navigation1, whose places make the map, is the drive "{first.name}"; '
+            f'Navigation2, in which they are looked for, is "{second.name}".'
+        )
         folders = [self.drives.library.navigation_folder(drive.id) for drive in (first, second)]
 
         async def work(worker: Worker) -> dict[str, Any]:
             comparison_id, scratch = await asyncio.to_thread(self.comparisons.prepare)
             try:
-                results = await worker.call("compare", *folders, scratch, title)
+                results = await worker.call("compare", *folders, scratch, title, setting)
                 made = summarise(comparison_id, title, (first.id, second.id), results)
                 await asyncio.to_thread(self.comparisons.keep, made, scratch)
             finally:

@@ -54,8 +54,8 @@ class JobServant:
         store.save(place_map, f"built from {navigation.id}"[:200])
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
 
-    def compare(self, first: Path, second: Path, out: Path, title: str) -> dict[str, Any]:
-        """Two navigation folders -> the experiment's report in `out`; returns its results.json."""
+    def compare(self, first: Path, second: Path, out: Path, title: str, setting: str) -> dict[str, Any]:
+        """Two navigation folders -> the experiment's report in `out`, which says `setting`; returns results.json."""
         # Drawing loads matplotlib, which no other job needs.
         from station.experiments.experiment import Story, results_dict, run_experiment
         from station.experiments.output import write_experiment
@@ -66,7 +66,7 @@ class JobServant:
         done = run_experiment(
             *navigations,
             PlacesConfig(),
-            story=Story(title=title),
+            story=Story(title=title, setting=(setting,)),
             say=lambda text: self._emit((next(steps, 0.6), text)),
         )
         self._emit((0.7, "drawing the report"))

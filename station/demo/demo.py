@@ -136,10 +136,11 @@ def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Sa
 def record_drive(demo: Demo, name: str, route: str) -> str:
     """Record one navigation while the scripted driver follows a route; its id."""
     navigation: str = demo.station.call("POST", "/navigations", {"name": name})["id"]
-    demo.say(f"{name}: driving the {route} route")
+    demo.say(f"{name}: driving the {route} route (about a minute)")
     start_driver(demo, route)
     demo.programs.wait("driver", DRIVE_TIMEOUT_S)
     demo.station.call("POST", f"/navigations/{navigation}/stop")
+    demo.say(f"{name}: driven; SLAM finds trajectory and landmarks (half a minute, more on a busy machine)")
     return navigation
 
 

@@ -345,9 +345,9 @@ export class MapView {
     setText(
       empty,
       this.layer === "map"
-        ? "No map yet: record a drive, then build a map from it."
+        ? "No map is in use: choose one, or record a drive and build a map from it."
         : this.layer === "live"
-          ? "Landmarks appear here while a drive is recorded, or when it is finished."
+          ? "Landmarks appear here when a recorded drive is finished; while it is recorded with SLAM by ukf."
           : "This drive has no landmarks: SLAM did not finish.",
     );
   }

@@ -78,7 +78,7 @@ export class PlaceView {
     const hasAnswer = place.t_robot_ns !== null;
     card.dataset["state"] = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
     const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
-    const otherwise = place.map === null ? "No map yet" : hasAnswer ? words[place.state] : "Getting ready…";
+    const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : "Getting ready…";
     setText(by("place-name"), place.place?.name ?? otherwise);
     setText(by("place-probability"), place.place ? percent(place.probability) : "");
     setText(by("place-kicker"), place.place && place.distance_m !== null
