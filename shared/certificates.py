@@ -12,9 +12,13 @@ import ssl
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from shared.errors import ConfigError
 from shared.private_files import make_private_folder, read_private, write_private
+
+if TYPE_CHECKING:
+    from cryptography import x509
 
 KEY_NAME = "key.pem"
 CERTIFICATE_NAME = "certificate.pem"
@@ -91,7 +95,7 @@ def make_identity(folder: Path, common_name: str, names: Iterable[str], days: in
     return open_identity(folder)
 
 
-def _general_name(name: str):  # type: ignore[no-untyped-def]  # the return type needs the import that may be missing
+def _general_name(name: str) -> x509.GeneralName:
     from cryptography import x509
 
     try:

@@ -21,23 +21,12 @@ from shared.geometry import FloatArray, inverse, so3_log
 from station.maps.map import PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
 from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
-from station.places.coverage import Coverage, units_per_metre
+from station.places.map_view import MapView
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
 SAMPLES = 200  # positions drawn per hypothesis
 TIE = 1.1  # centroids within 10 % of the nearest distance count as equally near
 ODOMETRY_GAP_S = 1.0  # after a longer silence, odometry is treated as absent
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _MapView:
-    """One active map, prepared."""
-
-    place_map: PlaceMap
-    centroids: FloatArray  # (P, 3)
-    unit: float  # map units per metre
-    area_m2: float
-    coverage: Coverage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +76,7 @@ class CurrentPlaceEstimator:
         """`calibration`: of the robot that drives now; by default that of the first map's navigation."""
         given = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
         self.config = config or BeliefConfig()
-        self._maps = tuple(_view(m) for m in given)
+        self._maps = tuple(MapView.of(m) for m in given)
         self._index = {m.id: i for i, m in enumerate(given)}
         camera = (calibration or given[0].navigation.calibration).camera if given else None
         self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
@@ -106,9 +95,7 @@ class CurrentPlaceEstimator:
     def regroup(self, maps: PlaceMap | Sequence[PlaceMap]) -> None:
         """The same maps with other places or names. What is known of the robot's pose stays."""
         given = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
-        self._maps = tuple(
-            replace(view, place_map=m, centroids=_centroids(m)) for view, m in zip(self._maps, given, strict=True)
-        )
+        self._maps = tuple(view.regrouped(m) for view, m in zip(self._maps, given, strict=True))
 
     # -- events ---------------------------------------------------------------------------------------------------
 
@@ -275,7 +262,7 @@ class CurrentPlaceEstimator:
 
     # -- numbers --------------------------------------------------------------------------------------------------
 
-    def _spread(self, view: _MapView, p_body: FloatArray, sigma_m: float) -> tuple[FloatArray, FloatArray, float]:
+    def _spread(self, view: MapView, p_body: FloatArray, sigma_m: float) -> tuple[FloatArray, FloatArray, float]:
         """Shares (P,) of drawn positions nearest to each place, those within a tie, and the share that is mapped."""
         c = self.config
         if not len(view.centroids):
@@ -487,15 +474,3 @@ def _motion(T_before: FloatArray, T_after: FloatArray) -> tuple[float, float]:
     """Distance and turn between two poses."""
     T = inverse(T_before) @ T_after
     return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(so3_log(T[:3, :3])))
-
-
-def _view(place_map: PlaceMap) -> _MapView:
-    unit = units_per_metre(place_map)
-    positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
-    size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
-    return _MapView(place_map, _centroids(place_map), unit, float(np.prod(size)), Coverage(place_map, unit))
-
-
-def _centroids(place_map: PlaceMap) -> FloatArray:
-    """(P, 3) of its places."""
-    return np.array([p.centroid_map for p in place_map.places], dtype=np.float64).reshape(-1, 3)

@@ -337,7 +337,7 @@ def test_a_full_disk_is_noticed_before_recording_begins(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def messages_of(path: Path, topic: str) -> list[dict[str, object]]:
+def messages_of(path: Path, topic: str) -> list[dict[str, Any]]:
     with path.open("rb") as file:
         found = make_reader(file).iter_messages(topics=[topic])
         return [msgspec.json.decode(message.data) for _, _, message in found]
@@ -366,7 +366,7 @@ def test_what_the_station_decides_is_recorded_with_its_reasons(tmp_path: Path) -
     command = {"driver": "page", "linear": 0.1, "angular": -0.2, "ttl_ms": 300}
     assert messages_of(path, "/drive/command") == [command]
     assert [m["state"] for m in messages_of(path, "/slam/state")] == ["tracking", "lost"]
-    assert [m["pose"]["position"]["x"] for m in messages_of(path, "/slam/pose")] == [0.5]  # type: ignore[index]
+    assert [m["pose"]["position"]["x"] for m in messages_of(path, "/slam/pose")] == [0.5]
     assert [(m["level"], m["message"]) for m in messages_of(path, "/station/log")] == [(3, "picked up")]
 
 
