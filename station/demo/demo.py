@@ -103,7 +103,7 @@ def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Tim
         trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
         centroids: dict[str, FloatArray] = {p["id"]: np.array(p["centroid_map"]) for p in places}
         verdict = judge(trajectory, centroids, demo.simulator.truth_log(), samples, put_down_ns)
-        write_results(options, verdict, timings, places, samples)
+        write_results(options, verdict, timings, places)
         demo.station.call("POST", f"/navigations/{navigation2}/stop")
         say(describe(verdict))
         say(f"recordings, map and results: {data}, {options.out / 'results.json'}")
@@ -241,7 +241,10 @@ def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
         demo.say(f"    current place: {words}{sure}: {answer['reason']}")
     if answer["t_robot_ns"] is None:
         return None, words
-    return Sample(answer["t_robot_ns"], answer["state"], place["id"] if place else None, answer["probability"]), words
+    where = answer["position_map"]
+    position = (where[0], where[1], where[2]) if where else None
+    place_id = place["id"] if place else None
+    return Sample(answer["t_robot_ns"], answer["state"], place_id, answer["probability"], position), words
 
 
 def serve_until_interrupted(demo: Demo) -> None:
@@ -267,9 +270,7 @@ def wait_for(programs: Programs, what: str, is_ready: Callable[[], bool], timeou
         time.sleep(0.2)
 
 
-def write_results(
-    options: DemoOptions, verdict: Verdict, timings: Timings, places: list[dict[str, Any]], samples: list[Sample]
-) -> None:
+def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, places: list[dict[str, Any]]) -> None:
     """`results.json`: for scripts, and for the table in docs/results.md."""
     results = {
         "passed": verdict.passed,
@@ -278,7 +279,6 @@ def write_results(
         "places": len(places),
         **asdict(verdict),
         "seconds": timings.seconds | {"total": round(sum(timings.seconds.values()), 1)},
-        "answers": [asdict(sample) for sample in samples],
     }
     write_json(options.out / "results.json", results)
 

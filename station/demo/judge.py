@@ -23,12 +23,28 @@ class Sample:
     state: str
     place_id: str | None
     probability: float
+    position_map: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedSample:
+    """One answer beside the truth; what a person looks at when the demo fails."""
+
+    t_robot_ns: int
+    state: str
+    place_id: str | None
+    probability: float
+    right: bool | None  # None: the answer named no place
+    nearest_place_id: str  # by true position
+    position_true: tuple[float, float, float]  # world frame, metres
+    position_error_m: float | None  # of the position in the map; None where it named none
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What the truth says of the answers."""
 
+    answers: tuple[JudgedSample, ...]
     right: int
     wrong: int
     not_known: int
@@ -59,6 +75,22 @@ def is_right(place: str, centroids_true: dict[str, FloatArray], position_true: F
     return place in distances and distances[place] <= TIE * min(distances.values())
 
 
+def judge_sample(
+    sample: Sample, position_true: FloatArray, centroids_true: dict[str, FloatArray], T_world_map: FloatArray
+) -> JudgedSample:
+    """One answer beside the truth."""
+    nearest = min(centroids_true, key=lambda name: float(np.linalg.norm(centroids_true[name] - position_true)))
+    right = is_right(sample.place_id or "", centroids_true, position_true) if sample.state == "known" else None
+    error_m = None
+    if sample.position_map is not None:
+        found = transform(T_world_map, np.array([sample.position_map]))[0]
+        error_m = round(float(np.linalg.norm(found - position_true)), 3)
+    x, y, z = (round(float(v), 3) for v in position_true)
+    return JudgedSample(
+        sample.t_robot_ns, sample.state, sample.place_id, sample.probability, right, nearest, (x, y, z), error_m
+    )
+
+
 def judge(
     map_trajectory: Trajectory,
     centroids_map: dict[str, FloatArray],
@@ -72,27 +104,27 @@ def judge(
         map_trajectory: body poses of the mapping drive, map frame.
         centroids_map: place id -> (3,) centroid, map frame.
         log: the simulator's truth over both drives.
+    Raises:
+        EstimationError: there is no such sample.
     """
     truth = positions_at(log, map_trajectory.t_robot_ns.astype(np.float64))
     aligned = align_points(truth, map_trajectory.T_world_body[:, :3, 3], kind="sim3")
-    centroids_true = {name: transform(aligned.T_target_source, c[None])[0] for name, c in centroids_map.items()}
+    T = aligned.T_target_source
+    centroids_true = {name: transform(T, c[None])[0] for name, c in centroids_map.items()}
     after = [s for s in samples if s.t_robot_ns >= start_ns]
     if not after:
         raise EstimationError("the station gave no answer after the hijack")
     where = positions_at(log, np.array([s.t_robot_ns for s in after], dtype=np.float64))
-    known = [
-        (s, is_right(s.place_id or "", centroids_true, p))
-        for s, p in zip(after, where, strict=True)
-        if s.state == "known"
-    ]
-    last = after[-1]
+    answers = tuple(judge_sample(s, p, centroids_true, T) for s, p in zip(after, where, strict=True))
+    known = [a for a in answers if a.right is not None]
     return Verdict(
-        right=sum(right for _, right in known),
-        wrong=sum(not right for _, right in known),
-        not_known=len(after) - len(known),
-        final_known_right=last.state == "known" and is_right(last.place_id or "", centroids_true, where[-1]),
-        first_known_right=known[0][1] if known else None,
-        seconds_to_first_known=(known[0][0].t_robot_ns - start_ns) * 1e-9 if known else None,
+        answers=answers,
+        right=sum(a.right is True for a in known),
+        wrong=sum(a.right is False for a in known),
+        not_known=len(answers) - len(known),
+        final_known_right=answers[-1].right is True,
+        first_known_right=known[0].right if known else None,
+        seconds_to_first_known=(known[0].t_robot_ns - start_ns) * 1e-9 if known else None,
         map_error_m=aligned.rms,
         map_scale=aligned.scale,
     )

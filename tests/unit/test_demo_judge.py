@@ -65,3 +65,14 @@ def test_one_wrong_answer_in_five_fails(log: TruthLog) -> None:
 def test_answers_before_the_hijack_do_not_count(log: TruthLog) -> None:
     with pytest.raises(EstimationError, match="no answer"):
         verdict(log, [Sample(10 * RATE_NS, "known", "kitchen", 1.0)])
+
+
+def test_each_answer_stands_beside_the_truth(log: TruthLog) -> None:
+    at_start = transform(np.linalg.inv(T_TRUTH_MAP), np.array([[0.5, 0.0, 0.0]]))[0]
+    wrong = Sample(50 * RATE_NS, "known", "hall", 0.9, tuple(at_start))
+    unsure = Sample(55 * RATE_NS, "lost", None, 0.4)
+    first, second = verdict(log, [wrong, unsure]).answers
+    assert (first.right, first.nearest_place_id) == (False, "kitchen")
+    truth = np.array(first.position_true)
+    assert first.position_error_m == pytest.approx(np.linalg.norm(truth - [0.5, 0.0, 0.0]), abs=2e-3)
+    assert (second.right, second.position_error_m) == (None, None)
