@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from shared.errors import EstimationError
-from shared.geometry import FloatArray, se3, transform, yaw_rotation
-from station.demo.judge import Sample, judge
+from shared.geometry import FloatArray, inverse, se3, transform, yaw_rotation
+from station.demo.judge import Sample, Verdict, judge
 from station.demo.simulator_client import TruthLog
 from station.navigation import Trajectory
 
@@ -28,10 +28,10 @@ def log() -> TruthLog:
     return drive(np.concatenate([np.linspace(0, 4, 41), np.full(5, 4.0), np.linspace(0, 1, 11)]))
 
 
-def verdict(log: TruthLog, samples: list[Sample]):
-    inverse = np.linalg.inv(T_TRUTH_MAP)
-    mapped = Trajectory(log.t_robot_ns[:41], inverse @ log.T_world_body[:41])
-    centroids = {name: transform(inverse, c[None])[0] for name, c in CENTROIDS_TRUE.items()}
+def verdict(log: TruthLog, samples: list[Sample]) -> Verdict:
+    T_map_truth = inverse(T_TRUTH_MAP)
+    mapped = Trajectory(log.t_robot_ns[:41], T_map_truth @ log.T_world_body[:41])
+    centroids = {name: transform(T_map_truth, c[None])[0] for name, c in CENTROIDS_TRUE.items()}
     return judge(mapped, centroids, log, samples, start_ns=46 * RATE_NS)
 
 
@@ -68,8 +68,8 @@ def test_answers_before_the_hijack_do_not_count(log: TruthLog) -> None:
 
 
 def test_each_answer_stands_beside_the_truth(log: TruthLog) -> None:
-    at_start = transform(np.linalg.inv(T_TRUTH_MAP), np.array([[0.5, 0.0, 0.0]]))[0]
-    wrong = Sample(50 * RATE_NS, "known", "hall", 0.9, tuple(at_start))
+    at_start = transform(inverse(T_TRUTH_MAP), np.array([[0.5, 0.0, 0.0]]))[0]
+    wrong = Sample(50 * RATE_NS, "known", "hall", 0.9, (at_start[0], at_start[1], at_start[2]))
     unsure = Sample(55 * RATE_NS, "lost", None, 0.4)
     first, second = verdict(log, [wrong, unsure]).answers
     assert (first.right, first.nearest_place_id) == (False, "kitchen")
