@@ -179,15 +179,14 @@ class UkfBackend:
         if self._given is not None:
             given, self._given = replace(self._given, t_imu_ns=current.t_imu_ns), None
             return self._start(state_from_given(given, self._config.filter.error), current, False)
-        v_body, sigma = current.wheels or (np.zeros(3), np.full(3, np.inf))
-        waiting = WaitingFrame(frame.index, current.t_imu_ns, current.tracked, v_body, sigma)
+        waiting = WaitingFrame(frame.index, current.t_imu_ns, current.tracked, self._driven_velocity(current))
         found = self._starter.try_start(waiting, self._imu, is_still, self._coasting.at)
         if isinstance(found, str):
             self._memory.forget_waiting(current.t_imu_ns)
             return self._update(frame, f"not initialised yet: {found}", None)
         state, motion = found
         if motion is None:
-            return self._start(state, current, True)
+            return self._start(state, current, is_still)
         return self._start_in_motion(state, motion.frame_index.tolist(), frame)
 
     def _start(self, state: FilterState, current: RecentFrame, is_still: bool) -> SlamUpdate:
@@ -331,6 +330,13 @@ class UkfBackend:
             command, since = self._drive.linear_m_s, (t_imu - self._speed_since) * 1e-9
         known = wheel_velocity(self._config.wheels, float(segment.end_gyro[2] - bias[2]), command, since)
         return None if known is None else (known.v_body, known.sigma)
+
+    def _driven_velocity(self, current: RecentFrame) -> FloatArray | None:
+        """Body velocity (3,) of a robot that its motors drive; None before the motors have followed their command."""
+        if current.wheels is None or not self._is_commanded_to_move():
+            return None
+        v_body, sigma = current.wheels
+        return v_body if bool(np.isfinite(sigma).all()) else None
 
     def _commanded_speed(self) -> float | None:
         """m/s that wheels roll forwards; None where nothing is known of wheels, or the robot is in somebody's hands."""

@@ -30,7 +30,6 @@ class StartConfig:
     """When a start counts as good."""
 
     min_window_s: float = 0.9
-    min_window_wheels_s: float = 0.5  # where the commanded speed gives the scale
     max_window_s: float = 3.0
     num_keyframes: int = 12
     min_tracks: int = 25
@@ -45,6 +44,12 @@ class StartConfig:
     still_flow_px: float = 0.7  # median displacement over still_s
     still_accel: float = 0.35  # m/s^2, standard deviation of the accelerometer
     still_gyro: float = 0.05  # rad/s
+    rolling_s: float = 0.5  # driven on its wheels: gravity is averaged over that long
+    max_rolling_tilt: float = (
+        0.14  # rad; what leans more, or weighs otherwise by max_rolling_accel, is in somebody's hands
+    )
+    max_rolling_accel: float = 0.6  # m/s^2
+    min_rolling_features: int = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,18 +95,15 @@ def start_in_motion(
     t_imu_ns: list[int],
     config: StartConfig,
     known_bias: FloatArray | None = None,
-    wheels: tuple[FloatArray, FloatArray] | None = None,
 ) -> MotionStart | str:
     """Solve the window, or say in words what is missing.
 
     Args:
         known_bias: (6,) from before tracking was lost.
-        wheels: body velocities (len(frames), 3) and their sigmas, from a wheeled robot's commands.
     """
     duration = (t_imu_ns[-1] - t_imu_ns[0]) * 1e-9
-    least = config.min_window_s if wheels is None else config.min_window_wheels_s
-    if duration < least:
-        return f"needs {least - duration:.1f} s more of images"
+    if duration < config.min_window_s:
+        return f"needs {config.min_window_s - duration:.1f} s more of images"
     K = min(config.num_keyframes, len(frames))
     pick = np.unique(np.rint(np.linspace(0, len(frames) - 1, K)).astype(int))
     tracks = collect_tracks([frames[i] for i in pick], 3)
@@ -122,20 +124,13 @@ def start_in_motion(
     if parallax_px < config.min_parallax_px:
         return f"needs sideways motion: {parallax_px:.0f} px of parallax, {config.min_parallax_px:.0f} are the least"
     try:
-        if wheels is None:
-            v0, g0 = solve_velocity_and_gravity(R, dp, t, tracks, camera, gravity)
-        else:  # v_K - v_0 = g T + dv, with both velocities from the wheels
-            v0 = wheels[0][pick[0]]
-            g0 = (R[-1] @ wheels[0][pick[-1]] - v0 - dv[-1]) / t[-1]
-            g0 *= gravity / max(float(np.linalg.norm(g0)), 1e-9)
+        v0, g0 = solve_velocity_and_gravity(R, dp, t, tracks, camera, gravity)
         states = _upright(R, v0, g0, dv, dp, t, bias, links)
         prior = Prior(
             bias,
             np.zeros(3) if known_bias is None else known_bias[3:],
             config.sigma_bias_gyro if known_bias is None else 0.005,
             config.sigma_bias_accel if known_bias is None else 0.05,
-            v_body=None if wheels is None else wheels[0][pick],
-            sigma_v_body=None if wheels is None else wheels[1][pick],
         )
         solution = solve_window(
             camera, noise, gravity, states, links, tracks.uv_px, tracks.xy, tracks.seen, prior, iterations=12

@@ -1,4 +1,4 @@
-"""From sensor data to a filter's first state: given, at rest, or in motion (docs/slam.md, sec. 8)."""
+"""From sensor data to a filter's first state: given, at rest, on wheels, or in motion (docs/slam.md, sec. 8)."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ from station.slam.ukf.state import CORE, PHI, XI_V, XI_X, ErrorKind, FilterState
 SIGMA_FRAME = 1e-4  # rad and m: position and yaw of a start are definitions
 SIGMA_TILT_REST = 0.02  # rad: accelerometer bias leans the gravity that is measured
 SIGMA_V_REST = 0.01  # m/s
+SIGMA_TILT_ROLLING = 0.03  # rad: the floor, and what accelerating leans
+SIGMA_V_ROLLING = 0.06  # m/s, per axis: wheels slip and skid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +59,7 @@ class WaitingFrame:
     index: int
     t_imu_ns: int
     tracked: TrackedFrame
-    v_body: FloatArray  # (3,) from wheels
-    sigma_v_body: FloatArray  # (3,) infinite where unknown
+    v_wheels: FloatArray | None = None  # (3,) body frame; None unless the motors drive a robot on wheels
 
 
 class Starter:
@@ -95,12 +96,12 @@ class Starter:
             state = state_at_rest(frame.t_imu_ns, samples, self._noise, self._gravity, self._kind, anchor)
             self._frames.clear()
             return state, None
-        sigma = np.array([f.sigma_v_body for f in self._frames])
-        has_wheels = bool(np.isfinite(sigma).any())
-        least = config.min_window_wheels_s if has_wheels else config.min_window_s
+        if frame.v_wheels is not None:
+            return self._start_rolling(frame, frame.v_wheels, imu, anchor)
         waited = (frame.t_imu_ns - self._frames[0].t_imu_ns) * 1e-9
-        if waited < least:
-            return f"needs {least - waited:.1f} s more of images that overlap, or {config.still_s} s at rest"
+        if waited < config.min_window_s:
+            more_s = config.min_window_s - waited
+            return f"needs {more_s:.1f} s more of images that overlap, or {config.still_s} s at rest"
         if frame.t_imu_ns < self._next_attempt_ns:
             return self._reason
         self._next_attempt_ns = frame.t_imu_ns + int(config.attempt_every_s * 1e9)
@@ -115,13 +116,61 @@ class Starter:
             [f.t_imu_ns for f in frames],
             config,
             anchor.bias,
-            (np.array([f.v_body for f in frames]), sigma) if has_wheels else None,
         )
         if isinstance(found, str):
             self._reason = found
             return found
         self._frames.clear()
         return state_in_motion(found, self._kind, anchor_at(int(found.t_imu_ns[0]))), found
+
+    def _start_rolling(
+        self, frame: WaitingFrame, v_wheels: FloatArray, imu: ImuBuffer, anchor: Anchor
+    ) -> tuple[FilterState, None] | str:
+        """Start from what is known of a robot that its motors drive over a floor; or what is missing, in words.
+
+        A window of images says little here: one that drives straight on hardly shows its scale.
+        """
+        config = self._config
+        window_ns = int(config.rolling_s * 1e9)
+        samples = imu.samples(frame.t_imu_ns - window_ns, frame.t_imu_ns)
+        if len(samples) < 2 or samples.t_robot_ns[-1] - samples.t_robot_ns[0] < 0.8 * window_ns:
+            return f"needs {config.rolling_s} s of IMU samples without a gap"
+        if frame.tracked.num_tracked < config.min_rolling_features:
+            return "needs images with something to follow"
+        accel = samples.accel_imu.mean(axis=0)
+        size = float(np.linalg.norm(accel))
+        is_level = accel[2] > size * np.cos(config.max_rolling_tilt)
+        if not is_level or abs(size - self._gravity) > config.max_rolling_accel:
+            return "needs to stand on its wheels"
+        self._frames.clear()
+        return state_rolling(frame.t_imu_ns, accel, v_wheels, self._kind, anchor), None
+
+
+def state_rolling(
+    t_imu_ns: int, accel: FloatArray, v_wheels: FloatArray, kind: ErrorKind, anchor: Anchor
+) -> FilterState:
+    """The state of a robot that drives: velocity from its wheels, upright as far as a floor is level.
+
+    Args:
+        accel: (3,) mean reading. Accelerating leans it, a slope or a mounting leans the floor's vertical: half of each.
+        v_wheels: (3,) body frame.
+    """
+    lean = accel / np.linalg.norm(accel) + np.array([0.0, 0.0, 1.0])
+    R = yaw_rotation(anchor.yaw_rad) @ upright_rotation(-lean / np.linalg.norm(lean))
+    bias = np.zeros(6) if anchor.bias is None else anchor.bias
+    given = GivenState(
+        t_imu_ns=t_imu_ns,
+        R_world_body=R,
+        v_world=R @ v_wheels,
+        x_world=anchor.x_world.copy(),
+        bias_gyro=bias[:3],
+        bias_accel=bias[3:],
+        sigma_tilt=SIGMA_TILT_ROLLING,
+        sigma_v=SIGMA_V_ROLLING,
+        sigma_bias_gyro=0.02 if anchor.bias is None else 0.005,
+        sigma_bias_accel=0.1 if anchor.bias is None else 0.05,
+    )
+    return state_from_given(given, kind)
 
 
 def state_at_rest(
