@@ -63,7 +63,7 @@ class SlamConfig:
     backend: str = "sfm"  # or "auto": ukf for a robot on wheels with an IMU
     seed: int = 1
     frame_backlog: int = 900  # frames that wait for a busy worker (60 MB); then the oldest is skipped, and counted
-    live_frame_backlog: int = 60  # the same for backends that answer with a pose: that pose should be of now
+    live_frame_backlog: int = 20  # the same for backends that answer with a pose: that pose should be of now
     imu_backlog: int = 6000  # batches; beyond, the oldest is lost, counted and announced
 
 

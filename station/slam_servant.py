@@ -55,6 +55,10 @@ class SlamServant:
         self._sequencer.add_frame(frame)
         self._advance()
 
+    def catch_up(self) -> bool:
+        """Do a piece of the work that can wait; the worker asks while no request does."""
+        return self._backend is not None and self._backend.catch_up()
+
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""
         navigation = self.complete(navigation_id)

@@ -269,12 +269,28 @@ def resolve(path: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
+def _nothing_to_do() -> bool:
+    return False
+
+
 def _serve(connection: Connection, servant_path: str, arguments: tuple[Any, ...]) -> None:
-    """The worker process: requests in, answers and events out, until the pipe closes."""
+    """The worker process: requests in, answers and events out, until the pipe closes.
+
+    A servant may have `catch_up`: a piece of work that can wait until there are no requests; False when there is none.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     servant = resolve(servant_path)(lambda event: connection.send((None, True, event)), *arguments)
+    catch_up: Callable[[], bool] = getattr(servant, "catch_up", _nothing_to_do)
     while True:
+        try:
+            while not connection.poll() and catch_up():
+                pass
+        except OSError:
+            return
+        except Exception:  # the work that could wait fails again where it is needed, and is told there
+            logger.exception("catching up failed")
+            catch_up = _nothing_to_do
         try:
             call, method, values = pickle.loads(connection.recv_bytes())  # from our own parent  # noqa: S301  # nosec B301
         except (EOFError, OSError):

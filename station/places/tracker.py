@@ -19,9 +19,9 @@ from station.places.current import CurrentPlaceEstimator
 from station.places.dead_reckoning import DeadReckoning
 from station.places.hijack import HijackDetector, HijackEvent
 from station.places.localizer import Attempt, Localizer
+from station.places.odometry import BlendedOdometry
 
 ODOMETRY_EVERY_NS = 50_000_000
-SLAM_SILENCE_NS = 1_000_000_000  # without a SLAM pose for this long, dead reckoning takes over
 
 
 class PlaceTracker:
@@ -37,9 +37,7 @@ class PlaceTracker:
         self.estimator = CurrentPlaceEstimator(given, calibration)
         self.hijacks = HijackDetector()
         self._reckoning = DeadReckoning()
-        self._segment = 0
-        self._slam_t_ns: int | None = None
-        self._slam_segment: tuple[str, int] | None = None
+        self._blended = BlendedOdometry()
         self._odometry_t_ns: int | None = None
         self._events: list[HijackEvent] = []
         self.last_attempt: Attempt | None = None
@@ -50,21 +48,19 @@ class PlaceTracker:
     def on_imu(self, imu: ImuBatch) -> None:
         self._note(self.hijacks.on_imu(imu))
         self._reckoning.add_imu(imu)
-        t = self._reckoning.t_robot_ns
-        slam_is_silent = self._slam_t_ns is None or (t is not None and t - self._slam_t_ns > SLAM_SILENCE_NS)
-        last = self._odometry_t_ns
-        due = last is None or (t is not None and t - last >= ODOMETRY_EVERY_NS)
-        if t is not None and slam_is_silent and due:
-            self._odometry(t, self._reckoning.T_nav_body, ("dead reckoning", 0))
+        t, last = self._reckoning.t_robot_ns, self._odometry_t_ns
+        if t is not None and (last is None or t - last >= ODOMETRY_EVERY_NS):
+            self._odometry(t, self._blended.add_reckoned(t, self._reckoning.T_nav_body))
 
     def on_drive(self, drive: DriveSample) -> None:
         self.hijacks.on_drive(drive)
         self._reckoning.add_drive(drive)
 
     def on_odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int = 0) -> None:
-        """A pose of a running SLAM in metres: better than dead reckoning while it comes."""
-        self._slam_t_ns = t_robot_ns
-        self._odometry(t_robot_ns, T_nav_body, ("slam", segment))
+        """A pose of a running SLAM in metres, however late: better than dead reckoning up to its time."""
+        blended = self._blended.add_slam(t_robot_ns, T_nav_body, segment)
+        if self._odometry_t_ns is None or t_robot_ns > self._odometry_t_ns + ODOMETRY_EVERY_NS:  # no IMU reckons
+            self._odometry(t_robot_ns, blended)
 
     def on_frame(self, frame: ImageFrame) -> Attempt | None:
         """Localise one image; None while the robot is carried. Raises DataError for an undecodable image."""
@@ -98,9 +94,6 @@ class PlaceTracker:
             self._events.append(event)
             self.estimator.on_hijack(event.t_robot_ns, event.reason, event.confidence)
 
-    def _odometry(self, t: int, T_nav_body: FloatArray, segment: tuple[str, int]) -> None:
-        if segment != self._slam_segment:  # another frame: SLAM began, ended, or lost its track
-            self._slam_segment = segment
-            self._segment += 1
+    def _odometry(self, t: int, T_nav_body: FloatArray) -> None:
         self._odometry_t_ns = t
-        self.estimator.on_odometry(t, T_nav_body, self._segment)
+        self.estimator.on_odometry(t, T_nav_body, self._blended.segment)

@@ -38,6 +38,10 @@ class SlamBackend(Protocol):
 
     def add_frame(self, frame: ImageFrame) -> SlamUpdate: ...
 
+    def catch_up(self) -> bool:
+        """Do a piece of the work that can wait, while no data do; False when nothing waits. `finish` does the rest."""
+        ...
+
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         ...

@@ -46,27 +46,44 @@ def test_a_keyframe_becomes_a_view_when_the_picture_has_moved_or_a_segment_begin
     views = MapViews(MODEL.lens, ViewConfig(min_flow=0.2), 0)
     for number, (moved, segment) in enumerate([(0.0, 0), (50.0, 0), (130.0, 0), (140.0, 0), (140.0, 1)]):
         views.add(keyframe(number, moved, segment))
-    assert [v.frame_index for v in views.items] == [0, 2, 4]
-    assert [(a, b) for a, b, _ in views.pairs] == [(0, 1)]  # never across segments
-    assert len(views.pairs[0][2]) > 100
+    items, pairs = views.describe_all()
+    assert [v.frame_index for v in items] == [0, 2, 4]
+    assert [(a, b) for a, b, _ in pairs] == [(0, 1)]  # never across segments
+    assert len(pairs[0][2]) > 100
 
 
 def test_views_keep_a_distance_in_time() -> None:
     views = MapViews(MODEL.lens, ViewConfig(min_flow=0.2, min_interval_s=0.6), 0)
     for number in range(6):  # a quarter of a second and enough motion between each
         views.add(keyframe(number, 130.0 * number))
-    assert [v.frame_index for v in views.items] == [0, 3]
+    assert [v.frame_index for v in views.describe_all()[0]] == [0, 3]
 
 
 def test_many_views_are_thinned_and_stay_connected() -> None:
     views = MapViews(MODEL.lens, ViewConfig(min_flow=0.2, capacity=8, num_previous=4), 0)
     for number in range(18):
         views.add(keyframe(number, 130.0 * number))
-        assert len(views.items) <= 8
-        indices = {i for a, b, _ in views.pairs for i in (a, b)}
-        assert indices <= set(range(len(views.items)))
-    neighbours = {(a, b) for a, b, _ in views.pairs}
-    assert all((i, i + 1) in neighbours for i in range(len(views.items) - 1))
+    items, pairs = views.describe_all()
+    assert 4 <= len(items) <= 8
+    assert {i for a, b, _ in pairs for i in (a, b)} <= set(range(len(items)))
+    neighbours = {(a, b) for a, b, _ in pairs}
+    assert all((i, i + 1) in neighbours for i in range(len(items) - 1))
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_views_are_the_same_whenever_there_was_time_to_describe_them(every: int) -> None:
+    at_once, later = (MapViews(MODEL.lens, ViewConfig(min_flow=0.2, capacity=8), 0) for _ in range(2))
+    for number in range(18):
+        at_once.add(keyframe(number, 130.0 * number))
+        at_once.describe_next()
+        later.add(keyframe(number, 130.0 * number))
+        if number % every == 0:
+            later.describe_next()
+    (items, pairs), (items_later, pairs_later) = at_once.describe_all(), later.describe_all()
+    assert [v.frame_index for v in items] == [v.frame_index for v in items_later]
+    assert [(a, b) for a, b, _ in pairs] == [(a, b) for a, b, _ in pairs_later]
+    assert all(np.array_equal(x[2], y[2]) for x, y in zip(pairs, pairs_later, strict=True))
+    assert not later.describe_next()
 
 
 def test_relative_motions_chain_to_the_filters_poses() -> None:
@@ -75,7 +92,7 @@ def test_relative_motions_chain_to_the_filters_poses() -> None:
     views = MapViews(MODEL.lens, ViewConfig(min_flow=0.0, num_previous=1), 0)
     for number, pose in enumerate(T):
         views.add(keyframe(number, 10.0 * number, 0, pose))
-    motions = relative_motions(views.items, NOISE)
+    motions = relative_motions(views.describe_all()[0], NOISE)
     end = T[0]
     for R, p in zip(motions.R, motions.p, strict=True):
         end = end @ se3(R, p)
@@ -86,7 +103,7 @@ def test_relative_motions_chain_to_the_filters_poses() -> None:
 def test_rows_exposed_later_see_where_the_middle_row_would_have_seen() -> None:
     views = MapViews(MODEL.lens, ViewConfig(), 0)
     views.add(keyframe(0, 0.0))
-    view = views.items[0]
+    view = views.describe_all()[0][0]
     rays = straight_rays(view, MODEL)
     uv = view.features.uv_px
     xy = MODEL.lens.unproject(uv)

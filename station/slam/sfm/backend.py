@@ -120,6 +120,10 @@ class SfmBackend:
                 self._matches.append(match)
         self._pairs.clear()
 
+    def catch_up(self) -> bool:
+        """Nothing can be done before all images are there."""
+        return False
+
     def finish(self) -> Navigation:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         if len(self._frames) < MIN_KEYFRAMES:

@@ -236,6 +236,11 @@ class UkfBackend:
 
     # ---- the end
 
+    def catch_up(self) -> bool:
+        """Describe a view of the map; see SlamBackend."""
+        with self._blas.limit(limits=1):
+            return self._memory.views is not None and self._memory.views.describe_next()
+
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         with self._blas.limit(limits=1):

@@ -52,12 +52,13 @@ def map_views(
     """
     parts: list[tuple[Reconstructed, list[View], FloatArray]] = []
     loops, errors = 0, []
-    for number in sorted({v.segment for v in views.items}):
-        at = [i for i, v in enumerate(views.items) if v.segment == number]
+    described, matches = views.describe_all()
+    for number in sorted({v.segment for v in described}):
+        at = [i for i, v in enumerate(described) if v.segment == number]
         if len(at) < MIN_VIEWS:
             continue
-        items = [views.items[i] for i in at]
-        pairs = [(a - at[0], b - at[0], p) for a, b, p in views.pairs if a >= at[0] and b <= at[-1]]
+        items = [described[i] for i in at]
+        pairs = [(a - at[0], b - at[0], p) for a, b, p in matches if a >= at[0] and b <= at[-1]]
         motions = relative_motions(items, noise)
         features = [v.features for v in items]
         rays = [straight_rays(v, camera) for v in items]

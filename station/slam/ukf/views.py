@@ -6,6 +6,7 @@ again: when the robot comes back, and when it looks for its place in the map ano
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,35 +29,57 @@ class View:
 
 
 class MapViews:
-    """Grows while the robot drives; bounded."""
+    """Grows while the robot drives; bounded.
+
+    Choosing a view is cheap and done at once, describing it costs as much as following ten frames: it waits until
+    somebody has time for it (`describe_next`), and gives the same whenever that is.
+    """
 
     def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
         self._lens, self._config = lens, config
         self.sfm = SfmConfig(seed=seed, threads=1)
         self._extractor = SiftExtractor(self.sfm.features)
         self._spacing = 1.0
-        self.items: list[View] = []
-        self.pairs: list[Pairs] = []  # indices into items, unverified
+        self._chosen: deque[Keyframe] = deque()  # that wait to be described
+        self._newest: Keyframe | None = None
+        self._items: list[View] = []
+        self._pairs: list[Pairs] = []  # indices into items, unverified
 
     def add(self, keyframe: Keyframe) -> None:
         """Take a keyframe in; it becomes a view when it shows something else than the last one."""
         if not self._is_new(keyframe):
             return
-        features = self._extractor.extract(keyframe.image.grey(), self._lens)
-        b = len(self.items)
-        self.items.append(View(keyframe.image.index, keyframe.segment, keyframe, features))
-        for a in range(max(0, b - self._config.num_previous), b):
-            if self.items[a].segment == keyframe.segment:
-                before = self.items[a].features
-                pairs = match_descriptors(before.descriptors, features.descriptors, self.sfm.matching.max_ratio)
-                self.pairs.append((a, b, pairs))
-        if len(self.items) > self._config.capacity:
+        self._newest = keyframe
+        self._chosen.append(keyframe)
+        if len(self._items) + len(self._chosen) > self._config.capacity:
+            self.describe_all()
             self._thin()
 
+    def describe_next(self) -> bool:
+        """Describe one view that waits; False when none does."""
+        if not self._chosen:
+            return False
+        keyframe = self._chosen.popleft()
+        features = self._extractor.extract(keyframe.image.grey(), self._lens)
+        b = len(self._items)
+        self._items.append(View(keyframe.image.index, keyframe.segment, keyframe, features))
+        for a in range(max(0, b - self._config.num_previous), b):
+            if self._items[a].segment == keyframe.segment:
+                before = self._items[a].features
+                pairs = match_descriptors(before.descriptors, features.descriptors, self.sfm.matching.max_ratio)
+                self._pairs.append((a, b, pairs))
+        return True
+
+    def describe_all(self) -> tuple[list[View], list[Pairs]]:
+        """All views, and the unverified matches between them."""
+        while self.describe_next():
+            pass
+        return self._items, self._pairs
+
     def _is_new(self, keyframe: Keyframe) -> bool:
-        if not self.items or self.items[-1].segment != keyframe.segment:
+        if self._newest is None or self._newest.segment != keyframe.segment:
             return True
-        last, config = self.items[-1].keyframe, self._config
+        last, config = self._newest, self._config
         since_s = (keyframe.image.t_robot_ns - last.image.t_robot_ns) * 1e-9
         if since_s < config.min_interval_s:
             return False
@@ -70,6 +93,7 @@ class MapViews:
 
     def _thin(self) -> None:
         """Every second view stays, with the matches among those that stay."""
-        self.items = self.items[::2]
-        self.pairs = [(a // 2, b // 2, pairs) for a, b, pairs in self.pairs if a % 2 == 0 and b % 2 == 0]
+        self._items = self._items[::2]
+        self._pairs = [(a // 2, b // 2, pairs) for a, b, pairs in self._pairs if a % 2 == 0 and b % 2 == 0]
+        self._newest = self._items[-1].keyframe
         self._spacing *= 1.5
