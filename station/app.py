@@ -1,4 +1,4 @@
-"""The running station, wired: link → recorder, SLAM worker, localisation worker → answers. Start reading here.
+"""The running station, wired: sessions of robots, and the maps, drives and jobs that they share. Start reading here.
 
 One object with plain methods; the API is a thin layer over it, and so is a test. Nothing here computes: frames go to
 worker processes, files to threads, and the event loop only carries messages.
@@ -10,48 +10,35 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.access import open_access
 from station.bin import Bin, Kind
 from station.comparisons import Comparisons, summarise
 from station.config import RecordingConfig, StationConfig
 from station.drive_library import DriveLibrary, DriveRecord
-from station.driving import Driving
-from station.events import EventKind, Events
+from station.drives import Drives
+from station.events import EventKind, Events, EventsOfAll
 from station.jobs import Job, Jobs
 from station.kept_recordings import recover_recordings, retain_recordings
-from station.link import LinkState, RobotLink
-from station.locating import Locating
-from station.mailbox import Broadcast
 from station.map_library import Maps, PlacesChange
 from station.maps.map import Place
 from station.maps.store import MapSummary, StoreAddress
 from station.recorder import Recorder
-from station.recording import DriveRecorder, Drives
-from station.refusals import Conflict, NoRobot, NotCapable
-from station.workers import Worker
+from station.recording import DriveRecorder
+from station.refusals import Conflict, Unknown
+from station.robot_session import RobotSession, Shared
+from station.workers import Worker, warm_up
 
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin")
 BIN_CHECK_S = 3600.0
-HIJACK_NOTICE = "the simulated robot is asked to be put down elsewhere"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SeenFrame:
-    """A camera image and when it came."""
-
-    frame: CameraFrame
-    t_station_ns: int  # arrival
-    t_captured_ns: int | None  # the capture in the station's clock; None before the clocks are known
+SESSION_RESTART_S = 1.0
 
 
 class Station:
-    """Everything that runs, and what a person can ask of it. Implements LinkListener."""
+    """What all robots share, a session for each, and what a person can ask of it."""
 
     def __init__(
         self,
@@ -59,47 +46,38 @@ class Station:
         make_recorder: Callable[[Path], DriveRecorder | None] | None = None,
         place_servant: str = "station.place_servant:PlaceServant",
     ) -> None:
-        """`place_servant` names the class that the localisation worker runs.
+        """`place_servant` names the class that the localisation workers run.
 
         Raises ConfigError: others than this machine would reach it, and it is not set up who may.
         """
         self.config = config
         self.started_s = time.monotonic()
-        self.events = Events()
-        self.camera: Broadcast[SeenFrame] = Broadcast()
+        self.events = EventsOfAll()
         self.access = open_access(config)
-        self.link = RobotLink(
-            config.robot.host, config.robot.port, self, station_name=config.name, robots=self.access.robots
-        )
-        self.driving = Driving(
-            self.link,
-            config.drive,
-            self._capabilities,
-            on_driver=lambda driver: self.events.changed("driver", driver),
-            on_silence=lambda text: self.events.say("drive", text, "warning"),
-            on_command=lambda *command: self.drives.on_command(*command),
-        )
-        self.applied: DriveApplied | None = None
         self.jobs = Jobs(self.events)
         store = StoreAddress(config.data_dir / "maps", config.store.database, config.store.blobs, config.name)
         self.maps = Maps(store, self.events)
-        self.locating = Locating(
-            store, config.localization, self.events, place_servant, lambda report: self.drives.on_answer(report)
-        )
         self.comparisons = Comparisons(config.data_dir / "comparisons")
         self.bin = Bin(config.data_dir / "bin.json")
-        self.drives = Drives(
-            DriveLibrary(config.data_dir / "navigations"),
-            config.slam,
-            self.events,
+        self.drives = Drives(DriveLibrary(config.data_dir / "navigations"), self.events)
+        shared = Shared(
+            config,
+            self.maps,
+            self.drives,
+            self.access.robots,
             make_recorder or (lambda path: open_recorder(path, config.recordings)),
-            on_pose=self.locating.odometry,
-            recordings=config.recordings,
+            place_servant,
         )
-        self.events.on_line = self.drives.on_log
+        self.robots: dict[str, RobotSession] = {}
+        for robot in config.fleet:
+            events = Events()
+            self.events.robots.append(events)
+            path = f"/robots/{robot.name}" if self.robots else ""
+            self.robots[robot.name] = RobotSession(robot, events, shared, path)
 
     async def run(self, started: Callable[[], Any] = lambda: None) -> None:
         """Run until cancelled. The link ends first, and with it the motors; then drives are closed."""
+        await asyncio.to_thread(warm_up)
         interrupted = self.drives.library.open()
         for drive in interrupted:
             self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
@@ -112,67 +90,56 @@ class Station:
             self.events.changed(kind)  # who listens from now on is first told how everything is
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self.driving.run(), name="drive timer")
-                tasks.create_task(self.link.run(), name="link")
-                tasks.create_task(self.locating.run(), name="localisation")
-                tasks.create_task(self._every_second(), name="second")
+                for robot in self.robots.values():
+                    tasks.create_task(self._keep_running(robot), name=f"robot {robot.name}")
                 tasks.create_task(self._every_hour(), name="bin")
                 tasks.create_task(self._tidy_up(interrupted), name="recordings")
                 tasks.create_task(self.access.door.watch(), name="door")
                 started()
         finally:
-            await self.drives.close()
-            await self.jobs.close()
-            await self.locating.close()
+            async with asyncio.TaskGroup() as closing:  # ends all of them, also when one fails
+                for robot in self.robots.values():
+                    closing.create_task(robot.close())
+                closing.create_task(self.jobs.close())
 
-    # Robot
+    async def _keep_running(self, robot: RobotSession) -> None:
+        """A bug that shows with one robot must not stop the others: its link and drive timer are started again."""
+        while True:
+            try:
+                await robot.run()
+            except Exception as exc:  # on top of the robot's tasks: its motors are stopped, its link is closed
+                logger.exception("robot %s", robot.name)
+                text = f"an error of the station stopped what runs for this robot: {_first_cause(exc)!r}"
+                robot.events.say("worker", f"{text}; it is started again", "error")
+            await asyncio.sleep(SESSION_RESTART_S)
+
+    # Robots
 
     @property
-    def robot(self) -> LinkState:
-        return self.link.state
+    def first(self) -> RobotSession:
+        """The robot that is meant where none is named."""
+        return next(iter(self.robots.values()))
 
-    @property
-    def head_must_rest(self) -> str:
-        """Why the camera head must look straight ahead, in a sentence; empty when it may turn.
+    def robot(self, name: str) -> RobotSession:
+        """Raises Unknown."""
+        if name not in self.robots:
+            raise Unknown(f"this station has no robot {name!r}; GET /robots lists them")
+        return self.robots[name]
 
-        The calibration tells where the camera is while it does; nothing tells the estimation where it is otherwise.
-        """
-        if self.drives.running is not None:
-            return "a drive is being recorded, for which the camera must look straight ahead; stop the recording first"
-        if self.maps.active is not None:
-            return "the place is being looked for, for which the camera must look straight ahead; choose no map first"
-        return ""
-
-    def point(self, driver: str, pan: float, tilt: float) -> None:
-        """Point the camera head (rad). Raises as Driving.point, and Conflict while it must look straight ahead."""
-        if (pan or tilt) and (reason := self.head_must_rest):
-            raise Conflict(reason)
-        self.driving.point(driver, pan, tilt)
-
-    def hijack(self, x: float, y: float, yaw: float) -> None:
-        """Put a simulated robot down elsewhere. Raises NoRobot, or NotCapable for a real one."""
-        able = self._capabilities()
-        if able is None:
-            raise NoRobot("no robot is connected")
-        if not able.hijack:
-            raise NotCapable("this robot cannot be moved by a message; only a simulated one can")
-        self.driving.stop()
-        if not self.link.hijack(x, y, yaw):
-            raise NoRobot("the robot is not connected just now; the link comes back by itself")
-        self.events.say("hijack", HIJACK_NOTICE, "warning")
+    def stop(self) -> None:
+        """Motors off, of every robot."""
+        for robot in self.robots.values():
+            robot.driving.stop()
 
     # Navigations and maps
 
-    def start_drive(self, name: str) -> DriveRecord:
-        """Record from now on. Raises NoRobot, Conflict."""
-        state = self.link.state
-        if not state.connected or state.hello is None:
-            raise NoRobot("no robot is connected; there is nothing to record")
-        if not state.hello.capabilities.camera:
-            raise NotCapable("this robot has no camera; SLAM needs one")
-        if not self.driving.head_is_centred:
-            raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you record")
-        return self.drives.start(state.hello, name)
+    def stop_drive(self, drive_id: str) -> DriveRecord:
+        """End the recording of a drive, whichever robot drives it. Raises Unknown, Conflict."""
+        drive = self.drives.get(drive_id)
+        for robot in self.robots.values():
+            if robot.recording.running is not None and robot.recording.running.id == drive_id:
+                return robot.recording.stop(drive_id)
+        raise Conflict(f"{drive_id} is not being recorded (it is {drive.state})")
 
     def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
         """Places from finished drives, in the background. Raises Unknown, Conflict."""
@@ -229,7 +196,7 @@ class Station:
             try:
                 arguments = (recording, chosen, self.config.slam.seed, drive_id, folder)
                 report = await worker.call("reprocess", *arguments)
-                await self.drives.reprocessed(drive_id, report)
+                await self._robot_of(self.drives.reprocessed(drive_id, report)).recording.show(drive_id)
             finally:
                 self.drives.release(drive_id)
             return {"navigation": drive_id, "landmarks": report.landmarks}
@@ -239,6 +206,10 @@ class Station:
         except Conflict:
             self.drives.release(drive_id)
             raise
+
+    def _robot_of(self, drive: DriveRecord) -> RobotSession:
+        """The robot that drove it, if it is one of ours."""
+        return self.robots.get(drive.robot, self.first)
 
     def _ready(self, drive_id: str) -> DriveRecord:
         drive = self.drives.library.get(drive_id)
@@ -324,59 +295,11 @@ class Station:
         return change
 
     def _regroup(self) -> None:
-        place_map = self.maps.require_active().place_map
-        self.locating.regroup(place_map.places, place_map.edges)
+        for robot in self.robots.values():
+            robot.regroup()
 
     async def _look_in_active_map(self) -> None:
-        active = self.maps.active
-        if active is not None:
-            self.driving.centre_head()
-        self.events.changed("robot")
-        await self.locating.use(None if active is None else active.place_map.id)
-
-    # LinkListener: called on the event loop, returns at once
-
-    def on_connected(self, hello: Hello) -> None:
-        self.drives.on_connected(hello)
-        self.locating.on_connected(hello)
-        self.events.say("link", f"connected to {hello.name}")
-        self.events.changed("robot")
-
-    def on_disconnected(self, reason: str) -> None:
-        self.drives.on_disconnected(reason)
-        self.locating.on_disconnected(reason)
-        self.events.say("link", f"robot lost: {reason}", "warning")
-        self.events.changed("robot")
-
-    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
-        self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
-        self.drives.on_frame(frame, t_station_ns)
-        self.locating.offer(frame)
-
-    def on_imu(self, batch: ImuBatch) -> None:
-        self.drives.on_imu(batch)
-        self.locating.on_imu(batch)
-
-    def on_gap(self, num_samples: int) -> None:
-        self.drives.on_gap(num_samples)
-        self.events.say("link", f"{num_samples} inertial samples were lost", "warning")
-
-    def on_drive_applied(self, applied: DriveApplied) -> None:
-        self.applied = applied
-        self.drives.on_drive_applied(applied)
-        self.locating.on_drive_applied(applied)
-
-    def on_status(self, status: Status) -> None:
-        self.drives.on_status(status)
-        self.events.changed("robot")
-
-    def on_notice(self, notice: ErrorNotice) -> None:
-        self.drives.on_notice(notice)
-        self.events.say("robot", notice.message, "error" if notice.fatal else "warning")
-
-    def _capabilities(self) -> Capabilities | None:
-        state = self.link.state
-        return state.hello.capabilities if state.connected and state.hello is not None else None
+        await asyncio.gather(*(robot.look_in_active_map() for robot in self.robots.values()))
 
     async def _every_hour(self) -> None:
         while True:
@@ -388,12 +311,9 @@ class Station:
         await recover_recordings(self.drives.library, interrupted, self.events)
         await retain_recordings(self.drives.library, self.config.recordings, self.events)
 
-    async def _every_second(self) -> None:
-        while True:
-            await asyncio.sleep(1.0)
-            self.drives.refresh()
-            self.locating.refresh()
-            self.events.changed("robot")
+
+def _first_cause(error: BaseException) -> BaseException:
+    return _first_cause(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
 def open_recorder(path: Path, limits: RecordingConfig) -> DriveRecorder | None:

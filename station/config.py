@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,14 +16,18 @@ from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS
 
 DEFAULT_DATA_DIR = Path("station-data")
+MAX_ROBOTS = 64  # each has two worker processes
+NAME_RULE = "a robot's name has 1 to 40 letters, digits, - and _, and begins with a letter"
+_ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 
 @dataclass(frozen=True, slots=True)
 class RobotConfig:
-    """Where the robot-server listens."""
+    """Where the robot-server listens, and what this station calls the robot."""
 
     host: str = "127.0.0.1"
     port: int = DEFAULT_PORT
+    name: str = ""  # in addresses: /robots/NAME/place/current; without one robot-1, robot-2, ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,9 @@ class SlamConfig:
     seed: int = 1
     frame_backlog: int = 900  # frames that wait for a busy worker (60 MB); then the oldest is skipped, and counted
     live_frame_backlog: int = 20  # the same for backends that answer with a pose: that pose should be of now
+    # A busy worker skips pictures that waited longer, at any frame rate: long before inertial samples would be lost.
+    frame_wait_s: float = 60.0
+    live_frame_wait_s: float = 5.0
     imu_backlog: int = 6000  # batches; beyond, the oldest is lost, counted and announced
 
 
@@ -107,6 +115,7 @@ class StationConfig:
     data_dir: Path = DEFAULT_DATA_DIR
     name: str = "station"
     robot: RobotConfig = field(default_factory=RobotConfig)
+    robots: tuple[RobotConfig, ...] = ()  # several, instead of `robot`: [[robots]] in the file
     api: ApiConfig = field(default_factory=ApiConfig)
     access: AccessConfig = field(default_factory=AccessConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
@@ -116,9 +125,20 @@ class StationConfig:
     recordings: RecordingConfig = field(default_factory=RecordingConfig)
 
     def __post_init__(self) -> None:
-        for key, port, least in (("robot.port", self.robot.port, 1), ("api.port", self.api.port, 0)):
+        ports = [("robot.port", self.robot.port, 1), ("api.port", self.api.port, 0)]
+        ports += [(f"robots[{number}].port", robot.port, 1) for number, robot in enumerate(self.robots)]
+        for key, port, least in ports:
             if not least <= port <= 65535:
                 raise ConfigError(f"{key} = {port} is outside {least}..65535")
+        _check_fleet(self.fleet)
+
+    @property
+    def fleet(self) -> tuple[RobotConfig, ...]:
+        """The robots, each with a name. The first one is meant where none is named."""
+        return tuple(
+            dataclasses.replace(robot, name=robot.name or f"robot-{number}")
+            for number, robot in enumerate(self.robots or (self.robot,), start=1)
+        )
 
 
 def load_config(path: Path | None) -> StationConfig:
@@ -138,6 +158,14 @@ def load_config(path: Path | None) -> StationConfig:
         raise ConfigError(f"{path}: {exc}") from exc
 
 
+def parse_robot(text: str, option: str) -> RobotConfig:
+    """`HOST:PORT` or `NAME=HOST:PORT`. Raises ConfigError naming the option."""
+    name, equals, address = text.rpartition("=")
+    if equals and not _ROBOT_NAME.fullmatch(name):
+        raise ConfigError(f"{option} {text!r}: {NAME_RULE}, for example lab=192.168.1.20:{DEFAULT_PORT}")
+    return RobotConfig(*parse_address(address, option), name=name)
+
+
 def parse_address(text: str, option: str) -> tuple[str, int]:
     """`HOST:PORT`, `[V6]:PORT` or only a host. Raises ConfigError naming the option."""
     host, colon, port = text.rpartition(":")
@@ -149,6 +177,19 @@ def parse_address(text: str, option: str) -> tuple[str, int]:
     return host, int(port)
 
 
+def _check_fleet(fleet: tuple[RobotConfig, ...]) -> None:
+    if len(fleet) > MAX_ROBOTS:
+        raise ConfigError(f"{len(fleet)} robots are given, one station serves {MAX_ROBOTS}; start another station")
+    for robot in fleet:
+        if not _ROBOT_NAME.fullmatch(robot.name):
+            raise ConfigError(f"robots: {robot.name!r} is no name; {NAME_RULE}")
+    if len(fleet) > 1 and any(robot.host == "auto" for robot in fleet):
+        raise ConfigError("robots: auto looks for the only robot in the network; give the HOST:PORT of each of several")
+    for what in ([robot.name for robot in fleet], [f"{robot.host}:{robot.port}" for robot in fleet]):
+        if (twice := next((one for one in what if what.count(one) > 1), None)) is not None:
+            raise ConfigError(f"robots: {twice} is given twice; give each robot its own name and address")
+
+
 def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix: str) -> None:
     known = {f.name: f for f in dataclasses.fields(kind)}
     for key, value in content.items():
@@ -157,6 +198,9 @@ def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix
         default: Any = known[key].default_factory
         if isinstance(value, dict) and isinstance(default, type) and dataclasses.is_dataclass(default):
             _refuse_unknown(value, default, path, f"{prefix}{key}.")
+        elif kind is StationConfig and key == "robots" and isinstance(value, list):
+            for number, robot in enumerate(value):
+                _refuse_unknown(robot if isinstance(robot, dict) else {}, RobotConfig, path, f"robots[{number}].")
 
 
 def _decode(kind: type[Any], value: Any) -> Any:

@@ -34,6 +34,7 @@ class DriveRecord:
     backend: str
     message: str = ""  # in a sentence
     robot_id: str = ""
+    robot: str = ""  # what the station called it
     duration_s: float = 0.0
     frames: int = 0
     frames_skipped: int = 0  # by a SLAM worker that was too slow; the recording has them

@@ -1,4 +1,4 @@
-"""What happens in the station, told to whoever listens: one hub, the newest state per topic, a log in words."""
+"""What happens in the station, told to whoever listens: a hub per robot, the newest state per topic, a log in words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 from station.mailbox import MessageHub
 
@@ -34,8 +34,24 @@ class Event:
     subject: object = None
 
 
+class Teller(Protocol):
+    """What a part of the station needs to say what happens in it."""
+
+    def changed(self, kind: EventKind, subject: object = None, key: str = "") -> None:
+        """Something has a new state; of a kind (and key) only the newest counts."""
+        ...
+
+    def forget(self, kind: EventKind, key: str) -> None:
+        """It does not exist any more."""
+        ...
+
+    def say(self, topic: str, text: str, level: Level = "info") -> None:
+        """A line for the log; every reader gets every line."""
+        ...
+
+
 class Events:
-    """The hub and the log."""
+    """The hub and the log of one robot. A Teller."""
 
     def __init__(self) -> None:
         self.hub: MessageHub[Event] = MessageHub()
@@ -44,17 +60,33 @@ class Events:
         self._number = 0
 
     def changed(self, kind: EventKind, subject: object = None, key: str = "") -> None:
-        """Something has a new state; of a kind (and key) only the newest counts."""
         self.hub.put(Event(kind, subject), topic=f"{kind} {key}")
 
     def forget(self, kind: EventKind, key: str) -> None:
-        """It does not exist any more."""
         self.hub.forget(f"{kind} {key}")
 
     def say(self, topic: str, text: str, level: Level = "info") -> None:
-        """A line for the log; every reader gets every line."""
         self._number += 1
         line = LogLine(self._number, time.time(), level, topic, text)
         self.log.append(line)
         self.hub.put(Event("log", line))
         self.on_line(line)
+
+
+class EventsOfAll:
+    """What concerns no single robot is told to the readers of each. A Teller."""
+
+    def __init__(self) -> None:
+        self.robots: list[Events] = []
+
+    def changed(self, kind: EventKind, subject: object = None, key: str = "") -> None:
+        for events in self.robots:
+            events.changed(kind, subject, key)
+
+    def forget(self, kind: EventKind, key: str) -> None:
+        for events in self.robots:
+            events.forget(kind, key)
+
+    def say(self, topic: str, text: str, level: Level = "info") -> None:
+        for events in self.robots:
+            events.say(topic, text, level)

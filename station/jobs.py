@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from shared.errors import RobotSystemError
-from station.events import Events
+from station.events import Teller
 from station.refusals import Conflict, Unknown
 from station.workers import Worker
 
@@ -37,7 +37,7 @@ class Job:
 class Jobs:
     """All jobs since the station started, newest last."""
 
-    def __init__(self, events: Events, servant: str = "station.job_servant:JobServant") -> None:
+    def __init__(self, events: Teller, servant: str = "station.job_servant:JobServant") -> None:
         self._events = events
         self._servant = servant
         self._jobs: OrderedDict[str, Job] = OrderedDict()

@@ -10,12 +10,12 @@ from dataclasses import replace
 from shared.errors import RobotSystemError
 from station.config import RecordingConfig
 from station.drive_library import DriveLibrary, DriveRecord
-from station.events import Events
+from station.events import Teller
 from station.recovery import recover_recording
 from station.retention import to_remove
 
 
-async def recover_recordings(library: DriveLibrary, interrupted: Iterable[DriveRecord], events: Events) -> None:
+async def recover_recordings(library: DriveLibrary, interrupted: Iterable[DriveRecord], events: Teller) -> None:
     """Give the recordings of drives that the station's end cut their own end, and say what was saved."""
     for drive in interrupted:
         path = library.recording(drive.id)
@@ -32,7 +32,7 @@ async def recover_recordings(library: DriveLibrary, interrupted: Iterable[DriveR
             events.say("navigation", f"{drive.name}: {exc}", "error")
 
 
-async def retain_recordings(library: DriveLibrary, limits: RecordingConfig, events: Events) -> None:
+async def retain_recordings(library: DriveLibrary, limits: RecordingConfig, events: Teller) -> None:
     """Remove the recordings that are beyond the limits; what SLAM made of them stays."""
     kept = await asyncio.to_thread(library.finished_recordings)
     for old in to_remove(kept, round(limits.max_gb * 1e9), limits.max_days * 86_400.0, time.time()):

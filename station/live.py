@@ -65,6 +65,15 @@ class LiveSlam:
         self.frames = 0
         self.points = PointBuffer()
         self.poses: deque[LivePose] = deque(maxlen=MAX_LIVE_POSES)
+        self.restarts = 0
+
+    def restart(self) -> None:
+        """SLAM begins anew: what comes is in another frame, so what came before is not shown with it."""
+        self.restarts += 1
+        self.source = f"{self.navigation_id}/part-{self.restarts + 1}"
+        self.points = PointBuffer()
+        self.poses.clear()
+        self.num_landmarks = 0
 
     @property
     def pose(self) -> LivePose | None:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import DataError, RobotSystemError
-from station.events import Events
+from station.events import Teller
 from station.live import NO_PLACE
 from station.maps.checking import collect_garbage
 from station.maps.editing import with_place_renamed
@@ -64,7 +64,7 @@ class PlacesChange:
 class Maps:
     """The store and the active map. Reading and writing maps happens in threads."""
 
-    def __init__(self, address: StoreAddress, events: Events) -> None:
+    def __init__(self, address: StoreAddress, events: Teller) -> None:
         self.address = address
         self._store = MapStore(address, self._found_damage)
         self._events = events

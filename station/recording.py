@@ -10,17 +10,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
-from shared.errors import DataError, RobotSystemError
+from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import RecordingConfig, SlamConfig
-from station.drive_library import DriveLibrary, DriveRecord
-from station.events import Events, LogLine
+from station.drive_library import DriveRecord
+from station.drives import Drives
+from station.events import LogLine, Teller
 from station.frames import DriveSample, ImageFrame
 from station.kept_recordings import retain_recordings
 from station.link import LinkListener
 from station.live import LiveSlam
-from station.navigation import NavigationReport
 from station.navigation_files import load_navigation
 from station.place_report import PlaceReport
 from station.refusals import Conflict
@@ -74,50 +74,48 @@ class _Running:
     lost_announced: set[str] = field(default_factory=set)
 
 
-class Drives:
-    """Starts, stops and lists drives; one is recorded at a time. Live SLAM state in `live`."""
+class Recording:
+    """Records the drives of one robot, one at a time; what SLAM says of the newest is in `live`."""
 
     def __init__(
         self,
-        library: DriveLibrary,
+        drives: Drives,
         config: SlamConfig,
-        events: Events,
+        events: Teller,
         make_recorder: MakeRecorder,
         on_pose: Callable[[int, FloatArray, int], None],
         recordings: RecordingConfig | None = None,
+        robot: str = "",
     ) -> None:
+        """`robot` is the name whose drives these are."""
+        self._robot = robot
         self._recordings = recordings or RecordingConfig()
-        self.library = library
+        self._drives = drives
+        self._library = drives.library
         self._config = config
         self._events = events
         self._make_recorder = make_recorder
         self._on_pose = on_pose
         self._running: _Running | None = None
         self._finishing: dict[str, asyncio.Task[None]] = {}
-        self._reserved: set[str] = set()
-        self._times_reprocessed = 0
+        self._times_shown = 0
         self.live: LiveSlam | None = None
+
+    @property
+    def slam_pid(self) -> int | None:
+        """The SLAM worker of the drive being recorded."""
+        return None if self._running is None else self._running.slam.pid
 
     @property
     def running(self) -> DriveRecord | None:
         """The drive being recorded."""
         return None if self._running is None else self._running.drive
 
-    def list(self) -> list[DriveRecord]:
-        """All drives, oldest first; the running one with its counts of now."""
-        return [self.get(drive.id) for drive in self.library.list()]
-
-    def get(self, drive_id: str) -> DriveRecord:
-        """Raises Unknown."""
-        if self._running is not None and self._running.drive.id == drive_id:
-            return self._counted(self._running)
-        return self.library.get(drive_id)
-
     def start(self, hello: Hello, name: str) -> DriveRecord:
         """Begin a drive. Raises Conflict when one is being recorded, DataError when there is no room for it."""
         if self._running is not None:
             raise Conflict(f"{self._running.drive.id} is being recorded; stop it first")
-        drive_id = self.library.new_id()
+        drive_id = self._library.new_id()
         drive = DriveRecord(
             id=drive_id,
             name=name or time.strftime("Drive of %-d %b, %H:%M", time.localtime()),
@@ -126,17 +124,18 @@ class Drives:
             backend=choose_backend(self._config.backend, hello.calibration),
             message="recording",
             robot_id=hello.robot_id,
+            robot=self._robot,
         )
         live = LiveSlam(drive_id)
         # Before the drive is kept: one that cannot be recorded never was.
         recorder: DriveRecorder | None = None
         try:
-            recorder = self._make_recorder(self.library.recording(drive_id))
-            self.library.keep(drive)
+            recorder = self._make_recorder(self._library.recording(drive_id))
+            self._library.keep(drive)
         except RobotSystemError:
             if recorder is not None:
                 recorder.close()
-            self.library.discard(drive_id)
+            self._library.discard(drive_id)
             raise
         if recorder is not None:
             recorder.on_connected(hello)
@@ -147,17 +146,19 @@ class Drives:
             self._events,
             on_update=lambda update: self._on_update(live, update),
             on_trouble=live.say,
+            on_restart=live.restart,
         )
-        self._running = _Running(drive, slam, live, recorder, hello)
+        running = self._running = _Running(drive, slam, live, recorder, hello)
+        self._drives.begin(drive_id, lambda: self._counted(running))
         self.live = live
-        self._tell(drive)
+        self._drives.tell(drive)
         self._events.changed("landmarks")
         self._events.say("navigation", f"recording {drive.name}")
         return drive
 
     def stop(self, drive_id: str) -> DriveRecord:
         """End recording; SLAM finishes in the background. Raises Unknown, or Conflict when it is not being recorded."""
-        drive = self.library.get(drive_id)
+        drive = self._library.get(drive_id)
         running = self._running
         if running is None or running.drive.id != drive_id:
             raise Conflict(f"{drive_id} is not being recorded (it is {drive.state})")
@@ -166,68 +167,33 @@ class Drives:
     def _end(self, running: _Running, why: str) -> DriveRecord:
         """End recording; `why` in a sentence where it was not a person who asked."""
         self._running = None
+        self._drives.end(running.drive.id)
         drive = replace(self._counted(running), state="finishing", message=why or "computing trajectory and landmarks")
         # First what closes recorder and SLAM: nothing that fails here may leave them open.
         self._finishing[drive.id] = asyncio.create_task(self._finish(running, drive, why), name=f"finish {drive.id}")
         if why:
             self._events.say("navigation", f"{drive.name}: {why}", "warning")
-        self._keep(drive)
+        self._drives.keep(drive)
         return drive
 
-    async def delete(self, drive_id: str) -> None:
-        """Put a drive into the bin. Raises Unknown; Conflict while it is being recorded or finished."""
-        drive = self.library.get(drive_id)
-        if drive.state in ("recording", "finishing"):
-            raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
-        self._refuse_reserved(drive_id)
-        await asyncio.to_thread(self.library.delete, drive_id)
-        self._events.forget("navigation", drive_id)
-        self._events.changed("navigation", None)
-
-    def reserve(self, drive_id: str) -> None:
-        """A job works on this drive's files until `release`. Raises Conflict when one does already."""
-        self._refuse_reserved(drive_id)
-        self._reserved.add(drive_id)
-
-    def release(self, drive_id: str) -> None:
-        self._reserved.discard(drive_id)
-
-    def _refuse_reserved(self, drive_id: str) -> None:
-        if drive_id in self._reserved:
-            raise Conflict(f"SLAM runs over {drive_id} just now; wait for the job or cancel it (GET /jobs)")
-
-    async def reprocessed(self, drive_id: str, report: NavigationReport) -> None:
-        """SLAM ran over a drive's recording again and left its navigation."""
-        drive = replace(
-            self.library.get(drive_id),
-            state="ready",
-            backend=report.backend,
-            landmarks=report.landmarks,
-            scale=report.scale,
-            message="; ".join(report.messages) or f"{report.landmarks} landmarks",
-        )
-        self._keep(drive)
-        if self._running is None:
-            self.live = await asyncio.to_thread(_view_of, self.library.navigation_folder(drive_id))
-            self._times_reprocessed += 1
-            self.live.source = f"{drive_id}/again-{self._times_reprocessed}"  # another cloud than before
-            self._events.changed("pose")
-            self._events.changed("landmarks")
-        self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
-
-    async def restore(self, drive_id: str) -> DriveRecord:
-        """Take a drive out of the bin. Raises Unknown."""
-        drive = await asyncio.to_thread(self.library.restore, drive_id)
-        self._tell(drive)
-        return drive
+    async def show(self, drive_id: str) -> None:
+        """Let `live` be a finished drive, unless one is being recorded."""
+        if self._running is not None:
+            return
+        self.live = await asyncio.to_thread(_view_of, self._library.navigation_folder(drive_id))
+        self._times_shown += 1
+        self.live.source = f"{drive_id}/again-{self._times_shown}"  # another cloud than before
+        self._events.changed("pose")
+        self._events.changed("landmarks")
 
     async def close(self) -> None:
         """The station ends: the recording is closed, unfinished SLAM is given up and said so."""
         if self._running is not None:
             running, self._running = self._running, None
+            self._drives.end(running.drive.id)
             await self._close_recorder(running)
             await running.slam.close()
-            self._keep(replace(self._counted(running), state="failed", message="the station was stopped"))
+            self._drives.keep(replace(self._counted(running), state="failed", message="the station was stopped"))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
         for task in self._finishing.values():
             task.cancel()
@@ -316,7 +282,7 @@ class Drives:
         """Once a second: the counts of the running drive."""
         if self._running is not None:
             self._running.drive = self._counted(self._running)
-            self._tell(self._running.drive)
+            self._drives.tell(self._running.drive)
             self._tell_recorder_error(self._running)
 
     def _tell_recorder_error(self, running: _Running) -> None:
@@ -344,10 +310,10 @@ class Drives:
     async def _finish(self, running: _Running, drive: DriveRecord, why: str) -> None:
         try:
             await self._close_recorder(running)
-            folder = self.library.navigation_folder(drive.id)
+            folder = self._library.navigation_folder(drive.id)
             report = await running.slam.finish(drive.id, folder)
             finished = await asyncio.to_thread(_view_of, folder)
-            said = [why, *report.messages, _refused(running.slam)]
+            said = [why, _restarted(running.slam), *report.messages, _refused(running.slam)]
             drive = replace(
                 drive,
                 state="ready",
@@ -367,11 +333,11 @@ class Drives:
             if drive.state == "finishing":
                 drive = replace(drive, state="failed", message="the station was stopped before this drive was finished")
             await running.slam.close()
-            self._keep(drive)
+            self._drives.keep(drive)
             self._finishing.pop(drive.id, None)
             self._events.changed("pose")
             self._events.changed("landmarks")
-        await retain_recordings(self.library, self._recordings, self._events)
+        await retain_recordings(self._library, self._recordings, self._events)
 
     def _recorders(self) -> tuple[DriveRecorder, ...]:
         """The open recorder, or none."""
@@ -395,17 +361,11 @@ class Drives:
             duration_s=0.0 if first_ns is None else (running.last_frame_ns - first_ns) * 1e-9,
         )
 
-    def _keep(self, drive: DriveRecord) -> None:
-        """Also when the disk is full: then only this run of the station knows how the drive ended."""
-        try:
-            self.library.keep(drive)
-        except DataError as exc:
-            self.library.remember(drive)
-            self._events.say("navigation", str(exc), "error")
-        self._tell(drive)
 
-    def _tell(self, drive: DriveRecord) -> None:
-        self._events.changed("navigation", drive, drive.id)
+def _restarted(slam: SlamProcess) -> str:
+    if not slam.restarts:
+        return ""
+    return "SLAM was lost on the way and knows only the last part: run SLAM over the recording again for all of it"
 
 
 def _refused(slam: SlamProcess) -> str:

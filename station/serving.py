@@ -61,7 +61,7 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
             started()
         await asyncio.wait({running, serving}, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        station.driving.stop()
+        station.stop()
         running.cancel()
         try:
             with contextlib.suppress(asyncio.CancelledError):

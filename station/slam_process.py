@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
 from station.config import SlamConfig
-from station.events import Events
+from station.events import Teller
 from station.navigation import NavigationReport
 from station.slam.backend import SlamUpdate
 from station.slam.backends import choose_backend
@@ -19,7 +21,8 @@ from station.workers import Worker, WorkerDied
 
 LIVE_BACKENDS = ("ukf",)
 DRIVE_BACKLOG = 6000  # reports, 20 a second: five minutes
-MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives
+MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
+QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes
 MAX_TOLD_FAILURES = 20  # different sentences; some hold numbers that never repeat
 
 
@@ -31,11 +34,15 @@ class SlamProcess:
         name: str,
         config: SlamConfig,
         calibration: Calibration,
-        events: Events,
+        events: Teller,
         on_update: Callable[[SlamUpdate], None],
         on_trouble: Callable[[str], None],
+        on_restart: Callable[[], None] = lambda: None,
     ) -> None:
-        """`on_trouble` gets a sentence on how SLAM is when no update can say it."""
+        """`on_trouble` gets a sentence on how SLAM is when no update can say it.
+
+        `on_restart` is told that what comes from now on is in another frame than what came before.
+        """
         self._name = name
         self._config = config
         self._calibration = calibration
@@ -43,14 +50,28 @@ class SlamProcess:
         self._events = events
         self._on_update = on_update
         self._on_trouble = on_trouble
+        self._on_restart = on_restart
         self._ended = False
-        self._deaths = 0
+        self._deaths = 0  # in a row, each soon after the start
+        self._launched_s = 0.0
+        self._first_segment = self._segment = 0
+        self.restarts = 0
         self._dropped: Counter[str] = Counter()  # by the workers that died
         self._told: set[str] = set()
         self.failures = 0  # requests that the backend refused
         self.failure = ""  # the first one's sentence
         self.trouble = ""  # why SLAM does not run, or did not until a moment ago; empty while it does
         self._worker, self._starting = self._launch()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the worker; None while it is being started."""
+        return self._worker.pid
+
+    @property
+    def imu_dropped(self) -> int:
+        """Batches that found a full queue."""
+        return self._dropped["imu"] + self._worker.dropped.get("imu", 0)
 
     @property
     def frames_dropped(self) -> int:
@@ -81,11 +102,14 @@ class SlamProcess:
             "imu": self._config.imu_backlog,
             "add_drive": DRIVE_BACKLOG,
         }
+        max_age_s = {"frame": self._config.live_frame_wait_s if is_live else self._config.frame_wait_s}
+        self._launched_s = time.monotonic()
         worker = Worker(
             self._name,
             "station.slam_servant:SlamServant",
             limits=limits,
-            on_event=self._on_update,
+            max_age_s=max_age_s,
+            on_event=self._take,
             on_death=self._on_death,
             on_failure=self._on_failure,
         )
@@ -109,6 +133,8 @@ class SlamProcess:
         self.trouble = reason
         if self._ended:
             return
+        if time.monotonic() - self._launched_s > QUICK_DEATH_S:
+            self._deaths = 0
         self._deaths += 1
         if self._deaths >= MAX_DEATHS:
             self._say("worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it")
@@ -116,7 +142,17 @@ class SlamProcess:
         self._on_trouble("SLAM was lost; the recording goes on")
         self._events.say("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
         self._dropped.update(self._worker.dropped)
+        self.restarts += 1
+        self._first_segment = self._segment + 1
+        self._on_restart()
         self._worker, self._starting = self._launch()
+
+    def _take(self, update: SlamUpdate) -> None:
+        """A new worker counts its segments from 0 again, and its world is another one."""
+        if self._first_segment:
+            update = replace(update, segment=update.segment + self._first_segment)
+        self._segment = max(self._segment, update.segment)
+        self._on_update(update)
 
     def _on_failure(self, sentence: str) -> None:
         self.failures += 1

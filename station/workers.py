@@ -1,4 +1,4 @@
-"""Spawned worker processes. Each owns one servant object; the station calls its methods by name over a pipe.
+"""Worker processes. Each owns one servant object; the station calls its methods by name over a pipe.
 
 The event loop only puts requests into a bounded outbox and gets answers back; two threads per worker move the bytes. An
 exception in the servant is raised at the caller. A process that dies fails what waits for it and is reported once.
@@ -9,12 +9,16 @@ from __future__ import annotations
 import asyncio
 import importlib
 import logging
+import math
 import multiprocessing
+import os
 import pickle
 import signal
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -26,7 +30,11 @@ END_TIMEOUT_S = 1.5
 MAX_WAITING = 10_000  # requests of one kind that nobody gave a limit: then the oldest is dropped, counted
 MAX_CALLS = 1_000  # calls wait for an answer, so none is dropped: a further one is refused
 END = "<end>"  # the request that ends a worker
-_SPAWN = multiprocessing.get_context("spawn")  # fork would copy threads' locks and the event loop
+# Forking the station would copy threads' locks and the event loop; spawning means seconds of imports per worker, and
+# memory for them. So workers are forked from a server process that has done the imports and nothing else.
+_CONTEXT = multiprocessing.get_context("forkserver")
+_CONTEXT.set_forkserver_preload(["station.preloaded"])
+NICE = 5  # the event loop comes first: it gets three times the share of any worker
 
 
 class WorkerDied(RobotSystemError):
@@ -37,30 +45,54 @@ class WorkerFailed(RobotSystemError):
     """The worker raised something that is not one of our errors: a bug."""
 
 
-class Outbox:
-    """Requests on their way to a worker, oldest first. When a kind is full its oldest is dropped and counted."""
+def warm_up() -> None:
+    """Start the server process, so that the first worker need not wait for its imports. Returns at once."""
+    forkserver.ensure_running()
 
-    def __init__(self, limits: Mapping[str, int]) -> None:
+
+class Outbox:
+    """Requests on their way to a worker, oldest first. When a kind is full its oldest is dropped and counted.
+
+    What waits longer than its kind may is dropped too, when the next one of its kind comes.
+    """
+
+    def __init__(
+        self,
+        limits: Mapping[str, int],
+        max_age_s: Mapping[str, float] | None = None,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._limits = dict(limits)
-        self._items: deque[tuple[str, tuple[Any, ...]]] = deque()
+        self._max_age_s = dict(max_age_s or {})
+        self._now_s = now_s
+        self._items: deque[tuple[str, float, tuple[Any, ...]]] = deque()  # with when they came
         self._waiting: Counter[str] = Counter()
         self._changed = threading.Condition()
         self._closed = False
         self.dropped: Counter[str] = Counter()
 
     def put(self, kind: str, item: tuple[Any, ...]) -> bool:
-        """Add an item; False when an older one of its kind had to go for it."""
+        """Add an item; False when older ones of its kind had to go."""
+        now_s = self._now_s()
         with self._changed:
-            is_full = self._waiting[kind] >= self._limits.get(kind, MAX_WAITING)
-            if is_full:
-                oldest = next(i for i, (waiting, _) in enumerate(self._items) if waiting == kind)
-                del self._items[oldest]
-                self.dropped[kind] += 1
-            else:
-                self._waiting[kind] += 1
-            self._items.append((kind, item))
+            dropped = 0
+            while self._waiting[kind] and self._must_go(kind, now_s):
+                dropped += 1
+            self.dropped[kind] += dropped
+            self._waiting[kind] += 1
+            self._items.append((kind, now_s, item))
             self._changed.notify()
-        return not is_full
+        return not dropped
+
+    def _must_go(self, kind: str, now_s: float) -> bool:
+        """Whether the oldest of a kind makes room; then it is gone."""
+        oldest, came_s = next((i, came_s) for i, (waiting, came_s, _) in enumerate(self._items) if waiting == kind)
+        is_full = self._waiting[kind] >= self._limits.get(kind, MAX_WAITING)
+        if not is_full and now_s - came_s <= self._max_age_s.get(kind, math.inf):
+            return False
+        del self._items[oldest]
+        self._waiting[kind] -= 1
+        return True
 
     def take(self) -> tuple[Any, ...] | None:
         """Wait for the next item; None when the outbox is closed."""
@@ -69,7 +101,7 @@ class Outbox:
                 self._changed.wait()
             if self._closed:
                 return None
-            kind, item = self._items.popleft()
+            kind, _, item = self._items.popleft()
             self._waiting[kind] -= 1
             return item
 
@@ -93,6 +125,7 @@ class Worker:
         arguments: tuple[Any, ...] = (),
         *,
         limits: Mapping[str, int] | None = None,
+        max_age_s: Mapping[str, float] | None = None,
         on_event: Callable[[Any], None] | None = None,
         on_death: Callable[[str], None] | None = None,
         on_failure: Callable[[str], None] | None = None,
@@ -104,7 +137,7 @@ class Worker:
         self.name = name
         self._servant = servant
         self._arguments = arguments
-        self._outbox = Outbox(limits or {})
+        self._outbox = Outbox(limits or {}, max_age_s)
         self._on_event = on_event
         self._on_death = on_death
         self._on_failure = on_failure
@@ -191,8 +224,8 @@ class Worker:
         self._fail_calls(f"the {self.name} worker was stopped")
 
     def _spawn(self) -> None:
-        ours, theirs = _SPAWN.Pipe()
-        self._process = _SPAWN.Process(
+        ours, theirs = _CONTEXT.Pipe()
+        self._process = _CONTEXT.Process(
             target=_serve, args=(theirs, self._servant, self._arguments), name=self.name, daemon=True
         )
         self._process.start()
@@ -278,6 +311,7 @@ def _serve(connection: Connection, servant_path: str, arguments: tuple[Any, ...]
 
     A servant may have `catch_up`: a piece of work that can wait until there are no requests; False when there is none.
     """
+    os.nice(NICE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     servant = resolve(servant_path)(lambda event: connection.send((None, True, event)), *arguments)

@@ -37,9 +37,17 @@ CHECKS = [
     negative_data_rejection,
     unsupported_method,
 ]
-ENDLESS = {"/camera/stream.mjpg"}  # answers until the asker goes; test_station.py looks at it
+ENDLESS = {
+    "/camera/stream.mjpg",
+    "/robots/{robot}/camera/stream.mjpg",
+}  # answers until the asker goes; test_station.py looks at it
 ORDER = {"get": 0, "patch": 1, "put": 2, "post": 3, "delete": 5}  # what is deleted can be asked for no more
-MADE = {"POST /navigations": "navigation_id", "POST /maps": "job_id", "POST /comparisons": "job_id"}
+MADE = {
+    "POST /navigations": "navigation_id",
+    "POST /robots/{robot}/navigations": "navigation_id",
+    "POST /maps": "job_id",
+    "POST /comparisons": "job_id",
+}
 RIGHT, WRONG = schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE
 
 
@@ -69,7 +77,7 @@ def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     return place_map, {
         "navigation_id": list(drives), "navigations": drives, "first": drives, "second": drives,
         "map_id": [place_map.id], "id": [place_map.id], "place_id": places, "places": places,
-        "keyframe": [0, 1], "job_id": ["job-0"],
+        "robot": ["robot-1"], "keyframe": [0, 1], "job_id": ["job-0"],
         "comparison_id": [comparison_id], "name": ["trajectory.tum", "landmarks.ply"],
     }  # fmt: skip
 

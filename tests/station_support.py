@@ -88,16 +88,18 @@ class Desk:
 
 @asynccontextmanager
 async def running_station(
-    robot_port: int,
+    robot_port: int | tuple[int, ...],
     data_dir: Path,
     *,
     backend: str = "tests.made_up_workers:StraightSlam",
     verify: ssl.SSLContext | None = None,
 ) -> AsyncIterator[Desk]:
-    """Serve a station that looks for its robot at this port; with `verify` by TLS, and with access control."""
+    """Serve a station that looks for its robot(s) at this port; with `verify` by TLS, and with access control."""
     config = StationConfig(
         data_dir=data_dir,
-        robot=RobotConfig("127.0.0.1", robot_port),
+        robots=tuple(
+            RobotConfig("127.0.0.1", p) for p in ((robot_port,) if isinstance(robot_port, int) else robot_port)
+        ),
         api=ApiConfig(port=0),
         access=AccessConfig(on_loopback=verify is not None),
         slam=SlamConfig(backend=backend),

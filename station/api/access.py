@@ -14,7 +14,7 @@ from shared.errors import ConfigError
 from shared.pairing import parse_code
 from shared.token_book import TokenRecord
 from station.access import SESSION_S, Visitor
-from station.api.deps import StationDep, VisitorDep
+from station.api.deps import RobotDep, StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
 from station.api.models import Model, SessionModel
 from station.api.problems import responses
@@ -23,6 +23,7 @@ from station.pairing import PairingFailed, pair
 from station.refusals import Conflict, OutOfRange, Unknown
 
 router = APIRouter(tags=["access"])
+itself = APIRouter(tags=["access"])  # below /robot
 STATION_NAME = 64
 
 
@@ -54,7 +55,7 @@ class NewTokenModel(Model):
 
 class PairOrder(Model):
     code: Annotated[str, Field(max_length=32, description="as the robot shows it")]
-    robot: str | None = Field(default=None, max_length=300, description="HOST:PORT; null: the robot of the settings")
+    robot: str | None = Field(default=None, max_length=300, description="HOST:PORT; null: as in the settings")
 
 
 class PairedModel(Model):
@@ -119,13 +120,13 @@ async def revoke(token_id: str, station: StationDep) -> Response:
     return Response(status_code=204)
 
 
-@router.post("/robot/pair", summary="Pair with a robot", responses=responses(409))
-async def pair_robot(order: PairOrder, station: StationDep) -> PairedModel:
+@itself.post("/pair", summary="Pair with a robot", responses=responses(409))
+async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> PairedModel:
     """The code that `robot-server pair` shows becomes this station's token there; the link uses it at once."""
     config = station.config
     try:
         code = parse_code(order.code)
-        host, port = parse_address(order.robot, "robot") if order.robot else (config.robot.host, config.robot.port)
+        host, port = parse_address(order.robot, "robot") if order.robot else (which.config.host, which.config.port)
     except ConfigError as exc:
         raise OutOfRange(str(exc)) from exc
     try:
@@ -133,7 +134,7 @@ async def pair_robot(order: PairOrder, station: StationDep) -> PairedModel:
     except PairingFailed as exc:
         raise Conflict(str(exc)) from exc
     await asyncio.to_thread(station.access.robots.keep, paired)
-    station.events.say("link", f"paired with {paired.name}")
+    which.events.say("link", f"paired with {paired.name}")
     return PairedModel(robot=paired.name, host=host, port=port, fingerprint=paired.fingerprint)
 
 

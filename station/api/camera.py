@@ -13,13 +13,13 @@ from fastapi import APIRouter, Response, WebSocket, WebSocketDisconnect
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from station.api.deps import StationDep
+from station.api.deps import RobotDep
 from station.api.limits import MAX_STREAMS, Seats, receive_text, refuse, seated
 from station.api.problems import responses
-from station.app import SeenFrame, Station
 from station.refusals import Busy, NoRobot
+from station.robot_session import RobotSession, SeenFrame
 
-router = APIRouter(tags=["camera"])
+of_robot = APIRouter(tags=["camera"])
 
 # Little endian: seq u32, width u16, height u16, t_robot_ns i64, age_s f64 (NaN: clocks unknown), skipped u32, 0 u32.
 HEADER = struct.Struct("<IHHqdII")
@@ -28,14 +28,14 @@ JPEG = {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binar
 STREAM = {"content": {"multipart/x-mixed-replace": {}}, "description": "JPEGs, one after the other"}
 
 
-@router.get(
+@of_robot.get(
     "/camera/frame.jpg",
     summary="The newest picture",
     response_class=Response,
     responses={200: JPEG, **responses(503)},
 )
-async def frame(station: StationDep) -> Response:
-    seen = _require(station)
+async def frame(robot: RobotDep) -> Response:
+    seen = _require(robot)
     age_s = _age_s(seen)
     headers = {"Cache-Control": "no-store", "X-Robot-Time-Ns": str(seen.frame.t_robot_ns)}
     if not math.isnan(age_s):
@@ -43,16 +43,16 @@ async def frame(station: StationDep) -> Response:
     return Response(seen.frame.jpeg, media_type="image/jpeg", headers=headers)
 
 
-@router.get(
+@of_robot.get(
     "/camera/stream.mjpg",
     summary="Pictures as multipart JPEG",
     response_class=StreamingResponse,
     responses={200: STREAM, **responses(503)},
 )
-async def stream(station: StationDep) -> StreamingResponse:
+async def stream(robot: RobotDep) -> StreamingResponse:
     """For viewers that know nothing else; /ws/camera is quicker."""
-    _require(station)
-    return _Stream(_parts(station), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+    _require(robot)
+    return _Stream(_parts(robot), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
 
 
 class _Stream(StreamingResponse):
@@ -64,20 +64,20 @@ class _Stream(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-@router.websocket("/ws/camera")
-async def camera_socket(socket: WebSocket, station: StationDep) -> None:
+@of_robot.websocket("/ws/camera")
+async def camera_socket(socket: WebSocket, robot: RobotDep) -> None:
     """Binary: a 32-byte header, then the JPEG. Answer each with any text; the next one is sent then, the newest."""
     await socket.accept()
     try:
         with seated(socket):
-            await _show(socket, station)
+            await _show(socket, robot)
     except Busy as exc:
         await refuse(socket, exc)
 
 
-async def _show(socket: WebSocket, station: Station) -> None:
+async def _show(socket: WebSocket, robot: RobotSession) -> None:
     acknowledged = asyncio.Event()
-    sending = asyncio.create_task(_send_frames(socket, station, acknowledged))
+    sending = asyncio.create_task(_send_frames(socket, robot, acknowledged))
     try:
         while True:
             await receive_text(socket)
@@ -90,8 +90,8 @@ async def _show(socket: WebSocket, station: Station) -> None:
             await sending
 
 
-async def _send_frames(socket: WebSocket, station: Station, acknowledged: asyncio.Event) -> None:
-    with station.camera.subscribe() as frames:
+async def _send_frames(socket: WebSocket, robot: RobotSession, acknowledged: asyncio.Event) -> None:
+    with robot.camera.subscribe() as frames:
         while True:
             seen = await frames.get()
             skipped, frames.skipped = frames.skipped, 0
@@ -105,8 +105,8 @@ def _packed(seen: SeenFrame, skipped: int) -> bytes:
     return HEADER.pack(f.seq & 0xFFFFFFFF, f.width, f.height, f.t_robot_ns, _age_s(seen), skipped, 0) + f.jpeg
 
 
-async def _parts(station: Station) -> AsyncIterator[bytes]:
-    with station.camera.subscribe() as frames:
+async def _parts(robot: RobotSession) -> AsyncIterator[bytes]:
+    with robot.camera.subscribe() as frames:
         while True:
             jpeg = (await frames.get()).frame.jpeg
             head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % (BOUNDARY, len(jpeg))
@@ -117,7 +117,7 @@ def _age_s(seen: SeenFrame) -> float:
     return math.nan if seen.t_captured_ns is None else (time.monotonic_ns() - seen.t_captured_ns) * 1e-9
 
 
-def _require(station: Station) -> SeenFrame:
-    if station.camera.newest is None:
+def _require(robot: RobotSession) -> SeenFrame:
+    if robot.camera.newest is None:
         raise NoRobot("no picture has come yet; is a robot with a camera connected?")
-    return station.camera.newest
+    return robot.camera.newest

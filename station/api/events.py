@@ -8,7 +8,7 @@ from typing import cast
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
-from station.api.deps import StationDep
+from station.api.deps import RobotDep
 from station.api.limits import refuse, seated
 from station.api.messages import (
     BinMessage,
@@ -32,33 +32,33 @@ from station.api.views import (
     slam_model,
     visit_model,
 )
-from station.app import Station
 from station.drive_library import DriveRecord
 from station.events import Event, LogLine
 from station.jobs import Job
 from station.refusals import Busy
+from station.robot_session import RobotSession
 
-router = APIRouter(tags=["events"])
-
-
-@router.get("/log", summary="What happened lately, oldest first")
-async def log(station: StationDep) -> list[LogModel]:
-    return [log_model(line) for line in station.events.log]
+of_robot = APIRouter(tags=["events"])
 
 
-@router.websocket("/ws/events")
-async def events_socket(socket: WebSocket, station: StationDep) -> None:
+@of_robot.get("/log", summary="What happened lately, oldest first")
+async def log(robot: RobotDep) -> list[LogModel]:
+    return [log_model(line) for line in robot.events.log]
+
+
+@of_robot.websocket("/ws/events")
+async def events_socket(socket: WebSocket, robot: RobotDep) -> None:
     """JSON messages (`EventMessage`): first the state of everything, then each change. Nothing is read."""
     await socket.accept()
     try:
         with seated(socket):
-            await _tell(socket, station)
+            await _tell(socket, robot)
     except Busy as exc:
         await refuse(socket, exc)
 
 
-async def _tell(socket: WebSocket, station: Station) -> None:
-    sending = asyncio.create_task(_send_events(socket, station))
+async def _tell(socket: WebSocket, robot: RobotSession) -> None:
+    sending = asyncio.create_task(_send_events(socket, robot))
     try:
         while True:
             await socket.receive()
@@ -72,24 +72,24 @@ async def _tell(socket: WebSocket, station: Station) -> None:
             await sending
 
 
-async def _send_events(socket: WebSocket, station: Station) -> None:
+async def _send_events(socket: WebSocket, robot: RobotSession) -> None:
     """To one page. A slow one gets only the newest of each state, since its mailbox holds no more."""
-    with station.events.hub.subscribe() as messages:
+    with robot.events.hub.subscribe() as messages:
         while True:
-            await socket.send_text(to_message(station, await messages.get()).model_dump_json())
+            await socket.send_text(to_message(robot, await messages.get()).model_dump_json())
 
 
-def to_message(station: Station, event: Event) -> Model:
+def to_message(robot: RobotSession, event: Event) -> Model:
     """What a page is told of an event."""
-    live = station.drives.live
-    active = station.maps.active
+    live = robot.recording.live
+    active = robot.maps.active
     match event.kind:
         case "robot":
-            return RobotMessage(robot=robot_model(station))
+            return RobotMessage(robot=robot_model(robot))
         case "driver":
-            return DriverMessage(driver=station.driving.driver)
+            return DriverMessage(driver=robot.driving.driver)
         case "pose":
-            return PoseMessage(slam=slam_model(station))
+            return PoseMessage(slam=slam_model(robot))
         case "landmarks":
             total = len(live.points) if live else 0
             return LandmarksMessage(
@@ -99,14 +99,14 @@ def to_message(station: Station, event: Event) -> Model:
             drive = cast(DriveRecord | None, event.subject)
             return NavigationMessage(navigation=None if drive is None else navigation_model(drive))
         case "map":
-            return MapMessage(active=active.place_map.id if active else None, revision=station.maps.revision)
+            return MapMessage(active=active.place_map.id if active else None, revision=robot.maps.revision)
         case "job":
             return JobMessage(job=job_model(cast(Job, event.subject)))
         case "place":
-            visits = station.locating.visits
+            visits = robot.locating.visits
             return PlaceMessage(
-                place=current_place(station),
-                visit=visit_model(visits[-1]) if visits and station.locating.report else None,
+                place=current_place(robot),
+                visit=visit_model(visits[-1]) if visits and robot.locating.report else None,
             )
         case "bin":
             return BinMessage()

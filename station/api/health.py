@@ -14,6 +14,7 @@ from prometheus_client.metrics_core import Metric
 from station.api.deps import StationDep
 from station.api.models import HealthModel
 from station.app import Station
+from station.robot_session import RobotSession
 
 router = APIRouter(tags=["health"])
 TEXT_FORMAT = "text/plain; version=0.0.4; charset=utf-8"
@@ -25,8 +26,8 @@ async def healthz(station: StationDep) -> HealthModel:
         status="ok",
         version=program_version(),
         uptime_s=time.monotonic() - station.started_s,
-        robot_connected=station.robot.connected,
-        localisation=station.locating.status,
+        robot_connected=station.first.state.connected,
+        localisation=station.first.locating.status,
     )
 
 
@@ -56,33 +57,46 @@ class _StationCollector:
         self._station = station
 
     def collect(self) -> Iterable[Metric]:
-        station, link = self._station, self._station.robot
-        live, report = station.drives.live, station.locating.report
-        gauges: dict[str, tuple[str, float | None]] = {
-            "robot_connected": ("1 while the robot is connected", float(link.connected)),
-            "frame_rate_hz": ("camera frames per second", link.frame_rate_hz),
-            "imu_rate_hz": ("inertial samples per second", link.imu_rate_hz),
-            "link_rtt_seconds": ("round trip", None if link.rtt_ms is None else link.rtt_ms / 1e3),
-            "clock_drift_ppm": ("robot's clock against ours", link.clock_drift_ppm),
-            "battery_volts": ("supply of the motors", link.status.battery_v if link.status else None),
-            "slam_landmarks": ("of the running navigation", float(live.num_landmarks) if live else None),
-            "place_known": (
-                "1 while the current place is known",
-                float(report.answer.state == "known") if report else 0,
-            ),
-            "camera_viewers": ("who watch the video", float(station.camera.num_readers)),
-            "event_readers": ("who listen to events", float(station.events.hub.num_readers)),
-        }
-        counters: dict[str, tuple[str, float]] = {
-            "frames": ("camera frames received", link.frames),
-            "frames_skipped": ("frames the link had no time for", link.frames_skipped),
-            "imu_samples": ("inertial samples received", link.imu_samples),
-            "imu_lost": ("inertial samples lost", link.imu_lost),
-            "connections": ("connections to the robot", link.connections),
-            "place_answers": ("pictures answered by localisation", station.locating.answers),
-        }
-        for name, (text, value) in gauges.items():
-            if value is not None:
-                yield GaugeMetricFamily(f"sentinel_{name}", text, value=value)
-        for name, (text, count) in counters.items():
-            yield CounterMetricFamily(f"sentinel_{name}", text, value=count)
+        """One robot: as ever. Several: each series carries the robot's name."""
+        robots = list(self._station.robots.values())
+        labels = ["robot"] if len(robots) > 1 else []
+        families: dict[str, Metric] = {}
+        for robot in robots:
+            names = [robot.name] if labels else []
+            for name, (text, value) in _gauges(robot).items():
+                gauge = families.setdefault(name, GaugeMetricFamily(f"sentinel_{name}", text, labels=labels))
+                if value is not None and isinstance(gauge, GaugeMetricFamily):
+                    gauge.add_metric(names, value)
+            for name, (text, count) in _counters(robot).items():
+                counter = families.setdefault(name, CounterMetricFamily(f"sentinel_{name}", text, labels=labels))
+                if isinstance(counter, CounterMetricFamily):
+                    counter.add_metric(names, count)
+        yield from (family for family in families.values() if family.samples)
+
+
+def _gauges(robot: RobotSession) -> dict[str, tuple[str, float | None]]:
+    link, live, report = robot.state, robot.recording.live, robot.locating.report
+    return {
+        "robot_connected": ("1 while the robot is connected", float(link.connected)),
+        "frame_rate_hz": ("camera frames per second", link.frame_rate_hz),
+        "imu_rate_hz": ("inertial samples per second", link.imu_rate_hz),
+        "link_rtt_seconds": ("round trip", None if link.rtt_ms is None else link.rtt_ms / 1e3),
+        "clock_drift_ppm": ("robot's clock against ours", link.clock_drift_ppm),
+        "battery_volts": ("supply of the motors", link.status.battery_v if link.status else None),
+        "slam_landmarks": ("of the running navigation", float(live.num_landmarks) if live else None),
+        "place_known": ("1 while the current place is known", float(report.answer.state == "known") if report else 0),
+        "camera_viewers": ("who watch the video", float(robot.camera.num_readers)),
+        "event_readers": ("who listen to events", float(robot.events.hub.num_readers)),
+    }
+
+
+def _counters(robot: RobotSession) -> dict[str, tuple[str, float]]:
+    link = robot.state
+    return {
+        "frames": ("camera frames received", link.frames),
+        "frames_skipped": ("frames the link had no time for", link.frames_skipped),
+        "imu_samples": ("inertial samples received", link.imu_samples),
+        "imu_lost": ("inertial samples lost", link.imu_lost),
+        "connections": ("connections to the robot", link.connections),
+        "place_answers": ("pictures answered by localisation", robot.locating.answers),
+    }

@@ -174,6 +174,7 @@ class NavigationModel(Model):
     name: str
     state: Literal["recording", "finishing", "ready", "failed"]
     message: str
+    robot: str = Field(description="its name in GET /robots when it drove; empty: an old drive")
     started_unix_s: float
     duration_s: float
     backend: str
@@ -347,6 +348,17 @@ class RobotModel(Model):
     applied: AppliedModel | None
     head_must_rest: str = Field(description="why the camera head must look straight ahead; empty: it may turn")
     faults: list[str]
+
+
+class RobotEntry(Model):
+    """One of the station's robots, and where it is."""
+
+    name: str = Field(description="in this station", examples=["robot-1"])
+    path: str = Field(description="put before a call to ask for this robot", examples=["/robots/robot-1"])
+    navigation: str | None = Field(description="id of the drive that is being recorded")
+    state: Literal["known", "unknown", "lost"]
+    place: PlaceName | None
+    robot: RobotModel
 
 
 class DriveOrder(Question):

@@ -7,13 +7,14 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Response
 from fastapi.responses import FileResponse
 
-from station.api.deps import StationDep
+from station.api.deps import RobotDep, StationDep
 from station.api.models import BinModel, JobModel, NavigationModel, NavigationStart
 from station.api.problems import responses
 from station.api.views import bin_model, job_model, navigation_model
 from station.refusals import Conflict, Unknown
 
 router = APIRouter(tags=["navigations"])
+of_robot = APIRouter(tags=["navigations"])
 DOWNLOADS = {"trajectory.tum": "text/plain", "landmarks.ply": "application/octet-stream"}
 
 
@@ -22,9 +23,9 @@ async def navigations(station: StationDep) -> list[NavigationModel]:
     return [navigation_model(drive) for drive in station.drives.list()]
 
 
-@router.post("/navigations", summary="Start recording, with SLAM", status_code=201, responses=responses(409, 503))
-async def start(station: StationDep, order: Annotated[NavigationStart | None, Body()] = None) -> NavigationModel:
-    return navigation_model(station.start_drive(order.name if order else ""))
+@of_robot.post("/navigations", summary="Start recording, with SLAM", status_code=201, responses=responses(409, 503))
+async def start(robot: RobotDep, order: Annotated[NavigationStart | None, Body()] = None) -> NavigationModel:
+    return navigation_model(robot.start_drive(order.name if order else ""))
 
 
 @router.get("/navigations/{navigation_id}", summary="One drive", responses=responses(404))
@@ -35,7 +36,7 @@ async def navigation(navigation_id: str, station: StationDep) -> NavigationModel
 @router.post("/navigations/{navigation_id}/stop", summary="End recording", responses=responses(404, 409))
 async def stop(navigation_id: str, station: StationDep) -> NavigationModel:
     """SLAM finishes in the background: the state goes from "finishing" to "ready" or "failed"."""
-    return navigation_model(station.drives.stop(navigation_id))
+    return navigation_model(station.stop_drive(navigation_id))
 
 
 @router.delete(

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from station.api.deps import StationDep
+from station.api.deps import RobotDep, StationDep
 from station.api.maps import image_response
 from station.api.models import (
     CurrentPlace,
@@ -27,27 +27,28 @@ from station.places.graph import to_graphml
 from station.refusals import Unknown
 
 router = APIRouter(tags=["places"])
+of_robot = APIRouter(tags=["places"])
 IMAGE = {"content": {"image/jpeg": {}}, "description": "JPEG"}
 
 
-@router.get("/place/current", summary="Which place is the robot at, how sure is that, and why")
-async def place_current(station: StationDep) -> CurrentPlace:
-    return current_place(station)
+@of_robot.get("/place/current", summary="Which place is the robot at, how sure is that, and why")
+async def place_current(robot: RobotDep) -> CurrentPlace:
+    return current_place(robot)
 
 
-@router.get("/place/timeline", summary="Places visited since the station started, oldest first")
-async def timeline(station: StationDep) -> list[VisitModel]:
-    return [visit_model(visit) for visit in station.locating.visits]
+@of_robot.get("/place/timeline", summary="Places visited since the station started, oldest first")
+async def timeline(robot: RobotDep) -> list[VisitModel]:
+    return [visit_model(visit) for visit in robot.locating.visits]
 
 
-@router.get(
+@of_robot.get(
     "/place/current/images/{t_robot_ns}.jpg",
     summary="The picture an answer rests on, while it is kept",
     response_class=Response,
     responses={200: IMAGE, **responses(404)},
 )
-async def query_image(t_robot_ns: int, station: StationDep) -> Response:
-    image = station.locating.query_image(t_robot_ns)
+async def query_image(t_robot_ns: int, robot: RobotDep) -> Response:
+    image = robot.locating.query_image(t_robot_ns)
     if image is None:
         raise Unknown("this picture is not kept any more; only the newest ones are")
     return image_response(image)

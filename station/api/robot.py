@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from shared.errors import RobotSystemError
 from shared.messages import MAX_DRIVE_TTL_MS
-from station.api.deps import DriverDep, StationDep
+from station.api.deps import DriverDep, RobotDep, StationDep
 from station.api.limits import receive_text, refuse, seated
 from station.api.messages import (
     DriveAccepted,
@@ -26,69 +26,77 @@ from station.api.messages import (
     TimeReply,
     drive_request,
 )
-from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel
+from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotEntry, RobotModel
 from station.api.problems import kind_of, responses
-from station.api.views import robot_model
-from station.app import Station
+from station.api.views import robot_entry, robot_model
 from station.driving import MAX_DRIVER_NAME, LateOrders
 from station.events import Event
 from station.mailbox import MessageReader
 from station.refusals import Busy, NoRobot
+from station.robot_session import RobotSession
 
 router = APIRouter(tags=["robot"])
+itself = APIRouter(tags=["robot"])  # below /robot
+of_robot = APIRouter(tags=["robot"])
 TIME_PERIOD_S = 0.05  # a command's age is known no better than this
 UNDATED_MS = 100  # a command without `heard_ms` may be old already, so it holds only for two repeats
 _connections = itertools.count(1)
 
 
-@router.get("/robot", summary="Link, battery, rates, losses, clock offset, who drives")
-async def robot(station: StationDep) -> RobotModel:
-    return robot_model(station)
+@router.get("/robots", summary="All robots of this station, the first one first")
+async def robots(station: StationDep) -> list[RobotEntry]:
+    """Calls without a robot's name mean the first one; `path` before a call means this one."""
+    return [robot_entry(robot) for robot in station.robots.values()]
 
 
-@router.post("/drive", summary="Hold a velocity for ttl_ms", responses=responses(409, 503))
-async def drive(order: DriveOrder, station: StationDep, driver: DriverDep) -> DriverModel:
+@itself.get("", summary="Link, battery, rates, losses, clock offset, who drives")
+async def robot(robot: RobotDep) -> RobotModel:
+    return robot_model(robot)
+
+
+@of_robot.post("/drive", summary="Hold a velocity for ttl_ms", responses=responses(409, 503))
+async def drive(order: DriveOrder, robot: RobotDep, driver: DriverDep) -> DriverModel:
     """Takes the wheel when it is free; silence for a second gives it back. Repeat while the robot is to move."""
-    station.driving.drive(driver, order.linear, order.angular, order.ttl_ms)
+    robot.driving.drive(driver, order.linear, order.angular, order.ttl_ms)
     return DriverModel(driver=driver, you_drive=True)
 
 
-@router.post("/drive/take-over", summary="Become the driver, whoever drives")
-async def take_over(station: StationDep, driver: DriverDep) -> DriverModel:
+@of_robot.post("/drive/take-over", summary="Become the driver, whoever drives")
+async def take_over(robot: RobotDep, driver: DriverDep) -> DriverModel:
     """The robot is stopped when another one drove."""
-    station.driving.take_over(driver)
-    return DriverModel(driver=station.driving.driver, you_drive=True)
+    robot.driving.take_over(driver)
+    return DriverModel(driver=robot.driving.driver, you_drive=True)
 
 
-@router.post("/drive/release", summary="Let go of the wheel")
-async def release(station: StationDep, driver: DriverDep) -> DriverModel:
-    station.driving.release(driver)
-    return DriverModel(driver=station.driving.driver, you_drive=False)
+@of_robot.post("/drive/release", summary="Let go of the wheel")
+async def release(robot: RobotDep, driver: DriverDep) -> DriverModel:
+    robot.driving.release(driver)
+    return DriverModel(driver=robot.driving.driver, you_drive=False)
 
 
-@router.post("/stop", summary="Motors off now", responses=responses(503))
-async def stop(station: StationDep, driver: DriverDep) -> Accepted:
+@of_robot.post("/stop", summary="Motors off now", responses=responses(503))
+async def stop(robot: RobotDep, driver: DriverDep) -> Accepted:
     """Anyone may stop the robot, also one who does not drive; then the driver must let go before driving on."""
-    if not station.driving.stop(driver):
+    if not robot.driving.stop(driver):
         raise NoRobot("no robot is connected; its own watchdog stops it when the link is lost")
     return Accepted()
 
 
-@router.post("/pan-tilt", summary="Point the camera head", responses=responses(409, 503))
-async def pan_tilt(order: PanTiltOrder, station: StationDep, driver: DriverDep) -> Accepted:
-    station.point(driver, order.pan, order.tilt)
+@of_robot.post("/pan-tilt", summary="Point the camera head", responses=responses(409, 503))
+async def pan_tilt(order: PanTiltOrder, robot: RobotDep, driver: DriverDep) -> Accepted:
+    robot.point(driver, order.pan, order.tilt)
     return Accepted()
 
 
-@router.post("/robot/hijack", summary="Put a simulated robot down elsewhere", responses=responses(409, 503))
-async def hijack(order: HijackOrder, station: StationDep) -> Accepted:
+@itself.post("/hijack", summary="Put a simulated robot down elsewhere", responses=responses(409, 503))
+async def hijack(order: HijackOrder, robot: RobotDep) -> Accepted:
     """Only for robots with this capability: simulated ones."""
-    station.hijack(order.x, order.y, order.yaw)
+    robot.hijack(order.x, order.y, order.yaw)
     return Accepted()
 
 
-@router.websocket("/ws/drive")
-async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "") -> None:
+@of_robot.websocket("/ws/drive")
+async def drive_socket(socket: WebSocket, robot: RobotDep, driver: str = "") -> None:
     """The joystick: commands in (`DriveRequest`), answers out (`DriveAnswer`). `?driver=` names who drives.
 
     When the socket closes, the robot stops if its driver drove. A command's `ttl_ms` counts from our `time` that it
@@ -99,22 +107,22 @@ async def drive_socket(socket: WebSocket, station: StationDep, driver: str = "")
     await socket.accept()
     try:
         with seated(socket):
-            await _take_orders(socket, station, driver)
+            await _take_orders(socket, robot, driver)
     except Busy as exc:
         await refuse(socket, exc)
 
 
-async def _take_orders(socket: WebSocket, station: Station, driver: str) -> None:
+async def _take_orders(socket: WebSocket, robot: RobotSession, driver: str) -> None:
     # Two nameless pages of one computer are two drivers: one at a time.
     place = f"page at {socket.client.host}" if socket.client else "page"
     name = driver[:MAX_DRIVER_NAME] or f"{place} #{next(_connections)}"
     late = LateOrders()
     lost_socket = (WebSocketDisconnect, RuntimeError)
-    with station.events.hub.subscribe() as changes:
-        telling = [asyncio.create_task(c) for c in (_tell_driver(socket, station, name, changes), _tell_time(socket))]
+    with robot.events.hub.subscribe() as changes:
+        telling = [asyncio.create_task(c) for c in (_tell_driver(socket, robot, name, changes), _tell_time(socket))]
         try:
             while True:
-                await _obey(socket, station, name, await receive_text(socket), late)
+                await _obey(socket, robot, name, await receive_text(socket), late)
         except lost_socket:
             pass
         finally:
@@ -123,11 +131,11 @@ async def _take_orders(socket: WebSocket, station: Station, driver: str) -> None
             for task in telling:
                 with contextlib.suppress(asyncio.CancelledError, *lost_socket):
                     await task
-            if station.driving.driver == name:
-                station.driving.release(name)
+            if robot.driving.driver == name:
+                robot.driving.release(name)
 
 
-async def _obey(socket: WebSocket, station: Station, name: str, text: str, late: LateOrders) -> None:
+async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, late: LateOrders) -> None:
     try:
         command = drive_request.validate_json(text)
     except ValidationError as exc:
@@ -138,7 +146,7 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str, late:
             case DriveCommand():
                 now_ms = _now_ms()
                 left_ms = life_left_ms(command, now_ms)
-                if command.linear == command.angular == 0.0 and station.driving.is_held_by(name):
+                if command.linear == command.angular == 0.0 and robot.driving.is_held_by(name):
                     # Never too late to stop what moves. Where nothing of ours moves, an old zero must not count: it
                     # would let go of a joystick that is held against somebody's stop.
                     left_ms = max(1, left_ms)
@@ -147,26 +155,26 @@ async def _obey(socket: WebSocket, station: Station, name: str, text: str, late:
                         await socket.send_text(too_late(command, now_ms).model_dump_json())
                     return
                 late.fresh()
-                station.driving.drive(name, command.linear, command.angular, left_ms)
+                robot.driving.drive(name, command.linear, command.angular, left_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
             case StopCommand():
-                station.driving.stop(name)
+                robot.driving.stop(name)
                 if command.reason:
-                    station.events.say("drive", f"{name} stopped: {command.reason}")
+                    robot.events.say("drive", f"{name} stopped: {command.reason}")
             case PanTiltCommand():
-                station.point(name, command.pan, command.tilt)
+                robot.point(name, command.pan, command.tilt)
             case TakeOverCommand():
-                station.driving.take_over(name)
+                robot.driving.take_over(name)
             case ReleaseCommand():
-                station.driving.release(name)
+                robot.driving.release(name)
     except RobotSystemError as exc:
         await socket.send_text(DriveRefused(problem=kind_of(exc)[0], text=str(exc)).model_dump_json())
 
 
-async def _tell_driver(socket: WebSocket, station: Station, name: str, changes: MessageReader[Event]) -> None:
+async def _tell_driver(socket: WebSocket, robot: RobotSession, name: str, changes: MessageReader[Event]) -> None:
     told: tuple[str | None] | None = None
     while True:
-        driver = station.driving.driver
+        driver = robot.driving.driver
         if told != (driver,):
             told = (driver,)
             await socket.send_text(DriveReply(driver=driver, you_drive=driver == name).model_dump_json())

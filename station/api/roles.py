@@ -12,8 +12,43 @@ from shared.errors import LocalProtocolError
 
 OPEN, WATCH, DRIVE, ADMIN = None, Role.WATCH, Role.DRIVE, Role.ADMIN
 
+# The calls to one robot: as they stand to the first one, below /robots/{robot} to each.
+OF_ROBOT: dict[str, Role] = {
+    "GET /robot": WATCH,
+    "POST /stop": WATCH,  # whoever sees the robot may stop it
+    "POST /drive": DRIVE,
+    "POST /drive/take-over": DRIVE,
+    "POST /drive/release": DRIVE,
+    "POST /pan-tilt": DRIVE,
+    "POST /robot/hijack": DRIVE,
+    "POST /robot/pair": ADMIN,
+    "WS /ws/drive": DRIVE,
+    "GET /camera/frame.jpg": WATCH,
+    "GET /camera/stream.mjpg": WATCH,
+    "WS /ws/camera": WATCH,
+    "WS /ws/events": WATCH,
+    "GET /log": WATCH,
+    "GET /pose": WATCH,
+    "GET /trajectory": WATCH,
+    "GET /landmarks": WATCH,
+    "GET /place/current": WATCH,
+    "GET /place/timeline": WATCH,
+    "GET /place/current/images/{t_robot_ns}.jpg": WATCH,
+    "POST /navigations": DRIVE,
+}
+
+
+def named(call: str) -> str:
+    """The same call to a robot by its name: /stop is /robots/{robot}/stop then, /robot itself /robots/{robot}."""
+    method, _, path = call.partition(" ")
+    rest = path.removeprefix("/robot") if path == "/robot" or path.startswith("/robot/") else path
+    return f"{method} /robots/{{robot}}{rest}"
+
+
 # None: open to everybody, which only the page's own files are, and the door itself.
 ROLES: dict[str, Role | None] = {
+    **OF_ROBOT,
+    **{named(call): role for call, role in OF_ROBOT.items()},
     "GET /": OPEN,
     "GET /assets/{name}": OPEN,
     "GET /favicon.svg": OPEN,
@@ -24,31 +59,11 @@ ROLES: dict[str, Role | None] = {
     "GET /docs/start.js": WATCH,
     "GET /docs/{name}": WATCH,
     "GET /openapi.json": WATCH,
-    # The robot
-    "GET /robot": WATCH,
-    "POST /stop": WATCH,  # whoever sees the robot may stop it
-    "POST /drive": DRIVE,
-    "POST /drive/take-over": DRIVE,
-    "POST /drive/release": DRIVE,
-    "POST /pan-tilt": DRIVE,
-    "POST /robot/hijack": DRIVE,
-    "POST /robot/pair": ADMIN,
-    "WS /ws/drive": DRIVE,
-    # What it sees, where it is
-    "GET /camera/frame.jpg": WATCH,
-    "GET /camera/stream.mjpg": WATCH,
-    "WS /ws/camera": WATCH,
-    "WS /ws/events": WATCH,
+    # Robots, maps of their places
+    "GET /robots": WATCH,
     "WS /ws/replay": WATCH,
-    "GET /log": WATCH,
     "GET /healthz": WATCH,
     "GET /metrics": WATCH,
-    "GET /pose": WATCH,
-    "GET /trajectory": WATCH,
-    "GET /landmarks": WATCH,
-    "GET /place/current": WATCH,
-    "GET /place/timeline": WATCH,
-    "GET /place/current/images/{t_robot_ns}.jpg": WATCH,
     "GET /places": WATCH,
     "GET /places/{place_id}": WATCH,
     "GET /places/{place_id}/images/{kind}": WATCH,
@@ -71,7 +86,6 @@ ROLES: dict[str, Role | None] = {
     "GET /navigations/{navigation_id}/replay": WATCH,
     "GET /navigations/{navigation_id}/replay.mjpg": WATCH,
     "GET /navigations/{navigation_id}/{name}": WATCH,
-    "POST /navigations": DRIVE,
     "POST /navigations/{navigation_id}/stop": DRIVE,
     "POST /navigations/{navigation_id}/reprocess": DRIVE,
     "POST /navigations/{navigation_id}/restore": DRIVE,
@@ -93,17 +107,17 @@ ROLES: dict[str, Role | None] = {
 }
 
 
-def calls_of(route: BaseRoute) -> list[str]:
-    """The names of a route in the table."""
+def calls_of(route: BaseRoute, prefix: str = "") -> list[str]:
+    """The names in the table of a route below a prefix."""
     if isinstance(route, APIWebSocketRoute):
-        return [f"WS {route.path}"]
+        return [f"WS {prefix}{route.path}"]
     if isinstance(route, APIRoute):
-        return [f"{method} {route.path}" for method in sorted(route.methods or ())]
+        return [f"{method} {prefix}{route.path}" for method in sorted(route.methods or ())]
     return [f"{type(route).__name__} {getattr(route, 'path', '?')}"]  # never in the table: it would pass by the door
 
 
-def check_roles(routes: Iterable[BaseRoute]) -> None:
+def check_roles(calls: Iterable[str]) -> None:
     """Raises LocalProtocolError when a call has no role: nothing is open because somebody forgot."""
-    missing = [call for route in routes for call in calls_of(route) if call not in ROLES]
+    missing = [call for call in calls if call not in ROLES]
     if missing:
         raise LocalProtocolError(f"no role is set for {', '.join(missing)}; add it to ROLES in station/api/roles.py")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fastapi import Depends, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 
 from station.api import (
     access,
@@ -19,18 +19,28 @@ from station.api import (
     robot,
     slam,
 )
-from station.api.deps import admit
+from station.api.deps import admit_below, name_robot
 from station.api.doorkeeper import Doorkeeper
 from station.api.health import program_version
 from station.api.limits import BodyLimit, Seats
 from station.api.models import Problem
-from station.api.roles import ROLES, check_roles
+from station.api.roles import ROLES, calls_of, check_roles
 from station.app import Station
 
-PARTS = (robot, camera, places, maps, replay, navigations, comparisons, slam, events, health, access, page)
+EACH_ROBOT = "/robots/{robot}"
+OF_ROBOT = (robot, camera, places, slam, events, navigations)
+SHARED = (robot, places, maps, replay, navigations, comparisons, health, access, page)
+# Where each router is: what concerns one robot is there twice, with and without the robot's name.
+ROUTERS: tuple[tuple[str, APIRouter], ...] = (
+    *(("", part.of_robot) for part in OF_ROBOT),
+    *(("", part.router) for part in SHARED),
+    *((EACH_ROBOT, part.of_robot) for part in OF_ROBOT),
+    *((prefix, part.itself) for part in (robot, access) for prefix in ("/robot", EACH_ROBOT)),
+)
 DESCRIPTION = """A robot's station: drive, record navigations, build maps of places, ask which place the robot is at.
 
-Errors are problem documents (RFC 9457). WebSockets: `/ws/drive`, `/ws/camera`, `/ws/events` (docs/api.md)."""
+Calls to a robot mean the first one; below `/robots/{robot}` the one of that name. Errors are problem documents
+(RFC 9457). WebSockets: `/ws/drive`, `/ws/camera`, `/ws/events` (docs/api.md)."""
 
 
 def make_api(station: Station) -> FastAPI:
@@ -49,11 +59,18 @@ def make_api(station: Station) -> FastAPI:
     app.add_middleware(BodyLimit)
     app.add_middleware(Doorkeeper, door=station.access.door)
     problems.install(app)
-    check_roles([*app.routes, *(route for part in PARTS for route in part.router.routes)])
-    for part in PARTS:
-        app.include_router(part.router, dependencies=[Depends(admit)])
+    check_roles(all_calls(app))
+    for prefix, router in ROUTERS:
+        more = [Depends(name_robot)] if prefix == EACH_ROBOT else []
+        app.include_router(router, prefix=prefix, dependencies=[Depends(admit_below(prefix)), *more])
     _describe(app, asks_who=not station.access.door.is_open)
     return app
+
+
+def all_calls(app: FastAPI | None = None) -> list[str]:
+    """The names of all calls and sockets, with those that the app has by itself."""
+    own = [call for route in app.routes for call in calls_of(route)] if app is not None else []
+    return [*own, *(call for prefix, router in ROUTERS for route in router.routes for call in calls_of(route, prefix))]
 
 
 def _describe(app: FastAPI, asks_who: bool) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from fastapi import APIRouter, Header, Query, Response
 
-from station.api.deps import StationDep
+from station.api.deps import RobotDep
 from station.api.models import SlamModel, TrajectoryModel
 from station.api.points import BINARY, points_response
 from station.api.views import slam_model
@@ -17,23 +17,23 @@ from station.navigation import Trajectory
 from station.navigation_files import format_tum
 from station.ply import encode_ply
 
-router = APIRouter(tags=["SLAM"])
+of_robot = APIRouter(tags=["SLAM"])
 PLY_TYPES = ("application/x-ply", "application/ply", "model/ply", "text/ply")
 CLOUD = {**BINARY, "content": {**BINARY["content"], "application/x-ply": {}}}
 
 
-@router.get("/pose", summary="The newest pose, and how SLAM is")
-async def pose(station: StationDep) -> SlamModel:
-    return slam_model(station)
+@of_robot.get("/pose", summary="The newest pose, and how SLAM is")
+async def pose(robot: RobotDep) -> SlamModel:
+    return slam_model(robot)
 
 
-@router.get("/trajectory", summary="The way so far", responses={200: {"content": {"text/plain": {}}}})
+@of_robot.get("/trajectory", summary="The way so far", responses={200: {"content": {"text/plain": {}}}})
 async def trajectory(
-    station: StationDep,
+    robot: RobotDep,
     limit: Annotated[int, Query(ge=2, le=20_000, description="thinned out evenly to this many")] = 2000,
     format: Annotated[Literal["json", "tum"], Query()] = "json",
 ) -> TrajectoryModel:
-    live = station.drives.live
+    live = robot.recording.live
     poses = [] if live is None else list(live.poses)
     if format == "tum":
         times = np.array([p.t_robot_ns for p in poses], dtype=np.int64)
@@ -52,20 +52,20 @@ async def trajectory(
     )
 
 
-@router.get(
+@of_robot.get(
     "/landmarks",
     summary="Landmarks so far, binary or PLY",
     response_class=Response,
     responses={200: CLOUD},
 )
 async def landmarks(
-    station: StationDep,
+    robot: RobotDep,
     since: Annotated[int, Query(ge=0, description="number of the first one wanted: the total of the last answer")] = 0,
     navigation: Annotated[str, Query(description="X-Source of that answer; of another cloud all points come")] = "",
     format: Annotated[Literal["binary", "ply"] | None, Query()] = None,
     accept: Annotated[str, Header(include_in_schema=False)] = "",
 ) -> Response:
-    live = station.drives.live
+    live = robot.recording.live
     is_ply = format == "ply" or (format is None and any(kind in accept for kind in PLY_TYPES))
     if live is None:
         live = LiveSlam("")

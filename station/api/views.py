@@ -27,11 +27,11 @@ from station.api.models import (
     PlacesChangeModel,
     RatesModel,
     ReplayModel,
+    RobotEntry,
     RobotModel,
     SlamModel,
     VisitModel,
 )
-from station.app import Station
 from station.bin import BinEntry
 from station.comparisons import Comparison
 from station.drive_library import DriveRecord
@@ -42,13 +42,14 @@ from station.map_library import ActiveMap, PlacesChange
 from station.maps.map import Place, PlaceEdge
 from station.maps.store import MapSummary
 from station.navigation import Navigation
+from station.robot_session import RobotSession
 
 
-def robot_model(station: Station) -> RobotModel:
-    state = station.robot
+def robot_model(robot: RobotSession) -> RobotModel:
+    state = robot.state
     hello, status = state.hello, state.status
     able = hello.capabilities if hello else None
-    applied = station.applied
+    applied = robot.applied
     return RobotModel(
         connected=state.connected,
         reason=state.reason,
@@ -91,18 +92,31 @@ def robot_model(station: Station) -> RobotModel:
         else None,
         temperatures_c=dict(status.temperatures_c) if status else {},
         cpu_percent=status.cpu_percent if status else None,
-        driver=station.driving.driver,
+        driver=robot.driving.driver,
         robot_driver=status.driver if status else None,
         applied=AppliedModel(linear=applied.linear, angular=applied.angular) if applied and state.connected else None,
-        head_must_rest=station.head_must_rest,
+        head_must_rest=robot.head_must_rest,
         faults=list(status.faults) if status else [],
     )
 
 
-def current_place(station: Station) -> CurrentPlace:
+def robot_entry(robot: RobotSession) -> RobotEntry:
+    running = robot.recording.running
+    here = current_place(robot)
+    return RobotEntry(
+        name=robot.name,
+        path=f"/robots/{robot.name}",
+        navigation=None if running is None else running.id,
+        state=here.state,
+        place=here.place,
+        robot=robot_model(robot),
+    )
+
+
+def current_place(robot: RobotSession) -> CurrentPlace:
     """The answer to the question all this is for."""
-    report = station.locating.report
-    active = station.maps.active
+    report = robot.locating.report
+    active = robot.maps.active
     map_id = active.place_map.id if active else None
     known = {place.id: place for place in active.visible_places} if active else {}
     # Places may have been renamed, hidden or merged since the answer was made: what they are now counts.
@@ -118,7 +132,7 @@ def current_place(station: Station) -> CurrentPlace:
             map=map_id,
             alternatives=[],
             evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
-            reason=_no_answer_yet(station),
+            reason=_no_answer_yet(robot),
             t_robot_ns=None,
             pose_map=None,
         )
@@ -126,14 +140,14 @@ def current_place(station: Station) -> CurrentPlace:
     likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
     is_metric = active.place_map.navigation.is_metric
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
-    has_query = evidence_ns is not None and station.locating.query_image(evidence_ns) is not None
+    has_query = evidence_ns is not None and robot.locating.query_image(evidence_ns) is not None
     return CurrentPlace(
         state=answer.state,
         place=PlaceName(id=answer.place.id, name=known[answer.place.id].name) if answer.place else None,
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
-        age_s=_age_s(station, answer.t_robot_ns),
+        age_s=_age_s(robot, answer.t_robot_ns),
         map=map_id,
         alternatives=[
             PlaceProbability(id=c.id, name=known[c.id].name, probability=_probability(c.probability))
@@ -141,10 +155,10 @@ def current_place(station: Station) -> CurrentPlace:
             if c.id in known
         ],
         evidence=Evidence(
-            query_image=f"/place/current/images/{evidence_ns}.jpg" if has_query else None,
+            query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,
             map_image=None if keyframe is None else f"/maps/{map_id}/images/{keyframe}.jpg",
             inliers=answer.inliers,
-            age_s=None if evidence_ns is None else _age_s(station, evidence_ns),
+            age_s=None if evidence_ns is None else _age_s(robot, evidence_ns),
         ),
         reason=answer.reason,
         t_robot_ns=answer.t_robot_ns,
@@ -152,20 +166,20 @@ def current_place(station: Station) -> CurrentPlace:
     )
 
 
-def _no_answer_yet(station: Station) -> str:
-    if station.maps.active is None:
+def _no_answer_yet(robot: RobotSession) -> str:
+    if robot.maps.active is None:
         return "no map is active; record a navigation, build a map from it and choose it"
-    if not station.robot.connected:
+    if not robot.state.connected:
         return "no robot is connected"
-    return f"no picture was looked at yet ({station.locating.status})"
+    return f"no picture was looked at yet ({robot.locating.status})"
 
 
 def _probability(p: float) -> float:
     return min(1.0, max(0.0, p))
 
 
-def _age_s(station: Station, t_robot_ns: int) -> float | None:
-    t_station_ns = station.link.to_station_ns(t_robot_ns)
+def _age_s(robot: RobotSession, t_robot_ns: int) -> float | None:
+    t_station_ns = robot.link.to_station_ns(t_robot_ns)
     return None if t_station_ns is None else max(0.0, (time.monotonic_ns() - t_station_ns) * 1e-9)
 
 
@@ -262,6 +276,7 @@ def navigation_model(drive: DriveRecord) -> NavigationModel:
         name=drive.name,
         state=drive.state,
         message=drive.message,
+        robot=drive.robot,
         started_unix_s=drive.started_wall_s,
         duration_s=drive.duration_s,
         backend=drive.backend,
@@ -288,8 +303,8 @@ def job_model(job: Job) -> JobModel:
     )
 
 
-def slam_model(station: Station) -> SlamModel:
-    live = station.drives.live
+def slam_model(robot: RobotSession) -> SlamModel:
+    live = robot.recording.live
     if live is None:
         return SlamModel(
             navigation=None,
@@ -303,10 +318,10 @@ def slam_model(station: Station) -> SlamModel:
             segment=0,
         )
     pose = live.pose
-    hello = station.robot.hello
+    hello = robot.state.hello
     camera = hello.calibration.camera if hello else None
     T_body_cam = camera.T_body_cam_matrix if camera else np.eye(4)
-    is_running = station.drives.running is not None and station.drives.running.id == live.navigation_id
+    is_running = robot.recording.running is not None and robot.recording.running.id == live.navigation_id
     return SlamModel(
         navigation=live.navigation_id,
         state=(live.state or "initialising") if is_running else "finished",

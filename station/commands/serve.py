@@ -13,7 +13,7 @@ import typer
 
 from shared.certificates import show_fingerprint
 from shared.listening import bind
-from station.config import RobotConfig, StationConfig, load_config, parse_address
+from station.config import StationConfig, load_config, parse_robot
 from station.slam.backends import check_backend
 
 
@@ -23,7 +23,11 @@ def register(app: typer.Typer) -> None:
 
 def serve(
     robot: Annotated[
-        str | None, typer.Option(help="HOST:PORT of robot-server; auto looks for one in the network.")
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]HOST:PORT",
+            help="Where robot-server is; auto looks for one in the network. Give it once for each of several robots.",
+        ),
     ] = None,
     host: Annotated[str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to serve on; 0 takes a free one.")] = None,
@@ -66,7 +70,7 @@ def serve(
 
 def _settings(
     settings: StationConfig,
-    robot: str | None,
+    robot: list[str] | None,
     host: str | None,
     port: int | None,
     data: Path | None,
@@ -77,12 +81,12 @@ def _settings(
     api = dataclasses.replace(
         settings.api, host=host or settings.api.host, port=settings.api.port if port is None else port
     )
-    link = RobotConfig(*parse_address(robot, "--robot")) if robot else settings.robot
+    robots = tuple(parse_robot(text, "--robot") for text in robot) if robot else settings.robots
     slam = dataclasses.replace(settings.slam, backend=backend or settings.slam.backend)
     check_backend(slam.backend)
     access = dataclasses.replace(settings.access, insecure=insecure or settings.access.insecure)
     folder = data or settings.data_dir
-    return dataclasses.replace(settings, api=api, robot=link, slam=slam, data_dir=folder, access=access)
+    return dataclasses.replace(settings, api=api, robots=robots, slam=slam, data_dir=folder, access=access)
 
 
 def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:

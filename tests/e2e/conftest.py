@@ -140,7 +140,7 @@ async def _room(browser: Browser, data_dir: Path) -> AsyncIterator[Room]:
         filming = asyncio.create_task(film.run())
         room = Room(desk, bench, film, browser)
         try:
-            await until(lambda: desk.station.robot.connected and desk.station.camera.newest)
+            await until(lambda: desk.station.first.state.connected and desk.station.first.camera.newest)
             yield room
         finally:
             for context in room.contexts:

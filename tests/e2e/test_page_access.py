@@ -29,7 +29,7 @@ async def house(browser: Browser, tmp_path: Path) -> AsyncIterator[tuple[Guarded
         page = await context.new_page()
         page.set_default_timeout(90_000)
         try:
-            await until(lambda: station.desk.station.robot.connected and station.desk.station.camera.newest)
+            await until(lambda: station.desk.station.first.state.connected and station.desk.station.first.camera.newest)
             yield station, bench, page
         finally:
             await context.close()

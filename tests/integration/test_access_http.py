@@ -16,12 +16,13 @@ from shared.access import Role, Token
 from shared.token_book import TokenBook
 from station.api.doorkeeper import COOKIE, REVOKED
 from station.api.roles import ROLES
-from station.api.server import PARTS
+from station.api.server import all_calls
 from tests.access_support import Guarded, guarded_station
 from tests.link_support import running_robot, until
 from tests.station_support import Film, running_station
 
 SOCKETS = {"/ws/events": "", "/ws/camera": "", "/ws/drive": "", "/ws/replay": "?navigation=none"}
+SOCKETS |= {f"/robots/{{robot}}/ws/{kind}": "" for kind in ("events", "camera", "drive")}
 
 
 def is_problem(answer: httpx.Response, status: int) -> bool:
@@ -38,7 +39,7 @@ async def call(station: Guarded, name: str, role: Role | None) -> httpx.Response
     method, _, path = name.partition(" ")
     for part in ("{name}", "{kind}", "{t_robot_ns}", "{keyframe}"):
         path = path.replace(part, "1")
-    path = path.replace("{token_id}", "none").replace("{", "").replace("}", "")
+    path = path.replace("{token_id}", "none").replace("{robot}", "robot-1").replace("{", "").replace("}", "")
     return await station.desk.http.request(method, path, headers=station.headers(role))
 
 
@@ -76,9 +77,7 @@ async def test_every_call_is_refused_to_strangers_and_to_roles_that_may_not(tmp_
 
 
 def test_the_table_of_roles_has_no_row_without_a_call() -> None:
-    from station.api.roles import calls_of
-
-    assert set(ROLES) == {call for part in PARTS for route in part.router.routes for call in calls_of(route)}
+    assert set(ROLES) == set(all_calls())
     assert {name.partition(" ")[2] for name in ROLES if name.startswith("WS ")} == set(SOCKETS)
     assert [name for name, role in ROLES.items() if role is None] == [
         "GET /", "GET /assets/{name}", "GET /favicon.svg", "POST /login"
@@ -91,7 +90,9 @@ async def test_every_socket_is_refused_to_strangers_and_to_roles_that_may_not(tm
     assert needed is not None
     async with guarded_station(tmp_path) as station:
         for role in (None, *Role):
-            opening = station.socket(path + SOCKETS[path], additional_headers=station.headers(role))
+            opening = station.socket(
+                path.replace("{robot}", "robot-1") + SOCKETS[path], additional_headers=station.headers(role)
+            )
             if role is not None and role.includes(needed):
                 async with opening:
                     continue
@@ -161,7 +162,7 @@ async def test_a_revoked_token_loses_its_sockets_and_streams_at_once(tmp_path: P
     async with running_robot() as bench, guarded_station(tmp_path, bench.port) as station:
         filming = asyncio.create_task(Film(bench).run())
         http, stolen = station.desk.http, station.headers(Role.DRIVE)
-        await until(lambda: station.desk.station.camera.newest)
+        await until(lambda: station.desk.station.first.camera.newest)
         async with (
             station.socket("/ws/drive", additional_headers=stolen) as driving,
             station.socket("/ws/events", additional_headers=stolen) as events,
@@ -214,7 +215,7 @@ async def test_secrets_are_in_no_log_problem_metric_or_file_but_their_own(
     async with running_robot() as bench, guarded_station(tmp_path, bench.port) as station:
         filming = asyncio.create_task(Film(bench).run())
         http, own = station.desk.http, {"Origin": station.origin}
-        await until(lambda: station.desk.station.camera.newest)
+        await until(lambda: station.desk.station.first.camera.newest)
         admin = station.headers(Role.ADMIN)
         login = await http.post("/login", json={"token": station.tokens[Role.ADMIN]}, headers=own)
         session = http.cookies[COOKIE]

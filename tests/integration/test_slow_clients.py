@@ -66,12 +66,14 @@ async def test_stuck_clients_of_every_kind_slow_nobody(tmp_path: Path) -> None:
                     assert (await desk.http.get("/robot")).status_code == 200
                 await drive.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0, "ttl_ms": 500}))
                 await until(lambda: bench.motors.history and bench.motors.history[-1][1] > 0)
-            waiting = [len(reader._line) for reader in desk.station.events.hub._readers]
+            waiting = [len(reader._line) for reader in desk.station.first.events.hub._readers]
             assert max(waiting, default=0) <= MAX_WAITING_MESSAGES
         finally:
             for client in stuck:
                 client.close()
-        await until(lambda: desk.station.events.hub.num_readers == 0 and desk.station.camera.num_readers == 0)
+        await until(
+            lambda: desk.station.first.events.hub.num_readers == 0 and desk.station.first.camera.num_readers == 0
+        )
 
 
 @given(puts=st.lists(st.tuples(st.sampled_from(["", "a", "b"]), st.integers()), max_size=400))

@@ -28,7 +28,7 @@ async def at_work(tmp_path: Path, **options: str) -> AsyncIterator[tuple[Desk, B
         film = Film(bench)
         filming = asyncio.create_task(film.run())
         try:
-            await until(lambda: desk.station.robot.connected and desk.station.camera.newest)
+            await until(lambda: desk.station.first.state.connected and desk.station.first.camera.newest)
             yield desk, bench, film
         finally:
             filming.cancel()
@@ -139,7 +139,7 @@ async def test_drive_moves_the_motors_until_the_driver_goes_silent(tmp_path: Pat
 
 def freeze(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """For the drive timer no time passes: whatever stops the robot now, it is not the driver's silence."""
-    monkeypatch.setattr(desk.station.driving, "_now_ns", lambda: 1)
+    monkeypatch.setattr(desk.station.first.driving, "_now_ns", lambda: 1)
 
 
 async def test_stop_needs_no_lease_and_holds_until_the_driver_lets_go(
@@ -166,7 +166,7 @@ async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -
         assert (await desk.http.get("/robot")).json()["driver"] == "anna"
         assert (await desk.http.post("/drive/take-over", headers=ben)).json() == {"driver": "ben", "you_drive": True}
         assert is_problem(await desk.http.post("/drive", json=order, headers=anna), 409)
-        await until(lambda: desk.station.driving.driver is None)  # a second of silence
+        await until(lambda: desk.station.first.driving.driver is None)  # a second of silence
         assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
 
 
@@ -183,7 +183,7 @@ async def test_closing_the_drive_socket_stops_the_robot(tmp_path: Path, monkeypa
             await drive_off(bench, lambda: socket.send(again))
             stops = bench.stops_heard
         await until(lambda: bench.stops_heard > stops and bench.motors.are_off)
-        assert desk.station.driving.driver is None
+        assert desk.station.first.driving.driver is None
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"type": "fly"}', '{"type": "drive", "seq": 1, "linear": "x"}', "[1]"])
@@ -243,9 +243,9 @@ async def test_a_zero_that_comes_late_stops_what_moves_and_counts_for_nothing_at
         assert await say_late_zero(1) == []
         order = {"linear": 0.2, "angular": 0.0, "ttl_ms": 1000}
         await drive_off(bench, lambda: desk.http.post("/drive", json=order, headers={"X-Driver": "page"}))
-        assert desk.station.driving.is_moving
+        assert desk.station.first.driving.is_moving
         assert await say_late_zero(2) == [2]
-        assert not desk.station.driving.is_moving
+        assert not desk.station.first.driving.is_moving
         await until(lambda: bench.motors.are_off)
 
 
@@ -265,7 +265,7 @@ async def test_a_page_behind_a_slow_link_is_told_why_nothing_moves(tmp_path: Pat
             await socket.send(json.dumps({**order, "seq": seq, "heard_ms": answer["t_ms"] - 300}))
             answer = json.loads(await socket.recv())
         assert answer["problem"] == "late" and "too slow" in answer["text"]
-        assert desk.station.driving.driver is None and bench.motors.are_off
+        assert desk.station.first.driving.driver is None and bench.motors.are_off
 
 
 async def test_pages_of_other_sites_get_no_socket(tmp_path: Path) -> None:

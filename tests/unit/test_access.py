@@ -395,14 +395,14 @@ async def test_a_station_does_not_serve_a_socket_that_others_reach_without_a_boo
 
 
 def test_a_message_or_call_without_a_role_keeps_the_program_from_starting(monkeypatch: pytest.MonkeyPatch) -> None:
-    from station.api import robot as robot_calls
+    from station.api.server import all_calls
 
     monkeypatch.delitem(robot.access.MESSAGE_ROLES, robot.access.Stop)
     with pytest.raises(LocalProtocolError, match="Stop"):
         robot.access.check_roles()
     monkeypatch.delitem(station.api.roles.ROLES, "POST /stop")
     with pytest.raises(LocalProtocolError, match="POST /stop"):
-        station.api.roles.check_roles(robot_calls.router.routes)
+        station.api.roles.check_roles(all_calls())
 
 
 def test_the_door_counts_guesses_and_a_link_is_good_for_one_login(tmp_path: Path) -> None:

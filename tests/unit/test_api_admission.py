@@ -17,8 +17,9 @@ import station.refusals
 from shared.messages import CameraFrame
 from station.api.limits import MAX_BODY_BYTES, TRY_AGAIN_LATER, UNSUPPORTED
 from station.api.server import make_api
-from station.app import SeenFrame, Station
+from station.app import Station
 from station.config import AccessConfig, ApiConfig, StationConfig, load_config
+from station.robot_session import SeenFrame
 from tests.link_support import until
 
 
@@ -159,7 +160,7 @@ async def test_one_video_stream_too_many_is_refused(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(station.api.camera, "MAX_STREAMS", 0)
     here = Station(StationConfig(data_dir=tmp_path))
     frame = CameraFrame(seq=1, t_robot_ns=1, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b"jpeg")
-    here.camera.put(SeenFrame(frame, 1, None))
+    here.first.camera.put(SeenFrame(frame, 1, None))
     transport = httpx.ASGITransport(make_api(here))
     async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1:8080") as http:
         answer = await http.get("/camera/stream.mjpg")

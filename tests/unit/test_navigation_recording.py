@@ -15,8 +15,9 @@ from shared.errors import DataError, EstimationError
 from shared.messages import PROTOCOL_VERSION, CameraFrame, Capabilities, Hello
 from station.config import SlamConfig
 from station.drive_library import DriveLibrary, DriveRecord
+from station.drives import Drives
 from station.events import Events
-from station.recording import DriveRecorder, Drives
+from station.recording import DriveRecorder, Recording
 from station.slam_process import MAX_DEATHS
 from station.workers import WorkerDied
 from tests.link_support import Notes, until
@@ -28,7 +29,7 @@ class FakeWorker:
     made: list[FakeWorker]
     may_start: asyncio.Event
 
-    def __init__(self, name: str, servant: str, *, limits: Any, on_event: Any, on_death: Any, on_failure: Any) -> None:
+    def __init__(self, name: str, servant: str, *, on_death: Any, on_failure: Any, **_: Any) -> None:
         self.on_death: Callable[[str], None] = on_death
         self.on_failure: Callable[[str], None] = on_failure
         self.dropped: dict[str, int] = {}
@@ -95,7 +96,8 @@ class Room:
         self.library = FullDisk(folder)
         self.events = Events()
         self.recorder = FakeRecorder()
-        self.drives = Drives(self.library, SlamConfig(), self.events, self._record, lambda *_: None)
+        self.drives = Drives(self.library, self.events)
+        self.recording = Recording(self.drives, SlamConfig(), self.events, self._record, lambda *_: None)
         self.cannot_record = ""
 
     def _record(self, path: Path) -> DriveRecorder:
@@ -136,19 +138,19 @@ async def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Room:
 async def test_a_drive_that_cannot_be_recorded_never_was(room: Room, tmp_path: Path) -> None:
     room.cannot_record = "cannot record there"
     with pytest.raises(DataError, match="cannot record there"):
-        room.drives.start(hello(), "first")
-    assert room.drives.list() == [] and room.drives.running is None and FakeWorker.made == []
+        room.recording.start(hello(), "first")
+    assert room.drives.list() == [] and room.recording.running is None and FakeWorker.made == []
     assert list((tmp_path / "navigations").iterdir()) == []
     room.cannot_record, room.library.is_full = "", True
     with pytest.raises(DataError, match="no space left"):
-        room.drives.start(hello(), "second")
+        room.recording.start(hello(), "second")
     assert room.drives.list() == [] and room.recorder.is_closed and FakeWorker.made == []
 
 
 async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room) -> None:
-    drive = room.drives.start(hello(), "")
+    drive = room.recording.start(hello(), "")
     room.library.is_full = True
-    assert room.drives.stop(drive.id).state == "finishing"
+    assert room.recording.stop(drive.id).state == "finishing"
     over = await room.over(drive.id)
     assert over.message == "drive longer"
     assert room.recorder.is_closed and FakeWorker.made[0].is_closed
@@ -167,65 +169,65 @@ async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room)
 async def test_another_run_or_robot_ends_the_drive_and_keeps_its_recording(
     room: Room, other: Hello, sentence: str
 ) -> None:
-    drive = room.drives.start(hello(), "")
-    room.drives.on_connected(hello())  # the network was away for a moment
-    assert room.drives.running is not None
-    room.drives.on_connected(other)
-    assert room.drives.running is None
+    drive = room.recording.start(hello(), "")
+    room.recording.on_connected(hello())  # the network was away for a moment
+    assert room.recording.running is not None
+    room.recording.on_connected(other)
+    assert room.recording.running is None
     over = await room.over(drive.id)
     assert sentence in over.message and room.said(sentence)
     assert room.recorder.is_closed and [h.session_id for h in room.recorder.hellos] == ["one", "one"]
-    assert room.drives.start(other, "").robot_id == other.robot_id
-    await room.drives.close()
+    assert room.recording.start(other, "").robot_id == other.robot_id
+    await room.recording.close()
 
 
 async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(room: Room) -> None:
-    drive = room.drives.start(hello(), "")
+    drive = room.recording.start(hello(), "")
     for deaths in range(1, MAX_DEATHS):
         await until(lambda: FakeWorker.made[-1].is_up)
         FakeWorker.made[-1].die()
         assert len(FakeWorker.made) == deaths + 1
-    room.drives.on_frame(CameraFrame(seq=1, t_robot_ns=1, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b""), 1)
+    room.recording.on_frame(CameraFrame(seq=1, t_robot_ns=1, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b""), 1)
     assert FakeWorker.made[-1].posted == ["add_frame"]
     FakeWorker.made[-1].die()
     assert len(FakeWorker.made) == MAX_DEATHS and room.said("goes on without it") == 1
-    assert room.drives.running is not None and not room.recorder.is_closed
-    room.drives.stop(drive.id)
+    assert room.recording.running is not None and not room.recorder.is_closed
+    room.recording.stop(drive.id)
     assert "goes on without it" in (await room.over(drive.id)).message
 
 
 @pytest.mark.parametrize("how", ["stop", "close"])
 async def test_a_process_that_is_still_starting_is_closed_with_its_drive(room: Room, how: str) -> None:
-    drive = room.drives.start(hello(), "")
+    drive = room.recording.start(hello(), "")
     await until(lambda: FakeWorker.made[0].is_up)
     FakeWorker.may_start.clear()
     FakeWorker.made[0].die()
     if how == "stop":
-        room.drives.stop(drive.id)
+        room.recording.stop(drive.id)
         FakeWorker.may_start.set()
         await room.over(drive.id)
     else:
         asyncio.get_running_loop().call_soon(FakeWorker.may_start.set)
-        await room.drives.close()
+        await room.recording.close()
     assert len(FakeWorker.made) == 2
     assert FakeWorker.made[1].is_closed and not FakeWorker.made[1].is_up
     assert not [task for task in asyncio.all_tasks() if "SLAM" in task.get_name()]
 
 
 async def test_what_slam_refuses_is_told_once_and_counted(room: Room) -> None:
-    drive = room.drives.start(hello(), "")
+    drive = room.recording.start(hello(), "")
     for sentence in ("image 1 is 3x3", "image 1 is 3x3", "image 2 is not a readable JPEG"):
         FakeWorker.made[0].on_failure(sentence)
     assert room.said("image 1 is 3x3") == 1 and room.said("image 2") == 1
     assert room.drives.get(drive.id).slam_failures == 3
-    room.drives.stop(drive.id)
+    room.recording.stop(drive.id)
     over = await room.over(drive.id)
     assert over.slam_failures == 3 and "SLAM refused 3" in over.message and "image 1 is 3x3" in over.message
 
 
 async def test_a_station_that_ends_at_once_after_a_drive_closes_it(room: Room) -> None:
-    drive = room.drives.start(hello(), "")
-    room.drives.stop(drive.id)
-    await room.drives.close()
+    drive = room.recording.start(hello(), "")
+    room.recording.stop(drive.id)
+    await room.recording.close()
     assert room.recorder.is_closed and FakeWorker.made[0].is_closed
     assert room.library.get(drive.id).state == "failed"

@@ -294,9 +294,9 @@ def test_a_backend_that_does_not_exist_is_named_before_anything_starts() -> None
 
 def test_options_of_serve_keep_what_the_file_says_beside_them() -> None:
     config = StationConfig(api=ApiConfig(host="0.0.0.0", allowed_hosts=("robots.local",)))
-    settings = serve_settings(config, "pi:7", None, 9000, None, "ukf", False)
+    settings = serve_settings(config, ["pi:7"], None, 9000, None, "ukf", False)
     assert settings.api == ApiConfig("0.0.0.0", 9000, ("robots.local",))
-    assert (settings.slam.backend, settings.robot.host) == ("ukf", "pi")
+    assert (settings.slam.backend, settings.fleet[0].host) == ("ukf", "pi")
 
 
 @pytest.mark.parametrize("text", ["", ":7", "pi:", "pi:0", "pi:70000", "pi:x"])

@@ -1,5 +1,6 @@
 // Calls of the station's API. Errors are problem documents; their sentence is shown as it is.
 import type { Problem } from "./messages";
+import { toRobot } from "./robots";
 
 export class ApiError extends Error {
   constructor(
@@ -23,7 +24,7 @@ export const driverName = (() => {
 async function request(method: string, path: string, body?: unknown): Promise<Response> {
   let answer: Response;
   try {
-    answer = await fetch(path, {
+    answer = await fetch(toRobot(path, method), {
       method,
       headers: { "X-Driver": driverName, ...(body === undefined ? {} : { "Content-Type": "application/json" }) },
       body: body === undefined ? undefined : JSON.stringify(body),
@@ -47,7 +48,7 @@ export async function fetchBytes(path: string): Promise<{ bytes: ArrayBuffer; so
 }
 
 export function socketUrl(path: string): string {
-  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`;
+  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${toRobot(path)}`;
 }
 
 const REVOKED = 4401; // station/api/doorkeeper.py

@@ -4,6 +4,7 @@ import { attempt, by, duration, make, setText, show, toast } from "./dom";
 import { openDrive } from "./drive_dialog";
 import { Refresh } from "./refresh";
 import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
+import { isShown } from "./robots";
 
 export class Library {
   navigations = new Map<string, NavigationModel>();
@@ -24,7 +25,7 @@ export class Library {
   }
 
   get recording(): NavigationModel | undefined {
-    return [...this.navigations.values()].find((n) => n.state === "recording");
+    return [...this.navigations.values()].find((n) => n.state === "recording" && isShown(n.robot));
   }
 
   async reload(): Promise<void> {

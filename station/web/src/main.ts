@@ -5,9 +5,10 @@ import { DriveControl } from "./drive";
 import { HealthView } from "./health";
 import { Library } from "./library";
 import { MapView } from "./map3d";
-import type { EventMessage, LogModel } from "./messages";
+import type { EventMessage, LogModel, RobotEntry } from "./messages";
 import { PlaceView } from "./place";
 import { Review } from "./review";
+import { showChoice } from "./robots";
 import { VideoView } from "./video";
 
 const video = new VideoView();
@@ -99,6 +100,7 @@ async function load(): Promise<void> {
     library.reload(),
     places.reload(),
     call<LogModel[]>("GET", "/log").then((lines) => health.addLines(lines)),
+    call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots"), robots)),
   ]);
 }
 

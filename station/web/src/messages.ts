@@ -285,6 +285,8 @@ export interface NavigationModel {
   name: string;
   state: "recording" | "finishing" | "ready" | "failed";
   message: string;
+  /** its name in GET /robots when it drove; empty: an old drive */
+  robot: string;
   started_unix_s: number;
   duration_s: number;
   backend: string;
@@ -413,6 +415,19 @@ export interface ReplayModel {
 export interface ReprocessOrder {
   /** null: the station's own */
   backend: "sfm" | "ukf" | null;
+}
+
+/** One of the station's robots, and where it is. */
+export interface RobotEntry {
+  /** in this station */
+  name: string;
+  /** put before a call to ask for this robot */
+  path: string;
+  /** id of the drive that is being recorded */
+  navigation: string | null;
+  state: "known" | "unknown" | "lost";
+  place: PlaceName | null;
+  robot: RobotModel;
 }
 
 export interface RobotMessage {

@@ -1,0 +1,20 @@
+"""What workers need and takes seconds to import: loaded once, by the server process that all workers are forked from.
+
+Importing is all that may happen here. A library that started threads now would leave its locks to children without
+them (tests/integration/test_workers.py looks).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+
+SERVANTS = ("station.slam_servant", "station.place_servant", "station.job_servant")
+BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
+
+for _name in (*SERVANTS, *BACKENDS):
+    with contextlib.suppress(ImportError):  # who needs it says what is missing
+        importlib.import_module(_name)
+gc.collect()
+gc.freeze()  # a collection in a child would write to, and so copy, pages that all children share

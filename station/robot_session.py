@@ -1,0 +1,215 @@
+"""One robot of the station and everything that is its own: nothing in here is shared with another robot.
+
+link → recorder, SLAM worker, localisation worker → answers. Plain methods, as in `app.py`; the event loop only carries
+messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.config import RobotConfig, StationConfig
+from station.drive_library import DriveRecord
+from station.drives import Drives
+from station.driving import Driving
+from station.events import Events
+from station.link import LinkState, RobotLink
+from station.locating import Locating
+from station.mailbox import Broadcast
+from station.map_library import Maps
+from station.paired_robots import PairedRobots
+from station.recording import DriveRecorder, Recording
+from station.refusals import Conflict, NoRobot, NotCapable
+
+HIJACK_NOTICE = "the simulated robot is asked to be put down elsewhere"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFrame:
+    """A camera image and when it came."""
+
+    frame: CameraFrame
+    t_station_ns: int  # arrival
+    t_captured_ns: int | None  # the capture in the station's clock; None before the clocks are known
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What a session uses and does not own."""
+
+    config: StationConfig
+    maps: Maps
+    drives: Drives
+    paired: PairedRobots
+    make_recorder: Callable[[Path], DriveRecorder | None]
+    place_servant: str  # the class that the localisation worker runs
+
+
+class RobotSession:
+    """One robot: what runs for it, and what a person can ask of it. Implements LinkListener."""
+
+    def __init__(self, robot: RobotConfig, events: Events, shared: Shared, path: str = "") -> None:
+        """`path` is what stands before the station's calls to this robot; nothing before those to the first one."""
+        config = shared.config
+        self.name = robot.name
+        self.path = path
+        self.config = robot
+        self.events = events
+        self.maps = shared.maps
+        self.camera: Broadcast[SeenFrame] = Broadcast()
+        self.link = RobotLink(robot.host, robot.port, self, station_name=config.name, robots=shared.paired)
+        self.driving = Driving(
+            self.link,
+            config.drive,
+            self._capabilities,
+            on_driver=lambda driver: events.changed("driver", driver),
+            on_silence=lambda text: events.say("drive", text, "warning"),
+            on_command=lambda *command: self.recording.on_command(*command),
+        )
+        self.applied: DriveApplied | None = None
+        self.locating = Locating(
+            shared.maps.address,
+            config.localization,
+            events,
+            shared.place_servant,
+            lambda report: self.recording.on_answer(report),
+        )
+        self.recording = Recording(
+            shared.drives,
+            config.slam,
+            events,
+            shared.make_recorder,
+            on_pose=self.locating.odometry,
+            recordings=config.recordings,
+            robot=robot.name,
+        )
+        events.on_line = self.recording.on_log
+
+    async def run(self) -> None:
+        """Run until cancelled. The link ends first, and with it the motors."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self.driving.run(), name=f"drive timer of {self.name}")
+            tasks.create_task(self.link.run(), name=f"link to {self.name}")
+            tasks.create_task(self.locating.run(), name=f"localisation of {self.name}")
+            tasks.create_task(self._every_second(), name=f"second of {self.name}")
+
+    async def close(self) -> None:
+        """Close the drive being recorded, and end the workers."""
+        await self.recording.close()
+        await self.locating.close()
+
+    @property
+    def state(self) -> LinkState:
+        return self.link.state
+
+    # What a person asks
+
+    @property
+    def head_must_rest(self) -> str:
+        """Why the camera head must look straight ahead, in a sentence; empty when it may turn.
+
+        The calibration tells where the camera is while it does; nothing tells the estimation where it is otherwise.
+        """
+        if self.recording.running is not None:
+            return "a drive is being recorded, for which the camera must look straight ahead; stop the recording first"
+        if self.maps.active is not None:
+            return "the place is being looked for, for which the camera must look straight ahead; choose no map first"
+        return ""
+
+    def point(self, driver: str, pan: float, tilt: float) -> None:
+        """Point the camera head (rad). Raises as Driving.point, and Conflict while it must look straight ahead."""
+        if (pan or tilt) and (reason := self.head_must_rest):
+            raise Conflict(reason)
+        self.driving.point(driver, pan, tilt)
+
+    def hijack(self, x: float, y: float, yaw: float) -> None:
+        """Put a simulated robot down elsewhere. Raises NoRobot, or NotCapable for a real one."""
+        able = self._capabilities()
+        if able is None:
+            raise NoRobot("no robot is connected")
+        if not able.hijack:
+            raise NotCapable("this robot cannot be moved by a message; only a simulated one can")
+        self.driving.stop()
+        if not self.link.hijack(x, y, yaw):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self.events.say("hijack", HIJACK_NOTICE, "warning")
+
+    def start_drive(self, name: str) -> DriveRecord:
+        """Record from now on. Raises NoRobot, Conflict."""
+        state = self.link.state
+        if not state.connected or state.hello is None:
+            raise NoRobot("no robot is connected; there is nothing to record")
+        if not state.hello.capabilities.camera:
+            raise NotCapable("this robot has no camera; SLAM needs one")
+        if not self.driving.head_is_centred:
+            raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you record")
+        return self.recording.start(state.hello, name)
+
+    # What the station's maps mean for it
+
+    async def look_in_active_map(self) -> None:
+        active = self.maps.active
+        if active is not None:
+            self.driving.centre_head()
+        self.events.changed("robot")
+        await self.locating.use(None if active is None else active.place_map.id)
+
+    def regroup(self) -> None:
+        """Places of the active map are others, or have other names."""
+        place_map = self.maps.require_active().place_map
+        self.locating.regroup(place_map.places, place_map.edges)
+
+    # LinkListener: called on the event loop, returns at once
+
+    def on_connected(self, hello: Hello) -> None:
+        self.recording.on_connected(hello)
+        self.locating.on_connected(hello)
+        self.events.say("link", f"connected to {hello.name}")
+        self.events.changed("robot")
+
+    def on_disconnected(self, reason: str) -> None:
+        self.recording.on_disconnected(reason)
+        self.locating.on_disconnected(reason)
+        self.events.say("link", f"robot lost: {reason}", "warning")
+        self.events.changed("robot")
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
+        self.recording.on_frame(frame, t_station_ns)
+        self.locating.offer(frame)
+
+    def on_imu(self, batch: ImuBatch) -> None:
+        self.recording.on_imu(batch)
+        self.locating.on_imu(batch)
+
+    def on_gap(self, num_samples: int) -> None:
+        self.recording.on_gap(num_samples)
+        self.events.say("link", f"{num_samples} inertial samples were lost", "warning")
+
+    def on_drive_applied(self, applied: DriveApplied) -> None:
+        self.applied = applied
+        self.recording.on_drive_applied(applied)
+        self.locating.on_drive_applied(applied)
+
+    def on_status(self, status: Status) -> None:
+        self.recording.on_status(status)
+        self.events.changed("robot")
+
+    def on_notice(self, notice: ErrorNotice) -> None:
+        self.recording.on_notice(notice)
+        self.events.say("robot", notice.message, "error" if notice.fatal else "warning")
+
+    def _capabilities(self) -> Capabilities | None:
+        state = self.link.state
+        return state.hello.capabilities if state.connected and state.hello is not None else None
+
+    async def _every_second(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            self.recording.refresh()
+            self.locating.refresh()
+            self.events.changed("robot")
