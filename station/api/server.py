@@ -61,8 +61,13 @@ def make_api(station: Station) -> FastAPI:
     problems.install(app)
     check_roles(all_calls(app))
     for prefix, router in ROUTERS:
-        more = [Depends(name_robot)] if prefix == EACH_ROBOT else []
-        app.include_router(router, prefix=prefix, dependencies=[Depends(admit_below(prefix)), *more])
+        names_robot = prefix == EACH_ROBOT
+        app.include_router(
+            router,
+            prefix=prefix,
+            dependencies=[Depends(admit_below(prefix)), *([Depends(name_robot)] if names_robot else [])],
+            responses=problems.responses(404) if names_robot else {},
+        )
     _describe(app, asks_who=not station.access.door.is_open)
     return app
 
