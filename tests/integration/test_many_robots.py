@@ -6,7 +6,7 @@ import asyncio
 import json
 import os
 import signal
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,30 +119,36 @@ async def test_listeners_hear_of_their_robot_and_of_what_all_share(tmp_path: Pat
         websockets.connect(here.desk.socket("/robots/robot-2/ws/events")) as second,
     ):
         drive = await here.post("/robots/robot-2/navigations", name="only the second")
-        await here.post("/robots/robot-2/drive", linear=0.1, angular=0.0, ttl_ms=900)
 
-        async def heard(socket: websockets.ClientConnection) -> list[Any]:
-            """Everything until the drive is over."""
+        async def hear(socket: websockets.ClientConnection, wanted: Callable[[Any], bool]) -> list[Any]:
+            """Everything until what is wanted has come."""
             messages = []
-            while True:
+            while not messages or not wanted(messages[-1]):
                 messages.append(json.loads(await socket.recv()))
-                navigation = messages[-1].get("navigation")
-                if (
-                    isinstance(navigation, dict)
-                    and navigation["id"] == drive["id"]
-                    and navigation["state"] != "recording"
-                ):
-                    return messages
+            return messages
 
-        listening = [asyncio.create_task(heard(socket)) for socket in (first, second)]
-        await until(lambda: here.desk.station.drives.get(drive["id"]).frames >= 5)
+        async def hold_the_wheel() -> None:
+            while True:
+                await here.post("/robots/robot-2/drive", linear=0.1, angular=0.0, ttl_ms=900)
+                await asyncio.sleep(0.2)
+
+        driving = asyncio.create_task(hold_the_wheel())
+        await hear(second, lambda m: m["type"] == "driver" and m["driver"] is not None)
+        await hear(second, lambda m: m["type"] == "pose" and m["slam"]["navigation"] == drive["id"])
+        driving.cancel()
+        await asyncio.gather(driving, return_exceptions=True)
         await here.post(f"/navigations/{drive['id']}/stop")
-        of_first, of_second = await asyncio.gather(*listening)
 
-    assert any(m["type"] == "pose" and m["slam"]["navigation"] == drive["id"] for m in of_second)
-    assert all(m["slam"]["navigation"] is None for m in of_first if m["type"] == "pose")
-    assert {m["driver"] for m in of_first if m["type"] == "driver"} == {None}
-    assert {m["driver"] for m in of_second if m["type"] == "driver"} != {None}
+        def is_over(m: Any) -> bool:
+            return (
+                m["type"] == "navigation"
+                and m["navigation"]["id"] == drive["id"]
+                and m["navigation"]["state"] != "recording"
+            )
+
+        of_first = await hear(first, is_over)  # what all share
+        assert all(m["slam"]["navigation"] is None for m in of_first if m["type"] == "pose")
+        assert all(m["driver"] is None for m in of_first if m["type"] == "driver")
 
 
 async def test_a_killed_slam_worker_comes_back_and_the_other_robot_does_not_notice(tmp_path: Path) -> None:
