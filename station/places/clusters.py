@@ -24,9 +24,7 @@ CELL_SHARE = 1 / 80  # of the viewing distance, about triangulation noise: only 
 THESIS_CELL_SHARE = 1 / 20  # of DBSCAN's eps: moves a point by less than a twentieth of it
 EQUAL_SHARE = 1 / 30  # of the viewing distance: the ball in which points count as one texture
 SMOOTHING_SHARE = 0.08  # of the viewing distance: hills of furniture size (docs/places.md)
-REACH = (
-    2.0  # of the smoothing: steps uphill that cross the gaps between landmarks (docs/results.md: 0.5 to 1.5 times it)
-)
+REACH = 3.0  # of the smoothing: steps that cross the gaps between landmarks; from half of it on, more changes little
 SAMPLE = 16  # points that a kernel needs to tell a hill from chance: sparse clouds are smoothed more
 MIN_PROMINENCE = 0.2  # a hill rises so much of its height above the saddle to its neighbour, or it is a part of it
 MAX_SPAN = 0.4  # of the viewing distance: peaks farther apart are two places, however even the wall between them

@@ -11,6 +11,8 @@ from shared.geometry import FloatArray, IntArray
 from station.places.voxels import Cells
 
 CHUNK = 4096  # cells whose neighbours are held in memory at once
+KERNEL_REACH = 3.0  # bandwidths at which a Gaussian ends
+MIN_SADDLE = 0.5  # of the lower hill's height: across a deeper valley nothing belongs together, however few its points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +45,23 @@ class Density:
 
     value: FloatArray  # (C,) weights per kernel
     sigma: FloatArray  # (C,) its standard deviation, as if each point had come by chance
+    weight: FloatArray  # (C,) of the cells
+    tree: cKDTree  # of the cells
+    bandwidth: float
+
+    def lowest_between(self, a: FloatArray, b: FloatArray) -> float:
+        """The least density along the segment from a to b (3,), both ends left out; inf for a short one.
+
+        Between points nearer than the bandwidth a density smoothed by it has no valley to speak of.
+        """
+        pieces = int(np.ceil(np.linalg.norm(b - a) / self.bandwidth))
+        lowest = float("inf")
+        for k in range(1, pieces):
+            q = a + (b - a) * (k / pieces)
+            near = self.tree.query_ball_point(q, KERNEL_REACH * self.bandwidth)
+            squared = ((self.tree.data[near] - q) ** 2).sum(axis=1)
+            lowest = min(lowest, float(self.weight[near] @ np.exp(-0.5 * squared / self.bandwidth**2)))
+        return lowest
 
 
 def smooth_density(p: FloatArray, weight: FloatArray, bandwidth: float) -> Density:
@@ -54,11 +73,11 @@ def smooth_density(p: FloatArray, weight: FloatArray, bandwidth: float) -> Densi
     value, variance = np.empty(len(p)), np.empty(len(p))
     for start in range(0, len(p), CHUNK):
         rows = p[start : start + CHUNK]
-        distance = cKDTree(rows).sparse_distance_matrix(tree, 3.0 * bandwidth, output_type="coo_matrix")
+        distance = cKDTree(rows).sparse_distance_matrix(tree, KERNEL_REACH * bandwidth, output_type="coo_matrix")
         kernel = np.exp(-0.5 * (distance.data / bandwidth) ** 2) * weight[distance.col]
         value[start : start + CHUNK] = np.bincount(distance.row, kernel, minlength=len(rows))
         variance[start : start + CHUNK] = np.bincount(distance.row, kernel**2, minlength=len(rows))
-    return Density(value, np.sqrt(variance))
+    return Density(value, np.sqrt(variance), weight, tree, bandwidth)
 
 
 def climb(
@@ -72,48 +91,60 @@ def climb(
 ) -> Modes:
     """Hills of the density on the graph of cells closer than `reach`.
 
-    Cells join from the highest down. Where two hills meet, the lower one becomes part of the other when it rises
-    less than `min_prominence` of its own height, or less than `min_significance` of its standard deviations, above
-    the saddle: another drive would not see it. Peaks farther apart than `max_span` stay two hills, so that an evenly
-    covered wall does not become one. Source: Chazal et al., "Persistence-based clustering in Riemannian
-    manifolds" (ToMATo), JACM 60(6), 2013, algorithm 1; the relative threshold, the significance and
-    the span are ours.
+    Cells join from the highest down. Two cells are connected at the lowest density on the way between them, so that
+    a longer reach bridges gaps between landmarks but never a valley: it changes little. Where two hills meet, the
+    lower one becomes part of the other when it rises less than `min_prominence` of its own height, or less than
+    `min_significance` of its standard deviations, above the saddle: another drive would not see it. Peaks farther
+    apart than `max_span` stay two hills, so that an evenly covered wall does not become one. Source: Chazal et al.,
+    "Persistence-based clustering in Riemannian manifolds" (ToMATo), JACM 60(6), 2013, algorithm 1; the valleys, the
+    relative threshold, the significance and the span are ours.
     """
     value = density.value
     rise = np.maximum(min_prominence * value, min_significance * density.sigma)
     order = np.argsort(-value, kind="stable")
     rank = np.empty(len(p), dtype=np.int64)
     rank[order] = np.arange(len(p))
-    tree = cKDTree(p)
-    parent = np.full(len(p), -1, dtype=np.int64)  # union-find; a root is the top of its hill
+    top = np.full(len(p), -1, dtype=np.int64)  # of the hill that a cell joined; that hill may have joined another since
+    parent: dict[int, int] = {}  # union-find over tops
     saddle: dict[int, float] = {}
 
     def root(i: int) -> int:
         while parent[i] != i:
             parent[i] = parent[parent[i]]
-            i = int(parent[i])
+            i = parent[i]
         return i
+
+    def meet(a: int, b: int, level: float) -> None:
+        a, b = root(a), root(b)
+        if a == b:
+            return
+        low, high = (a, b) if rank[a] > rank[b] else (b, a)
+        is_part = value[low] - level < rise[low] and level >= MIN_SADDLE * value[low]
+        if is_part and np.linalg.norm(p[low] - p[high]) <= max_span:
+            parent[low] = high
+            return
+        for peak in (low, high):
+            saddle[peak] = max(saddle.get(peak, 0.0), level)
 
     for start in range(0, len(order), CHUNK):
         chunk = order[start : start + CHUNK]
-        for i, near in zip(chunk.tolist(), tree.query_ball_point(p[chunk], reach), strict=True):
-            higher = [j for j in near if rank[j] < rank[i]]
-            if not higher:
+        for i, near in zip(chunk.tolist(), density.tree.query_ball_point(p[chunk], reach), strict=True):
+            around = np.array(near, dtype=np.int64)
+            higher = around[rank[around] < rank[i]]
+            higher = higher[np.argsort(((p[higher] - p[i]) ** 2).sum(axis=1), kind="stable")]
+            _, first = np.unique(top[higher], return_index=True)
+            level: dict[int, float] = {}  # of every hill in reach: at which density the cell is connected with it
+            for j in higher[np.sort(first)].tolist():  # the nearest cell of each
+                hill = root(int(top[j]))
+                if hill not in level:
+                    level[hill] = min(float(value[i]), density.lowest_between(p[i], p[j]))
+            uphill = next((hill for hill, at in level.items() if at == value[i]), None)  # the nearest without a valley
+            if uphill is None:
                 parent[i] = i
-                continue
-            parent[i] = root(min(higher, key=lambda j: rank[j]))
-            for j in higher:
-                a, b = root(i), root(j)
-                if a == b:
-                    continue
-                low, high = (a, b) if rank[a] > rank[b] else (b, a)
-                near_enough = np.linalg.norm(p[low] - p[high]) <= max_span
-                if value[low] - value[i] < rise[low] and near_enough:
-                    parent[low] = high
-                else:
-                    for top in (low, high):
-                        saddle[top] = max(saddle.get(top, 0.0), float(value[i]))
-    roots = np.array([root(i) for i in range(len(p))], dtype=np.int64)
+            top[i] = i if uphill is None else uphill
+            for hill, at in sorted(level.items(), key=lambda item: -item[1]):
+                meet(int(top[i]), hill, at)
+    roots = np.array([root(i) for i in top.tolist()], dtype=np.int64)
     tops, label = np.unique(roots, return_inverse=True)
     peak = value[tops]
     prominence = 1.0 - np.array([saddle.get(int(t), 0.0) for t in tops]) / peak

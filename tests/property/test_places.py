@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.metrics import adjusted_rand_score
 
 from shared.geometry import FloatArray, se3, so3_exp
 from station.navigation import Keyframes, Navigation
@@ -35,6 +36,26 @@ def test_blobs_far_apart_are_one_place_each(seed: int, count: int) -> None:
     for k in range(count):
         assert set(modes.label[60 * k : 60 * k + 60]).isdisjoint(modes.label[: 60 * k])
     assert ((modes.prominence >= 0) & (modes.prominence <= 1)).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), count=st.integers(2, 6), reach=st.floats(0.5, 4.0))
+def test_no_reach_is_long_enough_to_bridge_a_valley(seed: int, count: int, reach: float) -> None:
+    p = blobs(seed, count)  # 3 m apart
+    density = smooth_density(p, np.ones(len(p)), 0.3)
+    label = climb(p, density, reach=reach, min_prominence=0.2, min_significance=2.0).label
+    for k in range(count):
+        assert set(label[60 * k : 60 * k + 60]).isdisjoint(label[: 60 * k])
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 1000), factor=st.sampled_from([0.5, 1.5]))
+def test_half_and_one_and_a_half_of_the_reach_change_few_labels(seed: int, factor: float) -> None:
+    home = furnished_room(seed, density=200)
+    navigation = navigate(home, drive(home, seed, frames=40), seed=seed, images=False)
+    here = cluster_landmarks(navigation, PlacesConfig()).label
+    there = cluster_landmarks(navigation, PlacesConfig(eps_factor=factor)).label
+    assert adjusted_rand_score(here, there) >= 0.9
 
 
 @settings(max_examples=15, deadline=None)
