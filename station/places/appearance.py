@@ -19,6 +19,7 @@ DESCRIPTORS_PER_WORD = 12
 MAX_WORDS = 1 << 18
 TRAINING_LIMIT = 200_000  # descriptors; a random sample of larger maps
 LLOYD_ROUNDS = 6
+AT_ONCE = 1 << 18  # descriptors held as floats: a large map's would take four times its memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +36,17 @@ class Vocabulary:
 
     def words(self, descriptors: DescriptorArray) -> IntArray:
         """(n,) the word of each descriptor (n, 128)."""
-        x = to_floats(descriptors)
+        out = np.zeros(len(descriptors), dtype=np.int64)
+        for start in range(0, len(descriptors), AT_ONCE):
+            out[start : start + AT_ONCE] = self._words(to_floats(descriptors[start : start + AT_ONCE]))
+        return out
+
+    def _words(self, x: Float32Array) -> IntArray:
         cell = _nearest(x, self.coarse)
+        order = np.argsort(cell, kind="stable")
+        cells, begin = np.unique(cell[order], return_index=True)
         out = np.zeros(len(x), dtype=np.int64)
-        for c in np.unique(cell):
-            mine = cell == c
+        for c, mine in zip(cells.tolist(), np.split(order, begin[1:]), strict=True):
             out[mine] = self.first[c] + _nearest(x[mine], self.fine[self.first[c] : self.first[c + 1]])
         return out
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse, so3_log
-from station.maps.map import PlaceMap
+from station.maps.map import Place, PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
 from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
 from station.places.map_view import MapView
@@ -201,14 +201,13 @@ class CurrentPlaceEstimator:
         """The current place at this time; times before the last event are answered as of that event."""
         self._advance(t_robot_ns)
         belief = self.belief()
-        names = [(p.id, p.name) for view in self._maps for p in view.place_map.places]
-        order = np.argsort(-belief.place, kind="stable")
-        candidates = [PlaceCandidate(names[i][0], names[i][1], float(belief.place[i])) for i in order]
+        order = np.argsort(-belief.place, kind="stable")[:4]
+        candidates = [self._candidate(int(i), float(belief.place[i])) for i in order]
         best = max(self._hypotheses, key=lambda h: h.weight, default=None)
         p_body = None if best is None else best.pose(self._nav_body_at(t_robot_ns))[:3, 3]
         is_known = best is not None and bool(len(order)) and belief.tie[order[0]] >= self.config.known_from
         if is_known and best is not None and p_body is not None:
-            centroid = np.concatenate([v.centroids for v in self._maps])[order[0]]
+            centroid = self._place(int(order[0])).centroid_map
             age_s = max(0.0, (t_robot_ns - best.evidence_t_robot_ns) / 1e9)
             return PlaceAnswer(
                 state="known",
@@ -219,7 +218,7 @@ class CurrentPlaceEstimator:
                 evidence_t_robot_ns=best.evidence_t_robot_ns,
                 evidence_keyframe=best.evidence_keyframe,
                 inliers=best.inliers,
-                alternatives=tuple(candidates[1:4]),
+                alternatives=tuple(candidates[1:]),
                 reason=f"{best.inliers} landmarks of the map were recognised"
                 + (f"; odometry over the {age_s:.0f} s since" if age_s >= 1.0 else ""),
             )
@@ -238,9 +237,21 @@ class CurrentPlaceEstimator:
             evidence_t_robot_ns=best.evidence_t_robot_ns if best else None,
             evidence_keyframe=best.evidence_keyframe if best else None,
             inliers=best.inliers if best else 0,
-            alternatives=tuple(candidates[:4]),
+            alternatives=tuple(candidates),
             reason=self._reason(is_unknown, belief, best),
         )
+
+    def _place(self, number: int) -> Place:
+        """By its number in a `Belief`: over the places of all maps, in order."""
+        for view in self._maps:
+            if number < len(view.place_map.places):
+                return view.place_map.places[number]
+            number -= len(view.place_map.places)
+        raise IndexError(number)
+
+    def _candidate(self, number: int, probability: float) -> PlaceCandidate:
+        place = self._place(number)
+        return PlaceCandidate(place.id, place.name, probability)
 
     def _doubts_only_the_map(self, belief: Belief) -> bool:
         """Were the position surely in the map, so was the place: what is open is where the map ends."""
@@ -269,10 +280,7 @@ class CurrentPlaceEstimator:
             return np.zeros(0), np.zeros(0), 0.0
         spread = self._draws * np.array([1.0, 1.0, 0.2]) * min(sigma_m, 20.0) * view.unit
         p = p_body + spread
-        distance = np.linalg.norm(p[:, None] - view.centroids[None], axis=2)
-        nearest = distance.argmin(axis=1)
-        share = np.bincount(nearest, minlength=len(view.centroids)) / len(p)
-        tied = (distance <= TIE * distance.min(axis=1, keepdims=True)).mean(axis=0)
+        share, tied = view.nearest(p, TIE)
         away = (view.coverage.distance(p) - c.covered_m) / c.covered_softness_m
         covered = float(np.mean(1.0 / (1.0 + np.exp(np.clip(away, -50, 50)))))
         return share, tied, covered

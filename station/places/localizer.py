@@ -69,18 +69,27 @@ class Attempt:
 class Localizer:
     """Answers images from one or several maps. Not thread-safe: one per worker."""
 
-    def __init__(self, maps: PlaceMap | Sequence[PlaceMap], config: LocalizerConfig | None = None) -> None:
-        """Describe and index all keyframes of the maps: some 60 ms per keyframe on one core."""
+    def __init__(
+        self,
+        maps: PlaceMap | Sequence[PlaceMap],
+        config: LocalizerConfig | None = None,
+        described: Sequence[Sequence[KeyframeFeatures]] | None = None,
+    ) -> None:
+        """Describe and index all keyframes of the maps: some 60 ms per keyframe on one core.
+
+        `described`: the features of every map's keyframes, where they are known already.
+        """
         self.maps = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
         self.config = config or LocalizerConfig()
         self._extractor = FeatureExtractor()
         self._keyframes: list[_Keyframe] = []
         for m, place_map in enumerate(self.maps):
             poses = place_map.navigation.keyframes.T_world_cam
-            for k, features in enumerate(describe_keyframes(place_map, self._extractor)):
+            known = described[m] if described is not None else describe_keyframes(place_map, self._extractor)
+            for k, features in enumerate(known):
                 self._keyframes.append(_Keyframe(m, k, features, poses[k]))
         self.index = AppearanceIndex([k.features.all_descriptors for k in self._keyframes])
-        self._seen_by = [_keyframes_of_landmarks(self._keyframes, m) for m in range(len(self.maps))]
+        self._views = [_Views(self._keyframes, m) for m in range(len(self.maps))]
 
     def localize(self, frame: ImageFrame, calibration: Calibration) -> Localization | None:
         """A verified pose, or None. Raises DataError for an undecodable image, ConfigError without a camera."""
@@ -91,7 +100,10 @@ class Localizer:
         camera = calibration.camera
         if camera is None:
             raise ConfigError("calibration has no camera; localisation needs one")
-        features = self._extractor.extract(frame.grey())
+        return self.attempt_features(self._extractor.extract(frame.grey()), frame.t_robot_ns, camera)
+
+    def attempt_features(self, features: Features, t_robot_ns: int, camera: CameraCalibration) -> Attempt:
+        """As `attempt`, from the features of an image."""
         n = len(features)
         if n < self.config.min_inliers:
             return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", features)
@@ -111,7 +123,7 @@ class Localizer:
         best_inliers = poses[0].pose.num_inliers
         objections = [self._objection(pose, features, camera) for pose in poses]
         verified = [pose for pose, objection in zip(poses, objections, strict=True) if objection is None]
-        candidates = tuple(self._answer(pose, frame) for pose in verified)
+        candidates = tuple(self._answer(pose, t_robot_ns) for pose in verified)
         if not candidates:
             return Attempt(None, (), objections[0] or "", n, best_inliers, best_similarity, features)
         rival = self._rival(verified[0], poses)
@@ -224,8 +236,7 @@ class Localizer:
 
     def _support(self, found: _FoundPose, camera: CameraCalibration) -> float:
         """Of the landmarks that the keyframes most like this view saw and that fall into it, the share found."""
-        seen_by = self._seen_by[found.map_index]
-        views = np.unique(np.concatenate([seen_by.get(int(i), np.zeros(0, dtype=np.int64)) for i in found.landmark]))
+        views = np.unique(self._views[found.map_index].of(found.landmark))
         if not len(views):
             return 0.0
         T = found.pose.T_map_cam
@@ -241,14 +252,10 @@ class Localizer:
         in_view = ahead & (np.abs(xy) < 0.95 * half).all(axis=1)
         return len(np.unique(found.landmark)) / max(1, int(np.count_nonzero(in_view)))
 
-    def _answer(self, found: _FoundPose, frame: ImageFrame) -> Localization:
-        votes: dict[int, int] = {}
-        for i in found.landmark:
-            for v in self._seen_by[found.map_index].get(int(i), np.zeros(0, dtype=np.int64)):
-                votes[int(v)] = votes.get(int(v), 0) + 1
-        evidence = max(votes, key=lambda v: (votes[v], -v))
+    def _answer(self, found: _FoundPose, t_robot_ns: int) -> Localization:
+        evidence = int(np.argmax(np.bincount(self._views[found.map_index].of(found.landmark))))
         return Localization(
-            t_robot_ns=frame.t_robot_ns,
+            t_robot_ns=t_robot_ns,
             T_map_cam=found.pose.T_map_cam,
             num_inliers=found.pose.num_inliers,
             inlier_ratio=found.pose.num_inliers / found.num_matches,
@@ -274,18 +281,26 @@ class _FoundPose:
     num_matches: int
 
 
-def _keyframes_of_landmarks(keyframes: list[_Keyframe], map_index: int) -> dict[int, IntArray]:
-    """Landmark → numbers of the indexed keyframes that show it."""
-    ids, views = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    for number, keyframe in enumerate(keyframes):
-        if keyframe.map_index == map_index:
-            mine = np.unique(keyframe.features.landmark)
-            ids.append(mine)
-            views.append(np.full(len(mine), number, dtype=np.int64))
-    landmark, view = np.concatenate(ids), np.concatenate(views)
-    order = np.argsort(landmark, kind="stable")
-    unique, begin = np.unique(landmark[order], return_index=True)
-    return dict(zip(unique.tolist(), np.split(view[order], begin[1:]), strict=True)) if len(unique) else {}
+class _Views:
+    """Which indexed keyframes of one map show a landmark. Sorted arrays: a large map has millions of landmarks."""
+
+    def __init__(self, keyframes: list[_Keyframe], map_index: int) -> None:
+        ids, views = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+        for number, keyframe in enumerate(keyframes):
+            if keyframe.map_index == map_index:
+                mine = np.unique(keyframe.features.landmark)
+                ids.append(mine)
+                views.append(np.full(len(mine), number, dtype=np.int64))
+        landmark, view = np.concatenate(ids), np.concatenate(views)
+        order = np.argsort(landmark, kind="stable")
+        self._landmark, self._view = landmark[order], view[order]
+
+    def of(self, landmark: IntArray) -> IntArray:
+        """Numbers of the keyframes that show each of the landmarks (n,), one after the other."""
+        begin = np.searchsorted(self._landmark, landmark, side="left")
+        length = np.searchsorted(self._landmark, landmark, side="right") - begin
+        at = np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum())
+        return self._view[at]
 
 
 def _match(

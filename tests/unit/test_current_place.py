@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, se3, yaw_rotation
@@ -15,6 +17,7 @@ from station.maps.map import Place, PlaceMap
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.places.answer import Localization
 from station.places.current import CurrentPlaceEstimator
+from station.places.map_view import MapView
 
 R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along body x
 SECOND = 1_000_000_000
@@ -258,6 +261,38 @@ def test_a_map_without_places_never_answers_known() -> None:
     estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
     answer = estimator.answer(0)
     assert answer.state == "unknown" and "no places" in answer.reason
+
+
+def test_a_map_with_one_place_answers_it_within_and_unknown_beyond() -> None:
+    estimator = CurrentPlaceEstimator(make_map(places=1))
+    estimator.on_localization(seen(0.0, pose(0.5, 0.0)))
+    answer = estimator.answer(0)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+    assert answer.alternatives == ()
+    for k in range(1, 8):
+        estimator.on_localization(seen(k, pose(3.0, 5.0)))
+    assert estimator.answer(8 * SECOND).state == "unknown"
+
+
+def test_without_any_map_the_answer_is_unknown() -> None:
+    answer = CurrentPlaceEstimator([]).answer(0)
+    assert answer.state == "unknown" and answer.place is None and answer.reason
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), places=st.integers(1, 40), tie=st.floats(1.0, 2.0))
+def test_shares_of_the_nearest_place_are_those_of_all_distances(seed: int, places: int, tie: float) -> None:
+    rng = np.random.default_rng(seed)
+    view = replace(MapView.of(make_map(places=places)), centroids=rng.uniform(-5, 5, (places, 3)))
+    view = replace(view, tree=cKDTree(view.centroids))
+    p = rng.uniform(-6, 6, (50, 3))
+    distance = np.linalg.norm(p[:, None] - view.centroids[None], axis=2)
+    nearest, tied = view.nearest(p, tie)
+    np.testing.assert_allclose(nearest, np.bincount(distance.argmin(axis=1), minlength=places) / 50)
+    least = distance.min(axis=1, keepdims=True)
+    assert (tied >= nearest).all()
+    assert (tied >= (distance <= (tie - 1e-9) * least).mean(axis=0)).all()
+    assert (tied <= (distance <= (tie + 1e-9) * least).mean(axis=0)).all()
 
 
 def test_without_odometry_certainty_fades() -> None:

@@ -1,0 +1,286 @@
+"""What an answer to "which place is this?" costs as the map grows: 1, 10, 100, 1000 rooms.
+
+    python -m benchmarks.bench_place_scale [--rooms 1 10 100 1000] [--answers 200] [--figure FILE.png] [--out FILE.json]
+
+Stand-in: a few simulated furnished rooms, mapped with the simulator's poses and depths. Every room of the large map is
+one of them, elsewhere, with its descriptors' 16 cells and 8 directions shuffled in a way of its own: statistics of real
+images, and nothing to recognise in another copy. A second drive's images are shuffled likewise. One answer is decoding,
+features, proposal, pose and belief, in one process (BLAS threads as the environment says). Truth judges the answers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import time
+import tracemalloc
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from benchmarks.bench_current_place import START_NS, Robot, map_flat
+from robot.simulation.atlas import default_cache_dir
+from robot.simulation.config import SimulationConfig
+from robot.simulation.recording import simulated_calibration
+from robot.simulation.renderer import Renderer
+from robot.simulation.worlds import make_world
+from shared.calibration import Calibration
+from shared.geometry import FloatArray, IntArray
+from station.frames import ImageFrame
+from station.maps.map import Place, PlaceMap
+from station.navigation import Keyframes, Landmarks
+from station.places.current import CurrentPlaceEstimator
+from station.places.features import DescriptorArray, FeatureExtractor, Features
+from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
+from station.places.localizer import Localizer
+
+BASE_ROOMS = 2
+SPACING_M = 12.0  # between the copies
+KEYFRAMES_PER_ROOM = 16
+VISIT = 5  # images of one room before the robot is put into another one
+TRACED = 5  # answers whose memory is traced: tracing makes them slow
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """One mapped room and the images of a second drive through it."""
+
+    place_map: PlaceMap
+    described: list[KeyframeFeatures]
+    frames: list[ImageFrame]
+    p_true: FloatArray  # (n, 3) of the robot at each of the frames
+
+
+def make_room(seed: int, calibration: Calibration) -> Room:
+    """A simulated room, its map thinned to KEYFRAMES_PER_ROOM, and a second drive."""
+    world = make_world("room", seed)
+    assert calibration.camera is not None
+    renderer = Renderer(world, calibration.camera, default_cache_dir())
+    place_map = map_flat(world, renderer, calibration, seed, unmapped="")
+    described = describe_keyframes(place_map, FeatureExtractor())
+    keyframes = place_map.navigation.keyframes
+    kept = np.unique(np.linspace(0, len(keyframes) - 1, KEYFRAMES_PER_ROOM).round().astype(int))
+    thinned = replace(
+        place_map.navigation,
+        keyframes=Keyframes(
+            np.arange(len(kept)),
+            keyframes.t_robot_ns[kept],
+            keyframes.T_world_cam[kept],
+            (b"",) * len(kept),
+            keyframes.segment[kept],
+        ),
+    )
+    robot = Robot(world, renderer, calibration, "second", seed + 1)
+    frames = [item for item in robot.sense(60.0, 0.5, None) if isinstance(item, ImageFrame)]
+    shift = calibration.camera.time_shift_s
+    poses = [robot.history.pose((f.t_robot_ns - START_NS) / 1e9 + shift) for f in frames]
+    return Room(
+        place_map=replace(place_map, navigation=thinned),
+        # Only features with a position: they are what is matched, and what the index is made from here.
+        described=[replace(described[k], all_descriptors=described[k].descriptors) for k in kept],
+        frames=frames,
+        p_true=np.array([T[:3, 3] for T in poses]),
+    )
+
+
+def shuffled(descriptors: DescriptorArray, copy: int) -> DescriptorArray:
+    """Descriptors (n, 128) as another scene of the same statistics has them; copy 0 is the scene itself."""
+    if copy == 0:
+        return descriptors
+    rng = np.random.default_rng([copy, 11])
+    cells, directions = rng.permutation(16), rng.permutation(8)
+    order = (8 * cells[:, None] + directions[None]).ravel()
+    return np.ascontiguousarray(descriptors[:, order])
+
+
+def offset_of(copy: int) -> FloatArray:
+    """Where a copy stands: a square of rooms, filled diagonal by diagonal."""
+    row = int((np.sqrt(8 * copy + 1) - 1) / 2)
+    column = copy - row * (row + 1) // 2
+    return SPACING_M * np.array([row - column, column, 0.0])
+
+
+def build_copies(rooms: list[Room], count: int) -> tuple[PlaceMap, list[KeyframeFeatures]]:
+    """One map of `count` rooms, and its keyframes' features."""
+    poses, points, places, described = [], [], [], []
+    num_landmarks, num_keyframes = 0, 0
+    for copy in range(count):
+        room = rooms[copy % len(rooms)]
+        navigation, offset = room.place_map.navigation, offset_of(copy)
+        T = navigation.keyframes.T_world_cam.copy()
+        T[:, :3, 3] += offset
+        for features in room.described:
+            mine = shuffled(features.descriptors, copy)
+            described.append(KeyframeFeatures(mine, features.p_map + offset, features.landmark + num_landmarks, mine))
+        places += [_moved(place, copy, offset, num_landmarks, num_keyframes) for place in room.place_map.places]
+        poses.append(T)
+        points.append(navigation.landmarks.p_world + offset)
+        num_landmarks += len(navigation.landmarks)
+        num_keyframes += len(T)
+    base = rooms[0].place_map
+    nothing: IntArray = np.zeros(0, dtype=np.int64)
+    t = np.arange(num_keyframes, dtype=np.int64)
+    navigation = replace(
+        base.navigation,
+        id=f"{count} rooms",
+        keyframes=Keyframes(t, t, np.concatenate(poses), (b"",) * num_keyframes, np.zeros_like(t)),
+        landmarks=Landmarks(
+            np.concatenate(points),
+            np.zeros((num_landmarks, 3), np.uint8),
+            np.zeros((0, 3, 3)),  # not asked for by an answer
+            nothing,
+            nothing,
+            np.zeros((0, 2)),
+        ),
+    )
+    return PlaceMap(f"{count} rooms", "", navigation, tuple(places), (), base.config), described
+
+
+def _moved(place: Place, copy: int, offset: FloatArray, first_landmark: int, first_keyframe: int) -> Place:
+    return replace(
+        place,
+        id=f"{copy}/{place.id}",
+        name=f"{place.name} of room {copy}",
+        centroid_map=place.centroid_map + offset,
+        landmark_index=place.landmark_index + first_landmark,
+        keyframe_index=place.keyframe_index + first_keyframe,
+        representative_keyframe=-1,
+    )
+
+
+def measure(rooms: list[Room], count: int, answers: int, calibration: Calibration) -> dict[str, Any]:
+    """One map size: build the index, then answer images from random rooms of it."""
+    place_map, described = build_copies(rooms, count)
+    start = time.perf_counter()
+    localizer = Localizer(place_map, described=[described])
+    build_s = time.perf_counter() - start
+    estimator = CurrentPlaceEstimator(place_map, calibration)
+    centroids = np.array([place.centroid_map for place in place_map.places])
+    rng = np.random.default_rng(count)
+    asked = Asked(localizer, estimator, calibration, FeatureExtractor())
+    wall, cpu, index_ms, states = [], [], [], []
+    t_ns = START_NS
+    for _ in range(max(1, answers // VISIT)):
+        copy = int(rng.integers(count))
+        room = rooms[copy % len(rooms)]
+        first = int(rng.integers(max(1, len(room.frames) - VISIT)))
+        estimator.on_hijack(t_ns, "put into another room")
+        for k in range(first, min(first + VISIT, len(room.frames))):
+            t_ns += 500_000_000
+            begin, begin_cpu = time.perf_counter(), time.process_time()
+            features, answer = asked.answer(room.frames[k], copy, t_ns)
+            wall.append(time.perf_counter() - begin)
+            cpu.append(time.process_time() - begin_cpu)
+            begin = time.perf_counter()
+            localizer.index.query(features.descriptors, localizer.config.num_proposals)
+            index_ms.append(1e3 * (time.perf_counter() - begin))
+            distance = np.linalg.norm(centroids - (room.p_true[k] + offset_of(copy)), axis=1)
+            right = {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
+            states.append((answer.state, answer.place is not None and answer.place.id in right))
+    tracemalloc.start()
+    for k in range(TRACED):
+        t_ns += 500_000_000
+        asked.answer(rooms[0].frames[k], 0, t_ns)
+    answer_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    known = [right for state, right in states if state == "known"]
+    return {
+        "rooms": count,
+        "keyframes": len(described),
+        "descriptors": sum(len(d.descriptors) for d in described),
+        "places": len(place_map.places),
+        "words": localizer.index.num_words,
+        "build_s": build_s,
+        "index_mb": localizer.index.num_bytes / 1e6,
+        "features_mb": sum(d.descriptors.nbytes + d.p_map.nbytes + d.landmark.nbytes for d in described) / 1e6,
+        "answer_peak_mb": answer_bytes / 1e6,
+        "answers": len(wall),
+        "wall_ms_median": 1e3 * float(np.median(wall)),
+        "wall_ms_p95": 1e3 * float(np.percentile(wall, 95)),
+        "cpu_ms_median": 1e3 * float(np.median(cpu)),
+        "cpu_ms_p95": 1e3 * float(np.percentile(cpu, 95)),
+        "index_ms_median": float(np.median(index_ms)),
+        "known": len(known),
+        "known_right": int(np.sum(known)),
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """Everything that answers."""
+
+    localizer: Localizer
+    estimator: CurrentPlaceEstimator
+    calibration: Calibration
+    extractor: FeatureExtractor
+
+    def answer(self, frame: ImageFrame, copy: int, t_ns: int) -> tuple[Features, Any]:
+        """The answer to one image taken in a copy of its room; features as that copy shows them."""
+        assert self.calibration.camera is not None
+        seen = self.extractor.extract(frame.grey())
+        features = Features(seen.uv_px, shuffled(seen.descriptors, copy))
+        attempt = self.localizer.attempt_features(features, t_ns, self.calibration.camera)
+        if attempt.candidates:
+            self.estimator.on_candidates(attempt.candidates, t_ns)
+        else:
+            self.estimator.on_failure(t_ns, attempt.num_features)
+        return features, self.estimator.answer(t_ns)
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Time and memory against rooms, with what linear growth would be."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    import matplotlib.pyplot as plt
+
+    rooms = np.array([row["rooms"] for row in rows], dtype=float)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    for key, label in (
+        ("cpu_ms_median", "CPU, median"),
+        ("cpu_ms_p95", "CPU, 95 %"),
+        ("index_ms_median", "index only"),
+    ):
+        left.loglog(rooms, [row[key] for row in rows], "o-", label=label)
+    left.loglog(rooms, rows[0]["cpu_ms_median"] * rooms, ":", color="grey", label="linear")
+    left.axhline(200, color="red", linewidth=0.8, label="bound")
+    left.set(xlabel="rooms in the map", ylabel="ms per answer", ylim=(1, 2000))
+    left.legend(fontsize=8)
+    for key, label in (("features_mb", "keyframes' features"), ("index_mb", "index"), ("answer_peak_mb", "one answer")):
+        right.loglog(rooms, [row[key] for row in rows], "o-", label=label)
+    right.set(xlabel="rooms in the map", ylabel="MB")
+    right.legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", nargs="*", type=int, default=[1, 10, 100, 1000])
+    parser.add_argument("--answers", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0, help="of the first simulated room")
+    parser.add_argument("--figure", type=Path, default=None)
+    parser.add_argument("--out", type=Path, default=None)
+    a = parser.parse_args()
+    cv2.setNumThreads(1)
+    calibration = simulated_calibration(SimulationConfig())
+    rooms = [make_room(a.seed + k, calibration) for k in range(BASE_ROOMS)]
+    rows = []
+    for count in a.rooms:
+        rows.append(measure(rooms, count, a.answers, calibration))
+        print(json.dumps(rows[-1]), flush=True)
+        gc.collect()
+    if a.figure:
+        draw(rows, a.figure)
+    if a.out:
+        a.out.parent.mkdir(parents=True, exist_ok=True)
+        a.out.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
