@@ -89,6 +89,15 @@ def test_a_hopeless_navigation_is_answered_without_matches(
     assert ("judge by eye" in "; ".join(result.registration.reasons)) == judged_by_eye
 
 
+def test_a_navigation_in_other_units_than_it_says_is_named_as_such(
+    first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray]
+) -> None:
+    millimetres = with_points(second[0], 1000 * second[0].landmarks.p_world)
+    result = match_navigation(first[0], millimetres)
+    assert result.matches == () and not result.registration.accepted
+    assert "units" in result.registration.reasons[0]
+
+
 def test_a_map_without_and_with_one_place(
     first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray]
 ) -> None:
