@@ -62,7 +62,9 @@ class UkfConfig:
     # auto: views for a robot with wheels, which comes back to where it was; tracks else, or where pycolmap is missing.
     map: Literal["auto", "tracks", "views"] = "auto"
     views: ViewConfig = field(default_factory=ViewConfig)
-    refine: bool = True  # visual-inertial least squares over the keyframes when the drive ends
+    # Visual-inertial least squares over the keyframes when the drive ends. Not on wheels, where the filter knows more:
+    # simulated drives 101, 103 and 106 had 0.04 m of ATE before and 0.08, 0.12 and 0.22 m after it.
+    refine: bool = True
     max_keyframes: int = 500
     max_outage_s: float = 0.6  # without features for longer, tracking is lost
     max_outage_wheels_s: float = 8.0  # the same before a blank wall, for a robot whose wheels bound the IMU's errors
@@ -82,4 +84,5 @@ class UkfConfig:
         """The settings for this kind of robot (calibration's robot_kind)."""
         if kind != "sentinel":
             return self
-        return replace(self, filter=replace(self.filter, sigma_px=max(self.filter.sigma_px, self.sigma_px_wheels)))
+        calmer = replace(self.filter, sigma_px=max(self.filter.sigma_px, self.sigma_px_wheels))
+        return replace(self, filter=calmer, refine=False)
