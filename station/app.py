@@ -148,7 +148,9 @@ class Station:
         title = f"map of {', '.join(drive.name for drive in drives)}"
 
         async def work(worker: Worker) -> dict[str, Any]:
-            built = await worker.call("build_map", folders, self.maps.address, name or title, mode)
+            built = await worker.call(
+                "build_map", folders, self.maps.address, name or title, mode, self.config.executor
+            )
             self.maps.changed()
             if activate:
                 await self.use_map(built.map_id)
@@ -194,7 +196,7 @@ class Station:
 
         async def work(worker: Worker) -> dict[str, Any]:
             try:
-                arguments = (recording, chosen, self.config.slam.seed, drive_id, folder)
+                arguments = (recording, chosen, self.config.slam.seed, drive_id, folder, self.config.executor)
                 report = await worker.call("reprocess", *arguments)
                 await self._robot_of(self.drives.reprocessed(drive_id, report)).recording.show(drive_id)
             finally:

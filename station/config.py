@@ -14,6 +14,7 @@ import msgspec
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS
+from station.executors.opening import check_executor
 
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes
@@ -114,6 +115,7 @@ class StationConfig:
 
     data_dir: Path = DEFAULT_DATA_DIR
     name: str = "station"
+    executor: str = ""  # where jobs compute: dask://HOST:PORT of a scheduler; without it in a process here each
     robot: RobotConfig = field(default_factory=RobotConfig)
     robots: tuple[RobotConfig, ...] = ()  # several, instead of `robot`: [[robots]] in the file
     api: ApiConfig = field(default_factory=ApiConfig)
@@ -131,6 +133,7 @@ class StationConfig:
             if not least <= port <= 65535:
                 raise ConfigError(f"{key} = {port} is outside {least}..65535")
         _check_fleet(self.fleet)
+        check_executor(self.executor)
 
     @property
     def fleet(self) -> tuple[RobotConfig, ...]:

@@ -9,8 +9,11 @@ from typing import Any
 
 from shared.errors import DataError
 from station.datasets import open_dataset
+from station.executors.opening import open_executor
+from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
-from station.navigation import NavigationReport
+from station.navigation import Navigation, NavigationReport
 from station.navigation_files import load_navigation, save_navigation
 from station.places.build import build_map, carry_names
 from station.places.config import PlacesConfig, PlacesMode
@@ -36,23 +39,31 @@ class JobServant:
     def __init__(self, emit: Callable[[tuple[float, str]], None]) -> None:
         self._emit = emit
 
-    def build_map(self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None) -> BuiltMap:
+    def build_map(
+        self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
+    ) -> BuiltMap:
         """Navigation folders -> a map in the store. Places of an earlier map of the first drive keep their names."""
         self._emit((0.05, "reading the navigation"))
         navigations = [load_navigation(folder) for folder in folders]
         config = PlacesConfig() if mode is None else PlacesConfig(mode=mode)
         if len(navigations) > 1:
             self._emit((0.1, f"registering {len(navigations) - 1} drives to {navigations[0].id}"))
-        navigation = merge_navigations(navigations, config)
-        self._emit((0.5, f"grouping {len(navigation.landmarks)} landmarks into places"))
-        place_map = build_map(navigation, config=config, name=name)
+        place_map = self._map_of(navigations, config, name, executor)
         store = MapStore(address)
         earlier = store.newest_of_drive(navigations[0].id)
         if earlier is not None:
             place_map = carry_names(earlier, place_map)
         self._emit((0.8, f"saving {len(place_map.places)} places"))
-        store.save(place_map, f"built from {navigation.id}"[:200])
+        store.save(place_map, f"built from {place_map.navigation.id}"[:200])
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
+
+    def _map_of(self, navigations: list[Navigation], config: PlacesConfig, name: str, executor: str) -> PlaceMap:
+        if executor:
+            with open_executor(executor) as machines:
+                return machines.map(make_map, [MapOfNavigations(tuple(navigations), config, name)])[0]
+        navigation = merge_navigations(navigations, config)
+        self._emit((0.5, f"grouping {len(navigation.landmarks)} landmarks into places"))
+        return build_map(navigation, config=config, name=name)
 
     def compare(self, first: Path, second: Path, out: Path, title: str, setting: str) -> dict[str, Any]:
         """Two navigation folders -> the experiment's report in `out`, which says `setting`; returns results.json."""
@@ -73,8 +84,17 @@ class JobServant:
         write_experiment(done, out)
         return results_dict(done)
 
-    def reprocess(self, recording: Path, backend: str, seed: int, drive_id: str, folder: Path) -> NavigationReport:
+    def reprocess(
+        self, recording: Path, backend: str, seed: int, drive_id: str, folder: Path, executor: str = ""
+    ) -> NavigationReport:
         """A recording -> its navigation folder, by running SLAM over it again."""
+        if executor:
+            self._emit((0.02, f"SLAM runs at {executor}"))
+            with open_executor(executor) as machines:
+                piece = Reconstruction(Recorded(recording), backend, seed, drive_id)
+                [navigation] = reconstruct_all(machines, [piece])
+            save_navigation(navigation, folder)
+            return navigation.report
         self._emit((0.02, "reading the recording"))
         data = open_dataset(recording)
         if not data.has_images:

@@ -1,7 +1,7 @@
 """What workers need and takes seconds to import: loaded once, by the server process that all workers are forked from.
 
 Importing is all that may happen here. A library that started threads now would leave its locks to children without
-them (tests/integration/test_workers.py looks).
+them (tests/unit/test_preloaded.py looks).
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ import importlib
 
 SERVANTS = ("station.slam_servant", "station.place_servant", "station.job_servant")
 BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
+PROGRAM = "station.main"  # multiprocessing imports the program's main module in every child
 
-for _name in (*SERVANTS, *BACKENDS):
+for _name in (*SERVANTS, *BACKENDS, PROGRAM):
     with contextlib.suppress(ImportError):  # who needs it says what is missing
         importlib.import_module(_name)
 gc.collect()

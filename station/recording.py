@@ -140,7 +140,7 @@ class Recording:
         if recorder is not None:
             recorder.on_connected(hello)
         slam = SlamProcess(
-            f"SLAM {drive_id}",
+            f"SLAM {self._robot or drive_id}",
             self._config,
             hello.calibration,
             self._events,

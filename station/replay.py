@@ -75,7 +75,7 @@ def replay(
         EstimationError: nothing could be reconstructed; says why.
         DataError: the recording has no images, or one that cannot be read.
     """
-    with _repeatable(options.threads):
+    with repeatable(options.threads):
         navigation, updates = follow(data, options, pace)
         place_map = build_map(navigation)
         answers, hijacks = locate(data, known_map or place_map, updates, options, pace)
@@ -165,7 +165,7 @@ def _begin(event: ImuBatch | DriveSample | ImageFrame) -> int:
 
 
 @contextlib.contextmanager
-def _repeatable(threads: int) -> Iterator[None]:
+def repeatable(threads: int) -> Iterator[None]:
     before = cv2.getNumThreads()
     cv2.setNumThreads(threads)
     try:

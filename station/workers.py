@@ -7,6 +7,7 @@ exception in the servant is raised at the caller. A process that dies fails what
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import importlib
 import logging
 import math
@@ -20,6 +21,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 from shared.errors import RobotSystemError
@@ -226,7 +228,7 @@ class Worker:
     def _spawn(self) -> None:
         ours, theirs = _CONTEXT.Pipe()
         self._process = _CONTEXT.Process(
-            target=_serve, args=(theirs, self._servant, self._arguments), name=self.name, daemon=True
+            target=_serve, args=(theirs, self.name, self._servant, self._arguments), name=self.name, daemon=True
         )
         self._process.start()
         theirs.close()  # so that reading ends when the process does
@@ -306,12 +308,14 @@ def _nothing_to_do() -> bool:
     return False
 
 
-def _serve(connection: Connection, servant_path: str, arguments: tuple[Any, ...]) -> None:
+def _serve(connection: Connection, name: str, servant_path: str, arguments: tuple[Any, ...]) -> None:
     """The worker process: requests in, answers and events out, until the pipe closes.
 
     A servant may have `catch_up`: a piece of work that can wait until there are no requests; False when there is none.
     """
     os.nice(NICE)
+    with contextlib.suppress(OSError):  # `top` shows which robot's worker it is; only Linux has this file
+        Path("/proc/self/comm").write_text(name[:15])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     servant = resolve(servant_path)(lambda event: connection.send((None, True, event)), *arguments)

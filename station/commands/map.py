@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -13,13 +14,16 @@ from station.commands import map_store
 from station.commands.experiment import places_config
 from station.commands.outputs import check_out_folder
 from station.commands.progress import working
+from station.executors.opening import check_executor, open_executor
+from station.executors.port import Executor
+from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 from station.maps.folder import load_map_folder, save_map_folder
 from station.maps.map import PlaceMap
 from station.navigation import Navigation
 from station.navigation_files import load_navigation
-from station.places.build import build_map, carry_names
+from station.places.build import carry_names
 from station.places.graph import shortest_route, to_graphml, to_json_dict
-from station.places.merge import merge_navigations
+from station.slam.backends import check_backend
 
 
 def register(app: typer.Typer) -> None:
@@ -32,31 +36,39 @@ def register(app: typer.Typer) -> None:
 
 
 def build(
-    navigations: Annotated[list[Path], typer.Argument(help="Folders written by `station slam`, the main one first.")],
+    navigations: Annotated[
+        list[Path], typer.Argument(help="Folders written by `station slam`, or recordings; the main one first.")
+    ],
     out: Annotated[Path, typer.Option("--out", help="Folder for the map.")],
     name: Annotated[str, typer.Option(help="Name of the map.")] = "",
     mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
     eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
     min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
     names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first drive: keeps its names.")] = None,
+    executor: Annotated[
+        str, typer.Option(help="processes (of this machine) or dask://HOST:PORT of a Dask scheduler.")
+    ] = "processes",
+    backend: Annotated[str, typer.Option(help="SLAM over recordings: auto, ukf, sfm.")] = "sfm",
+    seed: Annotated[int, typer.Option(help="Seed of SLAM over recordings.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
 ) -> None:
     """Cluster landmarks into named places and write the map, with its graph as GraphML beside it.
 
-    Further navigations are registered to the first one and extend it.
+    Further navigations are registered to the first one and extend it. SLAM runs over recordings first, side by side.
     """
+    check_executor(executor)
+    check_backend(backend)
     check_out_folder(out)
     if out.is_dir() and any(out.iterdir()) and not (out / "map.json").is_file():
         raise DataError(f"{out} exists and is no map; give a new folder")
     config = places_config(mode, eps, min_pts, 0.75)
     old = None if names_from is None else load_map_folder(names_from)
-    loaded = [load_navigation(path) for path in navigations]
-    if old is not None:
-        check_names_source(old, loaded, names_from)
-    with working("joining navigations" if len(loaded) > 1 else "clustering landmarks") as say:
-        navigation = merge_navigations(loaded, config)
-        say("clustering landmarks")
-        place_map = build_map(navigation, config=config, name=name)
+    with working("reading the drives") as say, open_executor(executor) as machines:
+        loaded = _navigations(navigations, machines, backend, seed, say)
+        if old is not None:
+            check_names_source(old, loaded, names_from)
+        say("joining navigations" if len(loaded) > 1 else "clustering landmarks")
+        place_map = machines.map(make_map, [MapOfNavigations(tuple(loaded), config, name)])[0]
     if old is not None:
         place_map = carry_names(old, place_map)
     save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
@@ -66,6 +78,21 @@ def build(
     for place in place_map.places:
         print(f"{place.name}: {len(place.landmark_index)} landmarks, quality {place.quality:.2f}")
     print(f"{len(place_map.places)} places, {len(place_map.edges)} edges, written to {out}")
+
+
+def _navigations(
+    paths: list[Path], machines: Executor, backend: str, seed: int, say: Callable[[str], None]
+) -> list[Navigation]:
+    """What is done already is read; SLAM runs over the rest."""
+    recorded = [path for path in paths if not (path / "navigation.json").is_file()]
+    say(f"SLAM over {len(recorded)} recordings" if recorded else "reading navigations")
+    made = reconstruct_all(
+        machines,
+        [Reconstruction(Recorded(path), backend, seed) for path in recorded],
+        lambda count: say(f"SLAM is done for {count} of {len(recorded)} recordings"),
+    )
+    by_path = dict(zip(recorded, made, strict=True))
+    return [by_path.get(path) or load_navigation(path) for path in paths]
 
 
 def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from: Path | None) -> None:

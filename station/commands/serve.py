@@ -34,6 +34,7 @@ def serve(
     data: Annotated[Path | None, typer.Option(help="Folder for navigations and maps.")] = None,
     backend: Annotated[str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
+    executor: Annotated[str | None, typer.Option(help="Where jobs compute: dask://HOST:PORT of a scheduler.")] = None,
     insecure: Annotated[
         bool, typer.Option("--insecure", help="No access control: whoever reaches the port can watch and drive.")
     ] = False,
@@ -46,7 +47,7 @@ def serve(
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="station: %(levelname)s: %(message)s"
     )
-    settings = _settings(load_config(config), robot, host, port, data, backend, insecure)
+    settings = _settings(load_config(config), robot, host, port, data, backend, insecure, executor)
     listener = bind(settings.api.host, settings.api.port)
     with listener:
         name, number = listener.getsockname()[:2]
@@ -76,6 +77,7 @@ def _settings(
     data: Path | None,
     backend: str | None,
     insecure: bool,
+    executor: str | None = None,
 ) -> StationConfig:
     """The file's settings with the options over them."""
     api = dataclasses.replace(
@@ -86,7 +88,15 @@ def _settings(
     check_backend(slam.backend)
     access = dataclasses.replace(settings.access, insecure=insecure or settings.access.insecure)
     folder = data or settings.data_dir
-    return dataclasses.replace(settings, api=api, robots=robots, slam=slam, data_dir=folder, access=access)
+    return dataclasses.replace(
+        settings,
+        api=api,
+        executor=settings.executor if executor is None else executor,
+        robots=robots,
+        slam=slam,
+        data_dir=folder,
+        access=access,
+    )
 
 
 def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:

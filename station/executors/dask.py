@@ -1,0 +1,88 @@
+"""Heavy work on a Dask cluster, given by the address of its scheduler (docs/scale.md)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import TypeVar
+
+from distributed import Client, as_completed
+from distributed.scheduler import KilledWorker
+
+from shared.errors import ConfigError
+from station.executors.port import Closing, ExecutorFailed
+
+P = TypeVar("P")
+R = TypeVar("R")
+CONNECT_WITHIN_S = 10
+# Whose version may change a result's last bits.
+DECIDING = ("sentinel-robot", "numpy", "scipy", "opencv-python-headless", "pycolmap", "scikit-learn", "small-gicp")
+
+
+class DaskExecutor(Closing):
+    """A client of a cluster. The scheduler gives a dead worker's pieces to another one."""
+
+    shares_disk = False
+
+    def __init__(self, address: str) -> None:
+        """`address` of the scheduler, such as tcp://10.0.0.5:8786.
+
+        Raises ConfigError: nobody answers there, or a worker has other versions than this machine.
+        """
+        try:
+            self.client = Client(address, timeout=CONNECT_WITHIN_S, set_as_default=False)
+        except (OSError, ValueError) as exc:
+            raise ConfigError(f"no Dask scheduler answers at {address} ({exc}); start `dask scheduler` there") from exc
+        try:
+            _refuse_others(self.client.run(versions))
+        except BaseException:
+            self.client.close()
+            raise
+
+    def map(
+        self, function: Callable[[P], R], pieces: Sequence[P], done: Callable[[int], None] = lambda _: None
+    ) -> list[R]:
+        with warnings.catch_warnings():
+            # A recording travels inside its piece, so that the scheduler can give it to another worker.
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            # Not pure: Dask would take equal pieces for one.
+            futures = [self.client.submit(function, piece, pure=False, retries=0) for piece in pieces]
+        try:
+            for number, _ in enumerate(as_completed(futures, loop=self.client.loop), start=1):
+                done(number)
+            return [future.result() for future in futures]
+        except KilledWorker as exc:
+            raise ExecutorFailed(
+                f"a piece of {function.__name__} was not done: {exc.allowed_failures + 1} workers died of it;"
+                " is there enough memory?"
+            ) from exc
+        finally:
+            self.client.cancel(futures)
+
+    def close(self) -> None:
+        self.client.close()
+
+
+def versions() -> dict[str, str]:
+    """What is installed here of that which decides results."""
+    found = {}
+    for name in DECIDING:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "missing"
+    return found
+
+
+def _refuse_others(by_worker: dict[str, dict[str, str]]) -> None:
+    ours = versions()
+    if not by_worker:
+        raise ConfigError("the Dask cluster has no workers; start `dask worker ADDRESS` with Sentinel installed")
+    for worker, theirs in by_worker.items():
+        for name in DECIDING:
+            if theirs[name] != ours[name]:
+                raise ConfigError(
+                    f"the Dask worker {worker} has {name} {theirs[name]}, this machine {ours[name]}; install the same,"
+                    " or results would differ"
+                )
