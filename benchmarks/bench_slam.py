@@ -68,9 +68,7 @@ def run_dataset(path: Path, label: str, config: UkfConfig, start: str, seed: int
         "frames": len(data.frame_times_ns),
     }
     camera = data.calibration.camera
-    shift_ns = (
-        0 if camera is None else round(1e9 * (camera.time_shift_s + 0.5 * (camera.height - 1) * camera.line_delay_s))
-    )
+    shift_ns = 0 if camera is None else round(1e9 * camera.middle_row_shift_s)
     live_t, live_T, frame_s = [], [], []
     cpu_begin = time.process_time()
     try:

@@ -52,6 +52,11 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
             raise ConfigError(f"distortion has {len(self.distortion)} numbers, needs 4")
 
     @property
+    def middle_row_shift_s(self) -> float:
+        """From an image's stamp to the exposure of its middle row, in the IMU's clock."""
+        return self.time_shift_s + 0.5 * (self.height - 1) * self.line_delay_s
+
+    @property
     def K(self) -> FloatArray:
         """Intrinsics (3, 3) px. Thesis eq. 3.1 with zero skew."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])

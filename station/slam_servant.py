@@ -39,7 +39,7 @@ class SlamServant:
             self._backend = resolve(backend)(calibration)
         else:
             self._backend = make_backend(backend, calibration, seed, threads, intrinsics_known)
-        shift_s = camera.time_shift_s if camera else 0.0
+        shift_s = camera.middle_row_shift_s if camera else 0.0
         self._sequencer = Sequencer(shift_s, has_imu=calibration.imu is not None)
         self._started_s = time.monotonic()
 

@@ -53,6 +53,18 @@ class StraightSlam:
         return replace(navigation, report=replace(navigation.report, frames=len(self.frames)))
 
 
+class WitnessSlam(StraightSlam):
+    """Says of every frame when the last inertial sample before it was taken."""
+
+    last_imu_ns = 0
+
+    def add_imu(self, imu: ImuBatch) -> None:
+        self.last_imu_ns = int(imu.t_robot_ns[-1])
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        return replace(super().add_frame(frame), message=str(self.last_imu_ns))
+
+
 class FailingSlam(StraightSlam):
     """Ends its process when it is to finish."""
 

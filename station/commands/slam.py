@@ -87,7 +87,7 @@ def given_state(data: Dataset) -> GivenState:
         raise DataError(f"{data.path} has no true velocity and biases; leave --initial-state at own")
     camera = data.calibration.camera
     # The filter's state is of the frame's middle row, by the IMU's clock.
-    late_s = 0.0 if camera is None else camera.time_shift_s + 0.5 * (camera.height - 1) * camera.line_delay_s
+    late_s = 0.0 if camera is None else camera.middle_row_shift_s
     i = int(np.argmin(np.abs(truth.t_robot_ns - (data.frame_times_ns[0] + round(1e9 * late_s)))))
     T = truth.T_world_body[i]
     return GivenState(

@@ -65,9 +65,7 @@ class UkfBackend:
         self._seed = seed
         self._given = initial_state
         self._camera = CameraModel.of(calibration.camera, self._config.filter.sigma_px)
-        self._shift_ns = round(
-            (calibration.camera.time_shift_s + self._camera.middle_row * self._camera.line_delay_s) * 1e9
-        )
+        self._shift_ns = round(calibration.camera.middle_row_shift_s * 1e9)
         self._imu = ImuBuffer(calibration.imu)
         self._tracker = Tracker(self._camera.lens, self._config.tracker, seed)
         self._intake = FrameIntake(calibration.camera)
