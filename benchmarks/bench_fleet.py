@@ -46,7 +46,7 @@ class Result:
     back_after_s: list[float] = field(default_factory=list)
     imu: int = 0
     imu_lost: int = 0
-    imu_lost_to_workers: int = 0  # robots whose log says that a worker lost some
+    imu_lost_to_workers: list[str] = field(default_factory=list)  # what logs say of it
     frames: int = 0
     frames_skipped_by_link: int = 0
     frames_skipped_by_slam: int = 0
@@ -180,7 +180,7 @@ def count(fleet: Fleet, result: Result, hurt: set[str]) -> None:
         result.imu_lost += losses["imu_lost"] + losses["imu_lost_in_sensor"]
         result.frames_skipped_by_link += losses["frames_skipped"]
         log = fleet.get(f"{entry['path']}/log")
-        result.imu_lost_to_workers += any("inertial samples" in line["text"] for line in log)
+        result.imu_lost_to_workers += [line["text"] for line in log if "inertial samples" in line["text"]]
         if entry["name"] not in hurt:
             result.errors_of_others += [line["text"] for line in log if line["level"] == "error"]
     for drive in fleet.get("/navigations"):

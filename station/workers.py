@@ -36,7 +36,7 @@ END = "<end>"  # the request that ends a worker
 # memory for them. So workers are forked from a server process that has done the imports and nothing else.
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["station.preloaded"])
-NICE = 5  # the event loop comes first: it gets three times the share of any worker
+NICE = 10  # the event loop comes first: it gets nine times the share of any worker, and there may be twenty busy ones
 
 
 class WorkerDied(RobotSystemError):

@@ -14,7 +14,7 @@ from station.executors.port import MAX_TRIES, Closing, ExecutorFailed
 
 P = TypeVar("P")
 R = TypeVar("R")
-NICE = 10
+NICE = 15  # below the workers of robots
 
 
 class ProcessExecutor(Closing):
