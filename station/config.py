@@ -71,9 +71,9 @@ class SlamConfig:
     frame_backlog: int = 900  # frames that wait for a busy worker (60 MB); then the oldest is skipped, and counted
     live_frame_backlog: int = 20  # the same for backends that answer with a pose: that pose should be of now
     # A busy worker skips pictures that waited longer, at any frame rate: long before inertial samples would be lost.
-    frame_wait_s: float = 60.0
+    frame_wait_s: float = 30.0
     live_frame_wait_s: float = 5.0
-    imu_backlog: int = 6000  # batches; beyond, the oldest is lost, counted and announced
+    imu_backlog: int = 30_000  # batches, two minutes if each is one sample; then the oldest is lost and announced
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ KEPT_VISITS = 200
 RESTART_S = 1.0
 OLD_AFTER_S = 15.0  # an answer about a picture of so long ago says nothing of now; a busy machine needs seconds for one
 OLD_AFTER_PICTURES = 3  # or about one so many pictures ago, where few are asked for
-LIMITS = {"odometry": 300, "imu": 6000, "drive": 2400}  # what waits for a busy worker: IMU and drive for two minutes
+LIMITS = {"odometry": 300, "imu": 30_000, "drive": 2400}  # what waits for a busy worker: IMU and drive for two minutes
 
 
 @dataclass(frozen=True, slots=True)

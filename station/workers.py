@@ -128,17 +128,20 @@ class Worker:
         *,
         limits: Mapping[str, int] | None = None,
         max_age_s: Mapping[str, float] | None = None,
+        head_start_s: float = 0.0,
         on_event: Callable[[Any], None] | None = None,
         on_death: Callable[[str], None] | None = None,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
         """`servant` is "package.module:Class"; its first argument is a function that sends an event here.
 
+        For `head_start_s` it runs as important as the station itself, so that a dead worker is soon replaced.
         `on_failure` is told in a sentence what a posted request raised: nobody waits for an answer to it.
         """
         self.name = name
         self._servant = servant
         self._arguments = arguments
+        self._head_start_s = head_start_s
         self._outbox = Outbox(limits or {}, max_age_s)
         self._on_event = on_event
         self._on_death = on_death
@@ -228,7 +231,10 @@ class Worker:
     def _spawn(self) -> None:
         ours, theirs = _CONTEXT.Pipe()
         self._process = _CONTEXT.Process(
-            target=_serve, args=(theirs, self.name, self._servant, self._arguments), name=self.name, daemon=True
+            target=_serve,
+            args=(theirs, self.name, self._head_start_s, self._servant, self._arguments),
+            name=self.name,
+            daemon=True,
         )
         self._process.start()
         theirs.close()  # so that reading ends when the process does
@@ -308,12 +314,15 @@ def _nothing_to_do() -> bool:
     return False
 
 
-def _serve(connection: Connection, name: str, servant_path: str, arguments: tuple[Any, ...]) -> None:
+def _serve(
+    connection: Connection, name: str, head_start_s: float, servant_path: str, arguments: tuple[Any, ...]
+) -> None:
     """The worker process: requests in, answers and events out, until the pipe closes.
 
     A servant may have `catch_up`: a piece of work that can wait until there are no requests; False when there is none.
     """
-    os.nice(NICE)
+    nice_from_s = time.monotonic() + head_start_s
+    is_nice = False
     with contextlib.suppress(OSError):  # `top` shows which robot's worker it is; only Linux has this file
         Path("/proc/self/comm").write_text(name[:15])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
@@ -335,6 +344,9 @@ def _serve(connection: Connection, name: str, servant_path: str, arguments: tupl
             return
         if method == END:
             return
+        if not is_nice and time.monotonic() >= nice_from_s:
+            os.nice(NICE)
+            is_nice = True
         try:
             answer = (call, True, getattr(servant, method)(*values))
         except RobotSystemError as exc:
