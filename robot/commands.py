@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
+from typing import Literal
+
+import msgspec
 
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
@@ -13,6 +16,7 @@ from shared.errors import HardwareError
 from shared.messages import Capabilities, Drive, ErrorNotice, Heartbeat, Hijack, PanTilt, StationMessage, Stop
 
 logger = logging.getLogger(__name__)
+About = Literal["hijack"] | msgspec.UnsetType  # which question a notice answers
 
 
 @dataclass
@@ -115,25 +119,29 @@ class CommandDesk:
 
     def _hijack(self, client: int, message: Hijack, now_ns: int) -> ErrorNotice | None:
         if self.devices.hijack is None:
-            return self._refuse("not_capable", "only simulated robots can be hijacked")
+            return self._refuse("not_capable", "only simulated robots can be hijacked", about="hijack")
         if self._is_driven_by_another(client, now_ns):
-            return self._refuse("not_driver", "another station drives; it alone may hijack the robot")
+            reason = "another station drives; it alone may hijack the robot"
+            return self._refuse("not_driver", reason, about="hijack")
         try:
-            self.devices.hijack.hijack(message.x, message.y, message.yaw)
+            if message.anywhere:
+                self.devices.hijack.hijack_anywhere()
+            else:
+                self.devices.hijack.hijack(message.x, message.y, message.yaw)
         except ValueError as exc:
-            return self._refuse("out_of_range", f"cannot put the robot there: {exc}")
+            return self._refuse("out_of_range", f"cannot put the robot there: {exc}", about="hijack")
         return None
 
     def _is_driven_by_another(self, client: int, now_ns: int) -> bool:
         self.lease.expire(now_ns)
         return self.lease.driver not in (None, client)
 
-    def _refuse(self, code: str, reason: str) -> ErrorNotice:
+    def _refuse(self, code: str, reason: str, about: About = msgspec.UNSET) -> ErrorNotice:
         self.refused += 1
         logger.info("refused: %s", reason)
-        return notice(code, reason)
+        return notice(code, reason, about=about)
 
 
-def notice(code: str, message: str, fatal: bool = False) -> ErrorNotice:
+def notice(code: str, message: str, fatal: bool = False, about: About = msgspec.UNSET) -> ErrorNotice:
     """An error notice whose sentence fits its limit."""
-    return ErrorNotice(code=code, message=message[:1000], fatal=fatal)  # type: ignore[arg-type]
+    return ErrorNotice(code=code, message=message[:1000], fatal=fatal, about=about)  # type: ignore[arg-type]

@@ -10,8 +10,10 @@ import socket
 import time
 from collections.abc import Callable
 
+import msgspec
+
 from robot.access import UNKNOWN_STATION, Gate, check_roles, may
-from robot.commands import CommandDesk, notice
+from robot.commands import About, CommandDesk, notice
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
@@ -27,6 +29,7 @@ from shared.messages import (
     DriveApplied,
     Heartbeat,
     Hello,
+    Hijack,
     Join,
     PairProof,
     PairRequest,
@@ -192,7 +195,9 @@ class RobotServer:
             client.end(Event.REFUSAL, Refusal(reason=UNKNOWN_STATION))
             return
         self.desk.refused += 1
-        client.put(notice("not_allowed", f"{message} is refused: this station may only {client.role.value}"))
+        about: About = "hijack" if isinstance(message, Hijack) else msgspec.UNSET
+        text = f"{message} is refused: this station may only {client.role.value}"
+        client.put(notice("not_allowed", text, about=about))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
         limit = self._config.server.max_stations

@@ -229,12 +229,15 @@ class PanTilt(_Message, frozen=True, kw_only=True, tag="pan_tilt"):
         _require("tilt", self.tilt, math.pi)
 
 
-class Hijack(_Message, frozen=True, kw_only=True, tag="hijack"):
+class Hijack(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="hijack"):
     """Pick the robot up and put it down elsewhere (simulated robots only)."""
 
     x: float  # m, the simulated world's frame
     y: float  # m
     yaw: float  # rad
+    anywhere: bool = (
+        False  # to a free spot of the robot's choice, in another room where there is one: x, y, yaw are idle
+    )
 
     def __post_init__(self) -> None:
         _require("x", self.x, MAX_POSITION_M)
@@ -289,6 +292,7 @@ class ErrorNotice(_Message, frozen=True, kw_only=True, tag="error"):
     ]
     message: Sentence
     fatal: bool = False
+    about: Literal["hijack"] | msgspec.UnsetType = msgspec.UNSET  # what was asked, where an answer is waited for
 
 
 RobotMessage = (

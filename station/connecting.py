@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import ssl
 from collections.abc import Callable
@@ -28,6 +29,22 @@ class Connection:
     writer: asyncio.StreamWriter
     fingerprint: bytes = b""  # of its certificate; empty: no TLS
     token: Token | None = None  # what this station joins with
+
+
+def in_words(error: BaseException, address: str) -> str:
+    """What an error of the network means, for a person: the system's own text names numbers and calls."""
+    match error:
+        case ConnectionRefusedError():
+            return f"nothing answers at {address}"
+        case socket.gaierror():
+            return f"{address.rpartition(':')[0]} is no name that this network knows"
+        case ConnectionResetError() | BrokenPipeError() | ConnectionAbortedError():
+            return f"{address} closed the connection"
+        case TimeoutError():
+            return f"no answer from {address}"
+        case OSError(errno=int(number)) if number > 0:
+            return f"{address} cannot be reached ({os.strerror(number).lower()})"
+    return f"{address} cannot be reached ({error})"
 
 
 async def connect(host: str, port: int, robots: PairedRobots | None) -> Connection:

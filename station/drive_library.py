@@ -66,7 +66,7 @@ class DriveLibrary:
             except (OSError, msgspec.DecodeError):
                 continue  # half a drive of a killed station; its recording can still be opened by hand
             if drive.state in ("recording", "finishing"):
-                drive = replace(drive, state="failed", message="the station ended before this drive was finished")
+                drive = replace(drive, state="failed", message="the station ended before this navigation was finished")
                 self.keep(drive)
                 interrupted.append(drive)
             self._drives[drive.id] = drive

@@ -9,6 +9,7 @@ from dataclasses import replace
 from shared.errors import DataError
 from station.drive_library import DriveLibrary, DriveRecord
 from station.events import Teller
+from station.maps.editing import tidy_name
 from station.navigation import NavigationReport
 from station.refusals import Conflict
 
@@ -49,6 +50,16 @@ class Drives:
 
     def tell(self, drive: DriveRecord) -> None:
         self._events.changed("navigation", drive, drive.id)
+
+    def rename(self, drive_id: str, name: str) -> DriveRecord:
+        """Name a drive. Raises Unknown; Conflict while it is being recorded or finished, DataError for a bad name."""
+        drive = self.library.get(drive_id)
+        name = tidy_name(name, "a navigation's name")
+        if drive.state in ("recording", "finishing"):
+            raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
+        drive = replace(drive, name=name)
+        self.keep(drive)
+        return drive
 
     async def delete(self, drive_id: str) -> None:
         """Put a drive into the bin. Raises Unknown; Conflict while it is being recorded or finished."""

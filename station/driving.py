@@ -17,7 +17,11 @@ from station.refusals import Conflict, NoRobot, NotCapable, NotDriver, OutOfRang
 MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 250 ms at most (station/api/robot.py)
 MAX_DRIVER_NAME = 64
 LATE_FOR_NS = 500_000_000
+TAKE_OVER_S = 5.0  # until the first command: time to reach for the joystick, or to type the next line
 LET_GO_NS = 500_000_000  # after a stop by somebody else the driver says nothing for so long, or zero, or stop
+
+
+HEAD_TURNS_NS = 1_000_000_000  # servos need half a second from one end to the other; the picture is a little late
 
 
 class DriverLease:
@@ -27,21 +31,28 @@ class DriverLease:
         self._lease_ns = lease_ns
         self._driver: str | None = None
         self._heard_ns = 0
+        self._free_ns = 0  # when silence has given the wheel back
         self._held: str | None = None  # who was stopped by somebody else and has not let go since
 
     def driver(self, now_ns: int) -> str | None:
         """Who drives now."""
-        return self._driver if self._driver is not None and now_ns - self._heard_ns < self._lease_ns else None
+        return self._driver if self._driver is not None and now_ns < self._free_ns else None
 
-    def claim(self, driver: str, now_ns: int) -> bool:
-        """Take or keep the wheel; False when another one has it."""
+    def left_ns(self, now_ns: int) -> int:
+        """For how long the driver keeps the wheel without another word."""
+        return max(0, self._free_ns - now_ns)
+
+    def claim(self, driver: str, now_ns: int, hold_ns: int = 0) -> bool:
+        """Take or keep the wheel, by a word that holds for `hold_ns`; False when another one has it."""
         if self.driver(now_ns) not in (None, driver):
             return False
-        self.take_over(driver, now_ns)
+        self.take_over(driver, now_ns, hold_ns)
         return True
 
-    def take_over(self, driver: str, now_ns: int) -> None:
+    def take_over(self, driver: str, now_ns: int, hold_ns: int = 0) -> None:
         """Take the wheel whoever has it."""
+        free_ns = now_ns + hold_ns + self._lease_ns
+        self._free_ns = max(free_ns, self._free_ns) if driver == self._driver else free_ns
         self._driver, self._heard_ns = driver, now_ns
 
     def stop(self, by: str | None, now_ns: int) -> None:
@@ -139,11 +150,17 @@ class Driving:
         self._sent_ns = 0
         self._changed = asyncio.Event()
         self._head = (0.0, 0.0)  # where the camera head was told to look
+        self._head_rests_ns = 0  # when it looks there
 
     @property
     def driver(self) -> str | None:
         """Who drives now."""
         return self._lease.driver(self._now_ns())
+
+    @property
+    def keeps_wheel_s(self) -> float:
+        """For how long the driver keeps the wheel without another word."""
+        return self._lease.left_ns(self._now_ns()) * 1e-9
 
     @property
     def is_moving(self) -> bool:
@@ -152,13 +169,18 @@ class Driving:
 
     @property
     def head_is_centred(self) -> bool:
-        """The camera looks straight ahead, as its calibration says."""
+        """The camera was told to look straight ahead, as its calibration says."""
         return self._head == (0.0, 0.0)
+
+    @property
+    def looks_ahead(self) -> bool:
+        """It was, and had the time to get there: its pictures are what the calibration says."""
+        return self.head_is_centred and self._now_ns() >= self._head_rests_ns
 
     def centre_head(self) -> None:
         """Let the camera look straight ahead, whoever drives."""
         if not self.head_is_centred and self._link.point(0.0, 0.0):
-            self._head = (0.0, 0.0)
+            self._turn_head(0.0, 0.0)
 
     def drive(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
         """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
@@ -173,7 +195,7 @@ class Driving:
             raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
         is_still = linear == 0.0 and angular == 0.0
         must_let_go = self._lease.must_let_go(driver, is_still, self._now_ns())
-        self._claim(driver)
+        self._claim(driver, ttl_ms)
         if must_let_go:
             raise Conflict("somebody else stopped the robot; let go of the joystick once, then drive on")
         if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
@@ -212,13 +234,20 @@ class Driving:
         self._claim(driver)
         if not self._link.point(pan, tilt):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
-        self._head = (pan, tilt)
+        self._turn_head(pan, tilt)
+
+    def _turn_head(self, pan: float, tilt: float) -> None:
+        if (pan, tilt) != self._head:
+            self._head, self._head_rests_ns = (pan, tilt), self._now_ns() + HEAD_TURNS_NS
 
     def take_over(self, driver: str) -> None:
-        """Become the driver, whoever drives. The robot is stopped first: nobody inherits a moving robot."""
+        """Become the driver, whoever drives, and stay so for some seconds without a word.
+
+        The robot is stopped first: nobody inherits a moving robot.
+        """
         if self.driver != driver:
             self.stop(driver)
-        self._lease.take_over(_named(driver), self._now_ns())
+        self._lease.take_over(_named(driver), self._now_ns(), round(TAKE_OVER_S * 1e9))
         self._tell()
 
     def release(self, driver: str) -> None:
@@ -267,8 +296,8 @@ class Driving:
             raise NotCapable("this robot cannot drive (a recorded one only replays)")
         return able
 
-    def _claim(self, driver: str) -> None:
-        if not self._lease.claim(_named(driver), self._now_ns()):
+    def _claim(self, driver: str, ttl_ms: int = 0) -> None:
+        if not self._lease.claim(_named(driver), self._now_ns(), ttl_ms * 1_000_000):
             raise NotDriver(f"{self.driver} drives; take over with POST /drive/take-over")
         self._tell()
 

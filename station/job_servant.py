@@ -47,7 +47,7 @@ class JobServant:
         navigations = [load_navigation(folder) for folder in folders]
         config = PlacesConfig() if mode is None else PlacesConfig(mode=mode)
         if len(navigations) > 1:
-            self._emit((0.1, f"registering {len(navigations) - 1} drives to {navigations[0].id}"))
+            self._emit((0.1, f"registering {len(navigations) - 1} navigations to {navigations[0].id}"))
         place_map = self._map_of(navigations, config, name, executor)
         store = MapStore(address)
         earlier = store.newest_of_drive(navigations[0].id)

@@ -34,9 +34,10 @@ from shared.messages import (
     Welcome,
 )
 from shared.session import Event, Session, State, Tick
-from station.connecting import READ_BYTES, Connection, ConnectionRefused, connect
+from station.connecting import READ_BYTES, Connection, ConnectionRefused, connect, in_words
 from station.link_state import LinkClock, LinkState, RateMeter
 from station.paired_robots import PairedRobots
+from station.refusals import NoRobot
 
 __all__ = ["LinkListener", "LinkState", "RobotLink"]
 
@@ -48,6 +49,7 @@ CONNECT_WITHIN_S = 1.5
 TICK_S = 0.025
 AUTO = "auto"  # as host: look for a robot
 FIND_WITHIN_S = 2.0
+ANSWER_WITHIN_S = 2.0
 NO_ROBOT_FOUND = (
     "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
 )
@@ -124,6 +126,8 @@ class RobotLink:
         self._imu_samples = self._imu_gaps = self._imu_lost = 0
         self._status: Status | None = None
         self._notice: ErrorNotice | None = None
+        self._answer: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for what the robot says
+        self._answer_seq = 0  # of the heartbeat behind the question
 
     @property
     def state(self) -> LinkState:
@@ -186,13 +190,35 @@ class RobotLink:
             raise LocalProtocolError(f"pan-tilt command refused: {exc}") from exc
         return self._can("pan_tilt") and self._put(command)
 
-    def hijack(self, x: float, y: float, yaw: float) -> bool:
-        """Put a simulated robot down elsewhere (m, m, rad). False when not connected or the robot is real."""
+    async def hijack(self, spot: tuple[float, float, float] | None) -> ErrorNotice | None:
+        """Put a simulated robot down elsewhere: x m, y m, yaw rad, or None for a spot of its own choice.
+
+        Returns why the robot refused, or None when it did as it was asked. Raises NoRobot when it said neither.
+        """
+        x, y, yaw = spot or (0.0, 0.0, 0.0)
         try:
-            command = Hijack(x=x, y=y, yaw=yaw)
+            command = Hijack(x=x, y=y, yaw=yaw, anywhere=spot is None)
         except ValueError as exc:
             raise LocalProtocolError(f"hijack refused: {exc}") from exc
-        return self._can("hijack") and self._put(command)
+        if not self._can("hijack"):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        # A robot speaks only to refuse, and in order: the answer to a heartbeat behind the question says it did not.
+        self._answer = answer = asyncio.get_running_loop().create_future()
+        self._put(command)
+        self._beat()
+        self._answer_seq = self._seq
+        try:
+            async with asyncio.timeout(ANSWER_WITHIN_S):
+                return await answer
+        except TimeoutError as exc:
+            raise NoRobot("the robot did not answer; the link comes back by itself") from exc
+        finally:
+            if self._answer is answer:
+                self._answer = None
+
+    def _answered(self, refusal: ErrorNotice | None) -> None:
+        if self._answer is not None and not self._answer.done():
+            self._answer.set_result(refusal)
 
     def _can(self, capability: str) -> bool:
         return self._connected and self._hello is not None and bool(getattr(self._hello.capabilities, capability))
@@ -237,12 +263,13 @@ class RobotLink:
         except TimeoutError:
             return f"no answer from {address}; check that the robot is on and in this network"
         except OSError as exc:
-            return f"cannot connect to {address} ({exc.strerror or exc}); start robot-server there"
+            return f"{in_words(exc, address)}; start robot-server there"
         except (ConnectionRefused, ConfigError) as exc:
             self._retry_s = REFUSED_RETRY_S
             return str(exc)
         except UnicodeError as exc:  # no name that DNS could hold, such as a..b
-            return f"{self._host} is no host name ({exc}); give --robot HOST:PORT"
+            logger.info("%s: %s", self._host, exc)
+            return f"{self._host} is no host name; give --robot HOST:PORT"
         writer = connection.writer
         self._connection = connection
         self._session = Session("station", self._now_ns())
@@ -256,7 +283,7 @@ class RobotLink:
         except* _Ended:
             pass
         except* OSError as group:
-            self._session.close(Event.LOST, f"connection lost: {group.exceptions[0]}")
+            self._session.close(Event.LOST, f"connection lost: {in_words(group.exceptions[0], address)}")
         finally:
             writer.transport.abort()
         return self._session.close_reason
@@ -318,6 +345,8 @@ class RobotLink:
                 self._listener.on_drive_applied(message)
             case HeartbeatReply():
                 self._clock.add_reply(message, now_ns)
+                if message.seq >= self._answer_seq:
+                    self._answered(None)
             case Status():
                 self._status = message
                 self._listener.on_status(message)
@@ -376,6 +405,8 @@ class RobotLink:
     def _take_notice(self, notice: ErrorNotice) -> None:
         self._notice = notice
         logger.warning("robot: %s", notice.message)
+        if notice.about == "hijack":
+            self._answered(notice)
         if notice.fatal:
             self._session.close_reason = f"the robot closed the connection: {notice.message}"
         self._listener.on_notice(notice)

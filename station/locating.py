@@ -20,7 +20,7 @@ from station.frames import DriveSample, ImageFrame
 from station.mailbox import Latest
 from station.maps.map import Place, PlaceEdge
 from station.maps.store import StoreAddress
-from station.place_report import PlaceReport
+from station.place_report import MapReading, PlaceReport
 from station.places.answer import PlaceAnswer, PlaceState
 from station.workers import Worker, WorkerDied
 
@@ -81,6 +81,7 @@ class Locating:
         self._absent = ""  # why there can be no answer about now, in a sentence
         self.visits: deque[Visit] = deque(maxlen=KEPT_VISITS)
         self.status = "no map is active"
+        self.progress: float | None = None  # 0..1 while a map is prepared
         self.answers = 0
 
     @property
@@ -110,6 +111,7 @@ class Locating:
         self._forget()
         self._groups = Latest()
         self.status = "no map is active" if map_id is None else "reading the map"
+        self.progress = None if map_id is None else 0.0
         self._events.changed("place")
         if self._worker is not None:
             self._worker.kill()  # it may be in the middle of a map that nobody wants any more
@@ -138,11 +140,11 @@ class Locating:
         self._gone = f"the robot is not connected: {reason}"
         self._be_absent(self._gone)
 
-    def refresh(self) -> None:
-        """Now and then: an answer does not stay true by itself."""
+    def refresh(self, why: str = "") -> None:
+        """Now and then: an answer does not stay true by itself. `why`: no pictures are offered, in a sentence."""
         age_s = time.monotonic() - self._taken_s
         if not self._absent and age_s > max(OLD_AFTER_S, OLD_AFTER_PICTURES / self._config.rate_hz):
-            self._be_absent("no picture was looked at for a while; is the camera working?")
+            self._be_absent(why or "no picture was looked at for a while; is the camera working?")
 
     def _be_absent(self, reason: str) -> None:
         if self._report is None:
@@ -201,7 +203,7 @@ class Locating:
                     await asyncio.sleep(RESTART_S)
             except RobotSystemError as exc:
                 if self._generation == generation:
-                    self.status = f"no localisation: {exc}"
+                    self._tell(f"no localisation: {exc}", None)
                     self._events.say("place", self.status, "error")
                     self._map_id = None
 
@@ -211,16 +213,22 @@ class Locating:
 
     async def _serve(self, map_id: str, generation: int) -> None:
         """One worker, one map, until it dies or another map is wanted."""
-        worker = Worker("localisation", self._servant, limits=LIMITS, on_event=self._on_hijack)
+        worker = Worker(
+            "localisation",
+            self._servant,
+            limits=LIMITS,
+            on_event=lambda event: self._on_event(event) if self._generation == generation else None,
+        )
         self._worker = worker
         try:
             await worker.start()
             await worker.call("load", self._store, map_id)
+            self._tell("waiting for a picture of the robot", None)
             await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
                 await worker.call("calibrate", self._calibration)
             self._is_ready = True
-            self.status = "looking"
+            self._tell("looking at the first picture", None)
             self._events.say("place", "localisation is ready")
             interval_s = 1.0 / self._config.rate_hz
             while self._generation == generation:
@@ -234,6 +242,7 @@ class Locating:
                 await asyncio.sleep(max(0.0, interval_s - (time.monotonic() - started_s)))
         finally:
             self._is_ready = False
+            worker.kill()  # it keeps nothing, and nobody wants the answer that it may be looking for
             await worker.close()
 
     async def _answer(self, worker: Worker, frame: CameraFrame) -> PlaceReport | None:
@@ -253,8 +262,15 @@ class Locating:
         self.status = "looking"
         return report
 
-    def _on_hijack(self, event: HijackEvent) -> None:
+    def _on_event(self, event: HijackEvent | MapReading) -> None:
+        if isinstance(event, MapReading):
+            self._tell(event.text, event.fraction)
+            return
         self._events.say("hijack", f"the robot was picked up: {event.reason}", "warning")
+
+    def _tell(self, status: str, progress: float | None) -> None:
+        self.status, self.progress = status, progress
+        self._events.changed("place")
 
     def _take(self, report: PlaceReport, frame: CameraFrame) -> None:
         self.answers += 1

@@ -6,8 +6,8 @@ import asyncio
 import json
 import logging
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,12 +19,13 @@ from shared.errors import DataError, RobotSystemError
 from station.events import Teller
 from station.live import NO_PLACE
 from station.maps.checking import collect_garbage
-from station.maps.editing import with_place_renamed
+from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.map import Place, PlaceMap
 from station.maps.purging import purge
 from station.maps.record import MapRecord
 from station.maps.store import MapStore, MapSummary, StoreAddress
 from station.places.changes import with_place_hidden, with_places_merged
+from station.places.colours import number_places
 from station.places.evidence import gather_evidence
 from station.refusals import Conflict, Unknown
 
@@ -37,7 +38,8 @@ class ActiveMap:
     """The map in use, and what is derived from it once."""
 
     place_map: PlaceMap
-    place_of_point: npt.NDArray[np.uint8]  # (M,) index into places, NO_PLACE for none
+    place_of_point: npt.NDArray[np.uint8]  # (M,) number of its place, NO_PLACE for none
+    numbers: Mapping[str, int]  # of the places, by id; also of some that are gone and may come back
 
     def place(self, place_id: str) -> Place:
         """Raises Unknown."""
@@ -140,6 +142,18 @@ class Maps:
         await asyncio.to_thread(purge, self._store, map_id)
         await asyncio.to_thread(collect_garbage, self._store)
 
+    async def rename(self, map_id: str, name: str) -> MapSummary:
+        """Name a map, in use or not. Raises Unknown, or DataError for a name that is empty or too long."""
+        name = tidy_name(name, "a map's name")
+        async with self._changing:
+            await self._require(map_id)
+            change = partial(replace, name=name)
+            place_map = await asyncio.to_thread(self._store.edit, map_id, change, f"the map is {name} now"[:MAX_WHY])
+            if self._active is not None and self._active.place_map.id == map_id:
+                self._take(place_map)
+        self._events.changed("map")
+        return next(summary for summary in await self.list() if summary.id == map_id)
+
     async def rename_place(self, place_id: str, name: str) -> Place:
         """Raises Conflict, Unknown, or DataError for a name in use."""
         async with self._changing:
@@ -201,7 +215,7 @@ class Maps:
     def _take(self, place_map: PlaceMap) -> ActiveMap:
         """The active map with other places or names."""
         self.revision += 1
-        self._active = ActiveMap(place_map, _place_of_point(place_map))
+        self._active = _numbered(place_map, {} if self._active is None else self._active.numbers)
         self._events.changed("map")
         return self._active
 
@@ -248,8 +262,12 @@ def keyframe_image(place_map: PlaceMap, keyframe: int) -> bytes:
 
 
 def _derive(store: MapStore, map_id: str) -> ActiveMap:
-    place_map = store.load(map_id)
-    return ActiveMap(place_map, _place_of_point(place_map))
+    return _numbered(store.load(map_id), {})
+
+
+def _numbered(place_map: PlaceMap, kept: Mapping[str, int]) -> ActiveMap:
+    numbers = number_places(place_map.places, place_map.edges, kept)
+    return ActiveMap(place_map, _place_of_point(place_map, numbers), {**kept, **numbers})
 
 
 def _changes(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
@@ -264,11 +282,11 @@ def _changes(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
     return tuple(changes)
 
 
-def _place_of_point(place_map: PlaceMap) -> npt.NDArray[np.uint8]:
+def _place_of_point(place_map: PlaceMap, numbers: Mapping[str, int]) -> npt.NDArray[np.uint8]:
     place_of_point = np.full(len(place_map.navigation.landmarks), NO_PLACE, np.uint8)
-    for number, place in enumerate(place_map.places[:NO_PLACE]):
+    for place in place_map.places:
         if not place.hidden:
-            place_of_point[place.landmark_index] = number
+            place_of_point[place.landmark_index] = numbers.get(place.id, NO_PLACE)
     return place_of_point
 
 

@@ -8,6 +8,14 @@ from shared.geometry import FloatArray
 from station.places.answer import PlaceAnswer
 
 
+@dataclass(frozen=True, slots=True)
+class MapReading:
+    """How far the worker is with a map that it was given."""
+
+    fraction: float  # 0..1
+    text: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceReport:
     """The current place, and how the last picture was found."""

@@ -13,17 +13,19 @@ from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
-from station.place_report import PlaceReport
+from station.place_report import MapReading, PlaceReport
 from station.places.changes import shown
 from station.places.hijack import HijackEvent
 from station.places.localizer import Localizer
 from station.places.tracker import PlaceTracker
 
+TELL_EVERY = 4  # pictures of the map
+
 
 class PlaceServant:
-    """Answers pictures from one map; sends a HijackEvent when the robot was picked up."""
+    """Answers pictures from one map; sends a HijackEvent when the robot was picked up, MapReading while it prepares."""
 
-    def __init__(self, emit: Callable[[HijackEvent], None]) -> None:
+    def __init__(self, emit: Callable[[HijackEvent | MapReading], None]) -> None:
         self._emit = emit
         self._place_map: PlaceMap | None = None
         self._localizer: Localizer | None = None
@@ -36,7 +38,16 @@ class PlaceServant:
     def use(self, place_map: PlaceMap) -> None:
         """Answer from this map."""
         self._place_map = shown(place_map)
-        self._localizer = Localizer(self._place_map)
+        total, seen = len(place_map.navigation.keyframes), 0
+
+        def tell() -> None:
+            nonlocal seen
+            seen += 1
+            if seen % TELL_EVERY == 1 or seen == total:
+                # The last tenth is the index of their words.
+                self._emit(MapReading(0.9 * (seen - 1) / total, f"looking at picture {seen} of {total} of the map"))
+
+        self._localizer = Localizer(self._place_map, on_keyframe=tell)
 
     def calibrate(self, calibration: Calibration) -> None:
         """The robot that drives now; what was known of another one's position is forgotten."""

@@ -30,8 +30,8 @@ from station.slam_process import SlamProcess
 
 logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1
-OTHER_ROBOT = "another robot was connected; this drive ended there"
-OTHER_RUN = "the robot was started anew, its clock with it; this drive ended there"
+OTHER_ROBOT = "another robot was connected; this navigation ended there"
+OTHER_RUN = "the robot was started anew, its clock with it; this navigation ended there"
 
 
 class DriveRecorder(LinkListener, Protocol):
@@ -118,7 +118,7 @@ class Recording:
         drive_id = self._library.new_id()
         drive = DriveRecord(
             id=drive_id,
-            name=name or time.strftime("Drive of %-d %b, %H:%M", time.localtime()),
+            name=name or time.strftime("%-d %b, %H:%M", time.localtime()),
             state="recording",
             started_wall_s=time.time(),
             backend=choose_backend(self._config.backend, hello.calibration),
@@ -192,7 +192,7 @@ class Recording:
             running, self._running = self._running, None
             self._drives.end(running.drive.id)
             await self._close_recorder(running)
-            await running.slam.close()
+            await running.slam.close(at_once=True)
             self._drives.keep(replace(self._counted(running), state="failed", message="the station was stopped"))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
         for task in self._finishing.values():
@@ -331,8 +331,9 @@ class Recording:
             self._events.say("navigation", f"{drive.name}: {drive.message}", "error")
         finally:
             if drive.state == "finishing":
-                drive = replace(drive, state="failed", message="the station was stopped before this drive was finished")
-            await running.slam.close()
+                text = "the station was stopped before this navigation was finished"
+                drive = replace(drive, state="failed", message=text)
+            await running.slam.close(at_once=drive.state == "failed")
             self._drives.keep(drive)
             self._finishing.pop(drive.id, None)
             self._events.changed("pose")

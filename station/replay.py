@@ -106,7 +106,7 @@ def locate(
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
     """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
     hijacks: list[HijackEvent] = []
-    places = PlaceServant(hijacks.append)
+    places = PlaceServant(lambda event: hijacks.append(event) if isinstance(event, HijackEvent) else None)
     places.use(place_map)
     places.calibrate(data.calibration)
     poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]

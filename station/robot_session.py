@@ -23,9 +23,9 @@ from station.mailbox import Broadcast
 from station.map_library import Maps
 from station.paired_robots import PairedRobots
 from station.recording import DriveRecorder, Recording
-from station.refusals import Conflict, NoRobot, NotCapable
+from station.refusals import Conflict, NoRobot, NotCapable, OutOfRange
 
-HIJACK_NOTICE = "the simulated robot is asked to be put down elsewhere"
+HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +70,7 @@ class RobotSession:
             on_silence=lambda text: events.say("drive", text, "warning"),
             on_command=lambda *command: self.recording.on_command(*command),
         )
+        self._hijacking = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.locating = Locating(
             shared.maps.address,
@@ -99,8 +100,7 @@ class RobotSession:
 
     async def close(self) -> None:
         """Close the drive being recorded, and end the workers."""
-        await self.recording.close()
-        await self.locating.close()
+        await asyncio.gather(self.recording.close(), self.locating.close())
 
     @property
     def state(self) -> LinkState:
@@ -115,10 +115,18 @@ class RobotSession:
         The calibration tells where the camera is while it does; nothing tells the estimation where it is otherwise.
         """
         if self.recording.running is not None:
-            return "a drive is being recorded, for which the camera must look straight ahead; stop the recording first"
-        if self.maps.active is not None:
-            return "the place is being looked for, for which the camera must look straight ahead; choose no map first"
+            return "a navigation is being recorded, and the camera must look straight ahead for it; stop that first"
         return ""
+
+    @property
+    def looks_aside(self) -> str:
+        """Why the place is not looked for just now, in a sentence; empty when it is.
+
+        The localisation takes the camera where the calibration has it, and would put the robot where it is not.
+        """
+        if self.maps.active is None or self.driving.looks_ahead:
+            return ""
+        return "the camera looks aside; the place is looked for again when it looks straight ahead (pan 0, tilt 0)"
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
         """Point the camera head (rad). Raises as Driving.point, and Conflict while it must look straight ahead."""
@@ -126,16 +134,21 @@ class RobotSession:
             raise Conflict(reason)
         self.driving.point(driver, pan, tilt)
 
-    def hijack(self, x: float, y: float, yaw: float) -> None:
-        """Put a simulated robot down elsewhere. Raises NoRobot, or NotCapable for a real one."""
+    async def hijack(self, spot: tuple[float, float, float] | None) -> None:
+        """Put a simulated robot down at x m, y m, yaw rad of its world, or (None) wherever it likes.
+
+        Raises NoRobot, NotCapable for a real one, OutOfRange or Conflict with the robot's own words.
+        """
         able = self._capabilities()
         if able is None:
             raise NoRobot("no robot is connected")
         if not able.hijack:
             raise NotCapable("this robot cannot be moved by a message; only a simulated one can")
-        self.driving.stop()
-        if not self.link.hijack(x, y, yaw):
-            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        async with self._hijacking:
+            self.driving.stop()
+            refusal = await self.link.hijack(spot)
+        if refusal is not None:
+            raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
         self.events.say("hijack", HIJACK_NOTICE, "warning")
 
     def start_drive(self, name: str) -> DriveRecord:
@@ -180,7 +193,8 @@ class RobotSession:
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
         self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
         self.recording.on_frame(frame, t_station_ns)
-        self.locating.offer(frame)
+        if self.driving.looks_ahead:
+            self.locating.offer(frame)
 
     def on_imu(self, batch: ImuBatch) -> None:
         self.recording.on_imu(batch)
@@ -211,5 +225,5 @@ class RobotSession:
         while True:
             await asyncio.sleep(1.0)
             self.recording.refresh()
-            self.locating.refresh()
+            self.locating.refresh(self.looks_aside)
             self.events.changed("robot")

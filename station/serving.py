@@ -63,11 +63,11 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
     finally:
         station.stop()
         running.cancel()
+        server.should_exit = True
         try:
             with contextlib.suppress(asyncio.CancelledError):
                 await running
         finally:
-            server.should_exit = True
             await serving
 
 

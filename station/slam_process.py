@@ -90,9 +90,11 @@ class SlamProcess:
         report: NavigationReport = await self._worker.call("finish", drive_id, folder)
         return report
 
-    async def close(self) -> None:
-        """End the process, also one that is just being started."""
+    async def close(self, *, at_once: bool = False) -> None:
+        """End the process, also one that is just being started; `at_once`: in the middle of its work."""
         self._ended = True
+        if at_once:
+            self._worker.kill()
         await self._worker.close()
         await asyncio.wait({self._starting})
 

@@ -111,7 +111,12 @@ class FakeHead:
         self.pointed.append((pan_rad, tilt_rad))
 
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        if abs(x_m) > 50:
+            raise ValueError(f"({x_m:.2f}, {y_m:.2f}) m is not free floor of this world")
         self.moved.append((x_m, y_m, yaw_rad))
+
+    def hijack_anywhere(self) -> None:
+        self.moved.append((3.0, 4.0, 0.0))
 
     def close(self) -> None:
         pass

@@ -93,7 +93,13 @@ class Battery(Protocol):
 class Hijackable(Protocol):
     """Only simulated robots have this: be picked up and put down elsewhere."""
 
-    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None: ...
+    def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        """Raises ValueError where the robot cannot stand."""
+        ...
+
+    def hijack_anywhere(self) -> None:
+        """To a free spot, in another room where there is one."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

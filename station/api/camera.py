@@ -52,10 +52,10 @@ async def frame(robot: RobotDep) -> Response:
 async def stream(robot: RobotDep) -> StreamingResponse:
     """For viewers that know nothing else; /ws/camera is quicker."""
     _require(robot)
-    return _Stream(_parts(robot), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+    return SeatedStream(_parts(robot), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
 
 
-class _Stream(StreamingResponse):
+class SeatedStream(StreamingResponse):
     """Keeps one of the streams' seats as long as it is sent."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

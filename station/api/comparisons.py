@@ -29,7 +29,7 @@ async def comparisons(station: StationDep) -> list[ComparisonModel]:
     return [comparison_model(comparison) for comparison in found]
 
 
-@router.post("/comparisons", summary="Compare two drives", status_code=202, responses=responses(404, 409))
+@router.post("/comparisons", summary="Compare two navigations", status_code=202, responses=responses(404, 409))
 async def compare(order: ComparisonOrder, station: StationDep) -> JobModel:
     """Runs in the background: follow GET /jobs/{id}, whose result names the comparison; DELETE /jobs/{id} cancels."""
     return job_model(station.compare(order.first, order.second))

@@ -7,8 +7,8 @@ import asyncio
 from fastapi import APIRouter, Response
 
 from station.api.deps import StationDep
-from station.api.models import JobModel, MapChoice, MapModel, MapOrder
-from station.api.points import BINARY, points_response
+from station.api.models import JobModel, MapChoice, MapModel, MapOrder, NewName
+from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.views import job_model, map_model
 from station.live import pack_points
@@ -40,6 +40,11 @@ async def activate(choice: MapChoice, station: StationDep) -> MapModel | None:
     raise Unknown(f"there is no map {choice.id!r}; GET /maps lists them")
 
 
+@router.patch("/maps/{map_id}", summary="Rename a map", responses=responses(404, 409))
+async def rename(map_id: str, name: NewName, station: StationDep) -> MapModel:
+    return map_model(await station.maps.rename(map_id, name.name), station.maps.active)
+
+
 @router.delete("/maps/{map_id}", summary="Delete a map", status_code=204, responses=responses(404, 409))
 async def delete(map_id: str, station: StationDep) -> Response:
     """It goes into the bin: POST /maps/{id}/restore brings it back for seven days."""
@@ -58,9 +63,11 @@ async def restore(map_id: str, station: StationDep) -> MapModel:
     response_class=Response,
     responses={200: BINARY, **responses(404, 409)},
 )
-async def landmarks(map_id: str, station: StationDep) -> Response:
+async def landmarks(map_id: str, station: StationDep, is_ply: WantsPly = False) -> Response:
     seen = await station.maps.load(map_id)
     cloud = seen.place_map.navigation.landmarks
+    if is_ply:
+        return await ply_response(cloud.p_world, cloud.rgb, map_id, map_id)
     table = await asyncio.to_thread(pack_points, cloud.p_world, cloud.rgb, seen.place_of_point)
     return points_response(table, 0, len(cloud), map_id)
 

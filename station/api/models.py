@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -64,6 +64,9 @@ class CurrentPlace(Model):
     map: str | None = Field(description="id of the active map", examples=["map-0a1b"])
     alternatives: list[PlaceProbability]
     evidence: Evidence
+    preparing: float | None = Field(
+        description="0..1 while the map is prepared for answers; else null", examples=[None]
+    )
     reason: str = Field(description="in a sentence", examples=["84 landmarks of the map were recognised 0.2 s ago"])
     t_robot_ns: int | None = Field(description="sensor time the answer is about, robot clock")
     pose_map: list[float] | None = Field(description="T_map_cam of the newest recognised picture, row-major 4x4")
@@ -90,15 +93,26 @@ class PlaceModel(Model):
     quality: float = Field(description="0..1, how repeatable the place is expected to be")
     representative_image: str | None
     mean_image: str | None
-    colour: int = Field(description="its number in GET /maps/{id}/landmarks")
+    colour: int = Field(
+        description="its number in GET /maps/{id}/landmarks; neighbours differ in the remainder by 12", examples=[5]
+    )
     hidden: bool = Field(description="by a person: never the current place, and not in the graph")
+    named: bool = Field(description="a person gave it its name")
 
 
 class PlaceChange(Question):
-    """What is to be otherwise; what is left out or null stays."""
+    """What is to be otherwise; what is left out or null stays, and one thing must be said."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
     name: str | None = Field(default=None, min_length=1, max_length=80, examples=["Kitchen"])
     hidden: bool | None = Field(default=None, examples=[False])
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if self.name is None and self.hidden is None:
+            raise ValueError("nothing is to be changed: give name or hidden")
+        return self
 
 
 class PlaceMerge(Question):
@@ -139,6 +153,7 @@ class GraphModel(Model):
     """The topological map."""
 
     map: str
+    metric: bool = Field(description="distances are metres; false: of unknown scale")
     nodes: list[PlaceModel]
     edges: list[EdgeModel]
 
@@ -163,12 +178,18 @@ class MapOrder(Question):
     activate: bool = Field(default=True, description="use the map as soon as it is built")
 
 
+class NewName(Question):
+    """What it shall be called."""
+
+    name: str = Field(min_length=1, max_length=80, examples=["Ground floor"])
+
+
 class MapChoice(Question):
     id: str | None = Field(description="null: no map", examples=["map-0a1b"])
 
 
 class NavigationModel(Model):
-    """One recorded drive."""
+    """One recorded drive and what SLAM made of it."""
 
     id: str = Field(examples=["nav-20260105-101500"])
     name: str
@@ -195,7 +216,7 @@ class ReprocessOrder(Question):
 
 
 class ReplayModel(Model):
-    """Where the camera was during a recorded drive; the pictures come by /ws/replay."""
+    """Where the camera was during a recorded navigation; the pictures come by /ws/replay."""
 
     navigation: str
     start_ns: int = Field(description="robot clock, of the first pose")
@@ -204,21 +225,21 @@ class ReplayModel(Model):
 
 
 class ComparisonOrder(Question):
-    """Which drives to compare: places are made of the first one and looked for in the second."""
+    """Which navigations to compare: places are made of the first one and looked for in the second."""
 
     first: str = Field(examples=["nav-20260105-101500"])
     second: str = Field(examples=["nav-20260106-090000"])
 
 
 class ComparisonModel(Model):
-    """Two drives compared; the report has the pictures."""
+    """Two navigations compared; the report has the pictures."""
 
     id: str = Field(examples=["cmp-20260106-091200"])
     name: str
     first: str
     second: str
     made_unix_s: float
-    places: int = Field(description="of the first drive")
+    places: int = Field(description="of the first navigation")
     locations: int = Field(description="of the second one")
     matches: int
     accepted: bool = Field(description="the registration")
@@ -375,14 +396,27 @@ class PanTiltOrder(Question):
 
 
 class HijackOrder(Question):
-    x: Number = Field(description="m, the simulated world's frame", examples=[1.0])
-    y: Number = Field(examples=[2.0])
-    yaw: Number = Field(description="rad", examples=[0.0])
+    """Where to put it down; nothing at all: wherever the robot likes."""
+
+    x: Number | None = Field(default=None, description="m, the simulated world's frame", examples=[1.0])
+    y: Number | None = Field(default=None, examples=[2.0])
+    yaw: Number = Field(default=0.0, description="rad", examples=[0.0])
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if (self.x is None) != (self.y is None):
+            raise ValueError("give both x and y, or neither for a spot of the robot's choice")
+        return self
+
+    @property
+    def spot(self) -> tuple[float, float, float] | None:
+        return None if self.x is None or self.y is None else (self.x, self.y, self.yaw)
 
 
 class DriverModel(Model):
     driver: str | None
     you_drive: bool
+    keeps_s: float = Field(description="so long the driver keeps the wheel without another word", examples=[6.0])
 
 
 class Accepted(Model):

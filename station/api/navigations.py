@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Response
 from fastapi.responses import FileResponse
 
 from station.api.deps import RobotDep, StationDep
-from station.api.models import BinModel, JobModel, NavigationModel, NavigationStart
+from station.api.models import BinModel, JobModel, NavigationModel, NavigationStart, NewName
 from station.api.problems import responses
 from station.api.views import bin_model, job_model, navigation_model
 from station.refusals import Conflict, Unknown
@@ -18,7 +18,7 @@ of_robot = APIRouter(tags=["navigations"])
 DOWNLOADS = {"trajectory.tum": "text/plain", "landmarks.ply": "application/octet-stream"}
 
 
-@router.get("/navigations", summary="Recorded drives, oldest first")
+@router.get("/navigations", summary="Recorded navigations, oldest first")
 async def navigations(station: StationDep) -> list[NavigationModel]:
     return [navigation_model(drive) for drive in station.drives.list()]
 
@@ -28,9 +28,14 @@ async def start(robot: RobotDep, order: Annotated[NavigationStart | None, Body()
     return navigation_model(robot.start_drive(order.name if order else ""))
 
 
-@router.get("/navigations/{navigation_id}", summary="One drive", responses=responses(404))
+@router.get("/navigations/{navigation_id}", summary="One navigation", responses=responses(404))
 async def navigation(navigation_id: str, station: StationDep) -> NavigationModel:
     return navigation_model(station.drives.get(navigation_id))
+
+
+@router.patch("/navigations/{navigation_id}", summary="Rename a navigation", responses=responses(404, 409))
+async def rename(navigation_id: str, name: NewName, station: StationDep) -> NavigationModel:
+    return navigation_model(station.drives.rename(navigation_id, name.name))
 
 
 @router.post("/navigations/{navigation_id}/stop", summary="End recording", responses=responses(404, 409))
@@ -41,7 +46,7 @@ async def stop(navigation_id: str, station: StationDep) -> NavigationModel:
 
 @router.delete(
     "/navigations/{navigation_id}",
-    summary="Delete a drive",
+    summary="Delete a navigation",
     status_code=204,
     responses=responses(404, 409),
 )
@@ -52,7 +57,7 @@ async def delete(navigation_id: str, station: StationDep) -> Response:
 
 
 @router.post(
-    "/navigations/{navigation_id}/restore", summary="Bring a deleted drive back", responses=responses(404, 409)
+    "/navigations/{navigation_id}/restore", summary="Bring a deleted navigation back", responses=responses(404, 409)
 )
 async def restore(navigation_id: str, station: StationDep) -> NavigationModel:
     return navigation_model(await station.restore_drive(navigation_id))

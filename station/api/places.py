@@ -125,6 +125,7 @@ async def graph(
         return Response(to_graphml(shown(active.place_map)), media_type="application/graphml+xml")
     return GraphModel(
         map=active.place_map.id,
+        metric=active.place_map.navigation.is_metric,
         nodes=[place_model(active, place) for place in active.visible_places],
         edges=[edge_model(edge) for edge in active.place_map.edges],
     )

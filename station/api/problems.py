@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, get_args
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 
@@ -75,6 +77,41 @@ def problem(request: Request, status: int, slug: str, title: str, detail: str, *
     return JSONResponse(document | more, status_code=status, media_type=MEDIA_TYPE)
 
 
+def _what_is_wrong(request: Request, error: Mapping[str, Any]) -> str:
+    """One mistake of a request, in words that name the remedy."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip()
+    match error["type"]:
+        case "json_invalid":
+            return f"the body is no JSON ({error['ctx']['error']} at character {error['loc'][-1]})"
+        case "model_attributes_type" | "dict_type" if error["loc"] == ("body",) and not _is_json(kind):
+            said = f"says {kind!r}" if kind else "does not say what it is"
+            return f"the body {said}; send JSON with the header Content-Type: application/json"
+        case "model_attributes_type" | "dict_type" if error["loc"] == ("body",):
+            return 'the body must be a JSON object, such as {"name": "value"}'
+        case "extra_forbidden":
+            known = _known_fields(request)
+            return "there is no such field" + (f"; known are {', '.join(known)}" if known else "; /docs lists them")
+        case "missing" if error["loc"] == ("body",):
+            return "a JSON body is needed; /docs has an example"
+        case "value_error":
+            return str(error["ctx"]["error"])
+    return str(error["msg"])
+
+
+def _is_json(content_type: str) -> bool:
+    return content_type == "application/json" or content_type.endswith("+json")
+
+
+def _known_fields(request: Request) -> list[str]:
+    """Of the body that the called route takes."""
+    body = getattr(request.scope.get("route"), "body_field", None)
+    whole = None if body is None else body.field_info.annotation
+    for kind in (whole, *get_args(whole)):  # "X | None" where a body may be left out
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return list(kind.model_fields)
+    return []
+
+
 def install(app: FastAPI) -> None:
     """Give the app its error handlers."""
 
@@ -92,7 +129,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, exc: RequestValidationError) -> JSONResponse:
-        errors = [{"where": ".".join(map(str, e["loc"])), "what": e["msg"]} for e in exc.errors()]
+        errors = [{"where": ".".join(map(str, e["loc"])), "what": _what_is_wrong(request, e)} for e in exc.errors()]
         detail = "; ".join(f"{e['where']}: {e['what']}" for e in errors[:5])
         return problem(request, 422, "invalid", "The request is not valid", detail, errors=errors)
 

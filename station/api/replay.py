@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
 from pathlib import Path
 from typing import Annotated
 
@@ -12,17 +12,18 @@ from fastapi import APIRouter, Query, Response, WebSocket, WebSocketDisconnect
 from fastapi.responses import StreamingResponse
 
 from shared.errors import RobotSystemError
-from station.api.camera import BOUNDARY, HEADER, STREAM
+from station.api.camera import BOUNDARY, HEADER, STREAM, SeatedStream
 from station.api.deps import StationDep
+from station.api.limits import refuse, seated
 from station.api.models import JobModel, ReplayModel, ReprocessOrder
-from station.api.points import BINARY, points_response
+from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.views import job_model, replay_model
 from station.app import Station
 from station.live import pack_points
 from station.navigation import Navigation
 from station.navigation_files import load_navigation
-from station.refusals import Conflict
+from station.refusals import Busy, Conflict, OutOfRange
 from station.replaying import replay
 
 router = APIRouter(tags=["navigations"])
@@ -38,25 +39,27 @@ NO_SUCH_DRIVE = 4404  # close code of /ws/replay
     responses=responses(404, 409),
 )
 async def reprocess(navigation_id: str, station: StationDep, order: ReprocessOrder | None = None) -> JobModel:
-    """For a drive whose SLAM failed, or with another backend. Its navigation is replaced when the job is done."""
+    """For a navigation whose SLAM failed, or with another backend. Its navigation is replaced when the job is done."""
     return job_model(station.reprocess(navigation_id, order.backend if order else None))
 
 
 @router.get(
     "/navigations/{navigation_id}/landmarks",
-    summary="A finished drive's cloud",
+    summary="A finished navigation's cloud",
     response_class=Response,
     responses={200: BINARY, **responses(404, 409)},
 )
-async def landmarks(navigation_id: str, station: StationDep) -> Response:
+async def landmarks(navigation_id: str, station: StationDep, is_ply: WantsPly = False) -> Response:
     cloud = (await _load(station, navigation_id)).landmarks
+    if is_ply:
+        return await ply_response(cloud.p_world, cloud.rgb, navigation_id, navigation_id)
     table = await asyncio.to_thread(pack_points, cloud.p_world, cloud.rgb)
     return points_response(table, 0, len(cloud), navigation_id)
 
 
 @router.get(
     "/navigations/{navigation_id}/replay",
-    summary="Where the camera was during a finished drive",
+    summary="Where the camera was during a finished navigation",
     responses=responses(404, 409),
 )
 async def poses(
@@ -67,13 +70,16 @@ async def poses(
 
 @router.get(
     "/navigations/{navigation_id}/replay.mjpg",
-    summary="A recorded drive's pictures as multipart JPEG, at their own pace",
+    summary="A recorded navigation's pictures as multipart JPEG, at their own pace",
     response_class=StreamingResponse,
-    responses={200: STREAM, **responses(404, 409)},
+    responses={200: STREAM, **responses(404, 409, 503)},
 )
 async def stream(navigation_id: str, station: StationDep, from_s: FromS = 0.0, speed: Speed = 1.0) -> StreamingResponse:
-    parts = _parts(_recording(station, navigation_id), from_s, speed)
-    return StreamingResponse(parts, media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+    parts = _parts(_recording(station, navigation_id, from_s), from_s, speed)
+    first = await anext(parts, None)
+    if first is None:
+        raise OutOfRange(f"{navigation_id} has no picture from {from_s:g} s on; give a smaller from_s")
+    return SeatedStream(_chained(first, parts), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
 
 
 @router.websocket("/ws/replay")
@@ -86,7 +92,15 @@ async def replay_socket(
     """
     await socket.accept()
     try:
-        path = _recording(station, navigation)
+        with seated(socket):
+            await _play(socket, station, navigation, from_s, speed)
+    except Busy as exc:
+        await refuse(socket, exc)
+
+
+async def _play(socket: WebSocket, station: Station, navigation: str, from_s: float, speed: float) -> None:
+    try:
+        path = _recording(station, navigation, from_s)
     except RobotSystemError as exc:
         await socket.close(NO_SUCH_DRIVE, str(exc)[:120])
         return
@@ -114,18 +128,28 @@ async def _send(socket: WebSocket, path: Path, from_s: float, speed: float, ackn
     await socket.close()
 
 
-async def _parts(path: Path, from_s: float, speed: float) -> AsyncIterator[bytes]:
+async def _chained(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
+    async with contextlib.aclosing(rest):
+        yield first
+        async for part in rest:
+            yield part
+
+
+async def _parts(path: Path, from_s: float, speed: float) -> AsyncGenerator[bytes]:
     async with contextlib.aclosing(replay(path, from_s, speed)) as pictures:
         async for picture in pictures:
             head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % (BOUNDARY, len(picture.jpeg))
             yield head + picture.jpeg + b"\r\n"
 
 
-def _recording(station: Station, navigation_id: str) -> Path:
+def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
+    """Raises Unknown, Conflict, or OutOfRange for a time after its end."""
     drive = station.drives.library.get(navigation_id)
     path = station.drives.library.folder(navigation_id) / "recording.mcap"
     if drive.state == "recording" or not path.is_file():
         raise Conflict(f"{navigation_id} has no recording to play now (it is {drive.state})")
+    if from_s >= drive.duration_s > 0:
+        raise OutOfRange(f"from_s {from_s:g} is after the last picture: {navigation_id} lasts {drive.duration_s:.1f} s")
     return path
 
 

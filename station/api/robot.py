@@ -56,22 +56,29 @@ async def robot(robot: RobotDep) -> RobotModel:
 
 @of_robot.post("/drive", summary="Hold a velocity for ttl_ms", responses=responses(409, 503))
 async def drive(order: DriveOrder, robot: RobotDep, driver: DriverDep) -> DriverModel:
-    """Takes the wheel when it is free; silence for a second gives it back. Repeat while the robot is to move."""
+    """Takes the wheel when it is free; a second of silence after ttl_ms gives it back. Repeat while it is to move."""
     robot.driving.drive(driver, order.linear, order.angular, order.ttl_ms)
-    return DriverModel(driver=driver, you_drive=True)
+    return _driver_model(robot, driver)
 
 
 @of_robot.post("/drive/take-over", summary="Become the driver, whoever drives")
 async def take_over(robot: RobotDep, driver: DriverDep) -> DriverModel:
-    """The robot is stopped when another one drove."""
+    """The robot is stopped when another one drove. The wheel is yours for six seconds, then as long as you drive."""
     robot.driving.take_over(driver)
-    return DriverModel(driver=robot.driving.driver, you_drive=True)
+    return _driver_model(robot, driver)
 
 
 @of_robot.post("/drive/release", summary="Let go of the wheel")
 async def release(robot: RobotDep, driver: DriverDep) -> DriverModel:
     robot.driving.release(driver)
-    return DriverModel(driver=robot.driving.driver, you_drive=False)
+    return _driver_model(robot, driver)
+
+
+def _driver_model(robot: RobotSession, caller: str) -> DriverModel:
+    driving = robot.driving
+    now = driving.driver
+    keeps_s = 0.0 if now is None else round(driving.keeps_wheel_s, 1)
+    return DriverModel(driver=now, you_drive=now == caller, keeps_s=keeps_s)
 
 
 @of_robot.post("/stop", summary="Motors off now", responses=responses(503))
@@ -89,9 +96,12 @@ async def pan_tilt(order: PanTiltOrder, robot: RobotDep, driver: DriverDep) -> A
 
 
 @itself.post("/hijack", summary="Put a simulated robot down elsewhere", responses=responses(409, 503))
-async def hijack(order: HijackOrder, robot: RobotDep) -> Accepted:
-    """Only for robots with this capability: simulated ones."""
-    robot.hijack(order.x, order.y, order.yaw)
+async def hijack(robot: RobotDep, order: HijackOrder | None = None) -> Accepted:
+    """Only simulated ones. Without a spot the robot chooses one, in another room where there is one.
+
+    Answers when the robot has taken it up; 422 with its words for a spot that is not free floor.
+    """
+    await robot.hijack(None if order is None else order.spot)
     return Accepted()
 
 

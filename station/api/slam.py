@@ -6,20 +6,20 @@ import asyncio
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep
 from station.api.models import SlamModel, TrajectoryModel
-from station.api.points import BINARY, points_response
+from station.api.points import BINARY, WantsPly, ply_response, points_response
+from station.api.problems import responses
 from station.api.views import slam_model
 from station.live import LiveSlam, pack_points
 from station.navigation import Trajectory
 from station.navigation_files import format_tum
-from station.ply import encode_ply
+from station.refusals import Conflict
+from station.robot_session import RobotSession
 
 of_robot = APIRouter(tags=["SLAM"])
-PLY_TYPES = ("application/x-ply", "application/ply", "model/ply", "text/ply")
-CLOUD = {**BINARY, "content": {**BINARY["content"], "application/x-ply": {}}}
 
 
 @of_robot.get("/pose", summary="The newest pose, and how SLAM is")
@@ -56,17 +56,16 @@ async def trajectory(
     "/landmarks",
     summary="Landmarks so far, binary or PLY",
     response_class=Response,
-    responses={200: CLOUD},
+    responses={200: BINARY, **responses(409)},
 )
 async def landmarks(
     robot: RobotDep,
     since: Annotated[int, Query(ge=0, description="number of the first one wanted: the total of the last answer")] = 0,
     navigation: Annotated[str, Query(description="X-Source of that answer; of another cloud all points come")] = "",
-    format: Annotated[Literal["binary", "ply"] | None, Query()] = None,
-    accept: Annotated[str, Header(include_in_schema=False)] = "",
+    is_ply: WantsPly = False,
 ) -> Response:
+    """As PLY: 409 while there are none, since an empty file helps nobody."""
     live = robot.recording.live
-    is_ply = format == "ply" or (format is None and any(kind in accept for kind in PLY_TYPES))
     if live is None:
         live = LiveSlam("")
     first = 0 if navigation and navigation != live.source else min(since, len(live.points))
@@ -74,10 +73,16 @@ async def landmarks(
     total = first + len(p)
     if not is_ply:
         return points_response(await asyncio.to_thread(pack_points, p, rgb), first, total, live.source)
-    columns = {axis: p[:, i] for i, axis in enumerate("xyz")}
-    colours = {name: rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
-    return Response(
-        await asyncio.to_thread(encode_ply, columns | colours),
-        media_type="application/x-ply",
-        headers={"Content-Disposition": 'attachment; filename="landmarks.ply"', "X-Source": live.source},
-    )
+    if not total:
+        raise Conflict(_no_points(robot))
+    return await ply_response(p, rgb, live.source, "landmarks")
+
+
+def _no_points(robot: RobotSession) -> str:
+    active = robot.maps.active
+    if robot.recording.running is not None:
+        return "the navigation that is recorded has no landmarks yet; most come when it is finished"
+    elsewhere = "those of a finished one are at /navigations/ID/landmarks?format=ply"
+    if active is not None:
+        elsewhere = f"the map's are at /maps/{active.place_map.id}/landmarks?format=ply, {elsewhere}"
+    return f"no navigation was recorded since the station started, so there are no landmarks of one; {elsewhere}"

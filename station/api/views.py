@@ -37,11 +37,13 @@ from station.comparisons import Comparison
 from station.drive_library import DriveRecord
 from station.events import LogLine
 from station.jobs import Job
+from station.live import NO_PLACE
 from station.locating import Visit
 from station.map_library import ActiveMap, PlacesChange
 from station.maps.map import Place, PlaceEdge
 from station.maps.store import MapSummary
 from station.navigation import Navigation
+from station.places.names import has_own_name
 from station.robot_session import RobotSession
 
 
@@ -133,6 +135,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             alternatives=[],
             evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
             reason=_no_answer_yet(robot),
+            preparing=robot.locating.progress if active is not None else None,
             t_robot_ns=None,
             pose_map=None,
         )
@@ -160,7 +163,8 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             inliers=answer.inliers,
             age_s=None if evidence_ns is None else _age_s(robot, evidence_ns),
         ),
-        reason=answer.reason,
+        reason=robot.looks_aside or answer.reason,
+        preparing=None,
         t_robot_ns=answer.t_robot_ns,
         pose_map=None if report.T_map_cam is None else [float(x) for x in report.T_map_cam.ravel()],
     )
@@ -171,7 +175,9 @@ def _no_answer_yet(robot: RobotSession) -> str:
         return "no map is active; record a navigation, build a map from it and choose it"
     if not robot.state.connected:
         return "no robot is connected"
-    return f"no picture was looked at yet ({robot.locating.status})"
+    if robot.locating.progress is not None:
+        return f"getting the map ready: {robot.locating.status}"
+    return robot.looks_aside or f"no picture was looked at yet ({robot.locating.status})"
 
 
 def _probability(p: float) -> float:
@@ -204,8 +210,9 @@ def place_model(active: ActiveMap, place: Place) -> PlaceModel:
         quality=place.quality,
         representative_image=f"/places/{place.id}/images/representative" if has_images else None,
         mean_image=f"/places/{place.id}/images/mean" if has_images else None,
-        colour=[p.id for p in active.place_map.places].index(place.id),
+        colour=active.numbers.get(place.id, NO_PLACE),
         hidden=place.hidden,
+        named=has_own_name(place.name),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import logging
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +14,10 @@ import typer
 
 from shared.certificates import show_fingerprint
 from shared.listening import bind
-from station.config import StationConfig, load_config, parse_robot
+from station.config import DEFAULT_DATA_DIR, ApiConfig, RobotConfig, SlamConfig, StationConfig, load_config, parse_robot
 from station.slam.backends import check_backend
+
+ROBOT_WITHIN_S = 3.0  # then it is said why there is none; a name may be mistyped
 
 
 def register(app: typer.Typer) -> None:
@@ -27,14 +30,26 @@ def serve(
         typer.Option(
             metavar="[NAME=]HOST:PORT",
             help="Where robot-server is; auto looks for one in the network. Give it once for each of several robots.",
+            show_default=f"{RobotConfig.host}:{RobotConfig.port}",
         ),
     ] = None,
-    host: Annotated[str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.")] = None,
-    port: Annotated[int | None, typer.Option(help="Port to serve on; 0 takes a free one.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder for navigations and maps.")] = None,
-    backend: Annotated[str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm.")] = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
-    executor: Annotated[str | None, typer.Option(help="Where jobs compute: dask://HOST:PORT of a scheduler.")] = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.", show_default=ApiConfig.host)
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(help="Port to serve on; 0 takes a free one.", show_default=str(ApiConfig.port))
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder for navigations and maps.", show_default=str(DEFAULT_DATA_DIR))
+    ] = None,
+    backend: Annotated[
+        str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm.", show_default=SlamConfig.backend)
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; options override it.", show_default="none")] = None,
+    executor: Annotated[
+        str | None,
+        typer.Option(help="Where jobs compute: dask://HOST:PORT of a scheduler.", show_default="this machine"),
+    ] = None,
     insecure: Annotated[
         bool, typer.Option("--insecure", help="No access control: whoever reaches the port can watch and drive.")
     ] = False,
@@ -62,8 +77,19 @@ def serve(
                 shown = show_fingerprint(identity.fingerprint)
                 print(f"station: certificate {shown}; tokens: station access --help", flush=True)
 
+        async def tell_of_robot() -> None:
+            await asyncio.sleep(ROBOT_WITHIN_S)
+            for robot in station.robots.values():
+                if not robot.state.connected:
+                    text = f"station: no {robot.name} yet: {robot.state.reason}. It goes on looking."
+                    print(text, file=sys.stderr, flush=True)
+
         async def run() -> None:
-            await serve_until_signal(station, listener, started)
+            telling = asyncio.create_task(tell_of_robot())
+            try:
+                await serve_until_signal(station, listener, started)
+            finally:
+                telling.cancel()
 
         with asyncio.Runner(loop_factory=_loop_factory()) as runner:
             runner.run(run())

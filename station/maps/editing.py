@@ -10,11 +10,17 @@ from station.maps.map import PlaceMap
 MAX_NAME = 80  # characters
 
 
-def with_place_renamed(place_map: PlaceMap, place_id: str, name: str) -> PlaceMap:
-    """The map with one place named otherwise. Names are unique in a map, upper and lower case being one."""
+def tidy_name(name: str, what: str) -> str:
+    """Without stray spaces. Raises DataError for one that is empty or too long."""
     name = " ".join(name.split())
     if not 0 < len(name) <= MAX_NAME:
-        raise DataError(f"a place's name needs 1 to {MAX_NAME} characters, not {len(name)}")
+        raise DataError(f"{what} needs 1 to {MAX_NAME} characters, not {len(name)}")
+    return name
+
+
+def with_place_renamed(place_map: PlaceMap, place_id: str, name: str) -> PlaceMap:
+    """The map with one place named otherwise. Names are unique in a map, upper and lower case being one."""
+    name = tidy_name(name, "a place's name")
     if place_id not in {place.id for place in place_map.places}:
         raise DataError(f'map "{place_map.name}" has no place with id "{place_id}"')
     if any(place.name.casefold() == name.casefold() and place.id != place_id for place in place_map.places):

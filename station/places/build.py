@@ -17,8 +17,7 @@ from station.places.clusters import Clusters, cluster_landmarks
 from station.places.config import PlacesConfig, PlacesMode
 from station.places.evidence import evidence_keyframes, gather_evidence, observing_keyframes
 from station.places.graph import place_edges
-
-NAME_PREFIX = "Place "
+from station.places.names import NAME_PREFIX
 
 
 def build_map(

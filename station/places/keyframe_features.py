@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +31,13 @@ class KeyframeFeatures:
     all_descriptors: DescriptorArray  # (m, 128) also those without position: they make the appearance
 
 
-def describe_keyframes(place_map: PlaceMap, extractor: FeatureExtractor) -> list[KeyframeFeatures]:
-    """Features of every keyframe; an image that cannot be decoded, or is missing, has none."""
+def describe_keyframes(
+    place_map: PlaceMap, extractor: FeatureExtractor, on_keyframe: Callable[[], None] = lambda: None
+) -> list[KeyframeFeatures]:
+    """Features of every keyframe; an image that cannot be decoded, or is missing, has none.
+
+    `on_keyframe` is called before each of them.
+    """
     navigation = place_map.navigation
     landmarks, keyframes = navigation.landmarks, navigation.keyframes
     camera = navigation.calibration.camera
@@ -39,6 +45,7 @@ def describe_keyframes(place_map: PlaceMap, extractor: FeatureExtractor) -> list
     begin = np.searchsorted(landmarks.observed_keyframe[order], np.arange(len(keyframes) + 1))
     out = []
     for k in range(len(keyframes)):
+        on_keyframe()
         observed = order[begin[k] : begin[k + 1]]
         features = _extract(keyframes.encoded[k], extractor)
         if camera is None or not len(observed) or not len(features):

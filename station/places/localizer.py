@@ -6,7 +6,7 @@ estimated within one map only. docs/localisation.md has the measurements behind 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,10 +74,12 @@ class Localizer:
         maps: PlaceMap | Sequence[PlaceMap],
         config: LocalizerConfig | None = None,
         described: Sequence[Sequence[KeyframeFeatures]] | None = None,
+        on_keyframe: Callable[[], None] = lambda: None,
     ) -> None:
         """Describe and index all keyframes of the maps: some 60 ms per keyframe on one core.
 
-        `described`: the features of every map's keyframes, where they are known already.
+        `described`: the features of every map's keyframes, where they are known already; else `on_keyframe` is called
+        before each of them.
         """
         self.maps = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
         self.config = config or LocalizerConfig()
@@ -85,7 +87,9 @@ class Localizer:
         self._keyframes: list[_Keyframe] = []
         for m, place_map in enumerate(self.maps):
             poses = place_map.navigation.keyframes.T_world_cam
-            known = described[m] if described is not None else describe_keyframes(place_map, self._extractor)
+            known = (
+                described[m] if described is not None else describe_keyframes(place_map, self._extractor, on_keyframe)
+            )
             for k, features in enumerate(known):
                 self._keyframes.append(_Keyframe(m, k, features, poses[k]))
         self.index = AppearanceIndex([k.features.all_descriptors for k in self._keyframes])

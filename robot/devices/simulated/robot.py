@@ -165,6 +165,13 @@ class SimulatedRobot:
         """A free position with some room around it and a heading. Raises ConfigError for an unknown room."""
         return self._space.random_spot(seed, room_name)
 
+    def spot_in_another_room(self, seed: int) -> tuple[float, float, float]:
+        """As `random_spot`, of a room that the robot is not in; of the same one where there is no other."""
+        p = self.truth()[1].p_world
+        here = self.world.room_at(float(p[0]), float(p[1]))
+        others = [room.name for room in self.world.rooms if room.name != here]
+        return self.random_spot(seed, others[seed % len(others)] if others else None)
+
     # --- threads --------------------------------------------------------------------------------------------------
 
     def _ns(self, t_s: float) -> int:

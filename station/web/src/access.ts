@@ -52,6 +52,7 @@ function login(why: string): Promise<void> {
       event.preventDefault();
       call("POST", "/login", { token: input.value.trim() }).then(
         () => {
+          dialog.oncancel = null; // its other questions may be left unanswered
           dialog.close();
           resolve();
         },

@@ -15,6 +15,8 @@ export class Camera3d {
       new THREE.LineBasicMaterial({ color: 0xff5a36 }),
     );
     this.texture = new THREE.CanvasTexture(video);
+    this.texture.generateMipmaps = false; // they cost more than the picture, and it is small
+    this.texture.minFilter = THREE.LinearFilter;
     const picture = new THREE.Mesh(
       new THREE.PlaneGeometry(2 * w, 2 * h),
       new THREE.MeshBasicMaterial({ map: this.texture, side: THREE.DoubleSide }),

@@ -4,9 +4,10 @@ import { fetchBytes } from "./api";
 
 const HEADER_BYTES = 16;
 const STRIDE = 16;
+// A wheel: the station numbers places so that neighbours are far apart on it (station/places/colours.py).
 export const PALETTE = [
-  "#2dd4bf", "#fb923c", "#a78bfa", "#facc15", "#60a5fa", "#f472b6",
-  "#a3e635", "#f87171", "#22d3ee", "#e879f9", "#fbbf24", "#4ade80",
+  "#f87171", "#fb923c", "#facc15", "#a3e635", "#4ade80", "#2dd4bf",
+  "#38bdf8", "#7ba0ff", "#a48bfa", "#c884fc", "#f07af0", "#f472b6",
 ];
 
 export interface Cloud {

@@ -42,6 +42,10 @@ export class DriveControl {
     this.listenToPage();
     by("stop").addEventListener("click", () => this.emergencyStop("STOP"));
     by("take-over").addEventListener("click", () => this.send({ type: "take_over" }));
+    by("head-ahead").addEventListener("click", () => {
+      for (const id of ["pan", "tilt"]) by<HTMLInputElement>(id).value = "0";
+      this.pointHead();
+    });
     const speed = by<HTMLInputElement>("speed");
     speed.addEventListener("input", () => setText(by("speed-text"), `${speed.value} %`));
     for (const id of ["pan", "tilt"]) by(id).addEventListener("input", () => this.pointHead());
@@ -65,6 +69,8 @@ export class DriveControl {
     this.connected = robot.connected;
     show(by("head"), Boolean(robot.connected && this.able?.pan_tilt));
     by("head").title = robot.head_must_rest;
+    by<HTMLButtonElement>("head-ahead").disabled = robot.head_must_rest !== "";
+    document.body.dataset["robot"] = robot.connected && robot.capabilities?.drive ? "drives" : "none";
     for (const id of ["pan", "tilt"]) {
       const slider = by<HTMLInputElement>(id);
       slider.disabled = robot.head_must_rest !== "";
@@ -77,9 +83,11 @@ export class DriveControl {
   showDriver(driver: string | null): void {
     this.youDrive = driver === driverName;
     const other = driver !== null && !this.youDrive;
-    setText(by("driver"), this.youDrive ? "You drive" : other ? `${driver} drives` : "Hold to drive");
+    const free = !this.connected ? "No robot" : this.able?.drive ? "Hold to drive" : "This robot cannot drive";
+    setText(by("driver"), this.youDrive ? "You drive" : other ? `${driver} drives` : free);
+    by("driver").title = other ? `${driver} drives` : "";
     by("driver").classList.toggle("other", other);
-    show(by("take-over"), other);
+    show(by("take-over"), other && this.socket !== null);
   }
 
   emergencyStop(reason: string): void {
@@ -94,6 +102,7 @@ export class DriveControl {
 
   private take(answer: DriveAnswer): void {
     if (answer.type === "time") this.heardMs = answer.t_ms;
+    else if (answer.type === "accepted" && this.isDriving) show(by("why"), false); // it drives again: why it stopped is past
     else if (answer.type === "driver") this.showDriver(answer.driver);
     else if (answer.type === "refused") this.halt(answer.text, false); // a STOP of ours would stop the one who drives
   }

@@ -1,14 +1,15 @@
-// What can be done with one recorded drive.
+// What can be done with one recorded navigation.
 import { call } from "./api";
 import { attempt, by, duration, make, present } from "./dom";
 import type { NavigationModel } from "./messages";
 
 export interface DriveActions {
   replay: (navigation: NavigationModel) => Promise<void>;
-  remove: (navigation: NavigationModel) => Promise<void>;
+  remove: () => Promise<void>;
+  rename: () => Promise<void>;
 }
 
-/** The dialog of a drive; `others` are the ready drives it can be mapped or compared with. */
+/** The dialog of a navigation; `others` are the ready ones it can be mapped or compared with. */
 export function openDrive(n: NavigationModel, others: NavigationModel[], actions: DriveActions): void {
   const dialog = by<HTMLDialogElement>("drive-dialog");
   const button = (text: string, act: () => Promise<unknown>, kind = "") =>
@@ -16,13 +17,13 @@ export function openDrive(n: NavigationModel, others: NavigationModel[], actions
   const boxes = others.map((other) => make("input", { type: "checkbox", value: other.id, id: `with-${other.id}` }));
   const chosen = () => boxes.filter((box) => box.checked).map((box) => box.value);
   const buildMap = button("Build map", () => {
-    const name = chosen().length ? `Map of ${chosen().length + 1} drives` : `Map of ${n.name}`;
+    const name = chosen().length ? `Map of ${chosen().length + 1} navigations` : `Map of ${n.name}`;
     return call("POST", "/maps", { navigations: [n.id, ...chosen()], name });
   }, "primary");
   const compare = button("Compare", () => call("POST", "/comparisons", { first: n.id, second: chosen()[0] }));
   const refresh = () => {
     compare.disabled = chosen().length !== 1;
-    buildMap.textContent = chosen().length ? `Build map of ${chosen().length + 1} drives` : "Build map";
+    buildMap.textContent = chosen().length ? `Build map of ${chosen().length + 1} navigations` : "Build map";
   };
   for (const box of boxes) box.addEventListener("change", refresh);
   refresh();
@@ -41,8 +42,9 @@ export function openDrive(n: NavigationModel, others: NavigationModel[], actions
     make("div", { class: "row wrap" }, make("span", { class: "note" }, "Download"),
       n.recording !== null && file("recording.mcap", "MCAP"), isReady && file("trajectory.tum", "TUM"), isReady && file("landmarks.ply", "PLY")),
     make("div", { class: "row end wrap" },
-      button("Delete", () => actions.remove(n), "quiet apart"),
+      button("Delete", actions.remove, "quiet apart"),
       button("Close", async () => {}, "quiet"),
+      n.state !== "finishing" && button("Rename", actions.rename),
       n.recording !== null && button("Run SLAM again", () => call("POST", `/navigations/${n.id}/reprocess`, {})),
       n.recording !== null && button("Replay", () => actions.replay(n)),
       isReady && others.length > 0 && compare,

@@ -1,5 +1,5 @@
 // How everything is, in words and numbers, and what to do first.
-import { by, clock, make, percent, setText, show } from "./dom";
+import { by, clock, make, percent, prose, setText, show } from "./dom";
 import type { Library } from "./library";
 import type { LogModel, RobotModel, SlamModel } from "./messages";
 
@@ -86,9 +86,9 @@ export class HealthView {
     const isUsed = this.library.maps.some((m) => m.active);
     const robot = this.robot;
     const steps: [boolean, string, string][] = [
-      [Boolean(robot?.connected), "Connect a robot", `Start robot-server on it; this station looks for it at ${robot?.host ?? ""}:${robot?.port ?? ""}.`],
-      [hasDrive || hasMap, "Record a drive", "Press Record, drive slowly through every room, look around, and come back. Then stop."],
-      [hasMap, "Build a map", "Press Build map beside the drive: its landmarks become places."],
+      [Boolean(robot?.connected), "Connect a robot", `Start \`robot-server\` on it; this station looks ${robot?.host === "auto" ? "in the whole network" : `at ${robot?.host ?? ""}:${robot?.port ?? ""} (elsewhere: \`station serve --robot HOST:PORT\`, or \`--robot auto\` to search the network)`}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`],
+      [hasDrive || hasMap, "Record a navigation", "Press Record, drive slowly through every room, look around, and come back. Then stop."],
+      [hasMap, "Build a map", "Press Build map beside the navigation: its landmarks become places."],
       [isUsed, "Ask where it is", "Choose the map, pick the robot up, put it down anywhere: the page names the place."],
     ];
     if (robot?.connected && !robot.calibrated)
@@ -104,7 +104,7 @@ export class HealthView {
         "ol",
         {},
         ...steps.map(([done, title, how], i) =>
-          make("li", { class: done ? "done" : i === next ? "next" : "" }, make("strong", {}, title), i === next && make("p", { class: "note" }, how)),
+          make("li", { class: done ? "done" : i === next ? "next" : "" }, make("strong", {}, title), i === next && make("p", { class: "note" }, ...prose(how))),
         ),
       ),
     );

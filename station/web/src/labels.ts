@@ -59,14 +59,18 @@ export class Labels {
       const { node, size } = one.label;
       const isPlace = node.dataset["place"] !== undefined;
       const [w, h] = size!;
-      // A name at the edge moves in as a whole; a bearing stays where its line is.
+      // A name at the edge moves in as a whole, and makes way for a heavier one; a bearing stays where its line is.
       const x = isPlace ? Math.min(Math.max(one.x, w / 2 + GAP_PX), width - w / 2 - GAP_PX) : one.x;
-      const fits = isFree(x, one.y, w, h);
+      const step = h + 2 * GAP_PX;
+      const free = (isPlace ? [0, -step, step, -2 * step, 2 * step] : [0]).find((dy) => isFree(x, one.y + dy, w, h));
+      // Where the robot is, and what a person named, is always read, however narrow it gets.
+      const fits = free !== undefined || isHere(one.label) || node.dataset["named"] === "true";
+      const y = one.y + (free ?? 0);
       if (isPlace) node.classList.toggle("dot", !fits);
       else if (!fits) node.style.display = "none";
-      if (fits) take(x, one.y, w, h);
+      if (fits) take(x, y, w, h);
       else if (isPlace) take(one.x, one.y, DOT_PX, DOT_PX);
-      node.style.transform = `translate(-50%,-50%) translate(${fits ? x : one.x}px,${one.y}px)`;
+      node.style.transform = `translate(-50%,-50%) translate(${fits ? x : one.x}px,${y}px)`;
     }
   }
 

@@ -1,7 +1,8 @@
-// Drives and maps: record, stop, build, choose, delete.
+// Navigations and maps: record, stop, build, choose, name, delete.
 import { call } from "./api";
-import { attempt, by, duration, make, setText, show, toast } from "./dom";
+import { ask, askAll, attempt, by, duration, make, setText, show, toast } from "./dom";
 import { openDrive } from "./drive_dialog";
+import { openMap } from "./map_dialog";
 import { Refresh } from "./refresh";
 import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
 import { isShown } from "./robots";
@@ -51,7 +52,7 @@ export class Library {
     by("bin-list").replaceChildren(...deleted.map((entry) => {
       const restore = () => attempt(() => call("POST", `/${entry.kind}s/${entry.id}/restore`));
       const gone = new Date(entry.gone_unix_s * 1000).toLocaleDateString();
-      return make("li", {}, make("div", {}, make("strong", {}, entry.name), make("span", { class: "note" }, `${entry.kind === "map" ? "map" : "drive"} · gone for good on ${gone}`)),
+      return make("li", {}, make("div", {}, title(entry.name), make("span", { class: "note" }, `${entry.kind} · gone for good on ${gone}`)),
         make("button", { type: "button", class: "small", "aria-label": `Restore ${entry.name}`, onclick: restore }, "Restore"));
     }));
   }
@@ -116,6 +117,18 @@ export class Library {
     toast(`${job.title}: done`, "Show", () => this.onCompare(comparison));
   }
 
+  private async rename(path: string, name: string, what: string): Promise<void> {
+    const wanted = await ask(`Name this ${what}`, "Save", { label: "Name", value: name });
+    if (wanted && wanted !== name) await call("PATCH", path, { name: wanted });
+  }
+
+  private async removeComparison(c: ComparisonModel): Promise<void> {
+    const sure = await askAll(`Delete “${c.name}”?`, "Delete", [], "For good. Both navigations stay, and can be compared again.");
+    if (!sure) return;
+    await call("DELETE", `/comparisons/${c.id}`);
+    await this.comparisonList.ask();
+  }
+
   private async remove(path: string, name: string): Promise<void> {
     await call("DELETE", path);
     toast(`${name} is deleted.`, "Undo", () => call("POST", `${path}/restore`));
@@ -126,7 +139,7 @@ export class Library {
     const record = by<HTMLButtonElement>("record");
     record.classList.toggle("on", Boolean(running));
     record.disabled = !running && !this.connected;
-    setText(record.querySelector<HTMLElement>(".text")!, running ? `Stop recording (${duration(running.duration_s)})` : "Record a drive");
+    setText(record.querySelector<HTMLElement>(".text")!, running ? `Stop recording (${duration(running.duration_s)})` : "Record a navigation");
     show(by("rec"), Boolean(running));
     by("jobs").replaceChildren(...[...this.jobs.values()].filter((j) => j.state === "running").map((j) => this.jobRow(j)));
     const drives = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();
@@ -153,39 +166,45 @@ export class Library {
         make("button", { type: "button", class: "small", "aria-label": `More about ${n.name}`, onclick: () => this.openDrive(n) }, "More"),
         this.deleteButton(`/navigations/${n.id}`, n.name),
       );
-    return make("li", { class: n.state }, make("div", {}, make("strong", {}, n.name), make("span", { class: "note" }, about)), actions);
+    return make("li", { class: n.state }, make("div", {}, title(n.name), make("span", { class: "note" }, about)), actions);
   }
 
   private mapRow(m: MapModel): HTMLElement {
     const actions = make("div", { class: "row" });
-    if (m.active)
-      actions.append(
-        make("a", { class: "small", href: "/graph?format=graphml", download: `${m.id}.graphml`, "aria-label": `GraphML of ${m.name}` }, "GraphML"),
-        make("span", { class: "tick" }, "in use"),
-      );
-    else if (!m.damaged) {
-      const use = () => attempt(() => call("PUT", "/maps/active", { id: m.id }));
-      actions.append(make("button", { type: "button", class: "small", onclick: use }, "Use"));
+    const use = (id: string | null) => call("PUT", "/maps/active", { id });
+    if (m.active) actions.append(make("span", { class: "tick" }, "in use"));
+    else if (!m.damaged)
+      actions.append(make("button", { type: "button", class: "small", "aria-label": `Use ${m.name}`, onclick: () => attempt(() => use(m.id)) }, "Use"));
+    if (!m.damaged) {
+      const more = () => openMap(m, { use, rename: () => this.rename(`/maps/${m.id}`, m.name, "map") });
+      actions.append(make("button", { type: "button", class: "small", "aria-label": `More about ${m.name}`, onclick: more }, "More"));
     }
     if (!m.active) actions.append(this.deleteButton(`/maps/${m.id}`, m.name));
     const about = m.damaged || `map · ${m.places} places`;
-    return make("li", { class: m.damaged ? "failed" : m.active ? "in-use" : "" }, make("div", {}, make("strong", {}, m.name), make("span", { class: "note" }, about)), actions);
+    return make("li", { class: m.damaged ? "failed" : m.active ? "in-use" : "" }, make("div", {}, title(m.name), make("span", { class: "note" }, about)), actions);
   }
 
   private openDrive(n: NavigationModel): void {
     const others = [...this.navigations.values()].filter((other) => other.id !== n.id && other.state === "ready");
-    openDrive(n, others, { replay: this.onReplay, remove: (drive) => this.remove(`/navigations/${drive.id}`, drive.name) });
+    const path = `/navigations/${n.id}`;
+    openDrive(n, others, { replay: this.onReplay, remove: () => this.remove(path, n.name), rename: () => this.rename(path, n.name, "navigation") });
   }
 
   private comparisonRow(c: ComparisonModel): HTMLElement {
     const look = make("button", { type: "button", class: "small", "aria-label": `Show ${c.name}`, onclick: () => attempt(() => this.onCompare(c.id)) }, "Show");
     const report = make("a", { class: "small", href: c.report, target: "_blank", rel: "noopener", "aria-label": `Report: ${c.name}` }, "Report");
+    const remove = make("button", { type: "button", class: "small quiet", "aria-label": `Delete ${c.name}`, onclick: () => attempt(() => this.removeComparison(c)) }, "✕");
     const about = c.accepted ? `${c.matches} of ${c.places} places found again` : "could not be registered";
-    return make("li", { class: c.accepted ? "" : "failed" }, make("div", {}, make("strong", {}, c.name), make("span", { class: "note" }, about)), make("div", { class: "row" }, look, report));
+    return make("li", { class: c.accepted ? "" : "failed" }, make("div", {}, title(c.name), make("span", { class: "note" }, about)), make("div", { class: "row" }, look, report, remove));
   }
 
   private deleteButton(path: string, name: string): HTMLElement {
     const remove = () => attempt(() => this.remove(path, name));
     return make("button", { type: "button", class: "small quiet", "aria-label": `Delete ${name}`, onclick: remove }, "✕");
   }
+}
+
+/** The name of a row: cut where it is too long, whole when pointed at. */
+function title(name: string): HTMLElement {
+  return make("strong", { title: name }, name);
 }

@@ -1,8 +1,9 @@
 // The page: parts that show, one event stream that tells them.
 import { call, LastingSocket } from "./api";
-import { askAll, attempt, by, show } from "./dom";
+import { attempt, by, show } from "./dom";
 import { DriveControl } from "./drive";
 import { HealthView } from "./health";
+import { openHijack } from "./hijack";
 import { Library } from "./library";
 import { MapView } from "./map3d";
 import type { EventMessage, LogModel, RobotEntry } from "./messages";
@@ -104,19 +105,7 @@ async function load(): Promise<void> {
   ]);
 }
 
-by("hijack").addEventListener("click", () =>
-  attempt(async () => {
-    const where = await askAll(
-      "Put the simulated robot down elsewhere",
-      "Hijack",
-      ["x, m", "y, m", "heading, degrees"].map((label, i) => ({ label, value: ["1", "1", "90"][i]!, isNumber: true })),
-      "In the simulated world's own coordinates, which no map knows. A spot that is not free floor is refused; the events say so.",
-    );
-    if (!where) return;
-    const [x, y, degrees] = where.map(Number) as [number, number, number];
-    await call("POST", "/robot/hijack", { x, y, yaw: (degrees * Math.PI) / 180 });
-  }),
-);
+by("hijack").addEventListener("click", openHijack);
 
 by("theme").addEventListener("click", () => {
   const dark = getComputedStyle(document.documentElement).colorScheme.includes("dark");

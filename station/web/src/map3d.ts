@@ -3,8 +3,9 @@ import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { call } from "./api";
 import { Camera3d } from "./camera3d";
-import { type Cloud, extent, fetchCloud, PALETTE, setPointSize, thinOut, toPoints } from "./cloud";
-import { by, make, setText, show } from "./dom";
+import { type Cloud, extent, fetchCloud, setPointSize, thinOut, toPoints } from "./cloud";
+import { by, setText, show } from "./dom";
+import { Graph3d } from "./graph3d";
 import { Labels } from "./labels";
 import { isSoftware, Pace } from "./pace";
 import { Refresh } from "./refresh";
@@ -13,6 +14,9 @@ import type { CurrentPlace, GraphModel, PlaceModel, PlacesChangeModel, SlamModel
 type View = "follow" | "top" | "free";
 type Layer = "map" | "live" | "review"; // of the active map, of the running or last drive, of what a person looks at again
 const DATA_REDRAW_MS = 250;
+const DATA_SHARE = 4; // such a redraw may keep the machine busy for a quarter of the time at most
+const LET_GO_MS = 100;
+const REST_MS = 200; // a hand that holds the view still for so long wants to see everything
 const MAX_CHUNKS = 40; // then the live cloud is fetched whole again: fewer, larger buffers draw faster
 
 export class MapView {
@@ -21,7 +25,11 @@ export class MapView {
   private graph: GraphModel | null = null;
   private readonly host = by("scene");
   private readonly labels = new Labels(by("labels"));
-  private readonly renderer = new THREE.WebGLRenderer({ antialias: !isSoftware(), alpha: true, powerPreference: "low-power" });
+  private readonly net = new Graph3d(this.labels);
+  private readonly software = isSoftware();
+  private readonly renderer = new THREE.WebGLRenderer({ antialias: !this.software, alpha: true, powerPreference: "low-power" });
+  private readonly pixelRatio = Math.min(devicePixelRatio, 2);
+  private pixels = 0; // per pixel of the page, as last drawn
   private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
   private readonly controls: OrbitControls;
   private readonly groups: Record<Layer, THREE.Group> = { map: new THREE.Group(), live: new THREE.Group(), review: new THREE.Group() };
@@ -30,7 +38,6 @@ export class MapView {
   private readonly grid: THREE.GridHelper;
   private readonly track: THREE.Vector3[] = [];
   private trackLine: THREE.Line | null = null;
-  private graphLines: THREE.LineSegments | null = null;
   private boxes: Record<Layer, THREE.Box3 | null> = { map: null, live: null, review: null };
   private points: Record<Layer, number> = { map: 0, live: 0, review: 0 };
   private layer: Layer = "map";
@@ -39,8 +46,9 @@ export class MapView {
   private chosenLayer = false;
   private pending = false;
   private soon = 0;
-  private isHeld = false; // a hand turns or moves the view
-  private readonly pace = new Pace();
+  private isTurning = false; // a hand turns or moves the view
+  private resting = 0;
+  private readonly pace = new Pace(this.renderer.getContext() as WebGL2RenderingContext, this.software);
   private map: { id: string | null; revision: number } = { id: null, revision: -1 };
   private wantedMap: { id: string | null; revision: number } = { id: null, revision: -1 };
   private readonly mapContent = new Refresh(() => this.fetchMap());
@@ -53,19 +61,30 @@ export class MapView {
   constructor(video: HTMLCanvasElement) {
     THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
     this.camera.up.set(0, 0, 1);
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace; // colours go to the screen as they came
     this.host.prepend(this.renderer.domElement);
     this.renderer.domElement.setAttribute("aria-hidden", "true");
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.enableDamping = false;
-    this.controls.addEventListener("change", () => (this.isHeld ? this.draw() : this.drawSoon()));
+    let isHeld = false;
+    const rest = () => {
+      if (this.isTurning) this.draw();
+      this.isTurning = false;
+    };
+    this.controls.addEventListener("change", () => {
+      if (!isHeld) return this.drawSoon();
+      this.isTurning = true;
+      clearTimeout(this.resting);
+      this.resting = window.setTimeout(rest, REST_MS);
+      this.draw();
+    });
     this.controls.addEventListener("end", () => {
-      this.isHeld = false;
-      this.drawSoon();
+      isHeld = false;
+      clearTimeout(this.resting);
+      this.resting = window.setTimeout(rest, LET_GO_MS); // the next turn of a mouse wheel comes sooner
     });
     this.controls.addEventListener("start", () => {
-      this.isHeld = true;
+      isHeld = true;
       if (this.view === "follow") this.setView("free", false);
     });
     this.grid = new THREE.GridHelper(40, 40, 0x808890, 0x808890);
@@ -129,7 +148,8 @@ export class MapView {
       if (!this.chosenLayer) this.setLayer(map.id === null ? "live" : "map");
       this.frameAll();
     }
-    this.showGraph();
+    this.net.show(graph, this.groups.map, (place) => this.onPlace(place));
+    this.labels.setHere(this.currentPlaceId);
     this.describe();
     this.draw();
   }
@@ -213,6 +233,12 @@ export class MapView {
     if (this.layer === "review") this.setLayer(this.layerBefore);
   }
 
+  /** What openReview was given takes up another space. */
+  reframeReview(box: THREE.Box3 | null): void {
+    this.boxes.review = box;
+    if (this.layer === "review") this.frameAll();
+  }
+
   /** What openReview was given has changed. */
   redraw(): void {
     this.drawSoon();
@@ -270,7 +296,6 @@ export class MapView {
     this.points[layer] = cloud.total;
     const box = extent(cloud);
     if (box) this.boxes[layer] = this.boxes[layer]?.union(box) ?? box;
-    setPointSize(this.points[layer] > 60_000 ? 1.4 : this.points[layer] > 15_000 ? 2 : 3.2);
     this.describe();
     this.drawSoon();
   }
@@ -286,8 +311,6 @@ export class MapView {
     if (layer === "live") {
       this.track.length = 0;
       this.trackLine = null;
-    } else if (layer === "map") {
-      this.graphLines = null;
     }
   }
 
@@ -304,38 +327,6 @@ export class MapView {
     this.boxes.live = this.boxes.live?.union(box) ?? box;
   }
 
-  private showGraph(): void {
-    if (this.graphLines) {
-      this.groups.map.remove(this.graphLines);
-      this.graphLines.geometry.dispose();
-      this.graphLines = null;
-    }
-    this.labels.clear();
-    const graph = this.graph;
-    if (!graph) return;
-    const at = new Map(graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]));
-    const ends: THREE.Vector3[] = [];
-    for (const edge of graph.edges) {
-      const [a, b] = [at.get(edge.a)!, at.get(edge.b)!];
-      ends.push(a, b);
-      const degrees = Math.round((edge.bearing_rad * 180) / Math.PI);
-      const text = `${degrees}° · ${edge.distance.toFixed(1)}`;
-      this.labels.add(make("span", { class: "bearing" }, text), a.clone().lerp(b, 0.5), -edge.distance);
-    }
-    this.graphLines = new THREE.LineSegments(
-      new THREE.BufferGeometry().setFromPoints(ends),
-      new THREE.LineBasicMaterial({ color: 0x94a3b8, transparent: true, opacity: 0.6 }),
-    );
-    this.groups.map.add(this.graphLines);
-    for (const node of graph.nodes) {
-      const button = make("button", { type: "button", class: "place-label", "data-place": node.id }, node.name);
-      button.style.setProperty("--own", PALETTE[node.colour % PALETTE.length]!);
-      button.addEventListener("click", () => this.onPlace(node));
-      this.labels.add(button, at.get(node.id)!, node.landmarks);
-    }
-    this.labels.setHere(this.currentPlaceId);
-  }
-
   private describe(): void {
     const count = this.points[this.layer];
     const places = this.layer === "map" && this.graph ? `${this.graph.nodes.length} places · ` : "";
@@ -345,10 +336,10 @@ export class MapView {
     setText(
       empty,
       this.layer === "map"
-        ? "No map is in use: choose one, or record a drive and build a map from it."
+        ? "No map is in use: choose one, or record a navigation and build a map from it."
         : this.layer === "live"
-          ? "Landmarks appear here when a recorded drive is finished; while it is recorded with SLAM by ukf."
-          : "This drive has no landmarks: SLAM did not finish.",
+          ? "Landmarks appear here when a recorded navigation is finished; with SLAM by ukf while it is recorded."
+          : "This navigation has no landmarks: SLAM did not finish.",
     );
   }
 
@@ -366,20 +357,37 @@ export class MapView {
     this.soon ||= window.setTimeout(() => {
       this.soon = 0;
       this.draw();
-    }, DATA_REDRAW_MS);
+    }, Math.max(DATA_REDRAW_MS, DATA_SHARE * this.pace.lastMs));
   }
 
   private draw(): void {
     if (this.pending) return;
     this.pending = true;
-    this.pace.asked();
-    requestAnimationFrame(() => {
-      this.pending = false;
-      thinOut(this.groups[this.layer], this.isHeld ? this.pace.share(this.points[this.layer]) : 1);
-      this.renderer.render(this.scene, this.camera);
-      this.labels.place(this.camera, this.layer === "map", this.host);
-      this.frames += 1;
-      this.host.dataset["frames"] = String(this.frames);
-    });
+    this.pace.whenFree(() => requestAnimationFrame(() => this.render()));
   }
+
+  private render(): void {
+    this.pending = false;
+    const points = this.points[this.layer];
+    const share = this.isTurning ? this.pace.share(points) : 1;
+    const pixels = this.pixelRatio * (this.isTurning ? this.pace.pixels(points) : 1);
+    if (pixels !== this.pixels) {
+      this.pixels = pixels;
+      this.renderer.setPixelRatio(pixels);
+    }
+    thinOut(this.groups[this.layer], share);
+    setPointSize(pixels * pointSize(points * share));
+    this.pace.begin(points * share);
+    this.renderer.render(this.scene, this.camera);
+    this.pace.end();
+    this.labels.place(this.camera, this.layer === "map", this.host);
+    this.frames += 1;
+    this.host.dataset["frames"] = String(this.frames);
+    this.host.dataset["share"] = share.toFixed(3);
+  }
+}
+
+/** Pixels of the page: fewer points are larger, so that walls look closed. */
+function pointSize(points: number): number {
+  return points > 60_000 ? 1.4 : points > 15_000 ? 2 : 3.2;
 }

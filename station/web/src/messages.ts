@@ -49,14 +49,14 @@ export interface ClockModel {
   rtt_ms: number | null;
 }
 
-/** Two drives compared; the report has the pictures. */
+/** Two navigations compared; the report has the pictures. */
 export interface ComparisonModel {
   id: string;
   name: string;
   first: string;
   second: string;
   made_unix_s: number;
-  /** of the first drive */
+  /** of the first navigation */
   places: number;
   /** of the second one */
   locations: number;
@@ -70,7 +70,7 @@ export interface ComparisonModel {
   report: string;
 }
 
-/** Which drives to compare: places are made of the first one and looked for in the second. */
+/** Which navigations to compare: places are made of the first one and looked for in the second. */
 export interface ComparisonOrder {
   first: string;
   second: string;
@@ -92,6 +92,8 @@ export interface CurrentPlace {
   map: string | null;
   alternatives: PlaceProbability[];
   evidence: Evidence;
+  /** 0..1 while the map is prepared for answers; else null */
+  preparing: number | null;
   /** in a sentence */
   reason: string;
   /** sensor time the answer is about, robot clock */
@@ -149,6 +151,8 @@ export interface DriverMessage {
 export interface DriverModel {
   driver: string | null;
   you_drive: boolean;
+  /** so long the driver keeps the wheel without another word */
+  keeps_s: number;
 }
 
 export interface EdgeModel {
@@ -174,6 +178,8 @@ export interface Evidence {
 /** The topological map. */
 export interface GraphModel {
   map: string;
+  /** distances are metres; false: of unknown scale */
+  metric: boolean;
   nodes: PlaceModel[];
   edges: EdgeModel[];
 }
@@ -187,10 +193,11 @@ export interface HealthModel {
   localisation: string;
 }
 
+/** Where to put it down; nothing at all: wherever the robot likes. */
 export interface HijackOrder {
   /** m, the simulated world's frame */
-  x: number;
-  y: number;
+  x: number | null;
+  y: number | null;
   /** rad */
   yaw: number;
 }
@@ -279,7 +286,7 @@ export interface NavigationMessage {
   navigation: NavigationModel | null;
 }
 
-/** One recorded drive. */
+/** One recorded drive and what SLAM made of it. */
 export interface NavigationModel {
   id: string;
   name: string;
@@ -307,6 +314,11 @@ export interface NavigationStart {
   name: string;
 }
 
+/** What it shall be called. */
+export interface NewName {
+  name: string;
+}
+
 export interface PanTiltCommand {
   type: "pan_tilt";
   pan: number;
@@ -320,7 +332,7 @@ export interface PanTiltOrder {
   tilt: number;
 }
 
-/** What is to be otherwise; what is left out or null stays. */
+/** What is to be otherwise; what is left out or null stays, and one thing must be said. */
 export interface PlaceChange {
   name: string | null;
   hidden: boolean | null;
@@ -351,10 +363,12 @@ export interface PlaceModel {
   quality: number;
   representative_image: string | null;
   mean_image: string | null;
-  /** its number in GET /maps/{id}/landmarks */
+  /** its number in GET /maps/{id}/landmarks; neighbours differ in the remainder by 12 */
   colour: number;
   /** by a person: never the current place, and not in the graph */
   hidden: boolean;
+  /** a person gave it its name */
+  named: boolean;
 }
 
 export interface PlaceName {
@@ -400,7 +414,7 @@ export interface ReleaseCommand {
   type: "release";
 }
 
-/** Where the camera was during a recorded drive; the pictures come by /ws/replay. */
+/** Where the camera was during a recorded navigation; the pictures come by /ws/replay. */
 export interface ReplayModel {
   navigation: string;
   /** robot clock, of the first pose */

@@ -78,12 +78,16 @@ export class PlaceView {
     const hasAnswer = place.t_robot_ns !== null;
     card.dataset["state"] = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
     const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
-    const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : "Getting ready…";
+    const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : place.preparing !== null ? `Getting ready… ${percent(place.preparing)}` : "Getting ready…";
     setText(by("place-name"), place.place?.name ?? otherwise);
     setText(by("place-probability"), place.place ? percent(place.probability) : "");
     setText(by("place-kicker"), place.place && place.distance_m !== null
       ? `Current place · ${place.distance_m.toFixed(1)} m away` : "Current place");
     setText(by("place-reason"), place.reason);
+    by("place-reason").title = place.reason;
+    const preparing = by<HTMLProgressElement>("preparing");
+    show(preparing, place.preparing !== null);
+    if (place.preparing !== null) preparing.value = place.preparing;
     this.current = place.place?.id ?? null;
     this.showColour();
     by("alternatives").replaceChildren(
@@ -151,7 +155,7 @@ function setImage(image: HTMLImageElement, path: string | null): void {
   if (path !== null && image.getAttribute("src") !== path) image.src = path;
 }
 
-/** Do it, and offer for a while to take just that back; later there is the list of drives and maps. */
+/** Do it, and offer for a while to take just that back; later there is the list of navigations and maps. */
 async function undoable(work: () => Promise<unknown>): Promise<void> {
   await work();
   const [made] = await call<PlacesChangeModel[]>("GET", "/places/changes");

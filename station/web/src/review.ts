@@ -14,6 +14,7 @@ export class Review {
   private readonly replayed: Replay;
   private second: THREE.Group | null = null;
   private T_first_second: number[] | null = null;
+  private boxes: [THREE.Box3 | null, THREE.Box3 | null] = [null, null];
   private opened = 0;
 
   constructor(private readonly map: MapView | null) {
@@ -39,7 +40,7 @@ export class Review {
     ]);
     if (turn !== this.opened || !first || !second) return;
     const said = comparison.accepted
-      ? `${comparison.matches} of ${comparison.places} places found again. First drive turquoise, second orange.`
+      ? `${comparison.matches} of ${comparison.places} places found again. First navigation turquoise, second orange.`
       : `They could not be registered: ${comparison.reasons.join("; ")}.`;
     this.show(comparison.name, "compare", said);
     by<HTMLAnchorElement>("report").href = comparison.report;
@@ -52,11 +53,20 @@ export class Review {
     this.second.add(toPoints(second, SECOND));
     const content = new THREE.Group();
     content.add(toPoints(first, FIRST), this.second);
-    const [boxA, boxB] = [extent(first), extent(second)];
-    this.map?.openReview(content, boxA && boxB ? boxA.union(boxB) : (boxA ?? boxB), first.total + second.total);
+    this.boxes = [extent(first), extent(second)];
+    this.map?.openReview(content, this.box(comparison.accepted), first.total + second.total);
     for (const button of document.querySelectorAll<HTMLButtonElement>("[data-registered=true]"))
       button.disabled = !comparison.accepted || !comparison.T_first_second;
     this.register(comparison.accepted);
+  }
+
+  /** What holds both clouds. */
+  private box(registered: boolean): THREE.Box3 | null {
+    const [first, second] = this.boxes;
+    if (!second) return first;
+    const moved = second.clone();
+    if (registered && this.T_first_second) moved.applyMatrix4(new THREE.Matrix4().fromArray(this.T_first_second).transpose());
+    return first ? moved.union(first) : moved;
   }
 
   private register(on: boolean): void {
@@ -66,7 +76,7 @@ export class Review {
     this.second.matrixWorldNeedsUpdate = true;
     for (const button of document.querySelectorAll<HTMLElement>("[data-registered]"))
       button.setAttribute("aria-pressed", String((button.dataset["registered"] === "true") === on));
-    this.map?.redraw();
+    this.map?.reframeReview(this.box(on));
   }
 
   private close(): void {

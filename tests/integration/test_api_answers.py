@@ -1,0 +1,94 @@
+"""What callers are told: refusals with their remedy, new names, clouds as files, colours that stay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import websockets
+
+from tests.integration.test_station import at_work, is_problem, wait_for
+from tests.integration.test_station_drives import keep_drive
+from tests.station_support import running_station, store_map
+
+
+async def test_a_hijack_is_answered_by_what_the_robot_made_of_it(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        nowhere = await desk.http.post("/robot/hijack", json={"x": 99.0, "y": 0.0})
+        assert is_problem(nowhere, 422) and "not free floor" in nowhere.json()["detail"]
+        assert is_problem(await desk.http.post("/robot/hijack", json={"x": 1.0}), 422)
+        assert not bench.head.moved
+        assert (await desk.http.post("/robot/hijack")).json() == {"ok": True}  # wherever the robot likes
+        assert bench.head.moved == [(3.0, 4.0, 0.0)]
+    async with running_station(1, tmp_path) as desk:
+        assert is_problem(await desk.http.post("/robot/hijack"), 503)
+
+
+MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
+    "no content type": ({"content": '{"linear": 0.1, "angular": 0}'}, "Content-Type: application/json"),
+    "no JSON": ({"content": '{"linear": 0.1,', "headers": {"Content-Type": "application/json"}}, "is no JSON"),
+    "a list": ({"json": [1]}, "must be a JSON object"),
+    "nothing": ({}, "a JSON body is needed"),
+    "a field too many": ({"json": {"linear": 0.1, "angular": 0, "speed": 1}}, "known are linear, angular, ttl_ms"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+async def test_mistakes_in_a_body_are_named_with_their_remedy(tmp_path: Path, mistake: str) -> None:
+    request, words = MISTAKES[mistake]
+    async with running_station(1, tmp_path) as desk:
+        answer = await desk.http.request("POST", "/drive", **request)
+        assert is_problem(answer, 422) and words in answer.json()["detail"], answer.text
+
+
+async def test_a_change_of_nothing_and_a_replay_of_nothing_are_refused(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        nothing = await desk.http.patch(f"/places/{place_map.places[0].id}", json={})
+        assert is_problem(nothing, 422) and "give name or hidden" in nothing.json()["detail"]
+        drive = (await desk.http.post("/navigations")).json()["id"]
+        await wait_for(desk, f"/navigations/{drive}", lambda d: d["frames"] > 5)
+        await desk.http.post(f"/navigations/{drive}/stop")
+        await wait_for(desk, f"/navigations/{drive}", lambda d: d["state"] == "ready")
+        beyond = await desk.http.get(f"/navigations/{drive}/replay.mjpg?from_s=9999")
+        assert is_problem(beyond, 422) and "after the last picture" in beyond.json()["detail"]
+        async with websockets.connect(desk.socket(f"/ws/replay?navigation={drive}&from_s=9999")) as socket:
+            await socket.wait_closed()
+            assert "after the last picture" in (socket.close_reason or "")
+
+
+async def test_drives_and_maps_are_renamed_and_their_clouds_are_ply_files(tmp_path: Path) -> None:
+    place_map, drive = store_map(tmp_path), keep_drive(tmp_path, "nav-1")
+    async with running_station(1, tmp_path) as desk:
+        empty = await desk.http.get("/landmarks?format=ply")
+        assert is_problem(empty, 409) and "/navigations/ID" in empty.json()["detail"]
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        assert place_map.id in (await desk.http.get("/landmarks?format=ply")).json()["detail"]
+        for path in (f"/maps/{place_map.id}", f"/navigations/{drive.id}"):
+            ply = await desk.http.get(f"{path}/landmarks?format=ply")
+            assert f"element vertex {len(place_map.navigation.landmarks)}".encode() in ply.content
+            assert (await desk.http.patch(path, json={"name": "  Ground  floor "})).json()["name"] == "Ground floor"
+            assert is_problem(await desk.http.patch(path, json={"name": "   "}), 409)
+            assert is_problem(await desk.http.patch(f"{path}-not", json={"name": "x"}), 404)
+        assert (await desk.http.get("/graph")).json()["metric"] is True
+    async with running_station(1, tmp_path) as desk:
+        names = [(await desk.http.get(path)).json()[0]["name"] for path in ("/maps", "/navigations")]
+        assert names == ["Ground floor", "Ground floor"]
+
+
+async def test_a_merge_leaves_the_other_places_their_colours(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with running_station(1, tmp_path) as desk:
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+
+        async def colours() -> dict[str, int]:
+            return {place["id"]: place["colour"] for place in (await desk.http.get("/places")).json()}
+
+        before = await colours()
+        first, second = place_map.places[:2]
+        await desk.http.post("/places/merge", json={"places": [first.id, second.id]})
+        assert await colours() == {name: colour for name, colour in before.items() if name != second.id}
+        await desk.http.post("/places/undo")
+        assert await colours() == before
