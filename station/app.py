@@ -97,10 +97,10 @@ class Station:
                 tasks.create_task(self.access.door.watch(), name="door")
                 started()
         finally:
-            async with asyncio.TaskGroup() as closing:  # ends all of them, also when one fails
-                for robot in self.robots.values():
-                    closing.create_task(robot.close())
-                closing.create_task(self.jobs.close())
+            closing = [*(robot.close() for robot in self.robots.values()), self.jobs.close()]
+            failed = [e for e in await asyncio.gather(*closing, return_exceptions=True) if isinstance(e, Exception)]
+            if failed:  # told only now: one that fails must not keep the others open
+                raise failed[0]
 
     async def _keep_running(self, robot: RobotSession) -> None:
         """A bug that shows with one robot must not stop the others: its link and drive timer are started again."""

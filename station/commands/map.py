@@ -14,6 +14,7 @@ from station.commands import map_store
 from station.commands.experiment import places_config
 from station.commands.outputs import check_out_folder
 from station.commands.progress import working
+from station.datasets import open_dataset
 from station.executors.opening import check_executor, open_executor
 from station.executors.port import Executor
 from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
@@ -83,16 +84,20 @@ def build(
 def _navigations(
     paths: list[Path], machines: Executor, backend: str, seed: int, say: Callable[[str], None]
 ) -> list[Navigation]:
-    """What is done already is read; SLAM runs over the rest."""
-    recorded = [path for path in paths if not (path / "navigation.json").is_file()]
+    """What is done already is read first, and the recordings are looked at: SLAM over them takes long."""
+    recorded = [path for path in paths if path.exists() and not (path / "navigation.json").is_file()]
+    done = {path: load_navigation(path) for path in paths if path not in recorded}
+    for path in recorded:
+        if not open_dataset(path).has_images:
+            raise DataError(f"{path} has no pictures; SLAM needs them")
     say(f"SLAM over {len(recorded)} recordings" if recorded else "reading navigations")
     made = reconstruct_all(
         machines,
         [Reconstruction(Recorded(path), backend, seed) for path in recorded],
         lambda count: say(f"SLAM is done for {count} of {len(recorded)} recordings"),
     )
-    by_path = dict(zip(recorded, made, strict=True))
-    return [by_path.get(path) or load_navigation(path) for path in paths]
+    done |= dict(zip(recorded, made, strict=True))
+    return [done[path] for path in paths]
 
 
 def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from: Path | None) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError
 from importlib.metadata import PackageNotFoundError, version
 from typing import TypeVar
 
 from distributed import Client, as_completed
+from distributed.comm import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from shared.errors import ConfigError
@@ -57,8 +60,11 @@ class DaskExecutor(Closing):
                 f"a piece of {function.__name__} was not done: {exc.allowed_failures + 1} workers died of it;"
                 " is there enough memory?"
             ) from exc
+        except (CancelledError, CommClosedError) as exc:
+            raise ExecutorFailed(f"the Dask scheduler went away at work ({exc}); start it and try again") from exc
         finally:
-            self.client.cancel(futures)
+            with contextlib.suppress(CancelledError, OSError, TimeoutError):
+                self.client.cancel(futures)
 
     def close(self) -> None:
         self.client.close()

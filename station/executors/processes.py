@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -67,6 +68,7 @@ class ProcessExecutor(Closing):
 def _begin() -> None:
     """A process of the pool must not outlive who made it, however that ended."""
     os.nice(NICE)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the work at once, without a traceback from each process
     parent = multiprocessing.parent_process()
 
     def end_with_parent() -> None:

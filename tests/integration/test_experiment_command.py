@@ -186,7 +186,7 @@ def test_everything_is_checked_before_the_first_frame_is_reconstructed(
     for place in (
         "station.commands.slam.run_backend",
         "station.commands.match.match_navigation",
-        "station.commands.map.build_map",
+        "station.commands.map.make_map",
     ):
         monkeypatch.setattr(place, too_late)
     filled = [a.format(drive=data / "images", **{n: data / n for n in ("nav1", "map1", "imu_only")}) for a in arguments]
