@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TypeVar
 
 from distributed import Client, as_completed
-from distributed.comm import CommClosedError
+from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from shared.errors import ConfigError
