@@ -40,6 +40,7 @@ pick --kills 600 -- --kills 6;                                 bench crash bench
 pick --flips 1000 -- --flips 10;                               bench flips benchmarks.bench_flips "${picked[@]}"
 pick --examples 100 -- --examples 2;                           bench openapi benchmarks.bench_openapi "${picked[@]}"
 pick --minutes 2 -- --minutes 0.1 --stall-minutes 0.2;         bench link benchmarks.bench_link "${picked[@]}"
+pick --minutes 10 -- --minutes 0.5 --robots 2;                 bench fleet benchmarks.bench_fleet "${picked[@]}"
 pick --seconds 20 -- --seconds 2;                              bench robot_cpu benchmarks.bench_robot_cpu "${picked[@]}"
 pick --trials 100 -- --trials 2 --plain-minutes 0.5;           bench hijack benchmarks.bench_hijack "${picked[@]}"
 pick --frames 200 -- --frames 5;                               bench renderer benchmarks.bench_renderer "${picked[@]}"
