@@ -9,6 +9,8 @@ from benchmarks.registration_clouds import make_pair
 from shared.errors import DataError
 from shared.geometry import FloatArray, inverse, se3, so3_log, yaw_rotation
 from station.places.registration import register_clouds
+from station.places.registration.beside import alignments_beside
+from station.places.registration.cloud import prepare_cloud
 from station.places.registration.score import inverse_similarity
 
 
@@ -47,6 +49,25 @@ def test_clouds_of_different_flats_are_refused_with_a_reason() -> None:
     result = register_clouds(pair.target, pair.source)
     assert not result.accepted
     assert result.reasons
+
+
+@pytest.mark.parametrize(("shift", "turn_deg", "scale"), [((0.3, 0.0), 0.0, 1.0), ((-0.2, 0.2), 4.0, 1.02)])
+def test_from_an_alignment_beside_the_right_one_the_right_one_is_seen(
+    shift: tuple[float, float], turn_deg: float, scale: float
+) -> None:
+    pair = make_pair(9003, overlap=(0.8, 1.0), points=(3000, 5000))
+    assert pair.T_target_source is not None
+    rng = np.random.default_rng(0)
+    A, B = prepare_cloud(pair.target, rng), prepare_cloud(pair.source, rng)
+    at = np.median(B.points, axis=0)
+    beside = se3(scale * yaw_rotation(np.radians(turn_deg)) @ pair.T_target_source[:3, :3], np.zeros(3))
+    beside[:3, 3] = (pair.T_target_source[:3, :3] - beside[:3, :3]) @ at + pair.T_target_source[:3, 3] + [*shift, 0]
+    found = alignments_beside(
+        A, B, beside, R_up=np.eye(3), subset=np.arange(0, len(B.points), 3), few=np.arange(0, len(B.points), 12),
+        voxel=0.2, upright=True, free_scale=True,
+    )  # fmt: skip
+    missed = [errors(refined.T_target_source, pair.T_target_source, at) for refined in found]
+    assert any(rotation < 2 and shift_m < 0.05 and relative < 0.01 for rotation, shift_m, relative in missed)
 
 
 def test_without_noise_the_error_is_almost_zero() -> None:
@@ -96,6 +117,13 @@ def test_clouds_in_different_units_are_named_as_such() -> None:
     result = register_clouds(pair.target, pair.source * 1000)
     assert not result.accepted
     assert "units" in result.reasons[0]
+
+
+def test_a_free_scale_bridges_different_units() -> None:
+    pair = make_pair(9007, overlap=(0.9, 1.0), points=(3000, 3500))
+    result = register_clouds(pair.target, pair.source * 1000, scale="free")
+    assert result.accepted, result.reasons
+    assert result.scale == pytest.approx(1e-3, rel=0.01)
 
 
 def test_not_a_number_rows_do_not_spoil_a_good_cloud() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
+from station.places.registration.beside import surface_fit
 from station.places.registration.cloud import PreparedCloud
 
 SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # voxels
@@ -39,11 +40,5 @@ def nudge(
             for dy in SHIFTS:
                 shift = R_up.T @ np.array([dx * voxel, dy * voxel, 0.0])
                 candidates.append(se3(R, landed + shift - R @ centre))
-    moved = np.concatenate([p @ X[:3, :3].T + X[:3, 3] for X in candidates])
-    distance, index = target.tree.query(moved, distance_upper_bound=1.5 * voxel, workers=2)
-    near = np.isfinite(distance)
-    index = np.where(near, index, 0)
-    along = np.einsum("ni,ni->n", moved - target.points[index], target.normals[index])
-    fit = np.exp(-0.5 * (along / (0.3 * voxel)) ** 2 - 0.5 * (np.where(near, distance, 0.0) / (0.8 * voxel)) ** 2)
-    score = np.where(near, fit, 0.0).reshape(len(candidates), -1).mean(axis=1)
+    score = surface_fit(target, p, candidates, voxel)
     return candidates[int(np.argmax(score))]

@@ -10,6 +10,7 @@ import numpy as np
 from shared.errors import DataError, DegenerateGeometry, EstimationError
 from shared.geometry import FloatArray, IntArray
 from station.places.registration.axes import upright_rotations
+from station.places.registration.beside import alignments_beside
 from station.places.registration.cloud import PreparedCloud, clean_points, prepare_cloud, thin
 from station.places.registration.free_space import Rays
 from station.places.registration.gicp import align_gicp, require_backend
@@ -17,7 +18,7 @@ from station.places.registration.kiss import kiss_is_available, match_features
 from station.places.registration.nudge import nudge
 from station.places.registration.refine import Refined, measure_residuals, refine, scale_of
 from station.places.registration.result import Alternative, Backend, Gravity, Registration, Scale, refused
-from station.places.registration.score import Contrast, Score, contrast_of, score_alignment
+from station.places.registration.score import Contrast, Score, contrast_of, landed_apart, score_alignment
 from station.places.registration.verify import Evidence, judge
 from station.places.registration.yaw_search import Candidate, SearchConfig, search_yaw
 
@@ -28,6 +29,9 @@ SCALE_STEP = 1.07  # the refinement's basin in scale is about +-4 %
 MANY_CELLS = 36  # of the search where scales or axes multiply it: half the time, one rank worse at most
 NUM_CANDIDATES = 8  # refined; the right one was among the first two in 40 of 40 training pairs
 NUM_JUDGED = 3  # different alignments whose contrast is measured
+BESIDE_VOXELS = 0.75  # farther than this, an alignment around the best one is another answer, and not the same optimum
+MAX_MOVES = 2  # to a better alignment around the best one
+PROMISING = 0.97  # of the best one's inlier share, before an alignment around it is finished, too
 OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
 NUDGE_SUBSET = 250
 REFINE_SUBSET = 1000
@@ -91,8 +95,13 @@ def register_clouds(
     judged = _contrasts(A, B, ranked, voxel, tolerance, rng)
     best = _finish(A, B, judged[0][0].T_target_source, gravity, scale, voxel, backend, rng)
     score = score_alignment(A, B, best.T_target_source, *subsets, tolerance)
+    beside: Score | None = None
+    if search:  # what found the guesses otherwise vouches for them
+        best, score, beside = _look_beside(A, B, best, score, subsets, gravity, scale, voxel, backend, rng)
     contrast = contrast_of(A, B, best.T_target_source, score.inlier_share, *subsets, tolerance)
-    others = [(r, c) for r, c in judged if _moved(r.T_target_source, best.T_target_source, B) > OTHER_VOXELS * voxel]
+    others = [
+        (r, c) for r, c in judged if landed_apart(r.T_target_source, best.T_target_source, B) > OTHER_VOXELS * voxel
+    ]
     evidence = Evidence(
         target=A,
         source=B,
@@ -100,6 +109,7 @@ def register_clouds(
         score=score,
         contrast=contrast,
         runner_up=others[0][1] if others else None,
+        beside=beside,
         tolerance=tolerance,
         voxel=voxel,
         scale=scale,
@@ -255,14 +265,56 @@ def _finish(
             T_gicp = align_gicp(A.points, B.points[subset][paired], T, reach=reach, backend=backend)
         except EstimationError:
             T_gicp = T  # the polished start stands; the checks judge it like any other
-        if _moved(T_gicp, T, B) < 2 * voxel:
+        if landed_apart(T_gicp, T, B) < 2 * voxel:
             T = T_gicp
     return polish(T, (reach * 0.8, reach * 0.8, reach * 0.8))
 
 
-def _moved(T: FloatArray, T_before: FloatArray, B: PreparedCloud) -> float:
-    sample = B.points[:: max(1, len(B.points) // 200)]
-    return float(np.median(np.linalg.norm(sample @ (T - T_before)[:3, :3].T + (T - T_before)[:3, 3], axis=1)))
+def _look_beside(
+    A: PreparedCloud,
+    B: PreparedCloud,
+    best: Refined,
+    score: Score,
+    subsets: tuple[IntArray, IntArray],
+    gravity: Gravity,
+    scale: Scale,
+    voxel: float,
+    backend: Backend,
+    rng: np.random.Generator,
+) -> tuple[Refined, Score, Score | None]:
+    """The best alignment around `best` (which has `score`), its score, and that of the best one beside it, if any."""
+    tolerance = _tolerance(A, B)
+    R_up = np.eye(3) if gravity == "known" else upright_rotations(A, B)[0]
+    subset_B = subsets[1]
+    for moves_left in range(MAX_MOVES, -1, -1):
+        found = alignments_beside(
+            A,
+            B,
+            best.T_target_source,
+            R_up=R_up,
+            subset=subset_B,
+            few=subset_B[:: max(1, len(subset_B) // NUDGE_SUBSET)],
+            voxel=voxel,
+            upright=gravity == "known",
+            free_scale=scale == "free",
+        )
+        scored = [(r, score_alignment(A, B, r.T_target_source, *subsets, tolerance)) for r in found]
+        scored = [
+            (r, other)
+            for r, other in scored
+            if landed_apart(r.T_target_source, best.T_target_source, B) > BESIDE_VOXELS * voxel
+        ]
+        if not scored:
+            return best, score, None
+        rival, rival_score = max(scored, key=lambda pair: pair[1].inlier_share)
+        if not moves_left or rival_score.inlier_share <= PROMISING * score.inlier_share:
+            break
+        moved = _finish(A, B, rival.T_target_source, gravity, scale, voxel, backend, rng)
+        moved_score = score_alignment(A, B, moved.T_target_source, *subsets, tolerance)
+        if moved_score.inlier_share <= score.inlier_share:
+            break
+        best, score = moved, moved_score
+    return best, score, rival_score
 
 
 def _contrasts(
@@ -278,7 +330,7 @@ def _contrasts(
     out: list[tuple[Refined, Contrast]] = []
     for refined, _ in ranked:
         T = refined.T_target_source
-        if any(_moved(T, other.T_target_source, B) < OTHER_VOXELS * voxel for other, _ in out):
+        if any(landed_apart(T, other.T_target_source, B) < OTHER_VOXELS * voxel for other, _ in out):
             continue
         share = score_alignment(A, B, T, *subsets, tolerance).inlier_share
         out.append((refined, contrast_of(A, B, T, share, *subsets, tolerance)))

@@ -46,6 +46,13 @@ def inverse_similarity(T: FloatArray) -> FloatArray:
     return back
 
 
+def landed_apart(T: FloatArray, other: FloatArray, source: PreparedCloud) -> float:
+    """Median distance between where two alignments (4, 4) put the source's points."""
+    sample = source.points[:: max(1, len(source.points) // 200)]
+    gap = T - other
+    return float(np.median(np.linalg.norm(sample @ gap[:3, :3].T + gap[:3, 3], axis=1)))
+
+
 def score_alignment(
     target: PreparedCloud,
     source: PreparedCloud,

@@ -1,0 +1,99 @@
+"""Other alignments a few decimetres, degrees or percent beside the one found: is one of them as good?
+
+Furniture that meets its neighbour, a bookcase one shelf on: refinement ends in such an optimum, and no check of the
+alignment alone sees it, as most of the two clouds do lie on each other. So the surroundings are searched on purpose.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
+from station.places.registration.cloud import PreparedCloud
+from station.places.registration.refine import Refined, refine
+from station.places.registration.score import landed_apart
+
+SHIFTS = (0.6, 1.2, 2.0)  # voxels: 12 to 40 cm in a flat of 9 m
+DIRECTIONS = 8
+TURNS_DEG = (-5.0, -2.5, 0.0, 2.5, 5.0)
+SCALES = (0.965, 1.0, 1.035)  # where the scale is free
+STARTS = 6  # the best of them are refined
+START_GAP = 0.5  # voxels between two of them
+REACHES = (1.0, 1.0, 0.75, 0.75, 0.75, 0.75, 0.5, 0.5)  # voxels
+
+
+def alignments_beside(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    T: FloatArray,
+    *,
+    R_up: FloatArray,
+    subset: IntArray,
+    few: IntArray,
+    voxel: float,
+    upright: bool,
+    free_scale: bool,
+) -> list[Refined]:
+    """Local optima (at most STARTS) reached from around T (4, 4).
+
+    Args:
+        R_up: (3, 3) rotation that puts the target's vertical along z; shifts and turns happen in that frame.
+        subset: (m,) source points for the refinement.
+        few: (k,) source points to choose the starts by; a few hundred suffice.
+        voxel: of the global search, target units.
+    """
+    starts = _starts(source.points[few], T, R_up, voxel, SCALES if free_scale else (1.0,))
+    fit = surface_fit(target, source.points[few], starts, voxel)
+    chosen: list[FloatArray] = []
+    for k in np.argsort(-fit, kind="stable"):
+        X = starts[k]
+        if all(landed_apart(X, other, source) > START_GAP * voxel for other in [T, *chosen]):
+            chosen.append(X)
+            if len(chosen) == STARTS:
+                break
+    reaches = tuple(r * voxel for r in REACHES)
+    found = [
+        refine(
+            target,
+            source,
+            X,
+            subset=subset,
+            reaches=reaches,
+            upright=upright,
+            free_scale=free_scale,
+            tolerance=1e-3 * voxel,
+        )
+        for X in chosen
+    ]
+    return [refined for refined in found if np.isfinite(refined.rms)]
+
+
+def _starts(
+    points: FloatArray, T: FloatArray, R_up: FloatArray, voxel: float, scales: tuple[float, ...]
+) -> list[FloatArray]:
+    """T (4, 4) moved about the middle of the points (k, 3): every shift with every turn and scale."""
+    centre = np.median(points, axis=0)
+    landed = T[:3, :3] @ centre + T[:3, 3]
+    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    around = [r * np.array([np.cos(a), np.sin(a), 0.0]) for r in SHIFTS for a in angles]
+    shifts = [R_up.T @ (voxel * shift) for shift in (np.zeros(3), *around)]
+    out = []
+    for scale in scales:
+        for turn in TURNS_DEG:
+            R = scale * R_up.T @ yaw_rotation(np.radians(turn)) @ R_up @ T[:3, :3]
+            out += [se3(R, landed + shift - R @ centre) for shift in shifts]
+    return out
+
+
+def surface_fit(target: PreparedCloud, points: FloatArray, alignments: list[FloatArray], voxel: float) -> FloatArray:
+    """(n,) how near the points (k, 3) come to the target's surfaces under each alignment (4, 4), 0..1.
+
+    As wide as a third of a voxel: the alignments are steps on a grid, not optima.
+    """
+    moved = np.concatenate([points @ X[:3, :3].T + X[:3, 3] for X in alignments])
+    distance, index = target.tree.query(moved, distance_upper_bound=1.5 * voxel, workers=2)
+    near = np.isfinite(distance)
+    index = np.where(near, index, 0)
+    along = np.einsum("ni,ni->n", moved - target.points[index], target.normals[index])
+    fit = np.exp(-0.5 * (along / (0.3 * voxel)) ** 2 - 0.5 * (np.where(near, distance, 0.0) / (0.8 * voxel)) ** 2)
+    return np.asarray(np.where(near, fit, 0.0).reshape(len(alignments), -1).mean(axis=1), dtype=np.float64)
