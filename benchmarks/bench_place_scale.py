@@ -4,8 +4,9 @@
 
 Stand-in: a few simulated furnished rooms, mapped with the simulator's poses and depths. Every room of the large map is
 one of them, elsewhere, with its descriptors' 16 cells and 8 directions shuffled in a way of its own: statistics of real
-images, and nothing to recognise in another copy. A second drive's images are shuffled likewise. One answer is decoding,
-features, proposal, pose and belief, in one process (BLAS threads as the environment says). Truth judges the answers.
+images, and nothing to recognise in another copy. A second drive's images are shuffled likewise; its true motion stands
+in for odometry between the images of one visit. One answer is decoding, features, proposal, pose and belief, in one
+process (BLAS threads as the environment says). Truth judges the answers.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Room:
     place_map: PlaceMap
     described: list[KeyframeFeatures]
     frames: list[ImageFrame]
-    p_true: FloatArray  # (n, 3) of the robot at each of the frames
+    T_true: FloatArray  # (n, 4, 4) of the robot at each of the frames
 
 
 def make_room(seed: int, calibration: Calibration) -> Room:
@@ -75,15 +76,18 @@ def make_room(seed: int, calibration: Calibration) -> Room:
         ),
     )
     robot = Robot(world, renderer, calibration, "second", seed + 1)
-    frames = [item for item in robot.sense(60.0, 0.5, None) if isinstance(item, ImageFrame)]
-    shift = calibration.camera.time_shift_s
-    poses = [robot.history.pose((f.t_robot_ns - START_NS) / 1e9 + shift) for f in frames]
+    frames: list[ImageFrame] = []
+    poses: list[FloatArray] = []
+    for item in robot.sense(60.0, 0.5, None):
+        if isinstance(item, ImageFrame):  # at once: the history forgets
+            frames.append(item)
+            poses.append(robot.history.pose((item.t_robot_ns - START_NS) / 1e9 + calibration.camera.time_shift_s))
     return Room(
         place_map=replace(place_map, navigation=thinned),
         # Only features with a position: they are what is matched, and what the index is made from here.
         described=[replace(described[k], all_descriptors=described[k].descriptors) for k in kept],
         frames=frames,
-        p_true=np.array([T[:3, 3] for T in poses]),
+        T_true=np.array(poses),
     )
 
 
@@ -164,13 +168,14 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
     asked = Asked(localizer, estimator, calibration, FeatureExtractor())
     wall, cpu, index_ms, states = [], [], [], []
     t_ns = START_NS
-    for _ in range(max(1, answers // VISIT)):
+    for visit in range(max(1, answers // VISIT)):
         copy = int(rng.integers(count))
         room = rooms[copy % len(rooms)]
         first = int(rng.integers(max(1, len(room.frames) - VISIT)))
         estimator.on_hijack(t_ns, "put into another room")
         for k in range(first, min(first + VISIT, len(room.frames))):
             t_ns += 500_000_000
+            estimator.on_odometry(t_ns, room.T_true[k], segment=visit)
             begin, begin_cpu = time.perf_counter(), time.process_time()
             features, answer = asked.answer(room.frames[k], copy, t_ns)
             wall.append(time.perf_counter() - begin)
@@ -178,7 +183,7 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
             begin = time.perf_counter()
             localizer.index.query(features.descriptors, localizer.config.num_proposals)
             index_ms.append(1e3 * (time.perf_counter() - begin))
-            distance = np.linalg.norm(centroids - (room.p_true[k] + offset_of(copy)), axis=1)
+            distance = np.linalg.norm(centroids - (room.T_true[k, :3, 3] + offset_of(copy)), axis=1)
             right = {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
             states.append((answer.state, answer.place is not None and answer.place.id in right))
     tracemalloc.start()
