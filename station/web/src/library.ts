@@ -139,7 +139,7 @@ export class Library {
     const record = by<HTMLButtonElement>("record");
     record.classList.toggle("on", Boolean(running));
     record.disabled = !running && !this.connected;
-    setText(record.querySelector<HTMLElement>(".text")!, running ? `Stop recording (${duration(running.duration_s)})` : "Record a navigation");
+    setText(record.querySelector<HTMLElement>(".text")!, running ? `Stop recording (${duration(running.duration_s)})` : "Record");
     show(by("rec"), Boolean(running));
     by("jobs").replaceChildren(...[...this.jobs.values()].filter((j) => j.state === "running").map((j) => this.jobRow(j)));
     const drives = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();

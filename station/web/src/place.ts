@@ -78,9 +78,10 @@ export class PlaceView {
     const hasAnswer = place.t_robot_ns !== null;
     card.dataset["state"] = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
     const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
-    const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : place.preparing !== null ? `Getting ready… ${percent(place.preparing)}` : "Getting ready…";
+    const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : "Getting ready…";
     setText(by("place-name"), place.place?.name ?? otherwise);
-    setText(by("place-probability"), place.place ? percent(place.probability) : "");
+    const shown = place.place ? place.probability : place.preparing;
+    setText(by("place-probability"), shown === null ? "" : percent(shown));
     setText(by("place-kicker"), place.place && place.distance_m !== null
       ? `Current place · ${place.distance_m.toFixed(1)} m away` : "Current place");
     setText(by("place-reason"), place.reason);
