@@ -42,7 +42,7 @@ from station.places.localizer import Localizer
 BASE_ROOMS = 2
 SPACING_M = 12.0  # between the copies
 KEYFRAMES_PER_ROOM = 16
-VISIT = 5  # images of one room before the robot is put into another one
+VISIT = 12  # images of one room before the robot is put into another one
 TRACED = 5  # answers whose memory is traced: tracing makes them slow
 
 
