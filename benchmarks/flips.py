@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.crashes import MAP, variant
+from benchmarks.crash_maps import MAP, variant
 from shared.errors import DataError
 from station.maps.store import MapStore
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.crashes import MAP, SCENARIOS, run_once, variant
+from benchmarks.crash_maps import MAP, variant
+from benchmarks.crashes import SCENARIOS, run_once
 from benchmarks.flips import flip_many
 from shared.errors import DataError
 from station.maps.checking import verify

@@ -1,0 +1,151 @@
+"""Recording drives for the crash tests, as the station does, and what must be in the files after."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.crash_child import Child, Scenario
+from shared.calibration import REFERENCE_ROBOT
+from shared.errors import DataError
+from shared.messages import CameraFrame, Capabilities, Hello, ImuBatch, ImuSample
+from station.datasets import open_dataset
+from station.drive_library import DriveLibrary, DriveRecord
+from station.recorder import Recorder
+from station.recovery import recover_recording
+
+MAX_LOST_S = 5.0
+IMU_HZ, FPS = 225, 20
+DRIVE_S = 2.5  # then it is ended properly, and the next one begins
+HELLO = Hello(
+    protocol=1,
+    robot_id="r",
+    name="R",
+    session_id="s",
+    capabilities=Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False),
+    calibration=REFERENCE_ROBOT,
+)
+PICTURE = np.random.default_rng(0).bytes(40_000)
+
+
+def record_on(folder: Path, child: Child) -> None:
+    """A robot of 20 frames and 225 samples a second, in real time: drive after drive, each kept as the station keeps it.
+
+    Promised is the drive and the time of what was handed over; "closed" when it was ended properly; "ended" when the
+    recorder had to end it itself, and said why.
+    """
+    library = DriveLibrary(folder / "drives")
+    child.do(library.open)
+    for number in range(10_000):
+        drive = DriveRecord(f"drive-{number}", f"D{number}", "recording", time.time(), "sfm")
+        recorder = child.do(lambda drive=drive: begin(library, drive, child.rng.choice((0, 2 * 2**20))))  # type: ignore[misc]
+        record_one(recorder, number, child)
+        report = recorder.close()
+        if report.error:
+            child.refused(report.error)
+            child.promise([drive.id, "ended", 0])
+        else:
+            child.promise([drive.id, "closed", 0])
+        ended = replace(drive, state="failed", message=report.error or "ended")
+        child.do(lambda ended=ended: library.keep(ended))  # type: ignore[misc]
+
+
+def begin(library: DriveLibrary, drive: DriveRecord, min_free_bytes: int) -> Recorder:
+    """As the station begins a drive (recording.py): one that cannot be recorded never was."""
+    recorder: Recorder | None = None
+    try:
+        recorder = Recorder(library.recording(drive.id), min_free_bytes=min_free_bytes)
+        library.keep(drive)
+    except DataError:
+        if recorder is not None:
+            recorder.close()
+        library.discard(drive.id)
+        raise
+    recorder.on_connected(HELLO)
+    return recorder
+
+
+def record_one(recorder: Recorder, drive: int, child: Child) -> None:
+    begin_s = time.monotonic()
+    samples = 0
+    for number in range(round(DRIVE_S * FPS)):
+        t_ns = round(number * 1e9 / FPS)
+        until = round((number + 1) * IMU_HZ / FPS)
+        batch = tuple(
+            ImuSample(round(n * 1e9 / IMU_HZ), (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)) for n in range(samples, until)
+        )
+        recorder.on_imu(ImuBatch(first_sequence=samples, samples=batch))
+        samples = until
+        jpeg = PICTURE + (1000 * drive + number).to_bytes(4, "big")
+        frame = CameraFrame(seq=number, t_robot_ns=t_ns, exposure_ns=0, width=640, height=480, skipped=0, jpeg=jpeg)
+        recorder.on_frame(frame, time.monotonic_ns())
+        if recorder.error:
+            return
+        child.promise([f"drive-{drive}", "taken", t_ns])
+        time.sleep(max(0.0, begin_s + (number + 1) / FPS - time.monotonic()))
+
+
+def look_at_recordings(folder: Path, promises: list[object]) -> str:
+    """As the station starts: the library opens, what was cut is recovered, and every drive that was promised is read."""
+    library = DriveLibrary(folder / "drives")
+    for interrupted in library.open():
+        path = library.recording(interrupted.id)
+        if path.is_file() and path.stat().st_size:
+            try:
+                recover_recording(path)
+            except DataError as exc:
+                assert "nothing that can be recovered" in str(exc), str(exc)
+    taken, ends = last_taken(promises)
+    known = {drive.id for drive in library.list()}
+    worst_s = 0.0
+    for drive_id in sorted({*taken, *ends}):
+        assert drive_id in known, f"{drive_id} is not known any more"
+        worst_s = max(worst_s, lost_s(library.recording(drive_id), int(drive_id.split("-")[1]), taken[drive_id]))
+        assert worst_s <= MAX_LOST_S, f"{worst_s:.1f} s of {drive_id} are lost"
+        if ends.get(drive_id) == "closed":
+            assert worst_s == 0.0 or drive_id not in taken, f"{drive_id} was closed and lacks {worst_s:.2f} s"
+    return f"{worst_s:.2f} s lost of {len(taken)} drives"
+
+
+def read_recordings(folder: Path, promises: list[object]) -> None:
+    """Drives that are over are read also from a disk that takes nothing; a station that runs has opened its library."""
+    taken, ends = last_taken(promises)
+    for drive_id, how in ends.items():
+        if how == "closed":
+            lost = lost_s(folder / "drives" / drive_id / "recording.mcap", int(drive_id.split("-")[1]), taken[drive_id])
+            assert lost == 0.0, f"{drive_id} was closed and lacks {lost:.2f} s"
+
+
+def last_taken(promises: list[object]) -> tuple[dict[str, int], dict[str, str]]:
+    """The last time that was handed over, by drive; and how drives ended that are over."""
+    taken: dict[str, int] = {}
+    ends: dict[str, str] = {}
+    for promise in promises:
+        assert isinstance(promise, list)
+        drive_id, what, t_ns = promise
+        if what == "taken":
+            taken[drive_id] = t_ns
+        else:
+            ends[drive_id] = what
+    return taken, {drive_id: how for drive_id, how in ends.items() if drive_id in taken}
+
+
+def lost_s(path: Path, drive: int, last_ns: int) -> float:
+    """Seconds of a recording that were taken and are not in its file. Raises AssertionError for wrong or missing parts."""
+    try:
+        data = open_dataset(path)
+        frames = [frame.encoded for frame in data.frames()]
+        imu = data.require_imu().t_robot_ns.tolist()
+        last_read_ns = int(data.frame_times_ns[-1])
+    except (DataError, IndexError):  # killed before the first second was written
+        return (last_ns + 1e9 / FPS) * 1e-9
+    expected = [PICTURE + (1000 * drive + number).to_bytes(4, "big") for number in range(len(frames))]
+    assert frames == expected, "a frame differs"
+    assert imu == [round(n * 1e9 / IMU_HZ) for n in range(len(imu))], "a sample is missing in the middle"
+    return max(0.0, (last_ns - last_read_ns) * 1e-9)
+
+
+SCENARIOS = {"record": Scenario(lambda _: None, record_on, look_at_recordings, 6.0, read_recordings, is_timed=True)}
