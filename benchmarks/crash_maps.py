@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -292,8 +291,8 @@ def migrate_on(folder: Path, child: Child) -> None:
 
     child.do(open_store)
     child.promise("open")
-    while True:
-        time.sleep(1)
+    while True:  # kills are counted in processor time
+        pass
 
 
 def look_at_migrated(folder: Path, promises: list[object]) -> str:
@@ -314,5 +313,5 @@ SCENARIOS = {
     "build of two": Scenario(prepare_drives, build_on(TOGETHER), look_at_built(TOGETHER), 3.0, read_prepared),
     "rename": Scenario(save_first, rename_on, look_at_names, 0.4, read_prepared),
     "merge": Scenario(save_first, merge_on, look_at_merges, 0.5, read_prepared),
-    "migrate": Scenario(prepare_old, migrate_on, look_at_migrated, 0.4, lambda folder, p: read_all(folder, p)),
+    "migrate": Scenario(prepare_old, migrate_on, look_at_migrated, 0.25, lambda folder, p: read_all(folder, p)),
 }

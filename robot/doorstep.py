@@ -35,7 +35,7 @@ class Doorstep:
         self._looks = 0
 
     def tls(self) -> dict[str, Any]:
-        """For asyncio.start_server."""
+        """For loop.connect_accepted_socket."""
         if self._gate is None:
             return {}
         return {"ssl": self._gate.context, "ssl_handshake_timeout": HANDSHAKE_WITHIN_S}

@@ -19,6 +19,7 @@ from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.health import CpuMeter, read_temperatures
 from robot.outbox import FrameCursor, FrameSlot, ImuBacklog, ImuCursor
+from robot.reception import Reception
 from robot.sensors import Faults, pump_camera, pump_imu
 from robot.station_client import StationClient
 from robot.systemd import Systemd
@@ -90,12 +91,13 @@ class RobotServer:
         self._loop = asyncio.get_running_loop()
         try:
             async with asyncio.TaskGroup() as tasks:
-                server = await asyncio.start_server(
+                reception = Reception(
+                    listener,
+                    self._doorstep.tls(),
+                    self._config.server.max_waiting,
                     lambda reader, writer: self._take_in(tasks, reader, writer),
-                    sock=listener,
-                    backlog=128,
-                    **self._doorstep.tls(),
                 )
+                receiving = tasks.create_task(reception.run())
                 try:
                     tasks.create_task(self._tick_forever())
                     tasks.create_task(self._run_sensors())
@@ -105,7 +107,7 @@ class RobotServer:
                     self.stop_motors()
                     self._systemd.ending()
                     self._ends = True
-                    server.close()
+                    receiving.cancel()
                     await self._say_goodbye()
         finally:
             self.stop_motors()
@@ -202,7 +204,12 @@ class RobotServer:
     def _welcome(self, client: StationClient, join: Join) -> None:
         limit = self._config.server.max_stations
         # Not is_joined: that counts only whose welcome was sent, and twenty may ask before the first one is.
-        if sum(c.has_place for c in self._clients.values()) >= limit:
+        places = [c for c in self._clients.values() if c.has_place]
+        if len(places) >= limit and (silent := next((c for c in places if c.session.state is State.QUIET), None)):
+            # Most likely the dead connection of a station that is back by another one.
+            silent.end(Event.LOST, notice("replaced", "this station was silent, and another needs its place", fatal=True))
+            places.remove(silent)
+        if len(places) >= limit:
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
             return
         client.station_name = join.station_name

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 from shared.access import Token
 from shared.certificates import HANDSHAKE_WITHIN_S, fingerprint_of_der, pinning_context
-from shared.errors import RobotSystemError
+from shared.errors import ConfigError, RobotSystemError
 from station.paired_robots import PairedRobots
 
 READ_BYTES = 256 * 1024
+CONNECT_WITHIN_S = 1.5
 
 
 class ConnectionRefused(RobotSystemError):
@@ -57,6 +58,19 @@ async def connect(host: str, port: int, robots: PairedRobots | None) -> Connecti
         connection.writer.transport.abort()
         raise ConnectionRefused(known)
     return Connection(connection.reader, connection.writer, connection.fingerprint, known[1])
+
+
+async def answers(host: str, port: int, robots: PairedRobots | None) -> bool:
+    """Whether the robot says a first word on a new connection, which is closed again."""
+    try:
+        async with asyncio.timeout(CONNECT_WITHIN_S):
+            connection = await connect(host, port, robots)
+            try:
+                return bool(await connection.reader.read(1))
+            finally:
+                connection.writer.transport.abort()
+    except (OSError, ConnectionRefused, ConfigError):
+        return False
 
 
 async def connect_by_tls(host: str, port: int) -> Connection:

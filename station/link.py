@@ -34,7 +34,15 @@ from shared.messages import (
     Welcome,
 )
 from shared.session import Event, Session, State, Tick
-from station.connecting import READ_BYTES, Connection, ConnectionRefused, connect, in_words
+from station.connecting import (
+    CONNECT_WITHIN_S,
+    READ_BYTES,
+    Connection,
+    ConnectionRefused,
+    answers,
+    connect,
+    in_words,
+)
 from station.link_state import LinkClock, LinkState, RateMeter
 from station.paired_robots import PairedRobots
 from station.refusals import NoRobot
@@ -44,8 +52,8 @@ __all__ = ["LinkListener", "LinkState", "RobotLink"]
 logger = logging.getLogger(__name__)
 
 RETRY_S = 0.25  # a robot that just started is found well within two seconds
-REFUSED_RETRY_S = 2.0  # somebody must do something first: pair, or set up
-CONNECT_WITHIN_S = 1.5
+REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a handshake was cut in the middle
+GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
 AUTO = "auto"  # as host: look for a robot
 FIND_WITHIN_S = 2.0
@@ -113,6 +121,7 @@ class RobotLink:
         self._session = Session("station", now_ns())
         self._due: dict[type, StationMessage] = {}
         self._wake = asyncio.Event()
+        self._silence = asyncio.Event()
         self._seq = 0  # of drive, stop and heartbeat
         self._connected = False
         self._reason = "not connected yet"
@@ -272,14 +281,16 @@ class RobotLink:
             return f"{self._host} is no host name; give --robot HOST:PORT"
         writer = connection.writer
         self._connection = connection
-        self._session = Session("station", self._now_ns())
+        self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
+        self._silence.clear()
         self._seq = 0
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._read(connection.reader))
                 tasks.create_task(self._write(writer))
                 tasks.create_task(self._tick())
+                tasks.create_task(self._look_for_another_way())
         except* _Ended:
             pass
         except* OSError as group:
@@ -323,10 +334,30 @@ class RobotLink:
                 if duty is Tick.SEND_HEARTBEAT:
                     self._beat()
                     self._confirm()
+                elif duty is Tick.WENT_QUIET:
+                    self._silence.set()
                 elif duty is Tick.CLOSE:
                     raise _Ended
             self._rates.sample(now_ns, self._frames, self._imu_samples, self._bytes)
             await asyncio.sleep(TICK_S)
+
+    async def _look_for_another_way(self) -> None:
+        """While nothing is heard: a connection may be dead and neither end know (a router that started anew forgot it).
+
+        Whether it is shows when the robot answers a new one. Silence alone may be a roam, which the old one survives.
+        """
+        session = self._session
+        while True:
+            await self._silence.wait()
+            self._silence.clear()
+            while session.state is State.QUIET:
+                num_bytes = self._bytes  # half a message that trickles is life enough
+                is_there = await answers(self._host, self._port, self._robots)
+                if is_there and session.state is State.QUIET and self._bytes == num_bytes:
+                    self._retry_s = 0.0
+                    session.close(Event.LOST, "the connection carries nothing any more, and the robot answers a new one")
+                    raise _Ended
+                await asyncio.sleep(RETRY_S)
 
     # What arrives
 

@@ -15,8 +15,10 @@ from shared.errors import ConfigError
 from shared.listening import is_loopback
 from station.api.server import make_api
 from station.app import Station
+from station.expiry import watch_expiry
 
 logger = logging.getLogger(__name__)
+PING_EVERY_S = PONG_WITHIN_S = 5.0  # a page whose network vanished gives its seat back within ten seconds
 END_WITHIN_S = 2  # open video streams never end by themselves
 
 
@@ -47,6 +49,8 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
         lifespan="off",
         timeout_graceful_shutdown=END_WITHIN_S,
         ws_max_size=65536,  # pages only send small commands
+        ws_ping_interval=PING_EVERY_S,
+        ws_ping_timeout=PONG_WITHIN_S,
         ws_per_message_deflate=False,  # JPEG does not get smaller, and compressing costs the event loop
         server_header=False,
     )
@@ -54,6 +58,9 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
     opened = asyncio.Event()  # before it the last active map is not active yet
     running = asyncio.create_task(station.run(opened.set), name="station")
     serving = asyncio.create_task(server.serve(sockets=[listener]), name="API")
+    watching = asyncio.create_task(
+        watch_expiry(identity, lambda sentence: _warn(station, sentence)), name="certificate"
+    )  # fmt: skip
     try:
         while not (server.started and opened.is_set()) and not serving.done() and not running.done():
             await asyncio.sleep(0.01)
@@ -61,6 +68,7 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
             started()
         await asyncio.wait({running, serving}, return_when=asyncio.FIRST_COMPLETED)
     finally:
+        watching.cancel()
         station.stop()
         running.cancel()
         server.should_exit = True
@@ -69,6 +77,11 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
                 await running
         finally:
             await serving
+
+
+def _warn(station: Station, sentence: str) -> None:
+    logger.warning("%s", sentence)
+    station.events.say("access", sentence, "warning")
 
 
 async def serve_until_signal(

@@ -23,6 +23,15 @@ class Faults:
     garbage: float = 0.0  # the share of pieces that get a wrong byte
 
 
+@dataclass(eq=False)
+class _Wire:
+    """One relayed connection."""
+
+    ends: tuple[asyncio.StreamWriter, asyncio.StreamWriter]
+    is_dead: bool = False  # carries nothing any more, not even an end
+    directions_ended: int = 0
+
+
 class FaultProxy:
     """Relays TCP connections to one port. `port` stays the same over cuts."""
 
@@ -32,6 +41,7 @@ class FaultProxy:
         self._server: asyncio.Server | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
+        self._wires: set[_Wire] = set()
         self._flows = asyncio.Event()
         self._flows.set()
         self.port = 0
@@ -40,6 +50,8 @@ class FaultProxy:
 
     async def mend(self) -> None:
         """Take connections from now on."""
+        if self._server is not None:
+            return
         self._server = await asyncio.start_server(self._take, "127.0.0.1", self.port, limit=CHUNK)
         self.port = self._server.sockets[0].getsockname()[1]
 
@@ -59,6 +71,14 @@ class FaultProxy:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+    def abandon(self) -> None:
+        """The connections there are carry nothing any more, and neither end is told; new ones work.
+
+        So it is when a router that keeps a table of connections starts anew, or a robot loses power for a moment.
+        """
+        for wire in self._wires:
+            wire.is_dead = True
 
     def stall(self) -> None:
         """Bytes stay where they are, connections live."""
@@ -82,18 +102,27 @@ class FaultProxy:
             self._writers.discard(writer)
             return
         self._writers.add(robot_writer)
-        self._relay(reader, robot_writer, lambda: self.faults["to robot"])
-        self._relay(robot_reader, writer, lambda: self.faults["to station"])
+        wire = _Wire((writer, robot_writer))
+        self._wires.add(wire)
+        self._relay(wire, reader, robot_writer, lambda: self.faults["to robot"])
+        self._relay(wire, robot_reader, writer, lambda: self.faults["to station"])
 
-    def _relay(self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, faults: Callable[[], Faults]) -> None:
+    def _relay(
+        self,
+        wire: _Wire,
+        source: asyncio.StreamReader,
+        sink: asyncio.StreamWriter,
+        faults: Callable[[], Faults],
+    ) -> None:
         queue: asyncio.Queue[tuple[float, bytes] | None] = asyncio.Queue(maxsize=64)
-        for coroutine in (self._read(source, queue, faults), self._write(sink, queue, faults)):
+        for coroutine in (self._read(wire, source, queue, faults), self._write(wire, sink, queue, faults)):
             task = asyncio.create_task(coroutine)
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
     async def _read(
         self,
+        wire: _Wire,
         source: asyncio.StreamReader,
         queue: asyncio.Queue[tuple[float, bytes] | None],
         faults: Callable[[], Faults],
@@ -102,7 +131,7 @@ class FaultProxy:
         try:
             while data := await source.read(CHUNK):
                 now = faults()
-                if now.is_swallowed:
+                if now.is_swallowed or wire.is_dead:
                     continue
                 if now.garbage and self._random.random() < now.garbage:
                     data = self._spoilt(data)
@@ -113,6 +142,7 @@ class FaultProxy:
 
     async def _write(
         self,
+        wire: _Wire,
         sink: asyncio.StreamWriter,
         queue: asyncio.Queue[tuple[float, bytes] | None],
         faults: Callable[[], Faults],
@@ -123,17 +153,29 @@ class FaultProxy:
                 due_s, data = item
                 await asyncio.sleep(max(0.0, due_s - loop.time()))
                 await self._flows.wait()
-                rate = faults().bytes_per_s
-                step = max(1, int(rate / 50)) if rate else len(data)
-                for begin in range(0, len(data), step):
-                    sink.write(data[begin : begin + step])
+                while data:
+                    rate = faults().bytes_per_s  # looked at again and again: it may be healed in the middle of a piece
+                    step = max(1, int(rate / 50)) if rate else len(data)
+                    sink.write(data[:step])
                     await sink.drain()
+                    data = data[step:]
                     if rate:
                         await asyncio.sleep(step / rate)
         except OSError:
             pass
         finally:
+            self._end(wire, sink)
+
+    def _end(self, wire: _Wire, sink: asyncio.StreamWriter) -> None:
+        """One direction is over. A dead wire tells nobody until both ends have gone by themselves."""
+        wire.directions_ended += 1
+        if not wire.is_dead:
             sink.transport.abort()
+        if wire.directions_ended == 2:
+            for end in wire.ends:
+                end.transport.abort()
+                self._writers.discard(end)
+            self._wires.discard(wire)
 
     def _spoilt(self, data: bytes) -> bytes:
         spoilt = bytearray(data)

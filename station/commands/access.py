@@ -22,6 +22,7 @@ from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
 from station.access import LINK_S, access_folder
 from station.config import DEFAULT_DATA_DIR, load_config, parse_address
+from station.expiry import expiry_sentence
 from station.paired_robots import PairedRobots
 from station.pairing import pair as pair_with
 
@@ -107,8 +108,12 @@ def link(
 
 @access.command("list")
 def list_tokens(data: Data = None, config: Config = None, as_json: Json = False) -> None:
-    """Who may, and who no longer may."""
-    show_tokens(TokenBook(_folder(data, config)), as_json)
+    """Who may, and who no longer may; says when the certificate is about to expire."""
+    folder = _folder(data, config)
+    show_tokens(TokenBook(folder), as_json)
+    identity = open_identity(folder) if (folder / CERTIFICATE_NAME).exists() else None
+    if sentence := expiry_sentence(identity, datetime.datetime.now(datetime.UTC)):
+        typer.echo(f"warning: {sentence}", err=True)
 
 
 @access.command()

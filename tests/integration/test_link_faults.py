@@ -94,3 +94,28 @@ async def test_cuts_in_the_middle_of_messages_never_repeat_or_reorder_samples() 
         missing = bench.imu.next_sequence - len(notes.sequences)
         assert sum(notes.gaps) == missing
         assert len(asyncio.all_tasks()) < 40  # of 15 connections none left anything behind
+
+
+async def test_a_dead_connection_is_left_for_one_that_works() -> None:
+    """Neither end is told, and the network is there: only a new connection shows it."""
+    async with over_a_bad_network() as (bench, proxy, notes):
+        bench.imu.inject(5)
+        await until(lambda: is_gapless(notes, 5))
+        proxy.abandon()
+        bench.imu.inject(5)
+        await until(lambda: len(notes.hellos) == 2)
+        await until(lambda: is_gapless(notes, 10))
+        assert "answers a new one" in notes.reasons[0] and notes.gaps == []
+
+
+async def test_silence_without_a_way_around_it_costs_no_connection() -> None:
+    async with over_a_bad_network() as (bench, proxy, notes):
+        bench.imu.inject(5)
+        await until(lambda: is_gapless(notes, 5))
+        proxy.stall()  # a roam: new connections get no answer either
+        before = proxy.connections
+        await until(lambda: proxy.connections >= before + 2)  # it looked twice
+        proxy.flow()
+        bench.imu.inject(5)
+        await until(lambda: is_gapless(notes, 10))
+        assert len(notes.hellos) == 1 and notes.reasons == []

@@ -53,17 +53,29 @@ export function socketUrl(path: string): string {
 
 const REVOKED = 4401; // station/api/doorkeeper.py
 
-/** A WebSocket that comes back by itself. */
+const LONGEST_WAIT_MS = 1000;
+const SILENT_MS = 1250; // the station's events come every second
+const PATIENCE_MS = 1500; // with a connection that does not open
+const sockets: LastingSocket[] = [];
+
+/** A WebSocket that comes back by itself, within two seconds after the network does. */
 export class LastingSocket {
   private socket: WebSocket | null = null;
+  private probe: WebSocket | null = null;
   private waitMs = 250;
+  private begunMs = 0;
+  private heardMs = 0;
 
+  /** `isSteady`: something comes every second, so that silence means something. */
   constructor(
     private readonly path: string,
     private readonly onMessage: (data: string | ArrayBuffer) => void,
     private readonly onState: (open: boolean) => void,
+    private readonly isSteady = false,
   ) {
+    sockets.push(this);
     this.connect();
+    setInterval(() => this.look(), 250);
   }
 
   get isOpen(): boolean {
@@ -80,16 +92,60 @@ export class LastingSocket {
     const socket = new WebSocket(socketUrl(this.path));
     socket.binaryType = "arraybuffer";
     this.socket = socket;
+    this.begunMs = performance.now();
     socket.onopen = () => {
       this.waitMs = 250;
+      this.heardMs = performance.now();
       this.onState(true);
     };
-    socket.onmessage = (event) => this.onMessage(event.data);
+    socket.onmessage = (event) => {
+      this.heardMs = performance.now();
+      this.onMessage(event.data);
+    };
     socket.onclose = (event) => {
       this.onState(false);
       if (event.code === REVOKED) location.reload(); // and log in anew
       setTimeout(() => this.connect(), this.waitMs);
-      this.waitMs = Math.min(this.waitMs * 2, 2000);
+      this.waitMs = Math.min(this.waitMs * 2, LONGEST_WAIT_MS);
+    };
+  }
+
+  /** Leave the connection there is, which may be dead: a browser would wait long for its end. */
+  private renew(): void {
+    const socket = this.socket;
+    if (socket === null || socket.readyState > WebSocket.OPEN) return; // its onclose connects
+    socket.onopen = socket.onmessage = socket.onclose = null;
+    socket.close();
+    this.onState(false);
+    this.connect();
+  }
+
+  private look(): void {
+    const nowMs = performance.now();
+    if (this.socket?.readyState === WebSocket.CONNECTING && nowMs - this.begunMs > PATIENCE_MS) this.renew();
+    const isSilent = this.isSteady && this.isOpen && nowMs - this.heardMs > SILENT_MS;
+    if (isSilent && this.probe === null) this.tryAnother();
+  }
+
+  /**
+   * Silence may be a station or a network that is slow just now: then another connection gets no word either. When it
+   * does while this one stays silent, neither end was told that the old ones are dead.
+   */
+  private tryAnother(): void {
+    const probe = new WebSocket(socketUrl(this.path));
+    this.probe = probe;
+    const begunMs = performance.now();
+    const giveUp = setTimeout(() => end(), PATIENCE_MS);
+    const end = () => {
+      clearTimeout(giveUp);
+      probe.onmessage = probe.onclose = null;
+      probe.close();
+      this.probe = null;
+    };
+    probe.onclose = end;
+    probe.onmessage = () => {
+      end();
+      if (this.heardMs < begunMs) for (const socket of sockets) socket.renew();
     };
   }
 }

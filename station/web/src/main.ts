@@ -89,6 +89,7 @@ new LastingSocket(
     health.setStation(open);
     if (open) attempt(load);
   },
+  true,
 );
 
 /**
