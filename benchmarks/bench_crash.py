@@ -1,8 +1,8 @@
 """Kill -9 at random moments while recording, saving, building, renaming, merging and migrating: is anything lost?
 
     python -m benchmarks.bench_crash --kills 600
-    python -m benchmarks.bench_crash --fault full --kills 200          # and read-only: the disk, not the program (as root)
-    python -m benchmarks.bench_crash --postgresql --kills 100          # the index in a PostgreSQL of its own
+    python -m benchmarks.bench_crash --fault full --kills 200    # or read-only: the disk, not the program (as root)
+    python -m benchmarks.bench_crash --postgresql --kills 100    # the index in a PostgreSQL of its own
 
 Every one has a seed, printed and kept in benchmarks/results/crash.jsonl; started again it goes on where it ended.
 """
@@ -24,9 +24,10 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once
+from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
 from tests.postgres_support import running_postgres
 
+TWO_STATIONS = "two stations"
 RESULTS = Path(__file__).parent / "results" / "crash.jsonl"
 
 
@@ -53,6 +54,7 @@ def main(
     done = [line for line in done if line["fault"] == what]
     seen = {(line["scenario"], line["seed"]) for line in done}
     names = [only] if only else [name for name in SCENARIOS if not (postgresql and name == "record")]
+    names += [TWO_STATIONS] if fault is Fault.KILL and not only else []
     with runs(fault, postgresql=postgresql) as run, out.open("a") as file:
         for number in range(kills):
             name, kill_seed = names[number % len(names)], seed + number
@@ -86,7 +88,10 @@ def runs(fault: Fault, *, postgresql: bool) -> Iterator[Callable[[str, int], str
         server = stack.enter_context(running_postgres()) if postgresql else None
 
         def run(name: str, seed: int) -> str:
-            return run_once(name, scratch / "work", seed, server.fresh_database() if server else "")
+            database = server.fresh_database() if server else ""
+            if name == TWO_STATIONS:
+                return run_two_stations(scratch / "work", seed, database)
+            return run_once(name, scratch / "work", seed, database)
 
         yield run
 
@@ -94,16 +99,17 @@ def runs(fault: Fault, *, postgresql: bool) -> Iterator[Callable[[str, int], str
 def summarise(what: str, done: list[dict[str, object]]) -> None:
     """A line per scenario: how many, how many of them in the middle of work, what was lost."""
     counts = collections.Counter((line["scenario"], line["good"]) for line in done)
-    for name in SCENARIOS:
+    for name in (*SCENARIOS, TWO_STATIONS):
         said = [str(line["said"]) for line in done if line["scenario"] == name]
         first = [float(match[1]) for text in said if (match := re.match(r"([\d.]+) ", text))]
-        if not said:
+        if not first:
             continue
         word = said[0].split(";")[0].partition(" ")[2]
         refused = sum("refused" in text for text in said)
         print(
             f"{what}: {name:12s} {counts[name, True]} without loss, {counts[name, False]} with;"
-            f" median {statistics.median(first):g}, most {max(first):g} ({word})" + (f"; {refused} refused" if refused else "")
+            f" median {statistics.median(first):g}, most {max(first):g} ({word})"
+            + (f"; {refused} refused" if refused else "")
         )
 
 

@@ -1,11 +1,11 @@
-"""Ten thousand disconnects at random moments: is every link back two seconds after its network, is anything left behind?
+"""Ten thousand disconnects at random moments: is every link back two seconds after its network, is anything left?
 
     python -m benchmarks.bench_disconnects --disconnects 10000
     python -m benchmarks.bench_disconnects --minutes 10            # a soak: so long, whatever comes together
 
 Robots with and without TLS, and pages' WebSockets to a station with a robot, each behind a network of its own that is
-cut, reset, stalled, half-open, dead, noisy, slow or late. All in one process, so that its tasks, threads, files, sockets
-and children can be counted before and after. Exit code 1 when a link was late or something is left.
+cut, reset, stalled, half-open, dead, noisy, slow or late. All in one process, so that its tasks, threads, files,
+sockets and children can be counted before and after. Exit code 1 when a link was late or something is left.
 """
 
 from __future__ import annotations
@@ -91,7 +91,9 @@ async def run(disconnects: int, minutes: float, links: int, pages: int, seed: in
             stack.callback(film.cancel)
             desk = await stack.enter_async_context(running_station(bench.port, folder / "station"))
             port = urlsplit(desk.address).port or 0
-            lines += [await stack.enter_async_context(page_line(f"page {n}", port, seed + 1000 + n)) for n in range(pages)]
+            lines += [
+                await stack.enter_async_context(page_line(f"page {n}", port, seed + 1000 + n)) for n in range(pages)
+            ]
         watch = asyncio.create_task(lag.run())
         stack.callback(watch.cancel)
         await all_back(lines)
@@ -147,8 +149,9 @@ def summary(tally: Tally) -> str:
         return "no fault yet"
     back = [r.back_s for r in tally.returns]
     return (
-        f"{len(back)} faults, {tally.disconnects} ended a connection; back after {statistics.median(back):.2f} s (median),"
-        f" {max(back):.2f} s (longest; event loop late by {max(r.lag_s for r in tally.returns):.2f} s at most),"
+        f"{len(back)} faults, {tally.disconnects} ended a connection; back after {statistics.median(back):.2f} s"
+        f" (median), {max(back):.2f} s (longest; event loop late by {max(r.lag_s for r in tally.returns):.2f} s at"
+        " most),"
         f" {len(tally.late)} later than {BACK_WITHIN_S:g} s"
     )
 

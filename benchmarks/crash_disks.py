@@ -6,12 +6,9 @@ import contextlib
 import os
 import subprocess
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
-
-KEEP_FULL_S = 0.002  # who writes also removes, and must not find room by that
 
 
 class NoDisk(Exception):
@@ -31,7 +28,7 @@ class Disk(Protocol):
         ...
 
     def keep_spoilt(self) -> None:
-        """Call it often while it shall refuse."""
+        """Call it often while it shall refuse: who writes also removes, and must not find room by that."""
         ...
 
 
@@ -63,10 +60,13 @@ class FailingDisk:
         self.home = mounted / "home"
         self._mounted = mounted
 
+    def settle(self) -> None:
+        """What is there reaches the disk: what is copied there only for the test need not survive its end."""
+        _run("sync", "--file-system", str(self._mounted))
+
     def spoil(self) -> None:
         device = next(line.split()[0] for line in mounts() if line.split()[1] == str(self._mounted))
         Path("/sys/fs/ext4", Path(device).name, "trigger_fs_error").write_text("crash test")
-        time.sleep(0)
 
     def keep_spoilt(self) -> None:
         """It stays so until it is mounted again."""

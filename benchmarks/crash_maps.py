@@ -30,6 +30,7 @@ from tests.synthetic_home import drive, furnished_room, navigate
 DATABASE = "database-url"  # a file with the URL of a PostgreSQL database; absent: SQLite in the folder
 DRIVES = ("drive-a", "drive-b", "drive-c")  # the first two of one room
 NAMED = "Sofa"
+STATIONS = ("desk", "hall")
 
 
 def made_up_drive(number: int) -> Navigation:
@@ -183,6 +184,33 @@ def look_at_merges(folder: Path, promises: list[object]) -> str:
     after = {"merged": (-1, 0), "undone": (0, -1), "deleted": (0,)}[str(promises[-1]) if promises else "undone"]
     assert len(place_map.places) - len(MAP.places) in after, f"{len(place_map.places)} places after {promises[-1:]}"
     return f"{len(promises)} changes"
+
+
+# Two stations
+
+
+def station_on(folder: Path, child: Child, number: int) -> None:
+    """One of two stations with one store: renames its own place, over and over."""
+    author = STATIONS[number]
+    store = MapStore(address(folder, author))
+    for count in range(10_000):
+        name = f"{author} {count}"
+        child.do(functools.partial(store.rename_place, MAP.id, MAP.places[number].id, name))
+        child.promise(name)
+
+
+def look_at_stations(folder: Path, promised: list[list[object]]) -> str:
+    """Every write of both is a version, none is there twice, and the newest holds the last name of each."""
+    store = opened(folder)
+    history = store.history(MAP.id)
+    assert [record.number for record in history] == list(range(len(history), 0, -1)), "a version is missing"
+    newest = store.load(MAP.id)
+    for number, (author, names) in enumerate(zip(STATIONS, promised, strict=True)):
+        edits = [record for record in reversed(history) if record.kind == "edited" and record.author == author]
+        written = [next(p.name for p in record.places if p.id == MAP.places[number].id) for record in edits]
+        assert written in (names, [*names, f"{author} {len(names)}"]), f"{author} was promised {names}"
+        assert not written or newest.places[number].name == written[-1], f"the last name of {author} is not there"
+    return f"{' and '.join(str(len(names)) for names in promised)} renamed"
 
 
 # Building maps of one drive, and of several

@@ -32,7 +32,7 @@ PICTURE = np.random.default_rng(0).bytes(40_000)
 
 
 def record_on(folder: Path, child: Child) -> None:
-    """A robot of 20 frames and 225 samples a second, in real time: drive after drive, each kept as the station keeps it.
+    """A robot of 20 frames and 225 samples a second, in real time: drive after drive, kept as the station keeps them.
 
     Promised is the drive and the time of what was handed over; "closed" when it was ended properly; "ended" when the
     recorder had to end it itself, and said why.
@@ -89,7 +89,7 @@ def record_one(recorder: Recorder, drive: int, child: Child) -> None:
 
 
 def look_at_recordings(folder: Path, promises: list[object]) -> str:
-    """As the station starts: the library opens, what was cut is recovered, and every drive that was promised is read."""
+    """As the station starts: the library opens, what was cut is recovered; every drive that was promised is read."""
     library = DriveLibrary(folder / "drives")
     for interrupted in library.open():
         path = library.recording(interrupted.id)
@@ -97,7 +97,8 @@ def look_at_recordings(folder: Path, promises: list[object]) -> str:
             try:
                 recover_recording(path)
             except DataError as exc:
-                assert "nothing that can be recovered" in str(exc), str(exc)
+                if "nothing that can be recovered" not in str(exc):
+                    raise AssertionError(str(exc)) from exc
     taken, ends = last_taken(promises)
     known = {drive.id for drive in library.list()}
     worst_s = 0.0
@@ -134,7 +135,7 @@ def last_taken(promises: list[object]) -> tuple[dict[str, int], dict[str, str]]:
 
 
 def lost_s(path: Path, drive: int, last_ns: int) -> float:
-    """Seconds of a recording that were taken and are not in its file. Raises AssertionError for wrong or missing parts."""
+    """Seconds of a recording that were taken and are not in its file. AssertionError for wrong or missing parts."""
     try:
         data = open_dataset(path)
         frames = [frame.encoded for frame in data.frames()]

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 from benchmarks import crash_maps, crash_recording
-from benchmarks.crash_child import Scenario, Working, start
+from benchmarks.crash_child import STUCK_S, Scenario, Working, start
 from benchmarks.crash_disks import Disk, disk_image, failing_disk, full_disk
 from benchmarks.crash_maps import DATABASE
 
@@ -45,8 +45,32 @@ def run_once(name: str, folder: Path, seed: int, database: str = "") -> str:
     return scenario.look(folder, promises)
 
 
+def run_two_stations(folder: Path, seed: int, database: str = "") -> str:
+    """Two stations write to one store at once; one is killed, the other goes on."""
+    rng = random.Random(seed)
+    shutil.rmtree(folder, ignore_errors=True)
+    _prepare("rename", folder, database)
+    stations = [
+        start(lambda child, number=number: crash_maps.station_on(folder, child, number), seed)  # type: ignore[misc]
+        for number in range(len(crash_maps.STATIONS))
+    ]
+    victim = rng.randrange(len(stations))
+    promised: list[list[object]] = [[] for _ in stations]
+    try:
+        stations[victim].work_for(rng.uniform(0.0, 0.4), is_timed=False)
+        time.sleep(rng.uniform(0.0, AFTER_S))
+        promised[victim] = stations[victim].kill()
+        other = stations[1 - victim]
+        other.listen(0)
+        before = len(other.promises)
+        assert other.wait(lambda: len(other.promises) >= before + 2, STUCK_S), "the other station cannot write any more"
+    finally:
+        promised[1 - victim] = stations[1 - victim].kill()
+    return crash_maps.look_at_stations(folder, promised)
+
+
 def run_on_full_disk(name: str, seed: int) -> str:
-    """The disk becomes full at a random moment of the work. Then there is room again, and the work goes on by itself."""
+    """The disk becomes full at a random moment. Then there is room again, and the work goes on by itself."""
     scenario, rng = SCENARIOS[name], random.Random(seed)
     with full_disk() as disk:
         _prepare(name, disk.home)
@@ -71,6 +95,7 @@ def run_on_failing_disk(name: str, seed: int) -> str:
     with disk_image() as image:
         with failing_disk(image) as disk:
             _prepare(name, disk.home)
+            disk.settle()
             working = start(lambda child: scenario.work(disk.home, child), seed)
             try:
                 _work(working, scenario, rng)
@@ -105,7 +130,9 @@ def _refuse(working: Working, scenario: Scenario, disk: Disk, rng: random.Random
     for sentence in set(working.refusals):
         assert NAMES_CAUSE.search(sentence), f"this does not say what is wrong: {sentence}"
         assert "\n" not in sentence and "Traceback" not in sentence, f"this is no sentence: {sentence}"
-    return f"refused {len(working.refusals)} times: {working.refusals[0]}" if was_refused else "nothing was written then"
+    return (
+        f"refused {len(working.refusals)} times: {working.refusals[0]}" if was_refused else "nothing was written then"
+    )
 
 
 def _prepare(name: str, folder: Path, database: str = "") -> None:

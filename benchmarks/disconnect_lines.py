@@ -121,7 +121,7 @@ async def _throttle(proxy: FaultProxy, rng: random.Random, outage_s: float) -> N
     proxy.heal()
 
 
-async def _late_and_reset(proxy: FaultProxy, rng: random.Random, outage_s: float) -> None:
+async def _late_and_reset(proxy: FaultProxy, rng: random.Random, outage_s: float) -> None:  # noqa: ARG001
     """Late pieces, and a connection that ends while they are on the way: what comes again comes in another order."""
     for faults in proxy.faults.values():
         faults.delay_s, faults.jitter_s = 0.1, 0.1

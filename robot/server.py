@@ -207,7 +207,9 @@ class RobotServer:
         places = [c for c in self._clients.values() if c.has_place]
         if len(places) >= limit and (silent := next((c for c in places if c.session.state is State.QUIET), None)):
             # Most likely the dead connection of a station that is back by another one.
-            silent.end(Event.LOST, notice("replaced", "this station was silent, and another needs its place", fatal=True))
+            silent.end(
+                Event.LOST, notice("replaced", "this station was silent, and another needs its place", fatal=True)
+            )
             places.remove(silent)
         if len(places) >= limit:
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))

@@ -122,9 +122,7 @@ class Tick(Enum):
 class Session:
     """One side of a connection: bytes and time in, messages and duties out."""
 
-    def __init__(
-        self, role: Literal["robot", "station"], now_ns: int, *, join_within_ns: int = JOIN_WITHIN_NS
-    ) -> None:
+    def __init__(self, role: Literal["robot", "station"], now_ns: int, *, join_within_ns: int = JOIN_WITHIN_NS) -> None:
         """`join_within_ns`: the longest silence before the connection has joined."""
         self._join_within_ns = join_within_ns
         self._is_robot = role == "robot"

@@ -355,7 +355,9 @@ class RobotLink:
                 is_there = await answers(self._host, self._port, self._robots)
                 if is_there and session.state is State.QUIET and self._bytes == num_bytes:
                     self._retry_s = 0.0
-                    session.close(Event.LOST, "the connection carries nothing any more, and the robot answers a new one")
+                    session.close(
+                        Event.LOST, "the connection carries nothing any more, and the robot answers a new one"
+                    )
                     raise _Ended
                 await asyncio.sleep(RETRY_S)
 

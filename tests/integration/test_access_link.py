@@ -451,3 +451,22 @@ async def test_a_book_that_is_gone_lets_nobody_in_and_throws_out_who_is(tmp_path
             await until(lambda: link.state.connected)
             (bench.folder / "tokens.json").unlink()
             await until(lambda: not link.state.connected)
+
+
+async def test_silent_handshakes_are_bounded_in_number_and_time_and_keep_nobody_out(tmp_path: Path) -> None:
+    bench = GuardedBench(set_up(tmp_path / "robot"), max_waiting=4)
+    await bench.start()
+    robots = PairedRobots(tmp_path / "station")
+    bench.admit("desk", Role.WATCH, robots)
+    silent = [await asyncio.open_connection("127.0.0.1", bench.port) for _ in range(40)]
+    try:
+        ended = [asyncio.create_task(reader.read()) for reader, _ in silent]
+        await until(lambda: sum(task.done() for task in ended) >= 36)  # at once, for want of room
+        async with linked(bench.port, robots) as (link, _):
+            await until(lambda: link.state.connected)
+        await asyncio.gather(*ended, return_exceptions=True)  # the last ones after HANDSHAKE_WITHIN_S
+        assert bench.server is not None and not bench.server._clients
+    finally:
+        for _, writer in silent:
+            writer.transport.abort()
+        await bench.stop()

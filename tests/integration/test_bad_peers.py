@@ -32,6 +32,7 @@ from shared.messages import (
     decode_robot_message,
     encode_message,
 )
+from shared.session import State
 from station.link import RobotLink
 from tests.link_support import Bench, Notes, linked, running_robot, until
 
@@ -224,6 +225,17 @@ async def test_more_stations_than_allowed_are_refused_with_the_number() -> None:
         assert notes.hellos == [] and not third.state.connected
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_a_station_that_fell_silent_yields_its_place() -> None:
+    async with running_robot(max_stations=2) as bench, wire(bench.port) as (_, one), wire(bench.port) as (_, two):
+        for writer in (one, two):
+            writer.write(JOIN)
+        clients = bench.server._clients if bench.server is not None else {}
+        await until(lambda: sum(c.session.state is State.QUIET for c in clients.values()) == 2)
+        async with linked(bench.port):
+            await until(lambda: len(clients) == 2)
+            assert sorted(c.session.state.value for c in clients.values()) == ["active", "quiet"]
 
 
 async def test_a_peer_that_never_reads_does_not_fill_the_robots_memory() -> None:

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.crash_disks import NoDisk
 from benchmarks.crash_maps import MAP, variant
-from benchmarks.crashes import SCENARIOS, run_once
+from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
 from benchmarks.flips import flip_many
 from shared.errors import DataError
 from station.maps.checking import verify
@@ -24,7 +25,7 @@ NAMES_EACH = 6
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_nothing_promised_is_lost_when_the_program_is_killed(scenario: str, tmp_path: Path) -> None:
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         run_once(scenario, tmp_path / "work", seed)
 
 
@@ -70,6 +71,24 @@ def test_two_stations_that_write_at_once_keep_every_write(
     last_names = {place.name for record in renames for place in record.places[:2]}
     assert {f"desk {NAMES_EACH - 1}", f"hall {NAMES_EACH - 1}"} <= last_names
     assert verify(store) == ()
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_a_station_that_is_killed_takes_no_write_of_another_with_it(
+    kind: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    for seed in (1, 2, 3):
+        url = "" if kind == "sqlite" else request.getfixturevalue("postgres").fresh_database()
+        run_two_stations(tmp_path / "work", seed, url)
+
+
+@pytest.mark.parametrize("fault", RUNS_ON_BAD_DISK)
+@pytest.mark.parametrize("scenario", ["record", "save", "rename"])
+def test_a_disk_that_refuses_in_the_middle_costs_nothing(scenario: str, fault: str) -> None:
+    try:
+        RUNS_ON_BAD_DISK[fault](scenario, 1)
+    except NoDisk as exc:
+        pytest.skip(f"no small disk can be had here: {exc}")
 
 
 @contextlib.contextmanager

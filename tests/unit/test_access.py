@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import socket
 import stat
 import threading
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,7 @@ from shared.token_book import MAX_SESSIONS, TokenBook, TokenRecord
 from station.access import Door, open_access
 from station.config import AccessConfig as StationAccessConfig
 from station.config import ApiConfig, StationConfig
+from station.expiry import expiry_sentence, watch_expiry
 from station.refusals import TooManyGuesses, WrongToken
 from tests.access_support import NOW, set_up
 
@@ -446,3 +449,21 @@ def test_of_two_logins_at_once_with_one_link_one_gets_in(tmp_path: Path) -> None
     with pytest.raises(WrongToken, match="used already"):
         door.login(link, "a")
     assert door.admit(inside[1], "cookie", "b").name == "anna"
+
+
+def test_a_certificate_is_complained_about_in_its_last_month(tmp_path: Path) -> None:
+    identity = make_identity(tmp_path, "test", ["localhost"], 100, NOW)
+    said = [expiry_sentence(identity, NOW + timedelta(days=days)) for days in (0, 69, 71, 99.5, 101)]
+    assert said[:2] == ["", ""] and expiry_sentence(None, NOW) == ""
+    assert "good for 29 more days" in said[2] and "good for 0 more days" in said[3] and "has expired" in said[4]
+    assert all("station access init --renew" in sentence for sentence in said[2:])
+
+
+async def test_the_warning_comes_at_the_start_and_none_without_a_certificate(tmp_path: Path) -> None:
+    identity = make_identity(tmp_path, "test", ["localhost"], 3, datetime.now(UTC))
+    said: list[str] = []
+    watching = asyncio.create_task(watch_expiry(identity, said.append))
+    await asyncio.sleep(0)
+    watching.cancel()
+    await watch_expiry(None, said.append)
+    assert len(said) == 1 and "more days" in said[0]

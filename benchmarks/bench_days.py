@@ -1,0 +1,232 @@
+"""One flat on three days: other light, chairs, boxes and baskets elsewhere, another way through it. Do names survive?
+
+    python -m benchmarks.bench_days --flats 1-3
+    python -m benchmarks.bench_days --made-up 30        # in a minute: made-up clouds instead of pictures and SLAM
+
+As a person would: the first drive becomes a map, each place gets a name; the second drive is merged in, what is new
+gets a name; then the third. All by the code of the station's job (`POST /maps`) and its store. The simulator's truth
+judges: a name is kept where the place that bears it truly lies where it lay; a duplicate stands where another one does.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from benchmarks.places import truth_of
+from robot.simulation.atlas import default_cache_dir
+from robot.simulation.config import SimulationConfig
+from robot.simulation.recording import record_drive
+from robot.simulation.routes import plan_route
+from robot.simulation.worlds import make_world
+from shared.errors import EstimationError
+from shared.geometry import FloatArray, se3, yaw_rotation
+from station.datasets import open_dataset
+from station.evaluation.matches import count_duplicates, true_landmarks
+from station.job_servant import JobServant
+from station.maps.map import PlaceMap
+from station.maps.store import MapStore, StoreAddress
+from station.navigation_files import load_navigation, save_navigation
+from station.places.extent import half_extent
+from station.slam.backends import make_backend
+from station.slam.run import run_backend
+from tests.synthetic_home import Home, drive, furnished_room, navigate
+
+RESULTS = Path(__file__).parent / "results"
+ROUTES = ("mapping", "second", "mapping")  # of the three days
+DAYS = len(ROUTES)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A day's navigation in its folder, and where its landmarks truly are."""
+
+    folder: Path
+    p_true: FloatArray  # (M, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One flat."""
+
+    name: str
+    names: int  # that a person gave, over both merges
+    kept: int
+    elsewhere: int  # of those lost: the name is there, at another place
+    places: int  # at the end
+    duplicates: int
+    refused: str = ""  # why a drive could not be merged; nothing is lost then
+
+    def __str__(self) -> str:
+        if self.refused:
+            return f"{self.name}: {self.refused}"
+        return (
+            f"{self.name}: {self.kept} of {self.names} names kept ({self.elsewhere} are elsewhere now), {self.places}"
+            f" places in the end, {self.duplicates} duplicates"
+        )
+
+
+# The days
+
+
+def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path) -> list[Drive]:
+    """Three drives through one flat; each is made once and kept in the folder."""
+    drives = []
+    for day, route in enumerate(ROUTES):
+        settings = replace(
+            SimulationConfig(camera_rate_hz=fps),
+            moved_chairs_seed=1000 * seed + day if day else None,
+            light_seed=1000 * seed + day if day else None,
+        )
+        dataset, navigation = folder / f"day-{day}", folder / f"day-{day}-{backend}"
+        if not dataset.is_dir():
+            flat = make_world(world, seed, settings)
+            plan = plan_route(flat, route, day, settings.body.radius_m)
+            record_drive(flat, plan, settings, 10 * seed + day, dataset, default_cache_dir())
+        data = open_dataset(dataset)
+        if not navigation.is_dir():
+            slam = make_backend(backend, data.calibration, 1)
+            save_navigation(replace(run_backend(slam, data.events()), id=f"flat-{seed}-day-{day}"), navigation)
+        truth = data.truth
+        assert truth is not None
+        drives.append(Drive(navigation, true_landmarks(load_navigation(navigation), truth)))
+    return drives
+
+
+def made_up_days(seed: int, folder: Path) -> list[Drive]:
+    """The same of points in one room: two pieces of furniture stand elsewhere on each later day."""
+    rng = np.random.default_rng(20_000 + seed)
+    size = (float(rng.uniform(3.5, 6.5)), float(rng.uniform(3.0, 5.0)))
+    home = furnished_room(seed, pieces=int(rng.integers(5, 11)), size=size, density=int(rng.integers(150, 700)))
+    drives = []
+    for day in range(DAYS):
+        poses = drive(home, 10 * seed + day, frames=70, turns=float(rng.uniform(1, 2.5)))
+        T = np.eye(4) if day == 0 else se3(yaw_rotation(rng.uniform(0, 2 * np.pi)), rng.uniform(-3, 3, 3))
+        navigation = navigate(
+            rearranged(home, rng) if day else home,
+            poses,
+            seed=10 * seed + day,
+            name=f"room-{seed}-day-{day}",
+            T_nav_world=T,
+            noise_m=0.02,
+        )
+        save_navigation(navigation, folder / f"day-{day}")
+        drives.append(Drive(folder / f"day-{day}", true_landmarks(navigation, truth_of(poses))))
+    return drives
+
+
+def rearranged(home: Home, rng: np.random.Generator) -> Home:
+    """Two pieces of furniture pushed by up to a metre."""
+    p = home.p.copy()
+    for piece in rng.choice(home.furniture.max() + 1, 2, replace=False):
+        p[home.furniture == piece, :2] += rng.uniform(-0.7, 0.7, 2)
+    return replace(home, p=p)
+
+
+# A person's work over the days
+
+
+def live_there(name: str, drives: list[Drive], folder: Path) -> Outcome:
+    """Build, name, merge, name, merge; judged after each merge."""
+    address = StoreAddress(folder / "maps")
+    store, servant = MapStore(address), JobServant(lambda _: None)
+    named = kept = elsewhere = 0
+    before: PlaceMap | None = None
+    for count in range(1, len(drives) + 1):
+        try:
+            built = servant.build_map([drive.folder for drive in drives[:count]], address, name, None)
+        except EstimationError as exc:
+            return Outcome(name, named, kept, elsewhere, 0, 0, refused=str(exc))
+        place_map = store.load(built.map_id)
+        p_true = np.concatenate([drive.p_true for drive in drives[:count]])
+        if before is not None:
+            judged = [judge(place.name, before, place_map, p_true) for place in before.places]
+            named, kept, elsewhere = named + len(judged), kept + judged.count("kept"), elsewhere + judged.count("moved")
+        before = name_all(store, place_map, count)
+    assert before is not None
+    return Outcome(name, named, kept, elsewhere, len(before.places), count_duplicates(before.places, p_true))
+
+
+def name_all(store: MapStore, place_map: PlaceMap, count: int) -> PlaceMap:
+    """A person names what has no name yet."""
+    for number, place in enumerate(place_map.places):
+        if not place.name.startswith("Corner"):
+            place_map = store.rename_place(place_map.id, place.id, f"Corner {count}.{number}")
+    return place_map
+
+
+def judge(name: str, before: PlaceMap, after: PlaceMap, p_true: FloatArray) -> str:
+    """What became of a name: "kept", "moved" to what truly is another place, or "lost".
+
+    The landmarks of `before` are the first of `after`. Kept: the true centroids lie nearer to each other than half the
+    larger one's extent, as for matches (station/evaluation/matches.py).
+    """
+    old = next(place for place in before.places if place.name == name)
+    new = next((place for place in after.places if place.name == name), None)
+    if new is None:
+        return "lost"
+    points = [p_true[place.landmark_index] for place in (old, new)]
+    points = [p[np.isfinite(p[:, 0])] for p in points]
+    distance = float(np.linalg.norm(points[0].mean(axis=0) - points[1].mean(axis=0)))
+    return "kept" if distance <= max(half_extent(p) for p in points) else "moved"
+
+
+def study(names: list[str], make: Callable[[str, Path], list[Drive]], work: Path | None, out: Path) -> list[Outcome]:
+    """All flats, told as they are done and kept in a file."""
+    outcomes = []
+    for name in names:
+        folder = Path(tempfile.mkdtemp(prefix="days-")) if work is None else work / name.replace(" ", "-")
+        shutil.rmtree(folder / "maps", ignore_errors=True)
+        outcomes.append(live_there(name, make(name, folder), folder))
+        print(outcomes[-1], flush=True)
+        if work is None:
+            shutil.rmtree(folder)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    fields = ("name", "names", "kept", "elsewhere", "places", "duplicates", "refused")
+    out.write_text(json.dumps([{key: getattr(o, key) for key in fields} for o in outcomes], indent=1) + "\n")
+    return outcomes
+
+
+def main(
+    flats: Annotated[str, typer.Option(help="Seeds of simulated flats, such as 1-3.")] = "1-3",
+    world: Annotated[str, typer.Option(help="Kind of flat.")] = "small",
+    backend: Annotated[str, typer.Option(help="SLAM backend.")] = "sfm",
+    fps: Annotated[float, typer.Option(help="Pictures per second.")] = 10.0,
+    made_up: Annotated[int, typer.Option(help="Instead: so many made-up rooms, without pictures and SLAM.")] = 0,
+    first: Annotated[int, typer.Option(help="Seed of the first made-up room.")] = 0,
+    work: Annotated[Path, typer.Option(help="Where drives are kept.")] = RESULTS / "days",
+) -> None:
+    """Exit code 1 when fewer than 95 % of the names are kept or more than 5 % of the places are duplicates."""
+    low, _, high = flats.partition("-")
+    if made_up:
+        names = [f"room {n}" for n in range(first, first + made_up)]
+        outcomes = study(names, lambda n, f: made_up_days(int(n.split()[1]), f), None, RESULTS / "days-made-up.json")
+    else:
+        names = [f"{world} {n}" for n in range(int(low), int(high or low) + 1)]
+        outcomes = study(
+            names,
+            lambda n, f: simulated_days(world, int(n.split()[1]), backend, fps, f),
+            work,
+            RESULTS / f"days-{world}-{backend}.json",
+        )
+    merged = [outcome for outcome in outcomes if not outcome.refused]
+    kept, total = sum(o.kept for o in merged), sum(o.names for o in merged)
+    duplicates, places = sum(o.duplicates for o in merged), sum(o.places for o in merged)
+    print(
+        f"{len(merged)} of {len(outcomes)} flats merged; names kept {kept} of {total} = {kept / max(total, 1):.1%};"
+        f" duplicates {duplicates} of {places} = {duplicates / max(places, 1):.1%}"
+    )
+    if not merged or kept < 0.95 * total or duplicates > 0.05 * places:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    typer.run(main)
