@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SEED ?= 1
 PORT ?= 8080
+MINUTES ?= 10
 
 .PHONY: help demo setup test lint audit check firmware bench bench-stop bench-slam bench-page soak clean clean-cache
 
@@ -13,7 +14,7 @@ help:
 	@echo "make demo            simulated robot + station + page at http://127.0.0.1:8080 (ONCE=1: end by itself, SEED=n: another flat, PORT=n)"
 	@echo "make test            everything that needs no hardware: lint, types, tests"
 	@echo "make setup           only install, into .venv"
-	@echo "make lint | audit | firmware | bench (QUICK=1: a try) | bench-stop | bench-slam | bench-page | soak | clean | clean-cache"
+	@echo "make lint | audit | firmware | bench (QUICK=1: a try) | bench-stop | bench-slam | bench-page | soak (MINUTES=10) | clean | clean-cache"
 
 WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -type f -print 2>/dev/null)
 
@@ -35,7 +36,7 @@ lint: $(VENV)/.dev
 	@$(BIN)/mypy
 
 audit: $(VENV)/.dev
-	@scripts/audit.sh
+	@ADVISORIES=$(ADVISORIES) scripts/audit.sh
 
 test: $(VENV)/.dev
 	@scripts/test.sh
@@ -58,7 +59,8 @@ bench-page: $(VENV)/.dev
 	@$(BIN)/python benchmarks/bench_page.py
 
 soak: $(VENV)/.dev
-	@$(BIN)/python benchmarks/bench_link.py --minutes 10
+	@$(BIN)/python benchmarks/bench_link.py --minutes $(MINUTES)
+	@$(BIN)/python -m benchmarks.bench_disconnects --disconnects 0 --minutes $(MINUTES)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis demo station/web/node_modules station/web/dist

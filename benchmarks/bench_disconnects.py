@@ -1,7 +1,7 @@
 """Ten thousand disconnects at random moments: is every link back two seconds after its network, is anything left?
 
     python -m benchmarks.bench_disconnects --disconnects 10000
-    python -m benchmarks.bench_disconnects --minutes 10            # a soak: so long, whatever comes together
+    python -m benchmarks.bench_disconnects --disconnects 0 --minutes 10     # a soak
 
 Robots with and without TLS, and pages' WebSockets to a station with a robot, each behind a network of its own that is
 cut, reset, stalled, half-open, dead, noisy, slow or late. All in one process, so that its tasks, threads, files,
@@ -107,7 +107,8 @@ async def run(disconnects: int, minutes: float, links: int, pages: int, seed: in
                 tasks.create_task(disturb(line, random.Random(f"{seed} {line.name}"), lag, tally.returns.append))
                 for line in lines
             ]
-            while tally.disconnects < disconnects and time.monotonic() - begin_s < (minutes * 60 or float("inf")):
+            goal, end_s = disconnects or float("inf"), begin_s + (minutes * 60 or float("inf"))
+            while tally.disconnects < goal and time.monotonic() < end_s:
                 await asyncio.sleep(0.5)
                 if time.monotonic() - told_s > REPORT_EVERY_S:
                     told_s = time.monotonic()
@@ -175,13 +176,17 @@ def show(held: dict[str, int]) -> str:
 
 
 def main(
-    disconnects: Annotated[int, typer.Option(help="Until so many connections were ended.")] = 10_000,
-    minutes: Annotated[float, typer.Option(help="Not longer than this; 0: however long it takes.")] = 0.0,
+    disconnects: Annotated[
+        int, typer.Option(help="Until so many connections were ended; 0: as long as --minutes says.")
+    ] = 10_000,
+    minutes: Annotated[float, typer.Option(help="Not longer than this; 0: until there were enough.")] = 0.0,
     links: Annotated[int, typer.Option(help="Robots with a station each; every second one by TLS.")] = 16,
     pages: Annotated[int, typer.Option(help="Pages, of one station.")] = 6,
     seed: Annotated[int, typer.Option(help="Of the moments and faults.")] = 1,
 ) -> None:
     """Run and print a table."""
+    if not disconnects and not minutes:
+        raise typer.BadParameter("give --disconnects or --minutes: one of them must end it")
     logging.basicConfig(level=logging.CRITICAL)
     with contextlib.suppress(KeyboardInterrupt):
         sys.exit(asyncio.run(run(disconnects, minutes, links, pages, seed)))

@@ -24,7 +24,9 @@ SCENARIOS: dict[str, Scenario] = {**crash_recording.SCENARIOS, **crash_maps.SCEN
 AFTER_S = 0.004  # the kill comes up to so much later than the processor time says: also into a wait for the disk
 REFUSED_WITHIN_S = 5.0  # longer than anything works between two writes
 WORKS_AGAIN_WITHIN_S = 120.0
-NAMES_CAUSE = re.compile(r"No space left|is full|MiB are left|[Rr]ead-only|readonly|disk I/O error")
+NAMES_CAUSE = re.compile(
+    r"No space left|is full|MiB are left|[Rr]ead-only|readonly|[Ii]nput/output error|disk I/O error"
+)
 
 
 def run_once(name: str, folder: Path, seed: int, database: str = "") -> str:

@@ -1,15 +1,21 @@
 #!/usr/bin/env bash
 # Known holes in what is installed (pip-audit asks an advisory database over the network) and in our own code (bandit).
-# Exit code 0: both clean. 1: something was found. 3: the database was not reached, so nothing is known.
+# ADVISORIES=DIR: a copy of that database instead of the network (scripts/audit_copy.py).
+# Exit code 0: both clean. 1: something was found. 3: the database was not reached or is old, so nothing is known of today.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 bin=.venv/bin
 $bin/bandit -q -c pyproject.toml -r robot station shared
 echo "audit: bandit has nothing to say"
+ignored_ids() { sed -n 's/^- `\([A-Z0-9-]*\)`.*/\1/p' docs/audit.md; }
+if [ -n "${ADVISORIES:-}" ]; then
+  # shellcheck disable=SC2046  # one option and one word each
+  exec $bin/python scripts/audit_copy.py "$ADVISORIES" $(ignored_ids | sed 's/^/--ignore /')
+fi
 [ -x $bin/pip-audit ] || $bin/python -m pip install --disable-pip-version-check --quiet -c constraints.txt "pip-audit>=2.8"
 report=$(mktemp)
 trap 'rm -f "$report"' EXIT
-ignored=$(sed -n 's/^- `\([A-Z0-9-]*\)`.*/--ignore-vuln \1/p' docs/audit.md)
+ignored=$(ignored_ids | sed 's/^/--ignore-vuln /')
 # shellcheck disable=SC2086  # one option and one word each
 $bin/pip-audit --local --skip-editable --progress-spinner off --format json --output "$report" $ignored >/dev/null 2>&1 || true
 $bin/python - "$report" <<'PYTHON'
