@@ -39,7 +39,7 @@ def simulated_drive(world: str, seed: int) -> Path:
     return folder
 
 
-def replay(dataset: Path, backend: str, threads: int, last: float) -> dict[str, object]:
+def replay(dataset: Path, backend: str, threads: int, last: int) -> dict[str, object]:
     """What one replay says."""
     command = [sys.executable, "-m", "station.main", "replay", str(dataset), "--backend", backend]
     command += ["--threads", str(threads), "--json"]
@@ -60,7 +60,7 @@ def main(
     seed: Annotated[int, typer.Option(help="Of the simulated flat and drive.")] = 1,
     backends: Annotated[str, typer.Option(help="Separated by commas.")] = "ukf,sfm",
     threads: Annotated[str, typer.Option(help="Of each replay, separated by commas.")] = "1,1,2",
-    last: Annotated[float, typer.Option(help="Only so many seconds (or pictures); 0: all.")] = 0.0,
+    last: Annotated[int, typer.Option(help="Number of the last frame to use; 0: all.")] = 0,
 ) -> None:
     """Print a line per replay."""
     path = dataset or simulated_drive(world, seed)

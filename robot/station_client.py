@@ -140,8 +140,8 @@ class StationClient:
         self.put(hello)
         try:
             async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._write())  # the hello first, whatever the station has said already
                 tasks.create_task(self._read(handle))
-                tasks.create_task(self._write())
                 tasks.create_task(self._wait_for_end())
         except* _Ended:
             pass
