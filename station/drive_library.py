@@ -15,6 +15,7 @@ from typing import Literal
 import msgspec
 
 from shared.errors import DataError
+from station.maps.bucket import flush
 from station.refusals import Unknown
 from station.retention import KeptRecording
 
@@ -57,14 +58,16 @@ class DriveLibrary:
         interrupted = []
         try:
             self._root.mkdir(parents=True, exist_ok=True)
-            folders = sorted(p for p in self._root.iterdir() if (p / "drive.json").is_file())
+            folders = sorted(p for p in self._root.iterdir() if _ID.fullmatch(p.name) and p.is_dir())
         except OSError as exc:
             raise DataError(f"{self._root} cannot be used ({exc.strerror}); choose another folder with --data") from exc
         for folder in folders:
             try:
                 drive = msgspec.json.decode((folder / "drive.json").read_bytes(), type=DriveRecord)
             except (OSError, msgspec.DecodeError):
-                continue  # half a drive of a killed station; its recording can still be opened by hand
+                if not (folder / "recording.mcap").is_file():
+                    continue  # half a drive of a killed station, in which nothing was recorded yet
+                drive = _without_record(folder)
             if drive.state in ("recording", "finishing"):
                 drive = replace(drive, state="failed", message="the station ended before this navigation was finished")
                 self.keep(drive)
@@ -106,8 +109,13 @@ class DriveLibrary:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             scratch = folder / ".drive.json"
-            scratch.write_text(json.dumps(msgspec.to_builtins(drive), indent=1) + "\n")
+            with scratch.open("w", encoding="utf-8") as file:
+                file.write(json.dumps(msgspec.to_builtins(drive), indent=1) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
             os.replace(scratch, folder / "drive.json")
+            for changed in (folder, self._root):  # the names too survive a power cut
+                flush(changed)
         except OSError as exc:
             raise DataError(f"{folder} cannot be written ({exc.strerror}); free space or choose another") from exc
         self.remember(drive)
@@ -178,3 +186,9 @@ class DriveLibrary:
     def discard(self, drive_id: str) -> None:
         """Remove the files of a drive that is not known, or not any more."""
         shutil.rmtree(self.folder(drive_id), ignore_errors=True)
+
+
+def _without_record(folder: Path) -> DriveRecord:
+    """A drive of which only the recording is left."""
+    started_s = (folder / "recording.mcap").stat().st_mtime
+    return DriveRecord(folder.name, folder.name, "recording", started_s, "unknown")

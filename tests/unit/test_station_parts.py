@@ -340,3 +340,13 @@ def test_a_drive_that_a_dead_station_left_is_kept_as_failed(tmp_path: Path) -> N
     again = DriveLibrary(tmp_path)
     assert [d.id for d in again.open()] == ["nav-1"]
     assert again.get("nav-1").state == "failed"
+
+
+def test_a_drive_whose_record_is_lost_is_known_by_its_recording(tmp_path: Path) -> None:
+    for name in ("nav-a", "nav-b", ".bin"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "nav-a" / "recording.mcap").write_bytes(b"x")
+    (tmp_path / "nav-a" / "drive.json").write_text('{"id": "nav-a", "na')
+    interrupted = DriveLibrary(tmp_path).open()
+    assert [(drive.id, drive.state) for drive in interrupted] == [("nav-a", "failed")]
+    assert [drive.id for drive in DriveLibrary(tmp_path).open()] == []  # it has a record again
