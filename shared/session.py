@@ -122,8 +122,8 @@ class Tick(Enum):
 class Session:
     """One side of a connection: bytes and time in, messages and duties out."""
 
-    def __init__(self, role: Literal["robot", "station"], now_ns: int, *, join_within_ns: int = JOIN_WITHIN_NS) -> None:
-        """`join_within_ns`: the longest silence before the connection has joined."""
+    def __init__(self, role: Literal["robot", "station"], now_ns: int, *, join_within_ns: int | None = None) -> None:
+        """`join_within_ns`: the longest silence before the connection has joined; None: JOIN_WITHIN_NS."""
         self._join_within_ns = join_within_ns
         self._is_robot = role == "robot"
         self._peer = "station" if self._is_robot else "robot"
@@ -189,7 +189,7 @@ class Session:
         self._ticked_ns = now_ns
         silence_ns = now_ns - self._heard_ns
         is_joined = self.state in _JOINED
-        if silence_ns >= (CLOSE_AFTER_NS if is_joined else self._join_within_ns):
+        if silence_ns >= (CLOSE_AFTER_NS if is_joined else self._join_within_ns or JOIN_WITHIN_NS):
             waited_for = "anything" if is_joined else "the rest of the greeting"
             self.close(Event.TIMED_OUT, f"waited {silence_ns / 1e9:.0f} s for {waited_for} from the {self._peer}")
             return [Tick.CLOSE]
