@@ -100,6 +100,7 @@ async def _swallow(proxy: FaultProxy, rng: random.Random, outage_s: float) -> No
     for direction in rng.choice((BOTH[:1], BOTH[1:], BOTH)):
         proxy.faults[direction].is_swallowed = True
     await asyncio.sleep(outage_s)
+    proxy.abandon()  # no TCP goes on behind a gap
     proxy.heal()
 
 

@@ -22,7 +22,8 @@ HEAD = REVISIONS[-1]
 LOCK_WAIT_S = 30
 _MIGRATIONS_LOCK = 7_400_001  # advisory lock numbers of ours in PostgreSQL
 _SQLITE_IS_BROKEN = re.compile(
-    r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding", re.IGNORECASE
+    r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding|decode",
+    re.IGNORECASE,
 )
 
 METADATA = MetaData()
