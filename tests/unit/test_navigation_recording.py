@@ -51,6 +51,9 @@ class FakeWorker:
         self.posted.append(method)
         return not self.is_dead
 
+    def kill(self) -> None:
+        self.is_closed = True
+
     async def call(self, method: str, *_: object) -> Any:
         if self.is_dead:
             raise WorkerDied("dead")
