@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from pathlib import Path
 from typing import Any
@@ -153,8 +154,9 @@ async def test_a_place_is_renamed_on_the_page_and_in_the_api(room: Room) -> None
         label = page.locator(f"[data-place='{place_id}']")
         await expect(label).to_have_attribute("data-named", "true")
         await expect(label).not_to_have_class(re.compile("dot"))
-        box = await label.bounding_box()
-        assert box is not None and 40 < box["width"] < 200
+        while (box := await label.bounding_box()) is None:  # the map is just being drawn anew
+            await asyncio.sleep(0.05)
+        assert 40 < box["width"] < 200
 
 
 async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> None:
