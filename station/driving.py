@@ -18,9 +18,7 @@ MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 25
 MAX_DRIVER_NAME = 64
 LATE_FOR_NS = 500_000_000
 TAKE_OVER_S = 5.0  # until the first command: time to reach for the joystick, or to type the next line
-LET_GO_NS = 500_000_000  # after a stop by somebody else the driver says nothing for so long, or zero, or stop
-
-
+LET_GO_NS = 500_000_000  # of silence after the last command's end: whoever was stopped by somebody else let go
 HEAD_TURNS_NS = 1_000_000_000  # servos need half a second from one end to the other; the picture is a little late
 
 
@@ -31,6 +29,7 @@ class DriverLease:
         self._lease_ns = lease_ns
         self._driver: str | None = None
         self._heard_ns = 0
+        self._hold_ns = 0  # so long the last command held
         self._free_ns = 0  # when silence has given the wheel back
         self._held: str | None = None  # who was stopped by somebody else and has not let go since
 
@@ -47,13 +46,14 @@ class DriverLease:
         if self.driver(now_ns) not in (None, driver):
             return False
         self.take_over(driver, now_ns, hold_ns)
+        self._hold_ns = hold_ns
         return True
 
     def take_over(self, driver: str, now_ns: int, hold_ns: int = 0) -> None:
         """Take the wheel whoever has it."""
         free_ns = now_ns + hold_ns + self._lease_ns
         self._free_ns = max(free_ns, self._free_ns) if driver == self._driver else free_ns
-        self._driver, self._heard_ns = driver, now_ns
+        self._driver, self._heard_ns, self._hold_ns = driver, now_ns, 0
 
     def stop(self, by: str | None, now_ns: int) -> None:
         """A stop by somebody else holds until the driver lets go; our own is letting go.
@@ -67,8 +67,11 @@ class DriverLease:
             self._heard_ns = now_ns  # the silence that counts begins now
 
     def must_let_go(self, driver: str, is_zero: bool, now_ns: int) -> bool:
-        """Somebody else stopped this driver, who has held on since. To be asked before the claim, which is a word."""
-        if driver == self._held and (is_zero or now_ns - self._heard_ns >= LET_GO_NS):
+        """Somebody else stopped this driver, who has held on since. To be asked before the claim, which is a word.
+
+        Silence while the last command would still hold is none: a program that repeats once a second holds on too.
+        """
+        if driver == self._held and (is_zero or now_ns - self._heard_ns >= self._hold_ns + LET_GO_NS):
             self._held = None
         return driver == self._held
 
@@ -218,9 +221,10 @@ class Driving:
             False when no robot is connected.
         """
         self._command = None
+        is_told = self._link.stop()  # before all else
         self._lease.stop(by, self._now_ns())
         self._on_command(by or "station", 0.0, 0.0, 0)
-        return self._link.stop()
+        return is_told
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
         """Point the camera head (rad). Needs the wheel, as driving does."""

@@ -52,15 +52,19 @@ async def frame(robot: RobotDep) -> Response:
 async def stream(robot: RobotDep) -> StreamingResponse:
     """For viewers that know nothing else; /ws/camera is quicker."""
     _require(robot)
-    return SeatedStream(_parts(robot), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+    return SeatedStream(_parts(robot), f"the stream of {robot.name}")
 
 
 class SeatedStream(StreamingResponse):
-    """Keeps one of the streams' seats as long as it is sent."""
+    """Multipart JPEG that keeps one of its kind's seats as long as it is sent."""
+
+    def __init__(self, parts: AsyncIterator[bytes], kind: str) -> None:
+        super().__init__(parts, media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+        self._kind = kind
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         seats: Seats = scope["app"].state.seats
-        with seats.take(scope["path"], MAX_STREAMS):
+        with seats.take(self._kind, MAX_STREAMS):
             await super().__call__(scope, receive, send)
 
 

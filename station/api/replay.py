@@ -79,7 +79,7 @@ async def stream(navigation_id: str, station: StationDep, from_s: FromS = 0.0, s
     first = await anext(parts, None)
     if first is None:
         raise OutOfRange(f"{navigation_id} has no picture from {from_s:g} s on; give a smaller from_s")
-    return SeatedStream(_chained(first, parts), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
+    return SeatedStream(_chained(first, parts), "recorded navigations")
 
 
 @router.websocket("/ws/replay")

@@ -83,8 +83,56 @@ async def test_stale_video_stops_the_robot(room: Room) -> None:
     await expect(page.locator(".age")).to_have_class("tag age bad")
 
 
+KEYBOARD_GOES = {
+    "command key": ("Meta", "Command or Windows key"),
+    "menu": ("", "menu was opened"),
+}
+
+
+@pytest.mark.parametrize("cause", KEYBOARD_GOES)
+async def test_the_robot_stops_when_the_page_will_not_hear_of_a_key_let_go(room: Room, cause: str) -> None:
+    key, words = KEYBOARD_GOES[cause]
+    page = await room.new_page()
+    await page.add_init_script(SENTENCES_STAY)
+    await room.visit(page)
+    await page.keyboard.down("w")
+    await until(lambda: room.motors_run)
+    await (page.keyboard.press(key) if key else page.locator("h1").click(button="right"))
+    await until(lambda: room.motors_rest)
+    await expect(page.locator("#why")).to_contain_text(words)
+
+
+# The page hides why it stopped after five seconds; a test that waits for longer would see that alone.
+SENTENCES_STAY = """
+  const original = window.setTimeout;
+  window.setTimeout = (act, ms, ...more) => (ms === 5000 ? 0 : original(act, ms, ...more));
+"""
+# The answer to the command before a stop comes after it, as it does over a slow network.
+LATE_ANSWER = """
+  const send = WebSocket.prototype.send;
+  WebSocket.prototype.send = function (data) {
+    send.call(this, data);
+    if (!String(data).includes('"stop"')) return;
+    queueMicrotask(() => this.onmessage({ data: JSON.stringify({ type: "accepted", seq: 1 }) }));
+  };
+"""
+
+
+async def test_the_answer_to_an_older_command_does_not_hide_why_it_stopped(room: Room) -> None:
+    page = await room.new_page()
+    await page.add_init_script(SENTENCES_STAY + LATE_ANSWER)
+    await room.visit(page)
+    await room.hold(page)
+    await page.keyboard.press("Space")
+    await until(lambda: room.motors_rest)
+    await expect(page.locator("#why")).to_have_text("Stopped")
+    assert await page.locator("#why").is_visible()
+
+
 async def test_space_and_the_stop_button_stop(room: Room) -> None:
-    page = await room.open()
+    page = await room.new_page()
+    await page.add_init_script(SENTENCES_STAY)
+    await room.visit(page)
     await room.hold(page)
     await page.keyboard.press("Space")
     await until(lambda: room.motors_rest)

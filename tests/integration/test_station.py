@@ -158,7 +158,7 @@ async def test_stop_needs_no_lease_and_holds_until_the_driver_lets_go(
 
 async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -> None:
     async with at_work(tmp_path) as (desk, _, _film):
-        order = {"linear": 0.1, "angular": 0.0}
+        order = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}  # keeps the wheel two seconds: the machine may be busy
         anna, ben = {"X-Driver": "anna"}, {"X-Driver": "ben"}
         assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
         refused = await desk.http.post("/drive", json=order, headers=ben)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,9 @@ from fastapi import FastAPI
 
 import station.api.camera
 import station.api.limits
+import station.api.replay
 import station.refusals
+from shared.mcap_recording import RecordedPicture
 from shared.messages import CameraFrame
 from station.api.limits import MAX_BODY_BYTES, TRY_AGAIN_LATER, UNSUPPORTED
 from station.api.server import make_api
@@ -165,6 +167,25 @@ async def test_one_video_stream_too_many_is_refused(tmp_path: Path, monkeypatch:
     async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1:8080") as http:
         answer = await http.get("/camera/stream.mjpg")
         assert answer.status_code == 503 and answer.json()["type"] == "/problems/busy"
+        by_name = await http.get(f"/robots/{here.first.name}/camera/stream.mjpg")  # the same robot: the same seats
+        assert by_name.json()["detail"] == answer.json()["detail"]
+
+
+async def test_streams_of_all_recordings_share_their_seats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each reads a file and runs threads for it; there may be hundreds of navigations."""
+
+    async def pictures(*_: object) -> AsyncGenerator[RecordedPicture, None]:
+        while True:
+            yield RecordedPicture(number=1, t_robot_ns=1, since_first_s=0.0, jpeg=b"jpeg")
+
+    monkeypatch.setattr(station.api.camera, "MAX_STREAMS", 0)
+    monkeypatch.setattr(station.api.replay, "replay", pictures)
+    monkeypatch.setattr(station.api.replay, "_recording", lambda *_: tmp_path)
+    transport = httpx.ASGITransport(make_api(Station(StationConfig(data_dir=tmp_path))))
+    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1:8080") as http:
+        answers = [(await http.get(f"/navigations/{name}/replay.mjpg")).json() for name in ("nav-1", "nav-2")]
+    assert [answer["type"] for answer in answers] == ["/problems/busy"] * 2
+    assert answers[0]["detail"] == answers[1]["detail"]
 
 
 def test_seats_of_one_kind_are_counted_and_given_back() -> None:

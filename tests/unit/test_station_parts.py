@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import station.workers
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import ConfigError
-from shared.messages import Capabilities
+from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.commands.serve import _settings as serve_settings
 from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, load_config, parse_address
 from station.drive_library import DriveLibrary, DriveRecord
@@ -121,9 +121,35 @@ def test_a_stop_by_somebody_else_holds_until_the_driver_lets_go() -> None:
         with pytest.raises(Conflict, match="let go of the joystick once"):
             desk.drive("anna", 0.1, 0.0, 200)
     assert link.told[-1] == "stop" and desk.driver == "anna" and not desk.is_moving
-    clock[0] += 500 * MS
+    clock[0] += 700 * MS
     desk.drive("anna", 0.1, 0.0, 200)
     assert link.told[-1] == (0.1, 0.0, 200)
+
+
+def test_a_stop_holds_against_a_program_that_repeats_once_a_second() -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("program", 0.1, 0.0, 1000)
+    desk.stop("ben")
+    for _ in range(10):
+        clock[0] += 1000 * MS
+        with pytest.raises(Conflict, match="let go of the joystick once"):
+            desk.drive("program", 0.1, 0.0, 1000)
+    assert link.told == [(0.1, 0.0, MAX_DRIVE_TTL_MS), "stop"]
+    clock[0] += 1500 * MS  # silent half a second after its last command would have ended
+    desk.drive("program", 0.1, 0.0, 1000)
+    assert len(link.told) == 3
+
+
+def test_a_recorder_that_fails_does_not_keep_the_robot_from_stopping() -> None:
+    def fail(*_: object) -> None:
+        raise OSError("disk full")
+
+    link = Link()
+    desk = Driving(link, DriveConfig(), lambda: None, lambda _: None, lambda _: None, on_command=fail)
+    with pytest.raises(OSError, match="disk full"):
+        desk.stop("anna")
+    assert link.told == ["stop"]
 
 
 @pytest.mark.parametrize("lets_go", ["zero", "stop", "release"])

@@ -25,6 +25,7 @@ export class DriveControl {
   private pad: [number, number] | null = null;
   private padMustRest = false;
   private seq = 0;
+  private saidSeq = 0; // the command before the sentence on the screen
   private heardMs: number | null = null; // the station's clock: shows that a command is not old when it arrives
   private isDriving = false;
   private youDrive = false;
@@ -102,7 +103,7 @@ export class DriveControl {
 
   private take(answer: DriveAnswer): void {
     if (answer.type === "time") this.heardMs = answer.t_ms;
-    else if (answer.type === "accepted" && this.isDriving) show(by("why"), false); // it drives again: why it stopped is past
+    else if (answer.type === "accepted" && answer.seq > this.saidSeq) show(by("why"), false); // it drives again: why it stopped is past
     else if (answer.type === "driver") this.showDriver(answer.driver);
     else if (answer.type === "refused") this.halt(answer.text, false); // a STOP of ours would stop the one who drives
   }
@@ -178,6 +179,7 @@ export class DriveControl {
 
   private say(text: string): void {
     const why = by("why");
+    this.saidSeq = this.seq;
     why.textContent = text;
     show(why, true);
     clearTimeout(this.whyTimer);
@@ -235,6 +237,8 @@ export class DriveControl {
 
   private listenToKeys(): void {
     addEventListener("keydown", (event) => {
+      // What is let go beside ⌘ is never told to a page (macOS): the robot would drive on.
+      if (event.key === "Meta" && this.keys.size) this.halt("the Command or Windows key was pressed");
       if (isTyping(event.target) || document.querySelector("dialog[open]")) return;
       if (event.code === "Space") {
         event.preventDefault();
@@ -253,6 +257,9 @@ export class DriveControl {
 
   private listenToPage(): void {
     addEventListener("blur", () => this.halt("the window lost focus"));
+    addEventListener("contextmenu", (event) => {
+      if (!event.defaultPrevented) this.halt("a menu was opened"); // it keeps what is let go to itself
+    });
     addEventListener("pagehide", () => this.halt("the page was closed"));
     document.addEventListener("visibilitychange", () => {
       if (document.hidden) this.halt("the page is hidden");
