@@ -30,20 +30,20 @@ def serve(
         typer.Option(
             metavar="[NAME=]HOST:PORT",
             help="Where robot-server is; auto looks for one in the network. Give it once for each of several robots.",
-            show_default=f"{RobotConfig.host}:{RobotConfig.port}",
+            show_default=f"{RobotConfig().host}:{RobotConfig().port}",
         ),
     ] = None,
     host: Annotated[
-        str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.", show_default=ApiConfig.host)
+        str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.", show_default=ApiConfig().host)
     ] = None,
     port: Annotated[
-        int | None, typer.Option(help="Port to serve on; 0 takes a free one.", show_default=str(ApiConfig.port))
+        int | None, typer.Option(help="Port to serve on; 0 takes a free one.", show_default=str(ApiConfig().port))
     ] = None,
     data: Annotated[
         Path | None, typer.Option(help="Folder for navigations and maps.", show_default=str(DEFAULT_DATA_DIR))
     ] = None,
     backend: Annotated[
-        str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm.", show_default=SlamConfig.backend)
+        str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm.", show_default=SlamConfig().backend)
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.", show_default="none")] = None,
     executor: Annotated[

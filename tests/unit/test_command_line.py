@@ -53,6 +53,13 @@ def test_help_is_no_mistake(
     assert "--help" in capsys.readouterr().out
 
 
+def test_the_defaults_of_serve_are_values(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert end_of(station_main, ["serve", "--help"], monkeypatch) == 0
+    text = capsys.readouterr().out
+    assert "127.0.0.1:7400" in text and "8080" in text and "member" not in text
+
+
 def test_nothing_asked_shows_what_can_be(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     end_of(station_main, [], monkeypatch)
     output = capsys.readouterr()
