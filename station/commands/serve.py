@@ -34,7 +34,8 @@ def serve(
         ),
     ] = None,
     host: Annotated[
-        str | None, typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.", show_default=ApiConfig().host)
+        str | None,
+        typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.", show_default=ApiConfig().host),
     ] = None,
     port: Annotated[
         int | None, typer.Option(help="Port to serve on; 0 takes a free one.", show_default=str(ApiConfig().port))
