@@ -13,7 +13,17 @@ from robot.devices.ports import DeviceSet
 from robot.driving import CommandOrder, DriverLease
 from robot.watchdog import MotorWatchdog, Velocity
 from shared.errors import HardwareError
-from shared.messages import Capabilities, Drive, ErrorNotice, Heartbeat, Hijack, PanTilt, StationMessage, Stop
+from shared.messages import (
+    Capabilities,
+    Drive,
+    ErrorCode,
+    ErrorNotice,
+    Heartbeat,
+    Hijack,
+    PanTilt,
+    StationMessage,
+    Stop,
+)
 
 logger = logging.getLogger(__name__)
 About = Literal["hijack"] | msgspec.UnsetType  # which question a notice answers
@@ -136,12 +146,12 @@ class CommandDesk:
         self.lease.expire(now_ns)
         return self.lease.driver not in (None, client)
 
-    def _refuse(self, code: str, reason: str, about: About = msgspec.UNSET) -> ErrorNotice:
+    def _refuse(self, code: ErrorCode, reason: str, about: About = msgspec.UNSET) -> ErrorNotice:
         self.refused += 1
         logger.info("refused: %s", reason)
         return notice(code, reason, about=about)
 
 
-def notice(code: str, message: str, fatal: bool = False, about: About = msgspec.UNSET) -> ErrorNotice:
+def notice(code: ErrorCode, message: str, fatal: bool = False, about: About = msgspec.UNSET) -> ErrorNotice:
     """An error notice whose sentence fits its limit."""
-    return ErrorNotice(code=code, message=message[:1000], fatal=fatal, about=about)  # type: ignore[arg-type]
+    return ErrorNotice(code=code, message=message[:1000], fatal=fatal, about=about)

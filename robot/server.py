@@ -28,6 +28,7 @@ from shared.errors import HardwareError
 from shared.messages import (
     PROTOCOL_VERSION,
     DriveApplied,
+    ErrorCode,
     Heartbeat,
     Hello,
     Hijack,
@@ -207,9 +208,7 @@ class RobotServer:
         places = [c for c in self._clients.values() if c.has_place]
         if len(places) >= limit and (silent := next((c for c in places if c.session.state is State.QUIET), None)):
             # Most likely the dead connection of a station that is back by another one.
-            silent.end(
-                Event.LOST, notice("replaced", "this station was silent, and another needs its place", fatal=True)
-            )
+            silent.end(Event.LOST, notice("silent", "this station was silent, and another needs its place", fatal=True))
             places.remove(silent)
         if len(places) >= limit:
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
@@ -261,7 +260,7 @@ class RobotServer:
             client.wake()
 
     def _broadcast_fault(self, device: str, sentence: str) -> None:
-        code = "end_of_recording" if device == "recording" else "device"
+        code: ErrorCode = "end_of_recording" if device == "recording" else "device"
         for client in self._clients.values():
             if client.is_joined:
                 client.put(notice(code, sentence))

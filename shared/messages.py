@@ -276,20 +276,23 @@ class Status(_Message, frozen=True, kw_only=True, tag="status"):
     faults: Annotated[tuple[Sentence, ...], Meta(max_length=MAX_LIST_LENGTH)] = ()  # what does not work, in sentences
 
 
+ErrorCode = Literal[
+    "protocol",
+    "not_driver",
+    "not_capable",
+    "not_allowed",
+    "out_of_range",
+    "device",
+    "end_of_recording",
+    "shutdown",
+    "silent",
+]
+
+
 class ErrorNotice(_Message, frozen=True, kw_only=True, tag="error"):
     """Something was refused or failed. After a fatal one the sender closes the connection."""
 
-    code: Literal[
-        "protocol",
-        "not_driver",
-        "not_capable",
-        "not_allowed",
-        "out_of_range",
-        "device",
-        "end_of_recording",
-        "shutdown",
-        "silent",
-    ]
+    code: ErrorCode
     message: Sentence
     fatal: bool = False
     about: Literal["hijack"] | msgspec.UnsetType = msgspec.UNSET  # what was asked, where an answer is waited for

@@ -228,14 +228,20 @@ async def test_more_stations_than_allowed_are_refused_with_the_number() -> None:
 
 
 async def test_a_station_that_fell_silent_yields_its_place() -> None:
-    async with running_robot(max_stations=2) as bench, wire(bench.port) as (_, one), wire(bench.port) as (_, two):
-        for writer in (one, two):
+    async with running_robot(max_stations=2) as bench, wire(bench.port) as one, wire(bench.port) as two:
+        for _, writer in (one, two):
             writer.write(JOIN)
         clients = bench.server._clients if bench.server is not None else {}
         await until(lambda: sum(c.session.state is State.QUIET for c in clients.values()) == 2)
         async with linked(bench.port):
             await until(lambda: len(clients) == 2)
             assert sorted(c.session.state.value for c in clients.values()) == ["active", "quiet"]
+        hearing = [asyncio.create_task(all_until_closed(reader)) for reader, _ in (one, two)]
+        done, others = await asyncio.wait(hearing, return_when=asyncio.FIRST_COMPLETED)
+        for task in others:
+            task.cancel()
+        last = done.pop().result()[-1]  # decoded as a station does: it knows what it is told
+        assert isinstance(last, ErrorNotice) and last.fatal and "another needs its place" in last.message
 
 
 async def test_a_peer_that_never_reads_does_not_fill_the_robots_memory() -> None:
