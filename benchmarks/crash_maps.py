@@ -105,7 +105,7 @@ def save_first(folder: Path) -> None:
 def save_on(folder: Path, child: Child) -> None:
     store = MapStore(address(folder))
     for number in range(1, 10_000):
-        child.do(lambda number=number: store.save(variant(number)))  # type: ignore[misc]  # a default argument
+        child.do(functools.partial(store.save, variant(number)))
         child.promise(number)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +42,7 @@ def record_on(folder: Path, child: Child) -> None:
     child.do(library.open)
     for number in range(10_000):
         drive = DriveRecord(f"drive-{number}", f"D{number}", "recording", time.time(), "sfm")
-        recorder = child.do(lambda drive=drive: begin(library, drive, child.rng.choice((0, 2 * 2**20))))  # type: ignore[misc]
+        recorder = child.do(functools.partial(begin_on_some_disk, library, drive, child))
         record_one(recorder, number, child)
         report = recorder.close()
         if report.error:
@@ -50,7 +51,12 @@ def record_on(folder: Path, child: Child) -> None:
         else:
             child.promise([drive.id, "closed", 0])
         ended = replace(drive, state="failed", message=report.error or "ended")
-        child.do(lambda ended=ended: library.keep(ended))  # type: ignore[misc]
+        child.do(functools.partial(library.keep, ended))
+
+
+def begin_on_some_disk(library: DriveLibrary, drive: DriveRecord, child: Child) -> Recorder:
+    """`begin`, asking for room or not, another time at each try."""
+    return begin(library, drive, child.rng.choice((0, 2 * 2**20)))
 
 
 def begin(library: DriveLibrary, drive: DriveRecord, min_free_bytes: int) -> Recorder:

@@ -53,7 +53,7 @@ def run_two_stations(folder: Path, seed: int, database: str = "") -> str:
     shutil.rmtree(folder, ignore_errors=True)
     _prepare("rename", folder, database)
     stations = [
-        start(lambda child, number=number: crash_maps.station_on(folder, child, number), seed)  # type: ignore[misc]
+        start(functools.partial(crash_maps.station_on, folder, number=number), seed)
         for number in range(len(crash_maps.STATIONS))
     ]
     victim = rng.randrange(len(stations))

@@ -10,10 +10,11 @@ from __future__ import annotations
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
-SCREENS = {
+SCREENS: dict[str, dict[str, Any]] = {
     "laptop": {"viewport": {"width": 1440, "height": 900}},
     "phone": {
         "viewport": {"width": 390, "height": 844},
@@ -91,7 +92,7 @@ def look_around(camera: Camera) -> None:
 
 def hijack(browser: Browser, address: str, out: Path) -> None:
     """Carried to another room; the log and the card tell it."""
-    page = browser.new_page(**SCREENS["laptop"], color_scheme="dark")  # type: ignore[arg-type]
+    page = browser.new_page(**SCREENS["laptop"], color_scheme="dark")
     page.goto(address)
     page.wait_for_selector("#video[data-seq]")
     camera = Camera(page, out, "dark-laptop")
@@ -114,7 +115,7 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
         for theme in ("dark", "light"):
             for screen, options in SCREENS.items():
-                context = browser.new_context(**options, color_scheme=theme, ignore_https_errors=True)  # type: ignore[arg-type]
+                context = browser.new_context(**options, color_scheme=theme, ignore_https_errors=True)
                 for number, other in enumerate(others, start=1):
                     page = context.new_page()
                     page.goto(other)

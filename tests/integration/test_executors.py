@@ -59,28 +59,28 @@ def drive_in_two() -> list[Reconstruction]:
     ]
 
 
-def kill_one_at_work(workers: Callable[[], list[int]], base: dict[int, float]) -> threading.Thread:
+class Killer(threading.Thread):
     """Kills the first of these processes that has computed for half a second."""
 
-    def watch() -> None:
+    def __init__(self, workers: Callable[[], list[int]], base: dict[int, float]) -> None:
+        super().__init__()
+        self._workers, self._base = workers, base
+        self.killed: int | None = None
+        self.start()
+
+    def run(self) -> None:
         deadline = time.monotonic() + 200
         while time.monotonic() < deadline:
-            for pid in workers():
+            for pid in self._workers():
                 try:
                     spent = sum(psutil.Process(pid).cpu_times()[:2])
                 except psutil.NoSuchProcess:
                     continue
-                if spent - base.get(pid, 0.0) > 0.5:
+                if spent - self._base.get(pid, 0.0) > 0.5:
                     os.kill(pid, signal.SIGKILL)
-                    killed.append(pid)
+                    self.killed = pid
                     return
             time.sleep(0.02)
-
-    killed: list[int] = []
-    thread = threading.Thread(target=watch)
-    thread.killed = killed  # type: ignore[attr-defined]
-    thread.start()
-    return thread
 
 
 def children() -> list[int]:
@@ -97,16 +97,16 @@ def test_a_cluster_makes_the_same_map_and_a_killed_worker_changes_nothing(cluste
         expected = map_hash(processes, drive_in_two())
     with ProcessExecutor(2) as processes:
         before = children()
-        killer = kill_one_at_work(lambda: [pid for pid in children() if pid not in before], {})
+        killer = Killer(lambda: [pid for pid in children() if pid not in before], {})
         assert map_hash(processes, drive_in_two()) == expected
         killer.join()
-        assert killer.killed  # type: ignore[attr-defined]
+        assert killer.killed is not None
     with open_executor(address(cluster)) as machines:
         base = {pid: sum(psutil.Process(pid).cpu_times()[:2]) for pid in nannies(cluster)}
-        killer = kill_one_at_work(lambda: [pid for pid in nannies(cluster) if pid in base], base)
+        killer = Killer(lambda: [pid for pid in nannies(cluster) if pid in base], base)
         assert map_hash(machines, drive_in_two()) == expected
         killer.join()
-        assert killer.killed  # type: ignore[attr-defined]
+        assert killer.killed is not None
 
 
 def test_a_recording_travels_to_a_cluster_and_gives_the_same_map(cluster: object, tmp_path: Path) -> None:
