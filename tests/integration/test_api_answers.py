@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import websockets
 
-from tests.integration.test_station import at_work, is_problem, wait_for
 from tests.integration.test_station_drives import keep_drive
+from tests.station_at_work import at_work, is_problem, wait_for
 from tests.station_support import running_station, store_map
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.test_station import at_work, wait_for
 from tests.integration.test_station_drives import keep_drive
+from tests.station_at_work import at_work, wait_for
 from tests.station_support import Desk, store_map
 
 pytestmark = [

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.mailbox import MAX_WAITING_MESSAGES, MessageHub
-from tests.integration.test_station import at_work, wait_for
 from tests.link_support import until
+from tests.station_at_work import at_work, wait_for
 from tests.station_support import Desk, store_map
 
 UPGRADE = (

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import json
 import multiprocessing
 import struct
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,56 +14,9 @@ import pytest
 import websockets
 
 from shared.listening import bind
-from tests.link_support import Bench, running_robot, until
-from tests.station_support import Desk, Film, running_station, store_map
-
-
-@asynccontextmanager
-async def at_work(tmp_path: Path, **options: str) -> AsyncIterator[tuple[Desk, Bench, Film]]:
-    """A robot that films, and a station that is connected to it."""
-    async with running_robot() as bench, running_station(bench.port, tmp_path, **options) as desk:
-        film = Film(bench)
-        filming = asyncio.create_task(film.run())
-        try:
-            await until(lambda: desk.station.first.state.connected and desk.station.first.camera.newest)
-            yield desk, bench, film
-        finally:
-            filming.cancel()
-            await asyncio.gather(filming, return_exceptions=True)
-
-
-async def drive_off(bench: Bench, order: Callable[[], Awaitable[object]]) -> None:
-    """Repeat an order, as a held joystick does, until the motors run: the robot passes over a station's first words."""
-    while not bench.motors.history or bench.motors.are_off:
-        await order()
-        await asyncio.sleep(0.02)
-
-
-async def wait_for(desk: Desk, path: str, condition: Any) -> Any:
-    """Ask until the answer is as wanted."""
-    while True:
-        answer = (await desk.http.get(path)).json()
-        if condition(answer):
-            return answer
-        await asyncio.sleep(0.05)
-
-
-async def heard(socket: websockets.ClientConnection) -> Any:
-    """The next answer on the drive socket; the clock, which ticks all the time, is passed over."""
-    while (answer := json.loads(await socket.recv()))["type"] == "time":
-        continue
-    return answer
-
-
-def is_problem(answer: Any, status: int) -> bool:
-    document = answer.json()
-    return (
-        answer.status_code == status
-        and answer.headers["content-type"] == "application/problem+json"
-        and document["status"] == status
-        and len(document["detail"]) > 5
-        and document["type"].startswith("/problems/")
-    )
+from tests.link_support import until
+from tests.station_at_work import at_work, is_problem, wait_for
+from tests.station_support import running_station, store_map
 
 
 async def test_every_error_is_a_problem_document(tmp_path: Path) -> None:
@@ -123,150 +73,6 @@ async def test_documents_name_no_other_host_and_show_every_call(tmp_path: Path) 
     } <= calls  # fmt: skip
     assert "Problem" in document["components"]["schemas"]
     assert "//" not in docs.replace("<!doctype", "").replace("</", "")
-
-
-async def test_drive_moves_the_motors_until_the_driver_goes_silent(tmp_path: Path) -> None:
-    async with at_work(tmp_path) as (desk, bench, _):
-        answer = await desk.http.post("/drive", json={"linear": 0.2, "angular": 0.5, "ttl_ms": 600})
-        assert answer.status_code == 200
-        await until(lambda: bench.motors.history and not bench.motors.are_off)
-        began_ns = bench.motors.history[-1][0]
-        await until(lambda: bench.motors.are_off)
-        # Longer than the protocol's own life of a command: the station repeated it; then it ended by itself.
-        assert bench.motors.history[-1][0] - began_ns > 300_000_000
-        assert is_problem(await desk.http.post("/drive", json={"linear": 9.0, "angular": 0.0}), 422)
-
-
-def freeze(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For the drive timer no time passes: whatever stops the robot now, it is not the driver's silence."""
-    monkeypatch.setattr(desk.station.first.driving, "_now_ns", lambda: 1)
-
-
-async def test_stop_needs_no_lease_and_holds_until_the_driver_lets_go(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with at_work(tmp_path) as (desk, bench, _):
-        freeze(desk, monkeypatch)
-        order = {"linear": 0.2, "angular": 0.0, "ttl_ms": 1000}
-        await drive_off(bench, lambda: desk.http.post("/drive", json=order, headers={"X-Driver": "anna"}))
-        stops = bench.stops_heard
-        assert (await desk.http.post("/stop", headers={"X-Driver": "ben"})).status_code == 200
-        await until(lambda: bench.stops_heard > stops and bench.motors.are_off)
-        held_on = await desk.http.post("/drive", json=order, headers={"X-Driver": "anna"})
-        assert is_problem(held_on, 409) and "let go" in held_on.json()["detail"]
-
-
-async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -> None:
-    async with at_work(tmp_path) as (desk, _, _film):
-        order = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}  # keeps the wheel two seconds: the machine may be busy
-        anna, ben = {"X-Driver": "anna"}, {"X-Driver": "ben"}
-        assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
-        refused = await desk.http.post("/drive", json=order, headers=ben)
-        assert is_problem(refused, 409) and "anna" in refused.json()["detail"]
-        assert (await desk.http.get("/robot")).json()["driver"] == "anna"
-        taken = (await desk.http.post("/drive/take-over", headers=ben)).json()
-        assert (taken["driver"], taken["you_drive"]) == ("ben", True) and taken["keeps_s"] > 5
-        assert is_problem(await desk.http.post("/drive", json=order, headers=anna), 409)
-        await until(lambda: desk.station.first.driving.driver is None)  # a second of silence
-        assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
-
-
-async def test_closing_the_drive_socket_stops_the_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async with at_work(tmp_path) as (desk, bench, _):
-        freeze(desk, monkeypatch)
-        async with websockets.connect(desk.socket("/ws/drive?driver=page")) as socket:
-            assert await heard(socket) == {"type": "driver", "driver": None, "you_drive": False}
-            await socket.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.2, "angular": 0, "ttl_ms": 1000}))
-            told = [await heard(socket) for _ in range(2)]
-            assert {"type": "accepted", "seq": 1} in told
-            assert {"type": "driver", "driver": "page", "you_drive": True} in told
-            again = json.dumps({"type": "drive", "seq": 2, "linear": 0.2, "angular": 0, "ttl_ms": 1000})
-            await drive_off(bench, lambda: socket.send(again))
-            stops = bench.stops_heard
-        await until(lambda: bench.stops_heard > stops and bench.motors.are_off)
-        assert desk.station.first.driving.driver is None
-
-
-@pytest.mark.parametrize("text", ["", "{}", '{"type": "fly"}', '{"type": "drive", "seq": 1, "linear": "x"}', "[1]"])
-async def test_nonsense_on_the_drive_socket_is_refused_and_the_socket_lives(tmp_path: Path, text: str) -> None:
-    async with (
-        running_station(1, tmp_path) as desk,
-        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
-    ):
-        await heard(socket)
-        await socket.send(text)
-        assert (await heard(socket))["type"] == "refused"
-        await socket.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0}))
-        assert (await heard(socket))["problem"] == "no-robot"
-
-
-async def test_what_a_page_said_before_everything_froze_moves_nothing_after(tmp_path: Path) -> None:
-    """The station stood still, or the network did; the page's commands wait in the socket and then come all at once."""
-    async with (
-        at_work(tmp_path) as (desk, bench, _),
-        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
-    ):
-        while (answer := json.loads(await socket.recv()))["type"] != "time":
-            continue
-        order = {"type": "drive", "linear": 0.2, "angular": 0.0}
-        for seq in range(60):
-            await socket.send(json.dumps({**order, "seq": seq, "heard_ms": answer["t_ms"] - 251}))
-        await socket.send(json.dumps({"type": "release"}))
-        await socket.send(json.dumps({**order, "seq": 60}))
-        # The first accepted one is the one that was said after it all.
-        while (answer := await heard(socket))["type"] != "accepted":
-            continue
-        assert answer["seq"] == 60
-        await drive_off(bench, lambda: socket.send(json.dumps({**order, "seq": 61})))
-
-
-async def test_a_zero_that_comes_late_stops_what_moves_and_counts_for_nothing_at_rest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with (
-        at_work(tmp_path) as (desk, bench, _),
-        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
-    ):
-        freeze(desk, monkeypatch)
-        while (answer := json.loads(await socket.recv()))["type"] != "time":
-            continue
-
-        async def say_late_zero(seq: int) -> list[int]:
-            """Which commands were accepted by the time it has been read."""
-            zero = {"type": "drive", "linear": 0.0, "angular": 0.0, "seq": seq, "heard_ms": answer["t_ms"] - 251}
-            await socket.send(json.dumps(zero))
-            await socket.send("nonsense")
-            accepted = []
-            while (reply := await heard(socket))["type"] != "refused":
-                accepted += [reply["seq"]] if reply["type"] == "accepted" else []
-            return accepted
-
-        assert await say_late_zero(1) == []
-        order = {"linear": 0.2, "angular": 0.0, "ttl_ms": 1000}
-        await drive_off(bench, lambda: desk.http.post("/drive", json=order, headers={"X-Driver": "page"}))
-        assert desk.station.first.driving.is_moving
-        assert await say_late_zero(2) == [2]
-        assert not desk.station.first.driving.is_moving
-        await until(lambda: bench.motors.are_off)
-
-
-async def test_a_page_behind_a_slow_link_is_told_why_nothing_moves(tmp_path: Path) -> None:
-    async with (
-        at_work(tmp_path) as (desk, bench, _),
-        websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
-    ):
-        order = {"type": "drive", "linear": 0.2, "angular": 0.0, "ttl_ms": 200}
-        answer = json.loads(await socket.recv())
-        for seq in itertools.count():
-            while answer["type"] not in ("time", "refused"):
-                answer = json.loads(await socket.recv())
-            if answer["type"] == "refused":
-                break
-            # Twenty times a second, with the station's clock as it was 300 ms ago.
-            await socket.send(json.dumps({**order, "seq": seq, "heard_ms": answer["t_ms"] - 300}))
-            answer = json.loads(await socket.recv())
-        assert answer["problem"] == "late" and "too slow" in answer["text"]
-        assert desk.station.first.driving.driver is None and bench.motors.are_off
 
 
 async def test_pages_of_other_sites_get_no_socket(tmp_path: Path) -> None:
@@ -478,36 +284,6 @@ async def test_events_tell_the_state_first_and_then_each_change(tmp_path: Path) 
             if message["type"] == "log" and message["line"]["topic"] == "hijack":
                 break
         assert len((await desk.http.get("/place/timeline")).json()) >= 1
-
-
-async def test_pan_tilt_reaches_the_head(tmp_path: Path) -> None:
-    async with at_work(tmp_path) as (desk, bench, _):
-        assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})).status_code == 200
-        await until(lambda: bench.head.pointed == [(0.3, -0.1)])
-        assert is_problem(await desk.http.post("/pan-tilt", json={"pan": 9.0, "tilt": 0.0}), 422)
-        aside = await desk.http.post("/navigations")
-        assert is_problem(aside, 409) and "straight ahead" in aside.json()["detail"]
-        await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})
-        await desk.http.post("/navigations")
-        assert "a navigation is being recorded" in (await desk.http.get("/robot")).json()["head_must_rest"]
-        assert is_problem(await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0}), 409)
-        assert (await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})).status_code == 200
-
-
-async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> None:
-    place_map = store_map(tmp_path)
-    async with at_work(tmp_path) as (desk, bench, _):
-        await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})
-        await desk.http.put("/maps/active", json={"id": place_map.id})
-        await until(lambda: bench.head.pointed == [(0.3, -0.1), (0.0, 0.0)])
-        # It may look around all the same: then the place is not looked for, and the answer says so.
-        await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
-        assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0})).status_code == 200
-        answers = desk.station.first.locating.answers
-        assert "looks aside" in (await desk.http.get("/place/current")).json()["reason"]
-        await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})
-        await until(lambda: desk.station.first.locating.answers > answers + 2)
-        assert "looks aside" not in (await desk.http.get("/place/current")).json()["reason"]
 
 
 async def test_a_robot_that_goes_takes_the_current_place_with_it(tmp_path: Path) -> None:

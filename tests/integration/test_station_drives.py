@@ -16,9 +16,9 @@ from station.bin import KEEP_S, MAX_KEPT, Bin
 from station.drive_library import DriveLibrary, DriveRecord
 from station.navigation_files import save_navigation
 from station.replaying import replay
-from tests.integration.test_station import at_work, is_problem, wait_for
 from tests.link_support import until
 from tests.made_up_workers import made_up_navigation
+from tests.station_at_work import at_work, is_problem, wait_for
 from tests.station_support import Desk, Film, running_station, store_map
 
 pytestmark = pytest.mark.timeout(600)
