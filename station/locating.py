@@ -8,7 +8,6 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
@@ -20,12 +19,9 @@ from station.frames import DriveSample, ImageFrame
 from station.mailbox import Latest
 from station.maps.map import Place, PlaceEdge
 from station.maps.store import StoreAddress
-from station.place_report import MapReading, PlaceReport
+from station.place_report import HijackNotice, MapReading, PlaceReport
 from station.places.answer import PlaceAnswer, PlaceState
 from station.workers import Worker, WorkerDied
-
-if TYPE_CHECKING:  # its module loads estimation libraries, which only the worker needs
-    from station.places.hijack import HijackEvent
 
 logger = logging.getLogger(__name__)
 KEPT_QUERY_IMAGES = 32
@@ -77,6 +73,7 @@ class Locating:
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self._report: PlaceReport | None = None
         self._taken_s = 0.0  # when the report came
+        self._hijacks_told = 0  # by the worker there is now
         self._gone = ""  # why there is no robot, in a sentence
         self._absent = ""  # why there can be no answer about now, in a sentence
         self.visits: deque[Visit] = deque(maxlen=KEPT_VISITS)
@@ -220,6 +217,7 @@ class Locating:
             on_event=lambda event: self._on_event(event) if self._generation == generation else None,
         )
         self._worker = worker
+        self._hijacks_told = 0
         try:
             await worker.start()
             await worker.call("load", self._store, map_id)
@@ -237,7 +235,9 @@ class Locating:
                 if self._groups.is_fresh:
                     await worker.call("regroup", *await self._groups.get())
                 report = await self._answer(worker, frame)
-                if report is not None and self._generation == generation and self._runs == run:
+                is_of_now = self._generation == generation and self._runs == run
+                # The answer to a picture from before a hijack may be read after the notice of it.
+                if report is not None and is_of_now and report.num_hijacks >= self._hijacks_told:
                     self._take(report, frame)
                 await asyncio.sleep(max(0.0, interval_s - (time.monotonic() - started_s)))
         finally:
@@ -262,11 +262,14 @@ class Locating:
         self.status = "looking"
         return report
 
-    def _on_event(self, event: HijackEvent | MapReading) -> None:
-        if isinstance(event, MapReading):
-            self._tell(event.text, event.fraction)
+    def _on_event(self, told: HijackNotice | MapReading) -> None:
+        if isinstance(told, MapReading):
+            self._tell(told.text, told.fraction)
             return
-        self._events.say("hijack", f"the robot was picked up: {event.reason}", "warning")
+        self._hijacks_told = told.report.num_hijacks
+        if self._report is not None:  # else of another run of the robot, or nothing was known yet
+            self._show(told.report)
+        self._events.say("hijack", f"the robot was picked up: {told.event.reason}", "warning")
 
     def _tell(self, status: str, progress: float | None) -> None:
         self.status, self.progress = status, progress
@@ -274,13 +277,16 @@ class Locating:
 
     def _take(self, report: PlaceReport, frame: CameraFrame) -> None:
         self.answers += 1
-        # The picture may have come before the robot went, and its answer after.
-        self._report, self._absent, self._taken_s = report, self._gone, time.monotonic()
-        self._on_report(report)
         if report.t_evidence_ns is not None:
             self._queries[report.t_evidence_ns] = frame.jpeg
             while len(self._queries) > KEPT_QUERY_IMAGES:
                 self._queries.popitem(last=False)
+        self._show(report)
+
+    def _show(self, report: PlaceReport) -> None:
+        # The picture may have come before the robot went, and its answer after.
+        self._report, self._absent, self._taken_s = report, self._gone, time.monotonic()
+        self._on_report(report)
         self._note_visit((self.report or report).answer)
         self._events.changed("place")
 

@@ -1,11 +1,15 @@
-"""An answer of the localisation worker, with what belongs to it."""
+"""What the localisation worker tells: its answers, with what belongs to them, and hijacks with the answer since."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from shared.geometry import FloatArray
 from station.places.answer import PlaceAnswer
+
+if TYPE_CHECKING:  # its module loads estimation libraries, which only the worker needs
+    from station.places.hijack import HijackEvent
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,3 +29,12 @@ class PlaceReport:
     T_map_cam: FloatArray | None  # (4, 4) of the picture the answer is about, when it was found in the map
     t_evidence_ns: int | None  # what the answer's evidence_t_robot_ns is while it rests on this picture
     attempt: str  # what speaks for the picture's pose, or why there is none, in a sentence
+    num_hijacks: int = 0  # that the worker had noticed by then: an answer from before one says nothing of after it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HijackNotice:
+    """The robot was picked up, and the current place since: whoever is told the one is told the other."""
+
+    event: HijackEvent
+    report: PlaceReport

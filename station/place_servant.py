@@ -13,9 +13,8 @@ from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
-from station.place_report import MapReading, PlaceReport
+from station.place_report import HijackNotice, MapReading, PlaceReport
 from station.places.changes import shown
-from station.places.hijack import HijackEvent
 from station.places.localizer import Localizer
 from station.places.tracker import PlaceTracker
 
@@ -23,13 +22,14 @@ TELL_EVERY = 4  # pictures of the map
 
 
 class PlaceServant:
-    """Answers pictures from one map; sends a HijackEvent when the robot was picked up, MapReading while it prepares."""
+    """Answers pictures from one map; sends HijackNotices when the robot was picked up, MapReading while it prepares."""
 
-    def __init__(self, emit: Callable[[HijackEvent | MapReading], None]) -> None:
+    def __init__(self, emit: Callable[[HijackNotice | MapReading], None]) -> None:
         self._emit = emit
         self._place_map: PlaceMap | None = None
         self._localizer: Localizer | None = None
         self._tracker: PlaceTracker | None = None
+        self._num_hijacks = 0
 
     def load(self, store: StoreAddress, map_id: str) -> None:
         """Read a map and index its pictures: some 60 ms per keyframe."""
@@ -69,7 +69,7 @@ class PlaceServant:
             self._tracker.on_imu(
                 ImuBatch(np.array(t_robot_ns, np.int64), np.array(gyro, np.float64), np.array(accel, np.float64))
             )
-            self._tell_hijacks()
+            self._tell_hijacks(None)
 
     def drive(self, sample: DriveSample) -> None:
         """What the motors were told."""
@@ -87,20 +87,28 @@ class PlaceServant:
             raise EstimationError("no map was given to the localisation worker; activate one")
         try:
             attempt = self._tracker.on_frame(frame)
-            why_not = attempt.reason if attempt else "the robot is being carried"
+            why_not = attempt.reason if attempt else "the robot is being carried, or was since this picture"
         except DataError as exc:  # one broken picture; the next one may be whole
             attempt, why_not = None, str(exc)
-        self._tell_hijacks()
         found = attempt.localization if attempt is not None else None
-        return PlaceReport(
+        report = PlaceReport(
             map_id=self._place_map.id,
             answer=self._tracker.answer(frame.t_robot_ns),
             T_map_cam=found.T_map_cam if found else None,
             t_evidence_ns=found.t_robot_ns if found else None,
             attempt=why_not,
         )
+        self._tell_hijacks(report)
+        return replace(report, num_hijacks=self._num_hijacks)
 
-    def _tell_hijacks(self) -> None:
-        if self._tracker is not None:
-            for event in self._tracker.take_events():
-                self._emit(event)
+    def _tell_hijacks(self, report: PlaceReport | None) -> None:
+        """At once, with the answer since: the next picture's may be seconds away on a busy machine."""
+        assert self._place_map is not None and self._tracker is not None
+        for event in self._tracker.take_events():
+            self._num_hijacks += 1
+            if report is None:
+                answer = self._tracker.answer(event.t_robot_ns)
+                since = PlaceReport(self._place_map.id, answer, None, None, event.reason, self._num_hijacks)
+            else:
+                since = replace(report, num_hijacks=self._num_hijacks)
+            self._emit(HijackNotice(event, since))

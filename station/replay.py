@@ -24,6 +24,7 @@ from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
 from station.maps.record import map_content_hash
 from station.navigation import Navigation, Trajectory
+from station.place_report import HijackNotice
 from station.place_servant import PlaceServant
 from station.places.answer import PlaceAnswer
 from station.places.build import build_map
@@ -106,7 +107,7 @@ def locate(
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
     """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
     hijacks: list[HijackEvent] = []
-    places = PlaceServant(lambda event: hijacks.append(event) if isinstance(event, HijackEvent) else None)
+    places = PlaceServant(lambda told: hijacks.append(told.event) if isinstance(told, HijackNotice) else None)
     places.use(place_map)
     places.calibrate(data.calibration)
     poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]

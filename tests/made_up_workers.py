@@ -15,7 +15,7 @@ from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.navigation import Navigation
-from station.place_report import PlaceReport
+from station.place_report import HijackNotice, PlaceReport
 from station.places.answer import PlaceAnswer, PlaceCandidate
 from station.places.changes import shown
 from station.places.hijack import HijackEvent
@@ -91,6 +91,7 @@ class PlaceByLight:
         self._emit = emit
         self._map: PlaceMap | None = None
         self._was_dark = False
+        self._num_hijacks = 0
 
     def load(self, store: StoreAddress, map_id: str) -> None:
         self._map = shown(MapStore(store).load(map_id))
@@ -115,11 +116,11 @@ class PlaceByLight:
         assert self._map is not None
         t_robot_ns = frame.t_robot_ns
         is_dark = float(frame.grey().mean()) < 30.0
-        if is_dark and not self._was_dark:
-            self._emit(HijackEvent(t_robot_ns, "vision", "the light went out", 0.98))
+        is_moved = is_dark and not self._was_dark
+        self._num_hijacks += is_moved
         self._was_dark = is_dark
         first, second = self._map.places[1::-1] if is_dark else self._map.places[:2]
-        return PlaceReport(
+        report = PlaceReport(
             map_id=self._map.id,
             answer=PlaceAnswer(
                 state="known",
@@ -136,7 +137,11 @@ class PlaceByLight:
             T_map_cam=np.eye(4),
             t_evidence_ns=t_robot_ns,
             attempt="always found",
+            num_hijacks=self._num_hijacks,
         )
+        if is_moved:
+            self._emit(HijackNotice(HijackEvent(t_robot_ns, "vision", "the light went out", 0.98), report))
+        return report
 
 
 def made_up_navigation() -> Navigation:

@@ -40,6 +40,7 @@ class PlaceTracker:
         self._blended = BlendedOdometry()
         self._odometry_t_ns: int | None = None
         self._events: list[HijackEvent] = []
+        self._moved_ns: int | None = None  # when somebody moved the robot last
         self.last_attempt: Attempt | None = None
         camera = calibration.camera
         self._shift_ns = round(camera.time_shift_s * 1e9) if camera else 0
@@ -63,9 +64,12 @@ class PlaceTracker:
             self._odometry(t_robot_ns, blended)
 
     def on_frame(self, frame: ImageFrame) -> Attempt | None:
-        """Localise one image; None while the robot is carried. Raises DataError for an undecodable image."""
+        """Localise one image; None while the robot is carried, and for one from before that, which came late.
+
+        Raises DataError for an undecodable image.
+        """
         t = frame.t_robot_ns + self._shift_ns
-        if self.hijacks.is_carried:
+        if self.hijacks.is_carried or (self._moved_ns is not None and t < self._moved_ns):
             return None
         attempt = self.localizer.attempt(frame, self._calibration)
         self.last_attempt = attempt
@@ -92,6 +96,7 @@ class PlaceTracker:
     def _note(self, event: HijackEvent | None) -> None:
         if event is not None:
             self._events.append(event)
+            self._moved_ns = event.t_robot_ns
             self.estimator.on_hijack(event.t_robot_ns, event.reason, event.confidence)
 
     def _odometry(self, t: int, T_nav_body: FloatArray) -> None:

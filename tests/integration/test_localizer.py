@@ -16,12 +16,13 @@ from station.frames import ImageArray, ImageFrame
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.place_report import MapReading
+from station.place_report import HijackNotice, MapReading, PlaceReport
 from station.place_servant import PlaceServant
 from station.places.appearance import AppearanceIndex
 from station.places.build import build_map
 from station.places.features import FeatureExtractor
 from station.places.localizer import Localizer
+from tests.unit.test_hijack import imu, lift, seconds
 
 CAMERA = CameraCalibration(width=640, height=480, fx=600, fy=600, cx=319.5, cy=239.5)
 CALIBRATION = Calibration(camera=CAMERA, imu=None)
@@ -131,6 +132,32 @@ def test_evidence_carries_the_pictures_own_time_whatever_the_cameras_shift(tmp_p
     assert broken.answer.t_robot_ns == 1_500_000_000
     after = servant.answer(ImageFrame(4, 2_000_000_000, 0, picture(1, camera_at(0.3))))
     assert after.t_evidence_ns == 2_000_000_000
+
+
+def test_a_lift_ends_what_was_known_at_once_and_no_picture_from_before_brings_it_back(tmp_path: Path) -> None:
+    place_map = build_map(make_map("wall", 1).navigation, name="wall")
+    told: list[object] = []
+    servant = PlaceServant(told.append)
+    servant.use(place_map)
+    servant.calibrate(CALIBRATION)
+
+    def feel(rotation: FloatArray, acceleration: FloatArray, start_s: float) -> None:
+        for batch in imu(rotation, acceleration, start_s):
+            servant.imu(batch.t_robot_ns.tolist(), batch.gyro_imu.tolist(), batch.accel_imu.tolist())
+
+    def look(t_s: float) -> PlaceReport:
+        views = [camera_at(0.3), camera_at(0.35, 0.1, -0.2, 0.1)]
+        return servant.answer(ImageFrame(0, round(t_s * 1e9), 0, picture(1, views[round(10 * t_s) % 2])))
+
+    feel(seconds(3), seconds(3), 0.0)
+    assert [look(t_s) for t_s in (2.5, 2.6, 2.7, 2.8, 2.9)][-1].answer.state == "known"
+    feel(seconds(0.8), lift(), 3.0)
+    [notice] = [one for one in told if isinstance(one, HijackNotice)]
+    assert notice.event.cue == "imu" and notice.report.answer.state == "lost" and notice.report.num_hijacks == 1
+    feel(seconds(2), seconds(2), 3.8)  # put down, and still
+    late = look(2.95)  # a slow camera, or a machine that has no time
+    assert late.answer.state == "lost" and late.T_map_cam is None and late.num_hijacks == 1
+    assert look(6.0).T_map_cam is not None
 
 
 @pytest.mark.parametrize(("seed", "map_id"), [(1, "first"), (2, "second")])

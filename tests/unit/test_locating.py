@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from station.events import Events
 from station.frames import ImageFrame
 from station.locating import Locating
 from station.maps.store import StoreAddress
-from station.place_report import PlaceReport
+from station.place_report import HijackNotice, PlaceReport
 from station.places.answer import PlaceAnswer, PlaceCandidate
+from station.places.hijack import HijackEvent
 from station.workers import WorkerFailed
 from tests.link_support import until
 from tests.unit.test_navigation_recording import hello
@@ -32,7 +34,8 @@ class FakeWorker:
     error: Exception | None = None
     answers: asyncio.Event
 
-    def __init__(self, *_: object, **__: object) -> None:
+    def __init__(self, *_: object, on_event: Callable[[object], None], **__: object) -> None:
+        self.tell = on_event
         self.calls: list[str] = []
         self.made.append(self)
 
@@ -121,6 +124,36 @@ async def test_an_answer_that_comes_after_the_robot_went_is_no_answer(locating: 
     FakeWorker.answers.set()
     await until(lambda: locating.answers > answers)
     assert state_of(locating) == "lost" and locating.visits[-1].state == "lost"
+
+
+def lifted(t_robot_ns: int) -> HijackNotice:
+    before = kitchen(ImageFrame(1, t_robot_ns, 0, b"jpeg"))
+    nowhere = replace(before.answer, state="lost", place=None, reason="hijacked (lifted)")
+    event = HijackEvent(t_robot_ns, "imu", "lifted", 0.99)
+    return HijackNotice(event, PlaceReport("map", nowhere, None, None, "lifted", num_hijacks=1))
+
+
+async def test_whoever_is_told_of_a_hijack_is_not_told_the_old_place_any_more(locating: Locating) -> None:
+    await until_known(locating, 7)
+    FakeWorker.answers.clear()  # a busy machine: the next answer takes seconds
+    FakeWorker.made[-1].tell(lifted(8))
+    assert locating._events.log[-1].text == "the robot was picked up: lifted"
+    assert state_of(locating) == "lost" and locating.visits[-1].state == "lost"
+
+
+async def test_the_answer_to_a_picture_from_before_a_hijack_does_not_bring_the_old_place_back(
+    locating: Locating,
+) -> None:
+    await until_known(locating, 7)
+    FakeWorker.answers.clear()
+    worker = FakeWorker.made[-1]
+    asked = worker.calls.count("answer")
+    await until(lambda: worker.calls.count("answer") > asked or locating.offer(picture(8)))
+    FakeWorker.answers.set()  # the answer is there, and in the same moment the notice
+    worker.tell(lifted(9))
+    asked += 1
+    await until(lambda: worker.calls.count("answer") > asked or locating.offer(picture(10)))
+    assert state_of(locating) == "lost"
 
 
 async def test_an_answer_does_not_stay_true_by_itself(locating: Locating, monkeypatch: pytest.MonkeyPatch) -> None:
