@@ -22,7 +22,7 @@ from station.maps.checking import collect_garbage
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.map import Place, PlaceMap
 from station.maps.purging import purge
-from station.maps.record import MapRecord
+from station.maps.record import MapRecord, says_same_of_places
 from station.maps.store import MapStore, MapSummary, StoreAddress
 from station.places.changes import with_place_hidden, with_places_merged
 from station.places.colours import number_places
@@ -59,6 +59,7 @@ class PlacesChange:
     """A place was renamed, hidden or shown, or places were merged."""
 
     version: int  # of the map, that it led to
+    previous: int  # the version that it changed
     why: str  # for a person
     changed_wall_s: float
 
@@ -120,7 +121,7 @@ class Maps:
     async def delete(self, map_id: str) -> None:
         """Put a map into the bin. Raises Unknown, or Conflict when it is in use."""
         if self._active is not None and self._active.place_map.id == map_id:
-            raise Conflict(f"{map_id} is active; choose another map first")
+            raise Conflict(f"{self._active.place_map.name} is in use; choose another map first")
         await self._require(map_id)
         await asyncio.to_thread(self._store.delete, map_id)
         self._events.changed("map")
@@ -197,8 +198,10 @@ class Maps:
     async def undo(self, version: int | None) -> PlacesChange:
         """Take back the newest change of the places; `version`: only if it is that one. Returns what was taken back.
 
+        The map keeps its name: that is no change of its places.
+
         Raises:
-            Conflict: no map is active, there is nothing to take back, or another change came since.
+            Conflict: no map is active, there is nothing to take back, or `version` is not the newest change.
         """
         async with self._changing:
             map_id = self.require_active().place_map.id
@@ -207,8 +210,9 @@ class Maps:
             if not changes:
                 raise Conflict("no change of the places can be taken back: they are as they were made")
             if version is not None and changes[0].version != version:
-                raise Conflict(f"another change came since: {changes[0].why}; GET /places/changes lists them")
-            await asyncio.to_thread(self._store.undo, map_id, newest_is=history[0].number)
+                raise Conflict(_why_not_that_one(version, changes))
+            to = changes[0].previous
+            await asyncio.to_thread(self._store.undo, map_id, to, newest_is=history[0].number, keeps_name=True)
             self._take(await asyncio.to_thread(self._store.load, map_id))
             return changes[0]
 
@@ -276,10 +280,26 @@ def _changes(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
     changes: list[PlacesChange] = []
     record = by_number.get(history[0].content) if history else None
     while record is not None and record.kind == "edited":
-        changes.append(PlacesChange(record.number, record.why, record.created_ms / 1e3))
         before = by_number.get(record.previous or 0)
-        record = None if before is None else by_number.get(before.content)
+        if before is None:
+            break  # it cannot be read any more, so nothing leads back to it
+        if not says_same_of_places(before, record):  # else the map was renamed
+            changes.append(PlacesChange(record.number, before.number, record.why, record.created_ms / 1e3))
+        record = by_number.get(before.content)
     return tuple(changes)
+
+
+def _why_not_that_one(version: int, changes: Sequence[PlacesChange]) -> str:
+    """Why this version is not the change that can be taken back."""
+    newest = changes[0]
+    later = next((i for i, change in enumerate(changes) if change.version == version), None)
+    if later is not None:
+        others = "another change" if later == 1 else f"{later} other changes"
+        return f"{others} came after version {version}, the newest is version {newest.version}: {newest.why}"
+    return (
+        f"version {version} is no change of the places that can be taken back; "
+        f"the newest is version {newest.version}: {newest.why}; GET /places/changes lists them"
+    )
 
 
 def _place_of_point(place_map: PlaceMap, numbers: Mapping[str, int]) -> npt.NDArray[np.uint8]:

@@ -4,9 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _not_blank(name: str) -> str:
+    if not name.strip():
+        raise ValueError("a name needs a character that is no space")
+    return name
+
+
+Name = Annotated[str, Field(max_length=80, json_schema_extra={"pattern": r"\S"}), AfterValidator(_not_blank)]
 
 
 class Model(BaseModel):
@@ -105,7 +114,7 @@ class PlaceChange(Question):
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
-    name: str | None = Field(default=None, min_length=1, max_length=80, examples=["Kitchen"])
+    name: Name | None = Field(default=None, examples=["Kitchen"])
     hidden: bool | None = Field(default=None, examples=[False])
 
     @model_validator(mode="after")
@@ -181,7 +190,7 @@ class MapOrder(Question):
 class NewName(Question):
     """What it shall be called."""
 
-    name: str = Field(min_length=1, max_length=80, examples=["Ground floor"])
+    name: Name = Field(examples=["Ground floor"])
 
 
 class MapChoice(Question):
@@ -281,7 +290,7 @@ class SlamModel(Model):
     """The running SLAM, or the last one."""
 
     navigation: str | None
-    state: Literal["none", "initialising", "tracking", "lost", "finished"]
+    state: Literal["none", "initialising", "tracking", "lost", "finishing", "finished"]
     message: str = Field(examples=["not initialised yet: move the robot sideways"])
     landmarks: int
     frames: int

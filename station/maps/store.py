@@ -195,11 +195,14 @@ class MapStore:
             record = self._present(rows, map_id)
             self._append(connection, rows, replace(record, why="deleted"), record, "deleted")
 
-    def undo(self, map_id: str, to: int | None = None, *, newest_is: int | None = None) -> MapRecord:
+    def undo(
+        self, map_id: str, to: int | None = None, *, newest_is: int | None = None, keeps_name: bool = False
+    ) -> MapRecord:
         """Take back the last change, also a deletion; again: the one before. `to`: go to this version instead.
 
         Args:
             newest_is: the version the caller saw last; nothing happens when there is a newer one by now.
+            keeps_name: the map stays named as it is, whatever it was called then.
         Raises:
             DataError: there is nothing to take back, no such version, or a newer one than `newest_is`.
         """
@@ -220,7 +223,8 @@ class MapStore:
                 raise DataError(f"map {map_id} {wanted}; `station map history` lists them")
             record = self.record(row)
             why = f"version {record.content} again"
-            return self._append(connection, rows, replace(record, why=why), record, "restored")
+            name = newest.name if keeps_name else record.name
+            return self._append(connection, rows, replace(record, why=why, name=name), record, "restored")
 
     def append_restored(self, content: MapRecord) -> bool:
         """Make this content (of a backup; its blobs are here) the newest version; False when it is that already."""
