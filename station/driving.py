@@ -228,9 +228,7 @@ class Driving:
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
         """Point the camera head (rad). Needs the wheel, as driving does."""
-        able = self._capabilities()
-        if able is None:
-            raise NoRobot("no robot is connected")
+        able = self._require_robot()
         if not able.pan_tilt:
             raise NotCapable("this robot has no pan-tilt head")
         _check("pan", pan, math.pi, "rad")
@@ -248,10 +246,17 @@ class Driving:
         """Become the driver, whoever drives, and stay so for some seconds without a word.
 
         The robot is stopped first: nobody inherits a moving robot.
+
+        Raises:
+            NoRobot, NotCapable: there is nothing to drive; OutOfRange: the name is empty or too long.
         """
+        able = self._require_robot()
+        if not able.drive and not able.pan_tilt:
+            raise NotCapable("this robot can neither drive nor look around (a recorded one only replays)")
+        _named(driver)
         if self.driver != driver:
             self.stop(driver)
-        self._lease.take_over(_named(driver), self._now_ns(), round(TAKE_OVER_S * 1e9))
+        self._lease.take_over(driver, self._now_ns(), round(TAKE_OVER_S * 1e9))
         self._tell()
 
     def release(self, driver: str) -> None:
@@ -292,10 +297,14 @@ class Driving:
             async with asyncio.timeout(wait_ns / 1e9):
                 await self._changed.wait()
 
-    def _require_drive(self) -> Capabilities:
+    def _require_robot(self) -> Capabilities:
         able = self._capabilities()
         if able is None:
             raise NoRobot("no robot is connected; start robot-server, or give its address with --robot")
+        return able
+
+    def _require_drive(self) -> Capabilities:
+        able = self._require_robot()
         if not able.drive:
             raise NotCapable("this robot cannot drive (a recorded one only replays)")
         return able

@@ -66,10 +66,12 @@ class RobotSession:
             self.link,
             config.drive,
             self._capabilities,
-            on_driver=lambda driver: events.changed("driver", driver),
+            on_driver=self._tell_driver,
             on_silence=lambda text: events.say("drive", text, "warning"),
             on_command=lambda *command: self.recording.on_command(*command),
         )
+        self._driver: str | None = None  # as was told
+        self._last_driver: str | None = None
         self._hijacking = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.locating = Locating(
@@ -216,6 +218,14 @@ class RobotSession:
     def on_notice(self, notice: ErrorNotice) -> None:
         self.recording.on_notice(notice)
         self.events.say("robot", notice.message, "error" if notice.fatal else "warning")
+
+    def _tell_driver(self, driver: str | None) -> None:
+        """Who has the wheel, to the pages; a line where it is in other hands than before, not at every pause."""
+        before, self._driver = self._driver, driver
+        if driver is not None and driver != self._last_driver:
+            self._last_driver = driver
+            self.events.say("drive", f"{driver} drives" if before is None else f"{driver} took over from {before}")
+        self.events.changed("driver", driver)
 
     def _capabilities(self) -> Capabilities | None:
         state = self.link.state

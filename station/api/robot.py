@@ -61,7 +61,7 @@ async def drive(order: DriveOrder, robot: RobotDep, driver: DriverDep) -> Driver
     return _driver_model(robot, driver)
 
 
-@of_robot.post("/drive/take-over", summary="Become the driver, whoever drives")
+@of_robot.post("/drive/take-over", summary="Become the driver, whoever drives", responses=responses(409, 503))
 async def take_over(robot: RobotDep, driver: DriverDep) -> DriverModel:
     """The robot is stopped when another one drove. The wheel is yours for six seconds, then as long as you drive."""
     robot.driving.take_over(driver)
@@ -86,6 +86,7 @@ async def stop(robot: RobotDep, driver: DriverDep) -> Accepted:
     """Anyone may stop the robot, also one who does not drive; then the driver must let go before driving on."""
     if not robot.driving.stop(driver):
         raise NoRobot("no robot is connected; its own watchdog stops it when the link is lost")
+    robot.events.say("drive", f"{driver} stopped the robot")
     return Accepted()
 
 

@@ -60,6 +60,29 @@ async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -
         assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
 
 
+async def test_the_log_tells_who_has_the_wheel_and_who_stopped_the_robot(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, _film):
+        order = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}
+        anna, ben = {"X-Driver": "anna"}, {"X-Driver": "ben"}
+        for _ in range(2):
+            await desk.http.post("/drive", json=order, headers=anna)
+        await desk.http.post("/drive/take-over", headers=ben)
+        await desk.http.post("/stop", headers=anna)
+        await desk.http.post("/drive/release", headers=ben)
+        await desk.http.post("/drive", json=order, headers=ben)  # the wheel was free meanwhile, and nobody else's
+        await desk.http.post("/drive/release", headers=ben)
+        await desk.http.post("/drive", json=order, headers=anna)
+        told = [line["text"] for line in (await desk.http.get("/log")).json() if line["topic"] == "drive"]
+        assert told == ["anna drives", "ben took over from anna", "anna stopped the robot", "anna drives"]
+
+
+async def test_without_a_robot_there_is_no_wheel_to_take(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        refused = await desk.http.post("/drive/take-over", headers={"X-Driver": "anna"})
+        assert is_problem(refused, 503) and refused.json()["type"] == "/problems/no-robot"
+        assert (await desk.http.get("/robot")).json()["driver"] is None
+
+
 async def test_closing_the_drive_socket_stops_the_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with at_work(tmp_path) as (desk, bench, _):
         freeze(desk, monkeypatch)
