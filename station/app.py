@@ -139,7 +139,11 @@ class Station:
         for robot in self.robots.values():
             if robot.recording.running is not None and robot.recording.running.id == drive_id:
                 return robot.recording.stop(drive_id)
-        raise Conflict(f"{drive_id} is not being recorded (it is {drive.state})")
+        raise Conflict(f"{drive.name} is not being recorded (it is {drive.state})")
+
+    def cancel_drive(self, drive_id: str) -> DriveRecord:
+        """Give up what SLAM still computes of a drive whose recording has ended. Raises Unknown, Conflict."""
+        return self._robot_of(self.drives.get(drive_id)).recording.cancel(drive_id)
 
     def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
         """Places from finished drives, in the background. Raises Unknown, Conflict."""
@@ -187,9 +191,9 @@ class Station:
         drive = self.drives.library.get(drive_id)
         recording = self.drives.library.folder(drive_id) / "recording.mcap"
         if drive.state in ("recording", "finishing"):
-            raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
+            raise Conflict(f"{drive.name} is {drive.state}; wait until it is over")
         if not recording.is_file():
-            raise Conflict(f"{drive_id} has no recording to run SLAM over")
+            raise Conflict(f"{drive.name} has no recording to run SLAM over")
         chosen = backend or self.config.slam.backend
         folder = self.drives.library.navigation_folder(drive_id)
         self.drives.reserve(drive_id)
@@ -216,7 +220,7 @@ class Station:
     def _ready(self, drive_id: str) -> DriveRecord:
         drive = self.drives.library.get(drive_id)
         if drive.state != "ready":
-            raise Conflict(f"{drive_id} is {drive.state}, not ready: {drive.message}")
+            raise Conflict(f"{drive.name} is {drive.state}, not ready: {drive.message}")
         return drive
 
     async def use_map(self, map_id: str | None) -> None:

@@ -56,7 +56,7 @@ class Drives:
         drive = self.library.get(drive_id)
         name = tidy_name(name, "a navigation's name")
         if drive.state in ("recording", "finishing"):
-            raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
+            raise Conflict(_still(drive))
         drive = replace(drive, name=name)
         self.keep(drive)
         return drive
@@ -65,7 +65,7 @@ class Drives:
         """Put a drive into the bin. Raises Unknown; Conflict while it is being recorded or finished."""
         drive = self.library.get(drive_id)
         if drive.state in ("recording", "finishing"):
-            raise Conflict(f"{drive_id} is {drive.state}; wait until it is over")
+            raise Conflict(_still(drive))
         self._refuse_reserved(drive_id)
         await asyncio.to_thread(self.library.delete, drive_id)
         self._events.forget("navigation", drive_id)
@@ -87,7 +87,8 @@ class Drives:
 
     def _refuse_reserved(self, drive_id: str) -> None:
         if drive_id in self._reserved:
-            raise Conflict(f"SLAM runs over {drive_id} just now; wait for the job or cancel it (GET /jobs)")
+            name = self.library.get(drive_id).name
+            raise Conflict(f"SLAM runs over {name} just now; wait for the job or cancel it (GET /jobs)")
 
     def reprocessed(self, drive_id: str, report: NavigationReport) -> DriveRecord:
         """SLAM ran over a drive's recording again and left its navigation."""
@@ -102,3 +103,8 @@ class Drives:
         self.keep(drive)
         self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
         return drive
+
+
+def _still(drive: DriveRecord) -> str:
+    doing = "being recorded; stop that first" if drive.state == "recording" else "being finished; wait, or cancel that"
+    return f"{drive.name} is {doing}"

@@ -47,13 +47,13 @@ class JobServant:
         navigations = [load_navigation(folder) for folder in folders]
         config = PlacesConfig() if mode is None else PlacesConfig(mode=mode)
         if len(navigations) > 1:
-            self._emit((0.1, f"registering {len(navigations) - 1} navigations to {navigations[0].id}"))
+            self._emit((0.1, f"registering {_count(len(navigations) - 1, 'navigation')} to the first one"))
         place_map = self._map_of(navigations, config, name, executor)
         store = MapStore(address)
         earlier = store.newest_of_drive(navigations[0].id)
         if earlier is not None:
             place_map = carry_names(earlier, place_map)
-        self._emit((0.8, f"saving {len(place_map.places)} places"))
+        self._emit((0.8, f"saving {_count(len(place_map.places), 'place')}"))
         store.save(place_map, f"built from {place_map.navigation.id}"[:200])
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
 
@@ -62,7 +62,7 @@ class JobServant:
             with open_executor(executor) as machines:
                 return machines.map(make_map, [MapOfNavigations(tuple(navigations), config, name)])[0]
         navigation = merge_navigations(navigations, config)
-        self._emit((0.5, f"grouping {len(navigation.landmarks)} landmarks into places"))
+        self._emit((0.5, f"grouping {_count(len(navigation.landmarks), 'landmark')} into places"))
         return build_map(navigation, config=config, name=name)
 
     def compare(self, first: Path, second: Path, out: Path, title: str, setting: str) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class JobServant:
         self._emit((0.02, "reading the recording"))
         data = open_dataset(recording)
         if not data.has_images:
-            raise DataError(f"{drive_id} has no pictures in its recording; SLAM needs them")
+            raise DataError("the recording has no pictures; SLAM needs them")
         slam = resolve(backend)(data.calibration) if ":" in backend else make_backend(backend, data.calibration, seed)
         total = max(len(data.frame_times_ns), 1)
         seen = 0

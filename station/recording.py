@@ -16,7 +16,7 @@ from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBa
 from station.config import RecordingConfig, SlamConfig
 from station.drive_library import DriveRecord
 from station.drives import Drives
-from station.events import LogLine, Teller
+from station.events import Level, LogLine, Teller
 from station.frames import DriveSample, ImageFrame
 from station.kept_recordings import retain_recordings
 from station.link import LinkListener
@@ -30,6 +30,7 @@ from station.slam_process import SlamProcess
 
 logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1
+CANCELLED = "SLAM was cancelled; the recording is kept, and SLAM can run over it again"
 OTHER_ROBOT = "another robot was connected; this navigation ended there"
 OTHER_RUN = "the robot was started anew, its clock with it; this navigation ended there"
 
@@ -72,6 +73,16 @@ class _Running:
     imu_lost: int = 0
     told_pose_s: float = 0.0
     lost_announced: set[str] = field(default_factory=set)
+    is_cancelled: bool = False  # while it was finished
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Finishing:
+    """A drive whose recording has ended and whose SLAM has not."""
+
+    running: _Running
+    task: asyncio.Task[None]
+    why: str  # the recording ended, in a sentence, where it was not a person who asked
 
 
 class Recording:
@@ -97,7 +108,7 @@ class Recording:
         self._make_recorder = make_recorder
         self._on_pose = on_pose
         self._running: _Running | None = None
-        self._finishing: dict[str, asyncio.Task[None]] = {}
+        self._finishing: dict[str, _Finishing] = {}
         self._times_shown = 0
         self.live: LiveSlam | None = None
 
@@ -111,10 +122,16 @@ class Recording:
         """The drive being recorded."""
         return None if self._running is None else self._running.drive
 
+    @property
+    def left_to_do(self) -> str:
+        """How far SLAM is with the drive of `live` while it finishes that, in a sentence; else empty."""
+        finishing = None if self.live is None else self._finishing.get(self.live.navigation_id)
+        return "" if finishing is None else _left_to_do(finishing.running)
+
     def start(self, hello: Hello, name: str) -> DriveRecord:
         """Begin a drive. Raises Conflict when one is being recorded, DataError when there is no room for it."""
         if self._running is not None:
-            raise Conflict(f"{self._running.drive.id} is being recorded; stop it first")
+            raise Conflict(f"{self._running.drive.name} is being recorded; stop it first")
         drive_id = self._library.new_id()
         drive = DriveRecord(
             id=drive_id,
@@ -161,19 +178,32 @@ class Recording:
         drive = self._library.get(drive_id)
         running = self._running
         if running is None or running.drive.id != drive_id:
-            raise Conflict(f"{drive_id} is not being recorded (it is {drive.state})")
+            raise Conflict(f"{drive.name} is not being recorded (it is {drive.state})")
         return self._end(running, "")
+
+    def cancel(self, drive_id: str) -> DriveRecord:
+        """Give up what SLAM still computes of a drive; its recording stays. Raises Unknown, Conflict."""
+        drive = self._library.get(drive_id)
+        finishing = self._finishing.get(drive_id)
+        if finishing is None:
+            raise Conflict(f"{drive.name} is not being finished (it is {drive.state})")
+        finishing.running.is_cancelled = True
+        finishing.running.slam.give_up()
+        return drive
 
     def _end(self, running: _Running, why: str) -> DriveRecord:
         """End recording; `why` in a sentence where it was not a person who asked."""
         self._running = None
         self._drives.end(running.drive.id)
-        drive = replace(self._counted(running), state="finishing", message=why or "computing trajectory and landmarks")
+        message = "; ".join(filter(None, (why, _left_to_do(running))))
+        running.drive = drive = replace(self._counted(running), state="finishing", message=message)
         # First what closes recorder and SLAM: nothing that fails here may leave them open.
-        self._finishing[drive.id] = asyncio.create_task(self._finish(running, drive, why), name=f"finish {drive.id}")
+        task = asyncio.create_task(self._finish(running, drive, why), name=f"finish {drive.id}")
+        self._finishing[drive.id] = _Finishing(running, task, why)
         if why:
             self._events.say("navigation", f"{drive.name}: {why}", "warning")
         self._drives.keep(drive)
+        self._events.changed("pose")  # SLAM's state is another one
         return drive
 
     async def show(self, drive_id: str) -> None:
@@ -195,9 +225,10 @@ class Recording:
             await running.slam.close(at_once=True)
             self._drives.keep(replace(self._counted(running), state="failed", message="the station was stopped"))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
-        for task in self._finishing.values():
+        tasks = [finishing.task for finishing in self._finishing.values()]
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(*self._finishing.values(), return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
         running = self._running
@@ -279,11 +310,19 @@ class Recording:
             recorder.on_log(line)
 
     def refresh(self) -> None:
-        """Once a second: the counts of the running drive."""
+        """Once a second: the counts of the running drive, and how far those are whose SLAM finishes."""
         if self._running is not None:
             self._running.drive = self._counted(self._running)
             self._drives.tell(self._running.drive)
             self._tell_recorder_error(self._running)
+        for finishing in self._finishing.values():
+            running = finishing.running
+            message = "; ".join(filter(None, (finishing.why, _left_to_do(running))))
+            if message != running.drive.message:
+                running.drive = replace(running.drive, message=message)
+                self._library.remember(running.drive)
+                self._drives.tell(running.drive)
+                self._events.changed("pose")
 
     def _tell_recorder_error(self, running: _Running) -> None:
         error = "" if running.recorder is None else running.recorder.error
@@ -325,10 +364,12 @@ class Recording:
                 self.live = finished
             self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
         except (RobotSystemError, OSError) as exc:
-            said = [why, running.slam.trouble or str(exc), _refused(running.slam)]
+            cause = CANCELLED if running.is_cancelled else running.slam.trouble or str(exc)
+            said = [why, cause, _refused(running.slam)]
             drive = replace(drive, state="failed", message="; ".join(filter(None, said)))
             running.live.message = drive.message
-            self._events.say("navigation", f"{drive.name}: {drive.message}", "error")
+            level: Level = "warning" if running.is_cancelled else "error"
+            self._events.say("navigation", f"{drive.name}: {drive.message}", level)
         finally:
             if drive.state == "finishing":
                 text = "the station was stopped before this navigation was finished"
@@ -361,6 +402,15 @@ class Recording:
             slam_failures=running.slam.failures,
             duration_s=0.0 if first_ns is None else (running.last_frame_ns - first_ns) * 1e-9,
         )
+
+
+def _left_to_do(running: _Running) -> str:
+    """How far SLAM is with a drive whose recording has ended, in a sentence."""
+    total = running.num_frames - running.slam.frames_dropped
+    waiting = running.slam.frames_waiting
+    if waiting:
+        return f"finishing: {max(0, total - waiting)} of {total} pictures were looked at"
+    return "finishing: computing trajectory and landmarks"
 
 
 def _restarted(slam: SlamProcess) -> str:

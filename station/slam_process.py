@@ -79,6 +79,11 @@ class SlamProcess:
         """Frames that found a full queue."""
         return self._dropped["frame"] + self._worker.dropped.get("frame", 0)
 
+    @property
+    def frames_waiting(self) -> int:
+        """Frames that SLAM has not looked at yet."""
+        return self._worker.waiting("frame")
+
     def post(self, method: str, *arguments: Any, kind: str = "") -> bool:
         """Hand on sensor data. False when older ones were dropped for them, and not only because SLAM is lost."""
         return self._worker.post(method, *arguments, kind=kind) or bool(self.trouble)
@@ -89,6 +94,11 @@ class SlamProcess:
         await asyncio.wait({self._starting})
         report: NavigationReport = await self._worker.call("finish", drive_id, folder)
         return report
+
+    def give_up(self) -> None:
+        """End the process in the middle of its work: `finish` raises WorkerDied then."""
+        self._ended = True
+        self._worker.kill()
 
     async def close(self, *, at_once: bool = False) -> None:
         """End the process, also one that is just being started; `at_once`: in the middle of its work."""

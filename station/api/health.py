@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+import tomllib
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 from fastapi import APIRouter, Response
 from prometheus_client import CollectorRegistry, generate_latest
@@ -44,10 +46,12 @@ async def metrics(station: StationDep) -> Response:
 
 
 def program_version() -> str:
+    """Of the installed package; in a folder of sources that nobody installed, of these."""
     try:
         return version("sentinel-robot")
     except PackageNotFoundError:
-        return "0 (not installed)"
+        sources = Path(__file__).parents[2] / "pyproject.toml"
+        return str(tomllib.loads(sources.read_text())["project"]["version"]) if sources.is_file() else "unknown"
 
 
 class _StationCollector:

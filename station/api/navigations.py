@@ -44,6 +44,12 @@ async def stop(navigation_id: str, station: StationDep) -> NavigationModel:
     return navigation_model(station.stop_drive(navigation_id))
 
 
+@router.post("/navigations/{navigation_id}/cancel", summary="Give up finishing", responses=responses(404, 409))
+async def cancel_finishing(navigation_id: str, station: StationDep) -> NavigationModel:
+    """While the state is "finishing"; it goes to "failed". The recording stays, and can be processed again."""
+    return navigation_model(station.cancel_drive(navigation_id))
+
+
 @router.delete(
     "/navigations/{navigation_id}",
     summary="Delete a navigation",
@@ -91,7 +97,7 @@ async def download(navigation_id: str, name: str, station: StationDep) -> FileRe
     else:
         raise Unknown(f"there is no file {name!r}; recording.mcap, {' and '.join(DOWNLOADS)} can be downloaded")
     if drive.state == "recording" or not path.is_file():
-        raise Conflict(f"{navigation_id} has no {name} now (it is {drive.state})")
+        raise Conflict(f"{drive.name} has no {name} now (it is {drive.state})")
     kind = DOWNLOADS.get(name, "application/octet-stream")
     return FileResponse(path, media_type=kind, filename=f"{navigation_id}-{name}")
 

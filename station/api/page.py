@@ -10,6 +10,7 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from station.refusals import Unknown
 
 DIST = Path(__file__).parents[1] / "web" / "dist"
+ICON = Path(__file__).parents[1] / "web" / "public" / "favicon.svg"  # there also where the page was not built
 # What the page may do: only this origin, no inline scripts; blob: are the pictures it decodes itself.
 POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws: wss:; "
@@ -24,7 +25,8 @@ but the page's files were not made when it was installed, for example because th
 <p>Build them with <code>python station/web/build_hook.py</code> in the project's folder, then reload.</p></body>
 </html>"""
 DOCS = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Sentinel API</title>
-<meta name="viewport" content="width=device-width,initial-scale=1"><link rel="stylesheet" href="/docs/swagger-ui.css">
+<meta name="viewport" content="width=device-width,initial-scale=1"><link rel="icon" href="/favicon.svg">
+<link rel="stylesheet" href="/docs/swagger-ui.css">
 </head><body><div id="api"></div><script src="/docs/swagger-ui-bundle.js"></script>
 <script src="/docs/start.js"></script>
 </body></html>"""
@@ -48,7 +50,13 @@ async def asset(name: str) -> Response:
 
 @router.get("/favicon.svg")
 async def favicon() -> Response:
-    return _file(DIST / "favicon.svg", "public, max-age=86400")
+    return _file(ICON, "public, max-age=86400")
+
+
+@router.get("/favicon.ico")
+async def favicon_of_old() -> Response:
+    """Browsers ask for it beside whatever names no icon, such as an answer of the API."""
+    return _file(ICON, "public, max-age=86400")
 
 
 @router.get("/docs")

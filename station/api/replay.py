@@ -147,7 +147,7 @@ def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
     drive = station.drives.library.get(navigation_id)
     path = station.drives.library.folder(navigation_id) / "recording.mcap"
     if drive.state == "recording" or not path.is_file():
-        raise Conflict(f"{navigation_id} has no recording to play now (it is {drive.state})")
+        raise Conflict(f"{drive.name} has no recording to play now (it is {drive.state})")
     if from_s >= drive.duration_s > 0:
         raise OutOfRange(f"from_s {from_s:g} is after the last picture: {navigation_id} lasts {drive.duration_s:.1f} s")
     return path
@@ -156,5 +156,5 @@ def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
 async def _load(station: Station, navigation_id: str) -> Navigation:
     drive = station.drives.library.get(navigation_id)
     if drive.state != "ready":
-        raise Conflict(f"{navigation_id} is {drive.state}, not ready: {drive.message}")
+        raise Conflict(f"{drive.name} is {drive.state}, not ready: {drive.message}")
     return await asyncio.to_thread(load_navigation, station.drives.library.navigation_folder(navigation_id))

@@ -329,10 +329,11 @@ def slam_model(robot: RobotSession) -> SlamModel:
     camera = hello.calibration.camera if hello else None
     T_body_cam = camera.T_body_cam_matrix if camera else np.eye(4)
     is_running = robot.recording.running is not None and robot.recording.running.id == live.navigation_id
+    left_to_do = robot.recording.left_to_do
     return SlamModel(
         navigation=live.navigation_id,
-        state=(live.state or "initialising") if is_running else "finished",
-        message=live.message,
+        state=(live.state or "initialising") if is_running else "finishing" if left_to_do else "finished",
+        message=left_to_do or live.message,
         landmarks=live.num_landmarks,
         frames=live.frames,
         t_robot_ns=pose.t_robot_ns if pose else None,

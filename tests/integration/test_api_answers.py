@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 import websockets
 
+from station.maps.store import MapStore
 from tests.integration.test_station_drives import keep_drive
 from tests.station_at_work import at_work, is_problem, wait_for
 from tests.station_support import running_station, store_map
@@ -70,12 +72,46 @@ async def test_drives_and_maps_are_renamed_and_their_clouds_are_ply_files(tmp_pa
             ply = await desk.http.get(f"{path}/landmarks?format=ply")
             assert f"element vertex {len(place_map.navigation.landmarks)}".encode() in ply.content
             assert (await desk.http.patch(path, json={"name": "  Ground  floor "})).json()["name"] == "Ground floor"
-            assert is_problem(await desk.http.patch(path, json={"name": "   "}), 409)
+            for blank in ("", "   "):
+                refused = await desk.http.patch(path, json={"name": blank})
+                assert is_problem(refused, 422) and "needs a character" in refused.json()["detail"]
             assert is_problem(await desk.http.patch(f"{path}-not", json={"name": "x"}), 404)
         assert (await desk.http.get("/graph")).json()["metric"] is True
     async with running_station(1, tmp_path) as desk:
         names = [(await desk.http.get(path)).json()[0]["name"] for path in ("/maps", "/navigations")]
         assert names == ["Ground floor", "Ground floor"]
+
+
+async def test_an_answer_of_the_api_has_an_icon_and_the_documentation_a_version(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        for path in ("/favicon.ico", "/favicon.svg"):  # browsers ask for the first beside whatever names none
+            icon = await desk.http.get(path)
+            assert icon.status_code == 200 and icon.headers["content-type"].startswith("image/svg")
+        assert re.fullmatch(r"\d+\.\d+.*", (await desk.http.get("/openapi.json")).json()["info"]["version"])
+
+
+async def test_undoing_a_change_of_places_leaves_the_maps_name(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    path = f"/places/{place_map.places[0].id}"
+    async with running_station(1, tmp_path) as desk:
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        await desk.http.patch(path, json={"name": "Kitchen"})
+        await desk.http.patch(f"/maps/{place_map.id}", json={"name": "Ground floor"})
+        await desk.http.patch(path, json={"name": "Scullery"})
+        await desk.http.patch(f"/maps/{place_map.id}", json={"name": "Upstairs"})
+        changes = (await desk.http.get("/places/changes")).json()
+        assert [change["why"] for change in changes] == [
+            "Kitchen is Scullery now", f"{place_map.places[0].name} is Kitchen now"]  # fmt: skip
+        for wanted, words in ((99, "no change of the places"), (changes[1]["version"], "another change came after")):
+            refused = await desk.http.post("/places/undo", json={"version": wanted})
+            assert is_problem(refused, 409) and words in refused.json()["detail"]
+        for change, name in zip(changes, ("Kitchen", place_map.places[0].name), strict=True):
+            undone = await desk.http.post("/places/undo", json={"version": change["version"]})
+            assert undone.json()["why"] == change["why"]
+            assert (await desk.http.get(path)).json()["name"] == name
+            assert [m["name"] for m in (await desk.http.get("/maps")).json()] == ["Upstairs"]
+        assert is_problem(await desk.http.post("/places/undo"), 409)
+    assert MapStore(tmp_path / "maps").load(place_map.id).name == "Upstairs"
 
 
 async def test_a_merge_leaves_the_other_places_their_colours(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from station.config import SlamConfig
 from station.drive_library import DriveLibrary, DriveRecord
 from station.drives import Drives
 from station.events import Events
-from station.recording import DriveRecorder, Recording
+from station.recording import CANCELLED, DriveRecorder, Recording
+from station.refusals import Conflict
 from station.slam_process import MAX_DEATHS
 from station.workers import WorkerDied
 from tests.link_support import Notes, until
@@ -34,6 +35,9 @@ class FakeWorker:
         self.on_failure: Callable[[str], None] = on_failure
         self.dropped: dict[str, int] = {}
         self.posted: list[str] = []
+        self.num_waiting = 0
+        self.may_finish = asyncio.Event()
+        self.may_finish.set()
         self.is_up = self.is_closed = self.is_dead = False
         self._begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.made.append(self)
@@ -51,11 +55,16 @@ class FakeWorker:
         self.posted.append(method)
         return not self.is_dead
 
+    def waiting(self, kind: str) -> int:
+        return self.num_waiting
+
     def kill(self) -> None:
         self.is_closed = True
+        self.may_finish.set()
 
     async def call(self, method: str, *_: object) -> Any:
-        if self.is_dead:
+        await self.may_finish.wait()
+        if self.is_dead or self.is_closed:
             raise WorkerDied("dead")
         raise EstimationError("drive longer")
 
@@ -148,6 +157,30 @@ async def test_a_drive_that_cannot_be_recorded_never_was(room: Room, tmp_path: P
     with pytest.raises(DataError, match="no space left"):
         room.recording.start(hello(), "second")
     assert room.drives.list() == [] and room.recorder.is_closed and FakeWorker.made == []
+
+
+async def test_what_is_left_to_do_after_a_drive_is_told_and_can_be_given_up(room: Room) -> None:
+    drive = room.recording.start(hello(), "Round the table")
+    worker = FakeWorker.made[0]
+    worker.may_finish.clear()
+    for number in range(5):
+        frame = CameraFrame(seq=number, t_robot_ns=number, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b"")
+        room.recording.on_frame(frame, number)
+    worker.num_waiting = 3
+    room.recording.stop(drive.id)
+    assert room.drives.get(drive.id).message == "finishing: 2 of 5 pictures were looked at"
+    worker.num_waiting = 0
+    room.recording.refresh()
+    assert room.recording.left_to_do == room.drives.get(drive.id).message == (
+        "finishing: computing trajectory and landmarks"
+    )  # fmt: skip
+    with pytest.raises(Conflict, match="Round the table is being finished"):
+        room.drives.rename(drive.id, "Other")
+    room.recording.cancel(drive.id)
+    over = await room.over(drive.id)
+    assert over.state == "failed" and over.message == CANCELLED and room.recording.left_to_do == ""
+    with pytest.raises(Conflict, match="not being finished"):
+        room.recording.cancel(drive.id)
 
 
 async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room) -> None:

@@ -128,7 +128,7 @@ class SfmBackend:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         if len(self._frames) < MIN_KEYFRAMES:
             raise EstimationError(
-                f"{len(self._frames)} keyframes are too few to reconstruct from; drive further, with texture in view"
+                f"{_keyframes(len(self._frames))} too few to reconstruct from; drive further, with texture in view"
             )
         imu = concatenate_imu(self._imu)
         if self._has_odometry and imu is not None:
@@ -205,6 +205,10 @@ class SfmBackend:
         )
         identity = f"sfm-{self._frame_times[0]}"
         return Navigation(identity, calibration, placed.trajectory, keyframes, placed.landmarks, report)
+
+
+def _keyframes(number: int) -> str:
+    return "1 keyframe is" if number == 1 else f"{number} keyframes are"
 
 
 def tracking_lost_s(t_frames_ns: np.ndarray, t_keyframes_ns: np.ndarray, max_gap_s: float = 4.0) -> float:

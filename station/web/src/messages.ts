@@ -489,7 +489,7 @@ export interface SessionModel {
 /** The running SLAM, or the last one. */
 export interface SlamModel {
   navigation: string | null;
-  state: "none" | "initialising" | "tracking" | "lost" | "finished";
+  state: "none" | "initialising" | "tracking" | "lost" | "finishing" | "finished";
   message: string;
   landmarks: number;
   frames: number;
