@@ -198,8 +198,12 @@ class CurrentPlaceEstimator:
         return Belief(place, tie, float(unmapped), self._lost)
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:
-        """The current place at this time; times before the last event are answered as of that event."""
+        """The current place at this time, or at the last event's where that is later; its `t_robot_ns` says which.
+
+        An image takes a while to be recognised; odometry has come in meanwhile, and the robot has driven on.
+        """
         self._advance(t_robot_ns)
+        t_robot_ns = max(t_robot_ns, self._t_ns or t_robot_ns)
         belief = self.belief()
         order = np.argsort(-belief.place, kind="stable")[:4]
         candidates = [self._candidate(int(i), float(belief.place[i])) for i in order]

@@ -115,6 +115,18 @@ def test_an_image_localised_late_counts_for_its_own_moment() -> None:
     assert answer.position_map is not None and answer.position_map[0] == pytest.approx(3.0, abs=0.05)
 
 
+def test_an_answer_about_the_past_says_that_it_is_about_now() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    for k in range(31):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    estimator.on_localization(seen(1.0, pose(1.0, 0.0)))
+    answer = estimator.answer(SECOND)  # of the image, when the robot is two metres farther already
+    assert answer.t_robot_ns == 3 * SECOND
+    assert answer.place is not None and answer.place.id == "map-1"
+    assert answer.position_map is not None and answer.position_map[0] == pytest.approx(3.0, abs=0.05)
+    assert answer.evidence_t_robot_ns == SECOND
+
+
 def test_failed_views_make_the_robot_doubt_the_map() -> None:
     estimator = CurrentPlaceEstimator(make_map())
     for k in range(12):
