@@ -96,7 +96,23 @@ export function toPoints(cloud: Cloud, colour?: number): THREE.Points {
   return new THREE.Points(geometry, material);
 }
 
-/** Box that holds 96 % of the points on each axis: a few stray ones must not shrink the view. */
+/** Give back what the graphics card keeps of everything below; what others use too stays. */
+export function dispose(scene: THREE.Object3D): void {
+  scene.traverse((part) => {
+    const { geometry, material: own } = part as Partial<THREE.Mesh>;
+    geometry?.dispose();
+    for (const one of Array.isArray(own) ? own : own ? [own] : []) {
+      if (one === material) continue; // of all clouds
+      (one as THREE.MeshBasicMaterial).map?.dispose();
+      one.dispose();
+    }
+  });
+}
+
+/**
+ * Box of the points. A few stray ones must not shrink the view: it reaches out from where 96 % of them are on each axis by
+ * no more than a quarter of that, so that a room with few landmarks at the end of a corridor is in it.
+ */
 export function extent(cloud: Cloud): THREE.Box3 | null {
   const floats = cloud.buffer.array as Float32Array;
   const count = floats.length / 4;
@@ -107,8 +123,11 @@ export function extent(cloud: Cloud): THREE.Box3 | null {
     const values: number[] = [];
     for (let i = 0; i < count; i += step) values.push(floats[i * 4 + axis]!);
     values.sort((a, b) => a - b);
-    box.min.setComponent(axis, values[Math.floor(values.length * 0.02)]!);
-    box.max.setComponent(axis, values[Math.ceil(values.length * 0.98) - 1]!);
+    const at = (share: number) => values[Math.min(values.length - 1, Math.floor(values.length * share))]!;
+    const [low, high] = [at(0.02), at(0.98)];
+    const reach = (high - low) / 4;
+    box.min.setComponent(axis, Math.max(at(0.001), low - reach));
+    box.max.setComponent(axis, Math.min(at(0.999), high + reach));
   }
   return box;
 }

@@ -58,7 +58,7 @@ export function toast(text: string, action = "", act: () => Promise<unknown> = a
 
 /** Run an action of a button; its failure becomes a sentence on the screen. */
 export function attempt(action: () => Promise<unknown>): void {
-  action().catch((error: unknown) => toast(error instanceof Error ? error.message : String(error)));
+  action().catch((error: unknown) => toast(sentence(error)));
 }
 
 export interface Field {
@@ -68,7 +68,7 @@ export interface Field {
 }
 
 /** Ask for some texts or numbers, or for consent when there is no field. Null when the person changes their mind. */
-export function askAll(title: string, confirm: string, fields: Field[], note = ""): Promise<string[] | null> {
+export function askAll(title: string, confirm: string, fields: Field[], note = "", refuse = "Cancel"): Promise<string[] | null> {
   const dialog = by<HTMLDialogElement>("ask");
   return new Promise((resolve) => {
     const inputs = fields.map(({ value, isNumber }) =>
@@ -82,7 +82,7 @@ export function askAll(title: string, confirm: string, fields: Field[], note = "
       make(
         "div",
         { class: "row end" },
-        make("button", { type: "button", class: "quiet", onclick: () => dialog.close("") }, "Cancel"),
+        make("button", { type: "button", class: "quiet", onclick: () => dialog.close("") }, refuse),
         make("button", { type: "submit", class: "primary", value: "yes" }, confirm),
       ),
     );
@@ -95,9 +95,44 @@ export function askAll(title: string, confirm: string, fields: Field[], note = "
   });
 }
 
-/** Ask for one text. Null when the person changes their mind. */
-export async function ask(title: string, confirm: string, field: Field): Promise<string | null> {
-  return (await askAll(title, confirm, [field]))?.[0] ?? null;
+/** Ask for one text until it is taken: the dialog stays open, and says why, while `take` refuses. False: gave up. */
+export function askUntil(title: string, confirm: string, field: Field, take: (text: string) => Promise<void>): Promise<boolean> {
+  const dialog = by<HTMLDialogElement>("ask");
+  return new Promise((resolve) => {
+    const why = make("p", { class: "note bad", role: "alert", id: "ask-why" });
+    const input = make("input", { value: field.value, maxlength: "80", required: true, "aria-describedby": "ask-why" });
+    const yes = make("button", { type: "submit", class: "primary" }, confirm);
+    const form = make(
+      "form",
+      { method: "dialog" },
+      make("h2", {}, title),
+      make("label", {}, field.label, input),
+      why,
+      make("div", { class: "row end" }, make("button", { type: "button", class: "quiet", onclick: () => dialog.close("") }, "Cancel"), yes),
+    );
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      yes.disabled = true;
+      take(input.value.trim()).then(
+        () => dialog.open && form.isConnected && dialog.close("yes"),
+        (error: unknown) => {
+          setText(why, sentence(error));
+          yes.disabled = false;
+          input.select();
+        },
+      );
+    });
+    dialog.setAttribute("aria-label", title);
+    dialog.replaceChildren(form);
+    dialog.onclose = () => resolve(dialog.returnValue === "yes");
+    dialog.returnValue = "";
+    dialog.showModal();
+    input.select();
+  });
+}
+
+function sentence(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
 }
 
 export const percent = (p: number): string => `${Math.round(p * 100)} %`;
@@ -106,6 +141,22 @@ export function clock(unixS: number): string {
   return new Date(unixS * 1000).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
 }
 
+/** A day, written as in the names that the station gives: 21 Nov 2026. */
+export function date(unixS: number): string {
+  return new Date(unixS * 1000).toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric" });
+}
+
 export function duration(s: number): string {
-  return s < 60 ? `${s.toFixed(0)} s` : `${Math.floor(s / 60)} min ${Math.round(s % 60)} s`;
+  const whole = Math.round(s);
+  return whole < 60 ? `${whole} s` : `${Math.floor(whole / 60)} min ${whole % 60} s`;
+}
+
+/** A running time, short: 1:05. */
+export function minutes(s: number): string {
+  return `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
+}
+
+/** So many of something: 1 landmark, 2,000 landmarks. */
+export function count(number: number, word: string): string {
+  return `${number.toLocaleString("en")} ${word}${number === 1 ? "" : "s"}`;
 }

@@ -29,6 +29,7 @@ export class DriveControl {
   private heardMs: number | null = null; // the station's clock: shows that a command is not old when it arrives
   private isDriving = false;
   private youDrive = false;
+  private driver: string | null = null;
   private able: CapabilitiesModel | null = null;
   private connected = false;
   private whyTimer = 0;
@@ -82,6 +83,7 @@ export class DriveControl {
   }
 
   showDriver(driver: string | null): void {
+    this.driver = driver;
     this.youDrive = driver === driverName;
     const other = driver !== null && !this.youDrive;
     const free = !this.connected ? "No robot" : this.able?.drive ? "Hold to drive" : "This robot cannot drive";
@@ -133,12 +135,13 @@ export class DriveControl {
       this.halt("your token may only watch");
       return;
     }
-    if (this.video.hasPicture && this.video.isStale) {
-      this.halt(`the picture is ${(this.video.ageMs / 1000).toFixed(1)} s old`);
-      return;
-    }
     if (!this.connected || !this.able) {
       this.halt("no robot is connected");
+      return;
+    }
+    const doubt = this.handsElsewhere() || this.blind();
+    if (doubt) {
+      this.halt(doubt);
       return;
     }
     const limit = Number(by<HTMLInputElement>("speed").value) / 100;
@@ -153,6 +156,19 @@ export class DriveControl {
     }
     this.isDriving = true;
     showVelocity(linear, angular);
+  }
+
+  /** Why this page shows nothing to drive by; empty when it does, and for a robot that has no camera. */
+  private blind(): string {
+    if (!this.able?.camera) return "";
+    if (!this.video.hasPicture) return "no picture of the robot has come yet";
+    return this.video.isStale ? `the picture is ${(this.video.ageMs / 1000).toFixed(1)} s old` : "";
+  }
+
+  /** Why the keyboard is somewhere where a STOP by the space bar might not be heard; empty when it is not. */
+  private handsElsewhere(): string {
+    if (document.querySelector("dialog[open]")) return "a dialog is open";
+    return document.activeElement instanceof HTMLSelectElement ? "a list is being chosen from" : "";
   }
 
   private stopDriving(reason: string): void {
@@ -239,10 +255,17 @@ export class DriveControl {
     addEventListener("keydown", (event) => {
       // What is let go beside ⌘ is never told to a page (macOS): the robot would drive on.
       if (event.key === "Meta" && this.keys.size) this.halt("the Command or Windows key was pressed");
-      if (isTyping(event.target) || document.querySelector("dialog[open]")) return;
+      if (isTyping(event.target)) return;
       if (event.code === "Space") {
+        if (isTicked(event.target)) {
+          // Its only key: it ticks the box, and stops what moves.
+          if (this.driver !== null && !event.repeat) this.emergencyStop("STOP key");
+          return;
+        }
         event.preventDefault();
         if (!event.repeat) this.emergencyStop("STOP key");
+      } else if (document.querySelector("dialog[open]") || event.target instanceof HTMLSelectElement) {
+        return;
       } else if (event.code in KEYS && !isSlider(event.target) && !event.ctrlKey && !event.metaKey && !event.altKey) {
         event.preventDefault();
         if (event.repeat) return; // a key that was held while we stopped must be pressed anew
@@ -292,7 +315,11 @@ function showVelocity(linear: number, angular: number): void {
 
 function isTyping(target: EventTarget | null): boolean {
   if (!(target instanceof HTMLElement)) return false;
-  return target.matches("input:not([type=range]), textarea, select, [contenteditable]");
+  return target.matches("input:not([type=range], [type=checkbox], [type=radio]), textarea, [contenteditable]");
+}
+
+function isTicked(target: EventTarget | null): boolean {
+  return target instanceof HTMLElement && target.matches("input[type=checkbox], input[type=radio]");
 }
 
 function isSlider(target: EventTarget | null): boolean {

@@ -1,6 +1,6 @@
 // What can be done with one recorded navigation.
 import { call } from "./api";
-import { attempt, by, duration, make, present } from "./dom";
+import { attempt, by, count, duration, make, present } from "./dom";
 import type { NavigationModel } from "./messages";
 
 export interface DriveActions {
@@ -31,8 +31,8 @@ export function openDrive(n: NavigationModel, others: NavigationModel[], actions
   const isReady = n.state === "ready";
   dialog.replaceChildren(...present(
     make("h2", {}, n.name),
-    make("p", { class: "note" }, isReady ? `${duration(n.duration_s)} · ${n.frames} pictures · ${n.landmarks.toLocaleString()} landmarks · SLAM ${n.backend}` : n.message),
-    n.frames_skipped > 0 && make("p", { class: "note" }, `Live SLAM left out ${n.frames_skipped} pictures that the recording has.`),
+    make("p", { class: "note" }, isReady ? `${duration(n.duration_s)} · ${count(n.frames, "picture")} · ${count(n.landmarks, "landmark")} · SLAM ${n.backend}` : n.message),
+    n.frames_skipped > 0 && make("p", { class: "note" }, `Live SLAM left out ${count(n.frames_skipped, "picture")} that the recording has.`),
     isReady && others.length > 0 && make(
       "fieldset",
       {},

@@ -1,6 +1,6 @@
 // The place graph in the 3D view: lines with bearings, names of places.
 import * as THREE from "three";
-import { PALETTE } from "./cloud";
+import { dispose, PALETTE } from "./cloud";
 import { make } from "./dom";
 import type { Labels } from "./labels";
 import type { GraphModel, PlaceModel } from "./messages";
@@ -14,8 +14,10 @@ export class Graph3d {
 
   /** Show this graph, or none, instead of the one before. */
   show(graph: GraphModel | null, group: THREE.Group, onPlace: (place: PlaceModel) => void): void {
-    this.lines?.removeFromParent();
-    this.lines?.geometry.dispose();
+    if (this.lines) {
+      this.lines.removeFromParent();
+      dispose(this.lines);
+    }
     this.lines = null;
     this.labels.clear();
     if (!graph) return;

@@ -81,13 +81,19 @@ export class HealthView {
   }
 
   private drawGuide(): void {
-    const hasDrive = [...this.library.navigations.values()].some((n) => n.state === "ready");
+    const drives = [...this.library.navigations.values()];
+    const hasDrive = drives.some((n) => n.state === "ready");
+    const recordHow = this.library.recording
+      ? "Drive slowly through every room, look around, and come back. Then press Stop recording."
+      : drives.some((n) => n.state === "finishing")
+        ? "The recording has ended, and SLAM finishes it: below you see how far it is."
+        : "Press Record, drive slowly through every room, look around, and come back. Then stop.";
     const hasMap = this.library.maps.length > 0;
     const isUsed = this.library.maps.some((m) => m.active);
     const robot = this.robot;
     const steps: [boolean, string, string][] = [
       [Boolean(robot?.connected), "Connect a robot", `Start \`robot-server\` on it; this station looks ${robot?.host === "auto" ? "in the whole network" : `at ${robot?.host ?? ""}:${robot?.port ?? ""} (elsewhere: \`station serve --robot HOST:PORT\`, or \`--robot auto\` to search the network)`}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`],
-      [hasDrive || hasMap, "Record a navigation", "Press Record, drive slowly through every room, look around, and come back. Then stop."],
+      [hasDrive || hasMap, "Record a navigation", recordHow],
       [hasMap, "Build a map", "Press Build map beside the navigation: its landmarks become places."],
       [isUsed, "Ask where it is", "Choose the map, pick the robot up, put it down anywhere: the page names the place."],
     ];

@@ -1,11 +1,12 @@
 // Navigations and maps: record, stop, build, choose, name, delete.
 import { call } from "./api";
-import { ask, askAll, attempt, by, duration, make, setText, show, toast } from "./dom";
+import { askAll, askUntil, attempt, by, count, date, duration, make, minutes, setText, show, toast } from "./dom";
 import { openDrive } from "./drive_dialog";
 import { openMap } from "./map_dialog";
 import { Refresh } from "./refresh";
 import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
 import { isShown } from "./robots";
+import { action, Rows } from "./rows";
 
 export class Library {
   navigations = new Map<string, NavigationModel>();
@@ -16,6 +17,11 @@ export class Library {
   private readonly binList = new Refresh(() => this.fetchBin());
   private readonly comparisonList = new Refresh(() => this.fetchComparisons());
   private readonly mapList = new Refresh(() => this.fetchMaps());
+  private readonly jobRows = new Rows<JobModel>(by("jobs"), (j) => j.id, (j, now) => this.jobRow(j, now));
+  private readonly navigationRows = new Rows<NavigationModel>(by("navigations"), (n) => n.id, (n, now) => this.navigationRow(n, now));
+  private readonly mapRows = new Rows<MapModel>(by("maps"), (m) => m.id, (m, now) => this.mapRow(m, now));
+  private readonly comparisonRows = new Rows<ComparisonModel>(by("comparisons"), (c) => c.id, (c, now) => this.comparisonRow(c, now));
+  private readonly binRows = new Rows<BinModel>(by("bin-list"), (b) => `${b.kind} ${b.id}`, (b, now) => this.binRow(b, now));
   private connected = false;
   onChange: () => void = () => {};
   onReplay: (navigation: NavigationModel) => Promise<void> = async () => {};
@@ -49,17 +55,12 @@ export class Library {
     const deleted = await call<BinModel[]>("GET", "/bin");
     show(by("bin"), deleted.length > 0);
     setText(by("bin-summary"), `Recently deleted (${deleted.length})`);
-    by("bin-list").replaceChildren(...deleted.map((entry) => {
-      const restore = () => attempt(() => call("POST", `/${entry.kind}s/${entry.id}/restore`));
-      const gone = new Date(entry.gone_unix_s * 1000).toLocaleDateString();
-      return make("li", {}, make("div", {}, title(entry.name), make("span", { class: "note" }, `${entry.kind} · gone for good on ${gone}`)),
-        make("button", { type: "button", class: "small", "aria-label": `Restore ${entry.name}`, onclick: restore }, "Restore"));
-    }));
+    this.binRows.show(deleted);
   }
 
   private async fetchComparisons(): Promise<void> {
     const made = await call<ComparisonModel[]>("GET", "/comparisons");
-    by("comparisons").replaceChildren(...made.slice(0, 6).map((c) => this.comparisonRow(c)));
+    this.comparisonRows.show(made.slice(0, 6));
   }
 
   private async fetchNavigations(): Promise<void> {
@@ -118,8 +119,10 @@ export class Library {
   }
 
   private async rename(path: string, name: string, what: string): Promise<void> {
-    const wanted = await ask(`Name this ${what}`, "Save", { label: "Name", value: name });
-    if (wanted && wanted !== name) await call("PATCH", path, { name: wanted });
+    const save = async (wanted: string) => {
+      if (wanted !== name) await call("PATCH", path, { name: wanted });
+    };
+    await askUntil(`Name this ${what}`, "Save", { label: "Name", value: name }, save);
   }
 
   private async removeComparison(c: ComparisonModel): Promise<void> {
@@ -139,49 +142,59 @@ export class Library {
     const record = by<HTMLButtonElement>("record");
     record.classList.toggle("on", Boolean(running));
     record.disabled = !running && !this.connected;
-    setText(record.querySelector<HTMLElement>(".text")!, running ? `Stop recording (${duration(running.duration_s)})` : "Record");
+    setText(record.querySelector<HTMLElement>(".text")!, running ? `Stop recording · ${minutes(running.duration_s)}` : "Record");
     show(by("rec"), Boolean(running));
-    by("jobs").replaceChildren(...[...this.jobs.values()].filter((j) => j.state === "running").map((j) => this.jobRow(j)));
+    this.jobRows.show([...this.jobs.values()].filter((j) => j.state === "running"));
     const drives = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();
-    by("navigations").replaceChildren(...drives.slice(0, 12).map((n) => this.navigationRow(n)));
-    by("maps").replaceChildren(...this.maps.map((m) => this.mapRow(m)));
+    this.navigationRows.show(drives.slice(0, 12));
+    this.mapRows.show(this.maps);
     this.onChange();
   }
 
-  private jobRow(job: JobModel): HTMLElement {
-    const cancel = make("button", { type: "button", class: "small", onclick: () => attempt(() => call("DELETE", `/jobs/${job.id}`)) }, "Cancel");
+  private jobRow(job: JobModel, now: () => JobModel): HTMLElement {
+    const cancel = action("cancel", "Cancel", `Cancel: ${job.title}`, () => attempt(() => call("DELETE", `/jobs/${now().id}`)));
     const bar = make("progress", { max: "1", value: String(job.progress), "aria-label": job.title });
     return make("div", { class: "job" }, make("p", {}, `${job.title}: ${job.message}`), make("div", { class: "row" }, bar, cancel));
   }
 
-  private navigationRow(n: NavigationModel): HTMLElement {
-    const about =
-      n.state === "ready" ? `${duration(n.duration_s)} · ${n.landmarks.toLocaleString()} landmarks` :
-      n.state === "finishing" ? "computing trajectory and landmarks…" : n.message;
+  private navigationRow(n: NavigationModel, now: () => NavigationModel): HTMLElement {
+    const about = n.state === "ready" ? `${duration(n.duration_s)} · ${count(n.landmarks, "landmark")}` : n.message;
     const actions = make("div", { class: "row" });
-    if (n.state === "ready")
-      actions.append(make("button", { type: "button", class: "small", onclick: () => attempt(() => this.build(n)) }, "Build map"));
-    if (n.state !== "finishing")
+    if (n.state === "ready") actions.append(action("build", "Build map", "", () => attempt(() => this.build(now()))));
+    if (n.state === "finishing")
+      actions.append(action("cancel", "Cancel", `Cancel finishing ${n.name}`, () => attempt(() => this.cancel(now()))));
+    else
       actions.append(
-        make("button", { type: "button", class: "small", "aria-label": `More about ${n.name}`, onclick: () => this.openDrive(n) }, "More"),
-        this.deleteButton(`/navigations/${n.id}`, n.name),
+        action("more", "More", `More about ${n.name}`, () => this.openDrive(now())),
+        this.deleteButton(n.name, () => [`/navigations/${now().id}`, now().name]),
       );
     return make("li", { class: n.state }, make("div", {}, title(n.name), make("span", { class: "note" }, about)), actions);
   }
 
-  private mapRow(m: MapModel): HTMLElement {
+  private async cancel(n: NavigationModel): Promise<void> {
+    const note = "The recording is kept: SLAM can run over it again.";
+    if (await askAll(`Cancel finishing “${n.name}”?`, "Cancel finishing", [], note, "Go on"))
+      await call("POST", `/navigations/${n.id}/cancel`);
+  }
+
+  private mapRow(m: MapModel, now: () => MapModel): HTMLElement {
     const actions = make("div", { class: "row" });
     const use = (id: string | null) => call("PUT", "/maps/active", { id });
     if (m.active) actions.append(make("span", { class: "tick" }, "in use"));
-    else if (!m.damaged)
-      actions.append(make("button", { type: "button", class: "small", "aria-label": `Use ${m.name}`, onclick: () => attempt(() => use(m.id)) }, "Use"));
+    else if (!m.damaged) actions.append(action("use", "Use", `Use ${m.name}`, () => attempt(() => use(now().id))));
     if (!m.damaged) {
-      const more = () => openMap(m, { use, rename: () => this.rename(`/maps/${m.id}`, m.name, "map") });
-      actions.append(make("button", { type: "button", class: "small", "aria-label": `More about ${m.name}`, onclick: more }, "More"));
+      const more = () => openMap(now(), { use, rename: () => this.rename(`/maps/${now().id}`, now().name, "map") });
+      actions.append(action("more", "More", `More about ${m.name}`, more));
     }
-    if (!m.active) actions.append(this.deleteButton(`/maps/${m.id}`, m.name));
-    const about = m.damaged || `map · ${m.places} places`;
+    if (!m.active) actions.append(this.deleteButton(m.name, () => [`/maps/${now().id}`, now().name]));
+    const about = m.damaged || `map · ${count(m.places, "place")}`;
     return make("li", { class: m.damaged ? "failed" : m.active ? "in-use" : "" }, make("div", {}, title(m.name), make("span", { class: "note" }, about)), actions);
+  }
+
+  private binRow(entry: BinModel, now: () => BinModel): HTMLElement {
+    const restore = () => attempt(() => call("POST", `/${now().kind}s/${now().id}/restore`));
+    const about = `${entry.kind} · gone for good on ${date(entry.gone_unix_s)}`;
+    return make("li", {}, make("div", {}, title(entry.name), make("span", { class: "note" }, about)), action("restore", "Restore", `Restore ${entry.name}`, restore));
   }
 
   private openDrive(n: NavigationModel): void {
@@ -190,17 +203,16 @@ export class Library {
     openDrive(n, others, { replay: this.onReplay, remove: () => this.remove(path, n.name), rename: () => this.rename(path, n.name, "navigation") });
   }
 
-  private comparisonRow(c: ComparisonModel): HTMLElement {
-    const look = make("button", { type: "button", class: "small", "aria-label": `Show ${c.name}`, onclick: () => attempt(() => this.onCompare(c.id)) }, "Show");
+  private comparisonRow(c: ComparisonModel, now: () => ComparisonModel): HTMLElement {
+    const look = action("show", "Show", `Show ${c.name}`, () => attempt(() => this.onCompare(now().id)));
     const report = make("a", { class: "small", href: c.report, target: "_blank", rel: "noopener", "aria-label": `Report: ${c.name}` }, "Report");
-    const remove = make("button", { type: "button", class: "small quiet", "aria-label": `Delete ${c.name}`, onclick: () => attempt(() => this.removeComparison(c)) }, "✕");
+    const remove = action("delete", "✕", `Delete ${c.name}`, () => attempt(() => this.removeComparison(now())), "quiet");
     const about = c.accepted ? `${c.matches} of ${c.places} places found again` : "could not be registered";
     return make("li", { class: c.accepted ? "" : "failed" }, make("div", {}, title(c.name), make("span", { class: "note" }, about)), make("div", { class: "row" }, look, report, remove));
   }
 
-  private deleteButton(path: string, name: string): HTMLElement {
-    const remove = () => attempt(() => this.remove(path, name));
-    return make("button", { type: "button", class: "small quiet", "aria-label": `Delete ${name}`, onclick: remove }, "✕");
+  private deleteButton(name: string, what: () => [string, string]): HTMLElement {
+    return action("delete", "✕", `Delete ${name}`, () => attempt(() => this.remove(...what())), "quiet");
   }
 }
 

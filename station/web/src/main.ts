@@ -9,7 +9,7 @@ import { MapView } from "./map3d";
 import type { EventMessage, LogModel, RobotEntry } from "./messages";
 import { PlaceView } from "./place";
 import { Review } from "./review";
-import { showChoice } from "./robots";
+import { isGone, offerOthers, showChoice } from "./robots";
 import { VideoView } from "./video";
 
 const video = new VideoView();
@@ -54,7 +54,7 @@ function take(message: EventMessage): void {
       library.showSlam(message.slam);
       break;
     case "landmarks":
-      if (message.total) map?.suggest("live");
+      if (message.total) map?.suggestLive();
       if (map) attempt(() => map.updateLive(message.source, message.total));
       break;
     case "navigation":
@@ -62,7 +62,6 @@ function take(message: EventMessage): void {
       else attempt(() => library.reloadNavigations());
       break;
     case "map":
-      if (message.active) map?.suggest("map");
       if (map) attempt(() => map.showMap(message.active, message.revision));
       attempt(() => library.reloadMaps());
       break;
@@ -88,6 +87,7 @@ new LastingSocket(
   (open) => {
     health.setStation(open);
     if (open) attempt(load);
+    else checkRobot().catch(() => {}); // the station is away: the page says so already
   },
   true,
 );
@@ -104,6 +104,12 @@ async function load(): Promise<void> {
     call<LogModel[]>("GET", "/log").then((lines) => health.addLines(lines)),
     call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots"), robots)),
   ]);
+}
+
+/** A station that was started anew may know the robot of this address no more: then its sockets never open again. */
+async function checkRobot(): Promise<void> {
+  const robots = await call<RobotEntry[]>("GET", "/robots");
+  if (isGone(robots)) offerOthers(robots);
 }
 
 by("hijack").addEventListener("click", openHijack);

@@ -3,7 +3,7 @@ import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { call } from "./api";
 import { Camera3d } from "./camera3d";
-import { type Cloud, extent, fetchCloud, setPointSize, thinOut, toPoints } from "./cloud";
+import { type Cloud, dispose, extent, fetchCloud, setPointSize, thinOut, toPoints } from "./cloud";
 import { by, setText, show } from "./dom";
 import { Graph3d } from "./graph3d";
 import { Labels } from "./labels";
@@ -44,9 +44,12 @@ export class MapView {
   private layerBefore: Layer = "map";
   private view: View = "top";
   private chosenLayer = false;
+  private chosenBefore = false;
   private pending = false;
   private soon = 0;
   private isTurning = false; // a hand turns or moves the view
+  private isMoved = false; // one did so since all was in the picture: then it is not moved away from what the hand chose
+  private framed: THREE.Box3 | null = null; // what was in the picture then
   private resting = 0;
   private readonly pace = new Pace(this.renderer.getContext() as WebGL2RenderingContext, this.software);
   private map: { id: string | null; revision: number } = { id: null, revision: -1 };
@@ -84,7 +87,7 @@ export class MapView {
       this.resting = window.setTimeout(rest, LET_GO_MS); // the next turn of a mouse wheel comes sooner
     });
     this.controls.addEventListener("start", () => {
-      isHeld = true;
+      isHeld = this.isMoved = true;
       if (this.view === "follow") this.setView("free", false);
     });
     this.grid = new THREE.GridHelper(40, 40, 0x808890, 0x808890);
@@ -101,7 +104,7 @@ export class MapView {
       button.addEventListener("click", () => this.setView(button.dataset["view"] as View, true));
     for (const button of document.querySelectorAll<HTMLElement>("[data-layer]"))
       button.addEventListener("click", () => {
-        this.chosenLayer = true;
+        this.chosenLayer = this.chosenBefore = true;
         this.setLayer(button.dataset["layer"] as Layer);
       });
     this.setLayer("map");
@@ -144,6 +147,8 @@ export class MapView {
       this.clear("map");
       if (cloud) this.addCloud("map", cloud);
     }
+    for (const node of graph?.nodes ?? []) // the middle of a place may lie beside its cloud
+      this.boxes.map?.expandByPoint(new THREE.Vector3(...(node.centroid_map as [number, number, number])));
     if (isOther) {
       if (!this.chosenLayer) this.setLayer(map.id === null ? "live" : "map");
       this.frameAll();
@@ -208,14 +213,14 @@ export class MapView {
     if (isNew) this.frameAll();
   }
 
-  /** The layer that has something new to show, unless the person chose one. */
-  suggest(layer: Layer): void {
-    if (!this.chosenLayer) this.setLayer(layer);
+  /** Landmarks of a navigation are there: shown where there is no map to look at, and nobody chose what to see. */
+  suggestLive(): void {
+    if (!this.chosenLayer && this.wantedMap.id === null) this.setLayer("live");
   }
 
   /** Show something beside map and drive until closeReview: a recorded drive, or two that are compared. */
   openReview(content: THREE.Object3D, box: THREE.Box3 | null, points: number): void {
-    this.layerBefore = this.layer === "review" ? this.layerBefore : this.layer;
+    if (this.layer !== "review") [this.layerBefore, this.chosenBefore] = [this.layer, this.chosenLayer];
     this.clear("review");
     this.groups.review.add(content);
     this.boxes.review = box;
@@ -229,7 +234,7 @@ export class MapView {
   closeReview(): void {
     this.clear("review");
     show(by("review-layer"), false);
-    this.chosenLayer = false;
+    this.chosenLayer = this.chosenBefore;
     if (this.layer === "review") this.setLayer(this.layerBefore);
   }
 
@@ -265,6 +270,8 @@ export class MapView {
 
   private frameAll(): void {
     const box = this.boxes[this.layer] ?? new THREE.Box3(new THREE.Vector3(-3, -3, 0), new THREE.Vector3(3, 3, 1));
+    this.isMoved = false;
+    this.framed = this.boxes[this.layer]?.clone() ?? null;
     const centre = box.getCenter(new THREE.Vector3());
     const size = box.getSize(new THREE.Vector3());
     const tangent = Math.tan((this.camera.fov * Math.PI) / 360);
@@ -283,6 +290,13 @@ export class MapView {
     this.draw();
   }
 
+  /** What is shown has grown: show all of it, unless a hand chose the view, or it follows the robot. */
+  private fit(layer: Layer): void {
+    const box = this.boxes[layer];
+    if (layer !== this.layer || this.isMoved || this.view === "follow" || !box) return;
+    if (!this.framed?.containsBox(box)) this.frameAll();
+  }
+
   private follow(robot: THREE.Group): void {
     if (this.view !== "follow" || !robot.visible) return;
     const move = robot.position.clone().sub(this.controls.target);
@@ -296,6 +310,7 @@ export class MapView {
     this.points[layer] = cloud.total;
     const box = extent(cloud);
     if (box) this.boxes[layer] = this.boxes[layer]?.union(box) ?? box;
+    this.fit(layer);
     this.describe();
     this.drawSoon();
   }
@@ -304,7 +319,7 @@ export class MapView {
     for (const child of [...this.groups[layer].children]) {
       if (layer !== "review" && child === this.robot[layer].group) continue;
       this.groups[layer].remove(child);
-      child.traverse((part) => (part as THREE.Points).geometry?.dispose());
+      dispose(child);
     }
     this.boxes[layer] = null;
     this.points[layer] = 0;
@@ -317,7 +332,7 @@ export class MapView {
   private showTrack(): void {
     if (this.trackLine) {
       this.groups.live.remove(this.trackLine);
-      this.trackLine.geometry.dispose();
+      dispose(this.trackLine);
     }
     if (this.track.length < 2) return;
     const geometry = new THREE.BufferGeometry().setFromPoints(this.track);
@@ -325,6 +340,7 @@ export class MapView {
     this.groups.live.add(this.trackLine);
     const box = new THREE.Box3().setFromPoints(this.track);
     this.boxes.live = this.boxes.live?.union(box) ?? box;
+    this.fit("live");
   }
 
   private describe(): void {
@@ -341,6 +357,15 @@ export class MapView {
           ? "Landmarks appear here when a recorded navigation is finished; with SLAM by ukf while it is recorded."
           : "This navigation has no landmarks: SLAM did not finish.",
     );
+  }
+
+  /** Whether all there is lies in the picture; for tests. */
+  private isWhole(): boolean {
+    const box = this.boxes[this.layer];
+    if (!box) return true;
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map(
+      (i) => new THREE.Vector3(i & 1 ? box.max.x : box.min.x, i & 2 ? box.max.y : box.min.y, i & 4 ? box.max.z : box.min.z));
+    return corners.every((p) => Math.max(Math.abs(p.project(this.camera).x), Math.abs(p.y)) <= 1);
   }
 
   private resize(): void {
@@ -384,6 +409,7 @@ export class MapView {
     this.frames += 1;
     this.host.dataset["frames"] = String(this.frames);
     this.host.dataset["share"] = share.toFixed(3);
+    this.host.dataset["whole"] = String(this.isWhole());
   }
 }
 

@@ -1,5 +1,5 @@
 // What can be done with one map.
-import { attempt, by, make, present } from "./dom";
+import { attempt, by, count, make, present } from "./dom";
 import type { MapModel } from "./messages";
 
 export interface MapActions {
@@ -14,7 +14,7 @@ export function openMap(m: MapModel, actions: MapActions): void {
   const file = (href: string, name: string, text: string) => make("a", { class: "small", href, download: name }, text);
   dialog.replaceChildren(...present(
     make("h2", {}, m.name),
-    make("p", { class: "note" }, m.active ? `${m.places} places · in use: the current place is looked for in it.` : `${m.places} places · use it to see them, and to ask where the robot is.`),
+    make("p", { class: "note" }, m.active ? `${count(m.places, "place")} · in use: the current place is looked for in it.` : `${count(m.places, "place")} · use it to see them, and to ask where the robot is.`),
     make("div", { class: "row wrap" }, make("span", { class: "note" }, "Download"),
       m.active && file("/graph?format=graphml", `${m.id}.graphml`, "GraphML"), file(`/maps/${m.id}/landmarks?format=ply`, `${m.id}.ply`, "PLY")),
     make("div", { class: "row end wrap" },

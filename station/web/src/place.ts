@@ -1,8 +1,9 @@
 // The current place in large letters, why, and where the robot was before.
 import { call } from "./api";
 import { PALETTE } from "./cloud";
-import { ask, attempt, by, clock, duration, make, percent, present, setText, show, toast } from "./dom";
+import { askUntil, attempt, by, clock, count, duration, make, percent, present, setText, show, toast } from "./dom";
 import type { CurrentPlace, PlaceChange, PlaceModel, PlacesChangeModel, VisitModel } from "./messages";
+import { action, Rows } from "./rows";
 
 const TIMELINE_S = 180;
 
@@ -11,6 +12,10 @@ export class PlaceView {
   private places: PlaceModel[] = [];
   private colours = new Map<string, number>();
   private current: string | null = null;
+  private readonly hiddenRows = new Rows<PlaceModel>(by("hidden-places"), (p) => p.id, (place, now) => {
+    const again = () => attempt(() => change(now(), { hidden: false }));
+    return make("li", {}, make("span", {}, place.name), action("show", "Show", `Show ${place.name} again`, again));
+  });
 
   constructor() {
     setInterval(() => this.drawTimeline(), 1000);
@@ -39,13 +44,7 @@ export class PlaceView {
     this.showColour();
     const hidden = places.filter((p) => p.hidden);
     show(by("hidden"), hidden.length > 0);
-    by("hidden-places").replaceChildren(
-      ...hidden.map((place) => {
-        const again = () => attempt(() => change(place, { hidden: false }));
-        const button = make("button", { type: "button", class: "small", "aria-label": `Show ${place.name} again`, onclick: again }, "Show");
-        return make("li", {}, make("span", {}, place.name), button);
-      }),
-    );
+    this.hiddenRows.show(hidden);
   }
 
   /** Everything known of one place, and what can be made of it. */
@@ -57,17 +56,26 @@ export class PlaceView {
     const button = (text: string, act: () => Promise<unknown>, kind = "") =>
       make("button", { type: "button", class: kind, autofocus: kind === "primary", onclick: () => { dialog.close(); attempt(act); } }, text);
     const rename = async () => {
-      const name = await ask("Name this place", "Save", { label: "Name", value: place.name });
-      if (name && name !== place.name) await undoable(() => change(place, { name }));
+      let changed = false;
+      const save = async (name: string) => {
+        if (name === place.name) return;
+        await change(place, { name });
+        changed = true;
+      };
+      await askUntil("Name this place", "Save", { label: "Name", value: place.name }, save);
+      if (changed) await offerUndo();
     };
     const hide = () => undoable(() => change(place, { hidden: true }));
-    const select = make("select", { id: "merge-with" }, ...others.map((p) => make("option", { value: p.id }, p.name)));
-    const merge = () => undoable(() => call("POST", "/places/merge", { places: [place.id, select.value] }));
+    const nobody = make("option", { value: "", selected: true }, "choose a place");
+    const select = make("select", { id: "merge-with" }, nobody, ...others.map((p) => make("option", { value: p.id }, p.name)));
+    const merge = button("Merge", () => undoable(() => call("POST", "/places/merge", { places: [place.id, select.value] })));
+    merge.disabled = true;
+    select.addEventListener("change", () => (merge.disabled = !select.value));
     dialog.replaceChildren(...present(
       make("h2", {}, place.name),
       make("div", { class: "evidence" }, picture(place.representative_image, "representative"), picture(place.mean_image, "mean")),
-      make("p", { class: "note" }, `${place.landmarks} landmarks · seen in ${place.images} pictures · quality ${percent(place.quality)}`),
-      others.length > 0 && make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, button("Merge", merge)),
+      make("p", { class: "note" }, `${count(place.landmarks, "landmark")} · seen in ${count(place.images, "picture")} · quality ${percent(place.quality)}`),
+      others.length > 0 && make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, merge),
       make("div", { class: "row end" }, button("Close", async () => {}, "quiet apart"), button("Hide", hide), button("Rename", rename, "primary")),
     ));
     dialog.showModal();
@@ -120,12 +128,10 @@ export class PlaceView {
     setImage(by<HTMLImageElement>("query"), query_image);
     setImage(by<HTMLImageElement>("match"), map_image);
     show(by("evidence"), Boolean(query_image && map_image));
-    setText(
-      by("evidence-text"),
-      map_image
-        ? `${inliers} landmarks of the map seen where they belong` + (age_s === null ? "" : `, ${duration(age_s)} ago`)
-        : "No picture was recognised yet.",
-    );
+    // What was recognised once does not tell where the robot is now: the answer says whether it does.
+    const seen = `${count(inliers, "landmark")} of the map seen where they belong` + (age_s === null ? "" : `, ${duration(age_s)} ago`);
+    const isNow = place.state === "known";
+    setText(by("evidence-text"), !map_image ? "No picture was recognised yet." : isNow ? seen : `The last picture that was recognised: ${seen}. It does not tell where the robot is now.`);
   }
 
   private drawTimeline(): void {
@@ -159,6 +165,10 @@ function setImage(image: HTMLImageElement, path: string | null): void {
 /** Do it, and offer for a while to take just that back; later there is the list of navigations and maps. */
 async function undoable(work: () => Promise<unknown>): Promise<void> {
   await work();
+  await offerUndo();
+}
+
+async function offerUndo(): Promise<void> {
   const [made] = await call<PlacesChangeModel[]>("GET", "/places/changes");
   if (made) toast(`${made.why}.`, "Undo", () => undo(made));
 }

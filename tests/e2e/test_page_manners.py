@@ -1,0 +1,229 @@
+"""What the page must not do: lose a click, go elsewhere by itself, drive blind, or say what is not so."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+
+import pytest
+from playwright.async_api import Page, expect
+
+from tests.e2e.conftest import PHONE, Room
+from tests.e2e.test_page_library import PAD
+from tests.integration.test_station_drives import keep_drive
+from tests.link_support import until
+from tests.openapi_support import furnish
+from tests.station_support import store_map
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
+
+
+async def box(page: Page, selector: str) -> tuple[float, float, float, float]:
+    """Left, top, right, bottom."""
+    found = await page.locator(selector).first.bounding_box()
+    assert found is not None, f"{selector} is not on the screen"
+    return found["x"], found["y"], found["x"] + found["width"], found["y"] + found["height"]
+
+
+async def keep(room: Room, name: str) -> None:
+    keep_drive(room.desk.station.config.data_dir, name)
+    room.desk.station.drives.library.open()
+
+
+async def test_rows_stay_the_same_buttons_while_what_they_tell_of_changes(room: Room) -> None:
+    await keep(room, "nav-before")
+    page = await room.open()
+    more = page.get_by_role("button", name="More about Drive nav-before")
+    await more.focus()
+    button = await more.element_handle()
+    assert button is not None
+    await room.desk.http.post("/navigations")
+    await expect(page.locator("#record .text")).to_contain_text("· 0:02")  # told every second
+    await room.desk.http.patch("/navigations/nav-before", json={"name": "All rooms"})
+    await expect(page.locator("#navigations strong")).to_have_text("All rooms")
+    assert await button.evaluate("e => e === document.activeElement")
+    left, top, right, bottom = await box(page, "#record .text")
+    assert bottom - top < 30 and right - left > 100  # its label in one line
+    await button.click()
+    await expect(page.locator("#drive-dialog h2")).to_have_text("All rooms")
+
+
+async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(room: Room) -> None:
+    place_map = store_map(room.desk.station.config.data_dir)
+    await room.desk.http.put("/maps/active", json={"id": place_map.id})
+    page = await room.open()
+    await expect(page.locator("#map-count")).to_contain_text("places")
+    drive = (await room.desk.http.post("/navigations")).json()["id"]
+    await expect(page.locator("#slam")).to_have_text("going straight")
+    await until(lambda: len(room.desk.station.first.recording.live.points) > 100)  # type: ignore[union-attr]
+    await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
+    await page.locator("[data-layer=live]").click()
+    grown = re.compile(r"^[1-9],?\d\d\d landmarks")
+    await expect(page.locator("#map-count")).to_have_text(grown)
+    await expect(page.locator("#scene")).to_have_attribute("data-whole", "true")  # although each picture adds to it
+    await page.locator("[data-layer=map]").click()
+    await room.desk.http.post(f"/navigations/{drive}/stop")
+    await expect(page.get_by_role("button", name="Build map")).to_be_visible()
+    await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
+
+
+async def test_what_slam_has_left_to_do_is_told_and_can_be_given_up(room: Room) -> None:
+    page = await room.open()
+    await page.locator("#record").click()
+    await expect(page.locator("#slam")).to_have_text("going straight")
+    pid = room.desk.station.first.recording.slam_pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)  # a busy machine
+    await page.locator("#record").click()
+    await expect(page.locator("#slam")).to_contain_text("finishing:")
+    await expect(page.locator("#navigations .finishing .note")).to_contain_text("finishing:")
+    await expect(page.locator(".guide .next")).to_contain_text("SLAM finishes it")
+    await page.get_by_role("button", name="Cancel finishing").click()
+    await page.locator("#ask").get_by_role("button", name="Cancel finishing").click()
+    await expect(page.locator("#navigations .failed .note")).to_contain_text("SLAM was cancelled")
+    await expect(page.locator("#slam")).to_be_empty()
+
+
+async def test_a_phone_has_room_for_the_head_and_for_whole_sentences(room: Room) -> None:
+    page = await room.open(**PHONE)
+    for slider in ("#pan", "#tilt", "#speed"):
+        left, _, right, _ = await box(page, slider)
+        assert right - left > 110, f"{slider} is {right - left:.0f} px wide"
+    for part in ("#driver", "#place-reason"):
+        whole = await page.locator(part).evaluate(
+            "e => e.scrollWidth <= e.clientWidth + 1 && e.scrollHeight <= e.clientHeight + 3"
+        )
+        assert whole, f"{part} is cut: {await page.locator(part).inner_text()}"
+    for part in ("#video", "#stick", "#stop", "#pan"):
+        assert (await box(page, part))[3] <= 844, f"{part} is out of sight"
+
+
+async def test_a_refused_name_stays_in_its_dialog_with_the_reason(room: Room) -> None:
+    place_map = store_map(room.desk.station.config.data_dir)
+    first, second = place_map.places[:2]
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": place_map.id})
+    await page.locator(f"[data-place='{first.id}']").dispatch_event("click")
+    await expect(page.get_by_role("button", name="Merge")).to_be_disabled()  # with nobody knows which
+    await expect(page.get_by_label("Same place as")).to_have_value("")
+    await page.get_by_role("button", name="Rename").click()
+    await page.locator("#ask input").fill(second.name)
+    await page.get_by_role("button", name="Save").click()
+    await expect(page.locator("#ask [role=alert]")).to_contain_text("another place named")
+    await page.locator("#ask input").fill("Reading corner")
+    await page.keyboard.press("Enter")
+    await expect(page.locator("#ask")).to_be_hidden()
+    await expect(page.locator("#place-name")).to_have_text("Reading corner")
+    await expect(page.locator("#toast")).to_be_visible()
+    bottom = (await box(page, "#toast"))[3]
+    for part in ("#place", ".map-bar"):
+        assert bottom <= (await box(page, part))[1], f"{part} is covered"
+    await expect(page.locator("#evidence-text")).to_contain_text("landmarks of the map seen where they belong")
+    await room.bench.stop()
+    await expect(page.locator("#evidence-text")).to_contain_text("does not tell where the robot is now")
+    await room.bench.start()
+
+
+async def test_nothing_drives_behind_a_dialog_and_space_stops_there_too(room: Room) -> None:
+    await keep(room, "nav-1")
+    await keep(room, "nav-2")
+    page = await room.new_page()
+    await page.add_init_script(PAD)
+    await room.visit(page)
+    await page.bring_to_front()
+    await page.evaluate("pad.axes = [0, -1]")
+    await until(lambda: room.motors_run)
+    await page.get_by_role("button", name="More about Drive nav-1").dispatch_event("click")
+    await until(lambda: room.motors_rest)
+    await expect(page.locator("#why")).to_contain_text("a dialog is open")
+    stops = room.bench.stops_heard
+    await page.locator("#drive-dialog").get_by_role("button", name="Close").focus()
+    await page.keyboard.press("Space")
+    await until(lambda: room.bench.stops_heard > stops)
+    await expect(page.locator("#drive-dialog")).to_be_visible()
+    await page.get_by_role("checkbox", name="Drive nav-2").focus()
+    await page.keyboard.press("Space")
+    await expect(page.get_by_role("checkbox", name="Drive nav-2")).to_be_checked()
+    await page.locator("#drive-dialog").get_by_role("button", name="Rename").click()
+    await page.locator("#ask input").fill("")
+    await page.keyboard.type("Two words")
+    await page.keyboard.press("Enter")
+    await expect(page.locator("#navigations")).to_contain_text("Two words")
+
+
+async def test_a_page_that_never_got_a_picture_does_not_drive(room: Room) -> None:
+    page = await room.new_page()
+    await page.route_web_socket(re.compile("/ws/camera"), lambda _: None)  # opens, and nothing comes
+    await page.goto(room.desk.address)
+    await page.wait_for_selector("#link[data-state=good]")
+    await page.keyboard.down("w")
+    await expect(page.locator("#why")).to_contain_text("no picture of the robot has come yet")
+    assert not any(linear or angular for _, linear, angular in room.bench.motors.history)
+
+
+async def test_the_address_of_a_robot_that_is_gone_leads_to_those_that_are_there(room: Room) -> None:
+    page = await room.new_page()
+    await page.goto(f"{room.desk.address}/?robot=attic")
+    await expect(page.locator("#ask")).to_contain_text("no robot “attic”")
+    await page.locator("#ask a").click()
+    await page.wait_for_selector("#link[data-state=good]")
+    assert "robot=attic" not in page.url
+
+
+# A first random number of its own for each tab: two tabs may have one name, once in a while.
+NAMES = """
+  const tab = Number(localStorage.getItem('tabs') ?? 0) + 1;
+  localStorage.setItem('tabs', String(tab));
+  const random = Math.random;
+  Math.random = () => { Math.random = random; return tab / 10; };
+"""
+
+
+async def test_a_duplicated_tab_is_another_driver_and_a_reloaded_one_the_same(room: Room) -> None:
+    page = await room.new_page()
+    await page.context.add_init_script(NAMES)
+    await room.visit(page)
+    async with page.context.expect_page() as opening:
+        await page.evaluate("() => { window.open(location.href); }")  # with a copy of what the tab keeps
+    copy = await opening.value
+    await copy.wait_for_selector("#link[data-state=good]")
+    await page.bring_to_front()
+    await room.hold(page)
+    await expect(page.locator("#driver")).to_have_text("You drive")
+    await expect(copy.locator("#driver")).to_have_text(re.compile(r"\d+ drives"))
+    name = (await room.desk.http.get("/robot")).json()["driver"]
+    await page.mouse.up()
+    await until(lambda: room.motors_rest)
+    await room.visit(page)
+    await room.hold(page)
+    assert (await room.desk.http.get("/robot")).json()["driver"] == name
+    await page.mouse.up()
+
+
+PROGRAMS = """
+  window.programs = 0;
+  for (const [name, change] of [['createProgram', 1], ['deleteProgram', -1]]) {
+    const original = WebGL2RenderingContext.prototype[name];
+    WebGL2RenderingContext.prototype[name] = function (...given) {
+      window.programs += change;
+      return original.apply(this, given);
+    };
+  }
+"""
+
+
+async def test_what_was_looked_at_again_is_given_back_to_the_graphics_card(room: Room) -> None:
+    furnish(room.desk.station.config.data_dir)
+    room.desk.station.drives.library.open()
+    page = await room.new_page()
+    await page.add_init_script(PROGRAMS)
+    await room.visit(page)
+    await page.wait_for_function("() => window.programs > 0")
+    before = await page.evaluate("window.programs")
+    await page.locator("#comparisons").get_by_role("button", name="Show").click()
+    await page.wait_for_function("(before) => window.programs > before", arg=before)
+    await page.locator("#review-close").click()
+    await page.wait_for_function("(before) => window.programs <= before", arg=before)
+    await room.desk.http.delete("/navigations/nav-1")
+    await expect(page.locator("#bin-list .note")).to_have_text(re.compile(r"gone for good on \d+ [A-Z][a-z]{2} 20\d\d"))
