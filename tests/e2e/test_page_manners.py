@@ -107,6 +107,10 @@ async def test_a_refused_name_stays_in_its_dialog_with_the_reason(room: Room) ->
     await page.locator(f"[data-place='{first.id}']").dispatch_event("click")
     await expect(page.get_by_role("button", name="Merge")).to_be_disabled()  # with nobody knows which
     await expect(page.get_by_label("Same place as")).to_have_value("")
+    stops = room.bench.stops_heard
+    await page.get_by_label("Same place as").focus()
+    await page.keyboard.press("Space")  # is STOP, and opens no list; the arrows choose
+    await until(lambda: room.bench.stops_heard > stops)
     await page.get_by_role("button", name="Rename").click()
     await page.locator("#ask input").fill(second.name)
     await page.get_by_role("button", name="Save").click()

@@ -90,6 +90,7 @@ export function askAll(title: string, confirm: string, fields: Field[], note = "
     dialog.replaceChildren(form);
     dialog.onclose = () => resolve(dialog.returnValue === "yes" ? inputs.map((input) => input.value.trim()) : null);
     dialog.returnValue = "";
+    dialog.oncancel = null; // of another question
     dialog.showModal();
     inputs[0]?.select();
   });
@@ -126,6 +127,7 @@ export function askUntil(title: string, confirm: string, field: Field, take: (te
     dialog.replaceChildren(form);
     dialog.onclose = () => resolve(dialog.returnValue === "yes");
     dialog.returnValue = "";
+    dialog.oncancel = null; // of another question
     dialog.showModal();
     input.select();
   });

@@ -91,8 +91,10 @@ export class HealthView {
     const hasMap = this.library.maps.length > 0;
     const isUsed = this.library.maps.some((m) => m.active);
     const robot = this.robot;
+    const elsewhere = "(elsewhere: `station serve --robot HOST:PORT`, or `--robot auto` to search the network)";
+    const where = !robot ? "" : robot.host === "auto" ? "; this station looks in the whole network" : `; this station looks at ${robot.host}:${robot.port} ${elsewhere}`;
     const steps: [boolean, string, string][] = [
-      [Boolean(robot?.connected), "Connect a robot", `Start \`robot-server\` on it; this station looks ${robot?.host === "auto" ? "in the whole network" : `at ${robot?.host ?? ""}:${robot?.port ?? ""} (elsewhere: \`station serve --robot HOST:PORT\`, or \`--robot auto\` to search the network)`}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`],
+      [Boolean(robot?.connected), "Connect a robot", `Start \`robot-server\` on it${where}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`],
       [hasDrive || hasMap, "Record a navigation", recordHow],
       [hasMap, "Build a map", "Press Build map beside the navigation: its landmarks become places."],
       [isUsed, "Ask where it is", "Choose the map, pick the robot up, put it down anywhere: the page names the place."],

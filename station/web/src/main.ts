@@ -9,7 +9,7 @@ import { MapView } from "./map3d";
 import type { EventMessage, LogModel, RobotEntry } from "./messages";
 import { PlaceView } from "./place";
 import { Review } from "./review";
-import { isGone, offerOthers, showChoice } from "./robots";
+import { isGone, offerNoOthers, offerOthers, showChoice } from "./robots";
 import { VideoView } from "./video";
 
 const video = new VideoView();
@@ -86,8 +86,10 @@ new LastingSocket(
   (data) => take(JSON.parse(data as string) as EventMessage),
   (open) => {
     health.setStation(open);
-    if (open) attempt(load);
-    else checkRobot().catch(() => {}); // the station is away: the page says so already
+    if (open) {
+      offerNoOthers();
+      attempt(load);
+    } else checkRobot().catch(() => {}); // the station is away: the page says so already
   },
   true,
 );

@@ -7,6 +7,8 @@ const chosen = new URLSearchParams(location.search).get("robot");
 const OF_ROBOT =
   /^\/(robot(\/hijack|\/pair)?|stop|drive(\/.*)?|pan-tilt|ws\/(drive|camera|events)|camera\/.*|log|pose|trajectory|landmarks|place\/.*)(\?.*)?$/;
 
+const NO_SUCH = "No such robot"; // the dialog's name
+
 let shown = chosen;
 
 /** Whether the address names a robot that this station does not have (any more): then nothing on the page would work. */
@@ -19,18 +21,23 @@ export function offerOthers(robots: RobotEntry[]): void {
   const dialog = by<HTMLDialogElement>("ask");
   if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) return;
   const entries = robots.map((entry) =>
-    make("li", {}, make("a", { href: `?robot=${encodeURIComponent(entry.name)}` }, titleOf(entry))));
+    make("li", {}, make("a", { class: "small", href: `?robot=${encodeURIComponent(entry.name)}` }, titleOf(entry))));
   dialog.setAttribute("aria-label", NO_SUCH);
   dialog.replaceChildren(
     make("h2", {}, `This station has no robot “${chosen}”`),
-    make("p", { class: "note" }, "It was renamed, or left out when the station was started anew. There are:"),
+    make("p", { class: "note" }, `It was renamed, or left out when the station was started anew. ${robots.length === 1 ? "There is this one:" : "There are these:"}`),
     make("ul", { class: "list" }, ...entries),
   );
   dialog.oncancel = (event) => event.preventDefault(); // behind it nothing works
   dialog.onclose = null;
   if (!dialog.open) dialog.showModal();
 }
-const NO_SUCH = "No such robot";
+
+/** The robot of this address is there: no other one need be chosen (any more). */
+export function offerNoOthers(): void {
+  const dialog = by<HTMLDialogElement>("ask");
+  if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) dialog.close("");
+}
 
 function titleOf(entry: RobotEntry): string {
   return entry.robot.name && entry.robot.name !== entry.name ? `${entry.name} (${entry.robot.name})` : entry.name;
