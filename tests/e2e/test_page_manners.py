@@ -59,7 +59,7 @@ async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(r
     await until(lambda: len(room.desk.station.first.recording.live.points) > 100)  # type: ignore[union-attr]
     await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
     await page.locator("[data-layer=live]").click()
-    grown = re.compile(r"^[1-9],?\d\d\d landmarks")
+    grown = re.compile(r"\d,\d\d\d landmarks")
     await expect(page.locator("#map-count")).to_have_text(grown)
     await expect(page.locator("#scene")).to_have_attribute("data-whole", "true")  # although each picture adds to it
     await page.locator("[data-layer=map]").click()
