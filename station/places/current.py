@@ -42,6 +42,7 @@ class Belief:
     place: FloatArray  # (P,) over the places of all maps, in order
     tie: FloatArray  # (P,) that the place is nearest or within a tie of it
     unmapped: float
+    beyond: float  # share of `unmapped` at poses that are known, but where the map does not reach
     lost: float  # share of `place` that is mere prior: somewhere in a map
 
 
@@ -178,7 +179,7 @@ class CurrentPlaceEstimator:
         sizes = [len(m.centroids) for m in self._maps]
         first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
         place, tie = np.zeros(first[-1]), np.zeros(first[-1])
-        unmapped = self._unmapped
+        unmapped, beyond = self._unmapped, 0.0
         T_nav_body = self._nav_body_at(self._t_ns or 0)
         for h in self._hypotheses:
             view = self._maps[h.map_index]
@@ -189,13 +190,13 @@ class CurrentPlaceEstimator:
             part = slice(first[h.map_index], first[h.map_index + 1])
             place[part] += h.weight * covered * nearest
             tie[part] += h.weight * covered * tied
-            unmapped += h.weight * (1 - covered)
+            beyond += h.weight * (1 - covered)
         if len(place):
             place += self._lost / len(place)
             tie += self._lost / len(place)
         else:
             unmapped += self._lost
-        return Belief(place, tie, float(unmapped), self._lost)
+        return Belief(place, tie, float(unmapped + beyond), float(beyond), self._lost)
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:
         """The current place at this time, or at the last event's where that is later; its `t_robot_ns` says which.
@@ -260,7 +261,7 @@ class CurrentPlaceEstimator:
     def _doubts_only_the_map(self, belief: Belief) -> bool:
         """Were the position surely in the map, so was the place: what is open is where the map ends."""
         clearest = float(belief.tie.max())
-        return clearest >= self.config.known_from * (1 - belief.unmapped) and 2 * belief.unmapped >= 1 - clearest
+        return clearest >= self.config.known_from * (1 - belief.unmapped) and 2 * belief.beyond >= 1 - clearest
 
     def _reason(self, is_unknown: bool, belief: Belief, best: Hypothesis | None) -> str:
         if not len(belief.place):
@@ -285,8 +286,7 @@ class CurrentPlaceEstimator:
         spread = self._draws * np.array([1.0, 1.0, 0.2]) * min(sigma_m, 20.0) * view.unit
         p = p_body + spread
         share, tied = view.nearest(p, TIE)
-        away = (view.coverage.distance(p) - c.covered_m) / c.covered_softness_m
-        covered = float(np.mean(1.0 / (1.0 + np.exp(np.clip(away, -50, 50)))))
+        covered = float(view.covered(p, c).mean())
         return share, tied, covered
 
     def _weigh_candidates(self, candidates: Sequence[Localization], T_nav_body: FloatArray, freshness: float) -> None:

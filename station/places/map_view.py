@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from shared.geometry import FloatArray
 from station.maps.map import PlaceMap
+from station.places.belief import BeliefConfig
 from station.places.coverage import Coverage, units_per_metre
 
 
@@ -51,6 +52,23 @@ class MapView:
         every = np.concatenate([np.union1d(near, first) for near, first in zip(tied, index, strict=True)])
         shares = np.bincount(index, minlength=count), np.bincount(every.astype(np.int64), minlength=count)
         return shares[0] / len(p_map), shares[1] / len(p_map)
+
+    def covered(self, p_map: FloatArray, c: BeliefConfig) -> FloatArray:
+        """(n,) probability that the map reaches the points (n, 3): it went there, or nearly, and knows the views."""
+        distance = self.coverage.distance(p_map)
+        within = _below(distance, c.covered_m, c.covered_softness_m)
+        surely = _below(distance, c.surely_covered_m, c.surely_covered_softness_m)
+        views = np.zeros(len(p_map))
+        asked = np.flatnonzero((within > 1e-3) & (surely < 1 - 1e-3))  # elsewhere views change nothing
+        if len(asked):
+            known = self.coverage.views(p_map[asked])
+            views[asked] = _below(-known, -c.covered_views, c.covered_views_softness)
+        return np.asarray(surely + (1 - surely) * within * views, dtype=np.float64)
+
+
+def _below(value: FloatArray, limit: float, softness: float) -> FloatArray:
+    """0..1, a soft value < limit."""
+    return np.asarray(1.0 / (1.0 + np.exp(np.clip((value - limit) / softness, -50, 50))), dtype=np.float64)
 
 
 def _centroids(place_map: PlaceMap) -> FloatArray:
