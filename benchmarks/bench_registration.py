@@ -1,11 +1,12 @@
 """Registration of random pairs of SfM-like clouds from furnished flats: success, false accepts, times, beside others.
 
     python -m benchmarks.bench_registration [--pairs 200] [--seeds test|train] [--set known|free|low|different ...]
-                                            [--baselines] [--out FILE.json]
+                                            [--baselines] [--rows FILE.jsonl] [--out FILE.json]
 
 Training seeds (0..999) were used to develop and to set thresholds; test seeds (10 000 ...) only to report. Every seed
 is another flat. Half of the pairs (odd seeds) share landmarks between the drives, as feature detectors do; the other
 half share surfaces only. Success: accepted and within 2 degrees, 5 cm (at the source's middle) and 1 % of scale.
+`--rows` keeps every pair as it is done, and goes on from there: of one version of the code only.
 """
 
 from __future__ import annotations
@@ -50,35 +51,67 @@ def is_right(e: tuple[float, float, float]) -> bool:
     return e[0] <= 2.0 and e[1] <= 0.05 and e[2] <= 0.01
 
 
-def run_set(name: str, first: int, count: int, points: tuple[int, int]) -> dict[str, Any]:
-    """Our registration on one set."""
-    rows = []
-    for seed in range(first, first + count):
-        pair = make_pair(seed, points=points, shared_landmarks=bool(seed % 2), **SETS[name])
-        start, cpu = time.perf_counter(), time.process_time()
-        result = register_clouds(pair.target, pair.source, scale="free" if "scale_range" in SETS[name] else "known")
-        wall, cpu = time.perf_counter() - start, time.process_time() - cpu
-        has_truth = pair.T_target_source is not None and result.T_target_source is not None
-        e = errors(result.T_target_source, pair) if has_truth else None  # type: ignore[arg-type]
-        rows.append((seed, result.accepted, e is not None and is_right(e), wall, cpu, e, result.reasons))
-    accepted = np.array([r[1] for r in rows])
-    right = np.array([r[2] for r in rows])
-    found = [r[5] for r in rows if r[1] and r[2]]
+def run_pair(name: str, seed: int, points: tuple[int, int]) -> dict[str, Any]:
+    """Our registration of one pair."""
+    pair = make_pair(seed, points=points, shared_landmarks=bool(seed % 2), **SETS[name])
+    start, cpu = time.perf_counter(), time.process_time()
+    result = register_clouds(pair.target, pair.source, scale="free" if "scale_range" in SETS[name] else "known")
+    wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+    e = None
+    if pair.T_target_source is not None and result.T_target_source is not None:
+        e = errors(result.T_target_source, pair)
     return {
         "set": name,
-        "pairs": count,
-        "first_seed": first,
+        "seed": seed,
+        "points": list(points),
+        "accepted": result.accepted,
+        "right": e is not None and is_right(e),
+        "wall_s": wall,
+        "cpu_s": cpu,
+        "errors": e,
+        "reasons": result.reasons,
+    }
+
+
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of one set's rows, in the order of their seeds."""
+    accepted = np.array([r["accepted"] for r in rows])
+    right = np.array([r["right"] for r in rows])
+    found = [r["errors"] for r in rows if r["accepted"] and r["right"]]
+    return {
+        "set": rows[0]["set"],
+        "pairs": len(rows),
+        "first_seed": rows[0]["seed"],
         "success": float(np.mean(accepted & right)),
         "found_before_checks": float(np.mean(right)),
         "false_accept": float(np.mean(accepted & ~right)),
         "rejected": float(np.mean(~accepted)),
         "median_error_deg_m_scale": np.median(np.array(found), axis=0).tolist() if found else None,
-        "median_wall_s": float(np.median([r[3] for r in rows])),
-        "median_cpu_s": float(np.median([r[4] for r in rows])),
-        "false_accept_seeds": [(r[0], r[5]) for r in rows if r[1] and not r[2]],
-        "refused_though_right": [(r[0], r[6][0]) for r in rows if r[2] and not r[1]],
-        "not_found_seeds": [r[0] for r in rows if not r[2] and not r[1] and r[5] is not None],
+        "median_wall_s": float(np.median([r["wall_s"] for r in rows])),
+        "median_cpu_s": float(np.median([r["cpu_s"] for r in rows])),
+        "false_accept_seeds": [(r["seed"], r["errors"]) for r in rows if r["accepted"] and not r["right"]],
+        "refused_though_right": [(r["seed"], r["reasons"][0]) for r in rows if r["right"] and not r["accepted"]],
+        "not_found_seeds": [
+            r["seed"] for r in rows if not r["right"] and not r["accepted"] and r["errors"] is not None
+        ],
     }
+
+
+def run_set(name: str, seeds: range, points: tuple[int, int], kept: Path | None) -> dict[str, Any]:
+    """Our registration on one set; pairs that `kept` has already are not run again."""
+    rows: list[dict[str, Any]] = []
+    if kept is not None and kept.exists():
+        rows = [json.loads(line) for line in kept.read_text().splitlines()]
+        rows = [r for r in rows if r["set"] == name and r["seed"] in seeds and r["points"] == list(points)]
+    done = {r["seed"] for r in rows}
+    for seed in seeds:
+        if seed in done:
+            continue
+        rows.append(run_pair(name, seed, points))
+        if kept is not None:
+            with kept.open("a") as out:
+                out.write(json.dumps(rows[-1]) + "\n")
+    return summarise(sorted(rows, key=lambda r: int(r["seed"])))
 
 
 def gicp_from_identity(pair: CloudPair) -> FloatArray | None:
@@ -155,12 +188,13 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=list(SETS), choices=list(SETS))
     parser.add_argument("--points", nargs=2, type=int, default=(3000, 20000))
     parser.add_argument("--baselines", action="store_true")
+    parser.add_argument("--rows", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=None)
     a = parser.parse_args()
     first, points = FIRST_SEED[a.seeds], (a.points[0], a.points[1])
     results: dict[str, Any] = {"sets": [], "baselines": []}
     for name in a.set:
-        results["sets"].append(run_set(name, first, a.pairs, points))
+        results["sets"].append(run_set(name, range(first, first + a.pairs), points, a.rows))
         print(json.dumps(results["sets"][-1]), flush=True)
     if a.baselines:
         results["baselines"] = run_baselines(first, a.pairs, points)

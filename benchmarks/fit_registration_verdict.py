@@ -60,8 +60,8 @@ def main() -> None:
     if a.rows is not None and a.rows.exists():
         rows = [json.loads(line) for line in a.rows.read_text().splitlines()]
     done = {(row["set"], row["seed"]) for row in rows}
-    for name in SETS:
-        for seed in range(FIRST_SEED["train"], FIRST_SEED["train"] + a.pairs):
+    for seed in range(FIRST_SEED["train"], FIRST_SEED["train"] + a.pairs):  # of all sets in turn: stop it when you like
+        for name in SETS:
             if (name, seed) in done:
                 continue
             rows.append(measure(name, seed))
