@@ -11,7 +11,7 @@ from msgspec import Meta
 from shared.calibration import Calibration
 from shared.errors import RemoteProtocolError, RobotSystemError
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2  # 2: headers with checksums
 
 # Limits of what a message may hold. A peer that exceeds one broke the rules and is told which.
 MAX_NAME_LENGTH = 64

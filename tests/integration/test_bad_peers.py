@@ -90,7 +90,7 @@ async def assert_goes_on(bench: Bench, link: RobotLink, notes: Notes) -> None:
         ((0).to_bytes(4, "big"), "0 bytes was announced"),
         (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", "was announced"),
         (packed_map(type="join", protocol=99, station_name="new"), "speaks protocol version 99"),
-        (packed_map(type="join", protocol=1), "missing required field `station_name`"),
+        (packed_map(type="join", protocol=2), "missing required field `station_name`"),
         (packed_map(type="nonsense"), "Invalid value 'nonsense'"),
         (packed(Stop(seq=1)), "while the connection was opening"),
         (JOIN + JOIN, "while the connection was joining"),

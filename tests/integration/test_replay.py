@@ -28,7 +28,7 @@ def record(path: Path, frames: int = 12, brightness: int = 0) -> Path:
     recorder = Recorder(path, min_free_bytes=0)
     recorder.on_connected(
         Hello(
-            protocol=1,
+            protocol=2,
             robot_id="r",
             name="R",
             session_id="s",

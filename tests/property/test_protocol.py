@@ -172,6 +172,17 @@ def test_a_cut_payload_is_never_taken_for_a_whole_one(payload: bytes, cut: int) 
     assert not decoder.is_between_payloads
 
 
+@given(payload=st.binary(min_size=1, max_size=50), bit=st.integers(0, 8 * 62 - 1))
+def test_no_damaged_bit_becomes_a_payload_or_is_waited_for(payload: bytes, bit: int) -> None:
+    stream = bytearray(encode_payload(payload, 50))
+    at = bit % (8 * len(stream))
+    stream[at // 8] ^= 1 << at % 8
+    decoder = FrameDecoder(max_payload=50)
+    decoder.receive(bytes(stream))
+    with pytest.raises(RemoteProtocolError, match=r"damaged on their way|was announced"):
+        decoder.next_payload()
+
+
 @pytest.mark.parametrize("length", [0, 51, 2**32 - 1])
 def test_a_length_outside_the_limit_is_refused_before_the_payload_comes(length: int) -> None:
     decoder = FrameDecoder(max_payload=50)

@@ -215,7 +215,7 @@ async def test_a_stations_recording_is_played_as_the_robot_it_was_made_of(tmp_pa
     recorder = Recorder(path, min_free_bytes=0)
     recorder.on_connected(
         Hello(
-            protocol=1, robot_id="r", name="R", session_id="s", calibration=REFERENCE_ROBOT,
+            protocol=2, robot_id="r", name="R", session_id="s", calibration=REFERENCE_ROBOT,
             capabilities=Capabilities(
                 camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False
             ),

@@ -45,7 +45,7 @@ from station.retention import KeptRecording, to_remove
 from station.slam.backend import SlamUpdate
 
 HELLO = Hello(
-    protocol=1,
+    protocol=2,
     robot_id="r",
     name="R",
     session_id="first",
