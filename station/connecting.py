@@ -8,6 +8,7 @@ import socket
 import ssl
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, cast
 
 from shared.access import Token
 from shared.certificates import HANDSHAKE_WITHIN_S, fingerprint_of_der, pinning_context
@@ -88,26 +89,62 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             await loop.sock_connect(connection, address)
-            if not needs_tls(str(address[0])):
-                return Connection(*await asyncio.open_connection(sock=connection, limit=READ_BYTES))
-            return await _shake_hands(connection, f"{host}:{port}")
         except OSError as exc:
             error = exc
             connection.close()
+            continue
         except BaseException:
             connection.close()
             raise
+        try:
+            if needs_tls(str(address[0])):
+                return await _shake_hands(connection, f"{host}:{port}")
+            return Connection(*await _streams(connection))
+        except OSError as exc:
+            error = exc
     raise error or OSError("no address found")
+
+
+class _Leavable(asyncio.StreamReaderProtocol):
+    """A connection that can be left at any step of its making; asyncio would first say goodbye to its peer, by TLS."""
+
+    _made: asyncio.Transport | None = None
+    _is_left = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._made = cast(asyncio.Transport, transport)
+        if self._is_left:
+            self._made.abort()
+        else:
+            super().connection_made(transport)
+
+    def leave(self) -> None:
+        self._is_left = True
+        if self._made is not None:
+            self._made.abort()
+
+
+async def _streams(connection: socket.socket, **tls: Any) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """`tls`: as for loop.create_connection.
+
+    The socket is the transport's from here on, whatever happens: closed under it, its number would be another
+    connection's while the event loop still takes it for this one.
+    """
+    loop = asyncio.get_running_loop()
+    reader = asyncio.StreamReader(limit=READ_BYTES, loop=loop)
+    protocol = _Leavable(reader, loop=loop)
+    try:
+        transport, _ = await loop.create_connection(lambda: protocol, sock=connection, **tls)
+    except BaseException:
+        protocol.leave()
+        raise
+    return reader, asyncio.StreamWriter(transport, protocol, reader, loop)
 
 
 async def _shake_hands(connection: socket.socket, name: str) -> Connection:
     try:
-        reader, writer = await asyncio.open_connection(
-            sock=connection,
-            limit=READ_BYTES,
-            ssl=pinning_context(),
-            server_hostname="",
-            ssl_handshake_timeout=HANDSHAKE_WITHIN_S,
+        reader, writer = await _streams(
+            connection, ssl=pinning_context(), server_hostname="", ssl_handshake_timeout=HANDSHAKE_WITHIN_S
         )
     except (ssl.SSLError, ConnectionResetError, ConnectionAbortedError) as exc:
         raise ConnectionRefused(
