@@ -270,6 +270,7 @@ class RobotLink:
             async with asyncio.timeout(CONNECT_WITHIN_S):
                 connection = await connect(self._host, self._port, self._robots)
         except TimeoutError:
+            self._retry_s = 0.0  # it has waited long enough; what was lost on the way does not come any more
             return f"no answer from {address}; check that the robot is on and in this network"
         except OSError as exc:
             return f"{in_words(exc, address)}; start robot-server there"
@@ -337,6 +338,7 @@ class RobotLink:
                 elif duty is Tick.WENT_QUIET:
                     self._silence.set()
                 elif duty is Tick.CLOSE:
+                    self._retry_s = 0.0
                     raise _Ended
             self._rates.sample(now_ns, self._frames, self._imu_samples, self._bytes)
             await asyncio.sleep(TICK_S)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -32,6 +33,13 @@ class _Wire:
     directions_ended: int = 0
 
 
+def _bound(port: int) -> socket.socket:
+    bound = socket.socket()
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    bound.bind(("127.0.0.1", port))
+    return bound
+
+
 class FaultProxy:
     """Relays TCP connections to one port. `port` stays the same over cuts."""
 
@@ -39,6 +47,7 @@ class FaultProxy:
         self._target_port = target_port
         self._random = random.Random(seed)
         self._server: asyncio.Server | None = None
+        self._held: socket.socket | None = None  # while it is cut
         self._tasks: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
         self._wires: set[_Wire] = set()
@@ -52,25 +61,36 @@ class FaultProxy:
         """Take connections from now on."""
         if self._server is not None:
             return
-        self._server = await asyncio.start_server(self._take, "127.0.0.1", self.port, limit=CHUNK)
-        self.port = self._server.sockets[0].getsockname()[1]
+        held, self._held = self._held or _bound(0), None
+        self._server = await asyncio.start_server(self._take, sock=held, limit=CHUNK)
+        self.port = held.getsockname()[1]
 
     async def cut(self) -> None:
         """No connection survives, none is taken, until it is mended."""
         if self._server is not None:
             self._server.close()
             self._server = None
+            # Not listening, so that connections are refused; but ours, or the system lends it to somebody's connection.
+            self._held = _bound(self.port)
         await self.reset()
+
+    async def close(self) -> None:
+        """Cut it for good."""
+        await self.cut()
+        if self._held is not None:
+            self._held.close()
+            self._held = None
 
     async def reset(self) -> None:
         """End the connections there are; new ones are taken."""
         for writer in self._writers:
             writer.transport.abort()
         self._writers.clear()
-        tasks = list(self._tasks)
+        wires, tasks = set(self._wires), list(self._tasks)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        self._wires -= wires
 
     def abandon(self) -> None:
         """The connections there are carry nothing any more, and neither end is told; new ones work.
@@ -131,7 +151,7 @@ class FaultProxy:
         try:
             while data := await source.read(CHUNK):
                 now = faults()
-                if now.is_swallowed or wire.is_dead:
+                if now.is_swallowed or wire.is_dead or wire.directions_ended:
                     continue
                 if now.garbage and self._random.random() < now.garbage:
                     data = self._spoilt(data)
@@ -164,6 +184,8 @@ class FaultProxy:
         except OSError:
             pass
         finally:
+            while not queue.empty():  # the reader may wait for room
+                queue.get_nowait()
             self._end(wire, sink)
 
     def _end(self, wire: _Wire, sink: asyncio.StreamWriter) -> None:

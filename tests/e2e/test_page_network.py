@@ -38,4 +38,4 @@ async def test_a_page_whose_connections_are_dead_makes_new_ones(room: Room) -> N
         await until(lambda: proxy.connections >= before + 3)  # events, video, driving
     finally:
         await context.close()
-        await proxy.cut()
+        await proxy.close()

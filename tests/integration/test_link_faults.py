@@ -21,7 +21,7 @@ async def over_a_bad_network(seed: int = 1) -> AsyncIterator[tuple[Bench, FaultP
             async with linked(proxy.port) as (_, notes):
                 yield bench, proxy, notes
         finally:
-            await proxy.cut()
+            await proxy.close()
 
 
 def is_gapless(notes: Notes, count: int) -> bool:

@@ -61,7 +61,9 @@ const REVOKED = 4401; // station/api/doorkeeper.py
 const LONGEST_WAIT_MS = 1000;
 const SILENT_MS = 1250; // the station's events come every second
 const PATIENCE_MS = 1500; // with a connection that does not open
+const GRACE_MS = 400; // for the first word after the network was away
 const sockets: LastingSocket[] = [];
+let resumedMs = -Infinity; // when the steady socket came back after it had been lost
 
 /** A WebSocket that comes back by itself, within two seconds after the network does. */
 export class LastingSocket {
@@ -70,6 +72,7 @@ export class LastingSocket {
   private waitMs = 250;
   private begunMs = 0;
   private heardMs = 0;
+  private wasOpen = false;
 
   /** `isSteady`: something comes every second, so that silence means something. */
   constructor(
@@ -101,6 +104,8 @@ export class LastingSocket {
     socket.onopen = () => {
       this.waitMs = 250;
       this.heardMs = performance.now();
+      if (this.isSteady && this.wasOpen) resumedMs = this.heardMs;
+      this.wasOpen = true;
       this.onState(true);
     };
     socket.onmessage = (event) => {
@@ -130,6 +135,8 @@ export class LastingSocket {
     if (this.socket?.readyState === WebSocket.CONNECTING && nowMs - this.begunMs > PATIENCE_MS) this.renew();
     const isSilent = this.isSteady && this.isOpen && nowMs - this.heardMs > SILENT_MS;
     if (isSilent && this.probe === null) this.tryAnother();
+    // The steady one was told that it ended. What has said nothing since may have ended too, and was not told.
+    if (this.isOpen && this.heardMs < resumedMs && nowMs - resumedMs > GRACE_MS) this.renew();
   }
 
   /**
