@@ -90,7 +90,10 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
         if not dataset.is_dir():
             flat = make_world(world, seed, settings)
             plan = plan_route(flat, route, day, settings.body.radius_m)
-            record_drive(flat, plan, settings, 10 * seed + day, dataset, default_cache_dir())
+            scratch = dataset.with_suffix(".part")
+            shutil.rmtree(scratch, ignore_errors=True)
+            record_drive(flat, plan, settings, 10 * seed + day, scratch, default_cache_dir())
+            scratch.rename(dataset)
         data = open_dataset(dataset)
         if not navigation.is_dir():
             slam = make_backend(backend, data.calibration, 1)

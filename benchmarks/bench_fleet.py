@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,7 @@ class Result:
     station_mb: list[float] = field(default_factory=list)
     workers_mb: list[float] = field(default_factory=list)  # all of them, what each has for itself
     cpu_s: dict[str, float] = field(default_factory=dict)
+    localising: list[int] = field(default_factory=list)  # robots whose localisation has its index, at each look
 
 
 @contextlib.contextmanager
@@ -113,6 +114,13 @@ class Fleet:
                 total += process.memory_full_info().uss / 1e6
         return total
 
+    def num_localising(self) -> int:
+        """Robots whose pictures are looked for in the map: their answers are no longer missing, whatever they say."""
+        num = 0
+        for line in self.http.get("/metrics").text.splitlines():
+            num += line.startswith("sentinel_place_answers_total") and float(line.rsplit(" ", 1)[1]) > 0
+        return num
+
     def workers_cpu_s(self) -> float:
         total = 0.0
         for process in self.station.children(recursive=True):
@@ -137,8 +145,10 @@ def is_back(fleet: Fleet, kill: Kill) -> bool:
     return not fleet.get(f"/robots/{kill.robot}/pose")["message"].startswith(LOST)
 
 
-def watch(fleet: Fleet, seconds: float, result: Result, robots: list[psutil.Process]) -> None:
-    """Ask, kill and look, for so long."""
+def watch(
+    fleet: Fleet, seconds: float, result: Result, robots: list[psutil.Process], keep: Callable[[Result], None]
+) -> None:
+    """Ask, kill and look, for so long; `keep` is given what was seen until then, now and then."""
     latencies: list[float] = []
     asked = itertools.cycle(fleet.names)
     victims = itertools.cycle(fleet.names)
@@ -165,13 +175,21 @@ def watch(fleet: Fleet, seconds: float, result: Result, robots: list[psutil.Proc
             next_memory_s = now_s + MEMORY_EVERY_S
             result.station_mb.append(round(fleet.station.memory_info().rss / 1e6, 1))
             result.workers_mb.append(round(fleet.workers_mb(), 1))
+            result.localising.append(fleet.num_localising())
+            result.latency_ms = percentiles(latencies)
+            result.seconds = round(now_s - begin_s, 1)
+            keep(result)
         time.sleep(max(0.0, ASK_EVERY_S - (time.monotonic() - now_s)))
     result.seconds = round(time.monotonic() - begin_s, 1)
     ends = (cpu_s(fleet.station), fleet.workers_cpu_s(), sum(map(cpu_s, robots)))
     names = ("station", "workers alive at the end", "robot-servers")
     result.cpu_s = {name: round(end - begin, 1) for name, begin, end in zip(names, cpu_begin, ends, strict=True)}
-    result.latency_ms = {f"p{p}": round(float(np.percentile(latencies, p)), 1) for p in (50, 95, 99, 100)}
+    result.latency_ms = percentiles(latencies)
     count(fleet, result, hurt)
+
+
+def percentiles(latencies: list[float]) -> dict[str, float]:
+    return {f"p{p}": round(float(np.percentile(latencies, p)), 1) for p in (50, 95, 99, 100)}
 
 
 def count(fleet: Fleet, result: Result, hurt: set[str]) -> None:
@@ -193,7 +211,7 @@ def count(fleet: Fleet, result: Result, hurt: set[str]) -> None:
             result.place_answers += int(float(line.rsplit(" ", 1)[1]))
 
 
-def bench(robots: int, seconds: float, backend: str, drive: Path | None) -> Result:
+def bench(robots: int, seconds: float, backend: str, drive: Path | None, keep: Callable[[Result], None]) -> Result:
     result = Result(robots, seconds)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fleet-")))
@@ -214,7 +232,7 @@ def bench(robots: int, seconds: float, backend: str, drive: Path | None) -> Resu
         for name in fleet.names:
             http.post(f"/robots/{name}/navigations", json={"name": name}).raise_for_status()
         time.sleep(WARM_UP_S)
-        watch(fleet, seconds, result, [process for process, _ in started])
+        watch(fleet, seconds, result, [process for process, _ in started], keep)
     return result
 
 
@@ -224,13 +242,16 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--backend", default="sfm")
     parser.add_argument("--drive", type=Path, help="folder of the simulated drive; made when it is not there")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, help="the result so far, all the time")
     options = parser.parse_args()
-    result = asdict(bench(options.robots, options.minutes * 60, options.backend, options.drive))
-    text = json.dumps(result, indent=1)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+
+    def keep(result: Result) -> None:
+        if options.json:
+            options.json.write_text(json.dumps(asdict(result), indent=1) + "\n")
+
+    result = bench(options.robots, options.minutes * 60, options.backend, options.drive, keep)
+    keep(result)
+    print(json.dumps(asdict(result), indent=1))
 
 
 if __name__ == "__main__":

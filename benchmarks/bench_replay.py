@@ -3,12 +3,14 @@
     python -m benchmarks.bench_replay                                  # a simulated drive, made first
     python -m benchmarks.bench_replay RECORDING.mcap --backends ukf    # or a recording, or any other dataset
 
-Each replay is a process of its own (`station replay --json`). Exit code 1 when two of one backend differ.
+Each replay is a process of its own (`station replay --json`). Exit code 1 when two of one backend differ. Every one is
+a line of benchmarks/results/replay.jsonl; started again it goes on where it ended.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -18,6 +20,7 @@ from typing import Annotated
 import typer
 
 RESULTS = Path(__file__).parent / "results"
+DONE = RESULTS / "replay.jsonl"
 HASHES = ("trajectory", "map", "answers")
 
 
@@ -34,7 +37,10 @@ def simulated_drive(world: str, seed: int) -> Path:
         settings = SimulationConfig()
         flat = make_world(world, seed, settings)
         plan = plan_route(flat, "mapping", seed, settings.body.radius_m)
-        done = record_drive(flat, plan, settings, seed, folder, default_cache_dir())
+        scratch = folder.with_suffix(".part")
+        shutil.rmtree(scratch, ignore_errors=True)
+        done = record_drive(flat, plan, settings, seed, scratch, default_cache_dir())
+        scratch.rename(folder)
         print(f"{folder.name}: {done.frames} pictures, {done.duration_s:.0f} s, {done.path_m:.1f} m", flush=True)
     return folder
 
@@ -61,20 +67,29 @@ def main(
     backends: Annotated[str, typer.Option(help="Separated by commas.")] = "ukf,sfm",
     threads: Annotated[str, typer.Option(help="Of each replay, separated by commas.")] = "1,1,2",
     last: Annotated[int, typer.Option(help="Number of the last frame to use; 0: all.")] = 0,
+    out: Annotated[Path, typer.Option(help="Results, a line per replay; what is in there is not done again.")] = DONE,
 ) -> None:
     """Print a line per replay."""
     path = dataset or simulated_drive(world, seed)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    done = [json.loads(line) for line in out.read_text().splitlines()] if out.is_file() else []
     differing = []
     for backend in backends.split(","):
         seen = []
-        for count in map(int, threads.split(",")):
+        for number, count in enumerate(map(int, threads.split(","))):
+            key = [str(path.resolve()), backend, count, number, last]
+            earlier = next((line["said"] for line in done if line["key"] == key), None)
             begin_s = time.monotonic()
-            said = replay(path, backend, count, last)
+            said = earlier or replay(path, backend, count, last)
+            seconds = time.monotonic() - begin_s
+            if earlier is None:
+                with out.open("a") as file:
+                    file.write(json.dumps({"key": key, "seconds": round(seconds, 1), "said": said}) + "\n")
             seen.append(tuple(said[key] for key in HASHES))
             shown = ", ".join(f"{key} {str(said[key])[:12]}" for key in HASHES)
             print(
                 f"{path.name} {backend} on {count}: {shown}; {said.get('places')} places, {said.get('answers_given')}"
-                f" answers ({time.monotonic() - begin_s:.0f} s)",
+                f" answers ({'done before' if earlier else f'{seconds:.0f} s'})",
                 flush=True,
             )
         if len(set(seen)) != 1:
