@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from shared.errors import DataError, RobotSystemError
 from station.events import Teller
+from station.kept_index import forget_index
 from station.live import NO_PLACE
 from station.maps.checking import collect_garbage
 from station.maps.editing import tidy_name, with_place_renamed
@@ -142,6 +143,7 @@ class Maps:
         """Delete a deleted map for good."""
         await asyncio.to_thread(purge, self._store, map_id)
         await asyncio.to_thread(collect_garbage, self._store)
+        await asyncio.to_thread(forget_index, self._store.address.root, map_id)
 
     async def rename(self, map_id: str, name: str) -> MapSummary:
         """Name a map, in use or not. Raises Unknown, or DataError for a name that is empty or too long."""

@@ -11,14 +11,17 @@ from shared.calibration import Calibration
 from shared.errors import DataError, EstimationError
 from shared.geometry import FloatArray
 from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.kept_index import index_of
 from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.place_report import HijackNotice, MapReading, PlaceReport
 from station.places.changes import shown
 from station.places.localizer import Localizer
+from station.places.map_index import MapIndex
 from station.places.tracker import PlaceTracker
 
 TELL_EVERY = 4  # pictures of the map
+WAITING = "another robot's localisation is looking at the pictures of the map; this one shares what it finds"
 
 
 class PlaceServant:
@@ -32,12 +35,8 @@ class PlaceServant:
         self._num_hijacks = 0
 
     def load(self, store: StoreAddress, map_id: str) -> None:
-        """Read a map and index its pictures: some 60 ms per keyframe."""
-        self.use(MapStore(store).load(map_id))
-
-    def use(self, place_map: PlaceMap) -> None:
-        """Answer from this map."""
-        self._place_map = shown(place_map)
+        """Read a map and its index; where no worker of this station has made that yet, make it."""
+        place_map = MapStore(store).load(map_id)
         total, seen = len(place_map.navigation.keyframes), 0
 
         def tell() -> None:
@@ -47,7 +46,12 @@ class PlaceServant:
                 # The last tenth is the index of their words.
                 self._emit(MapReading(0.9 * (seen - 1) / total, f"looking at picture {seen} of {total} of the map"))
 
-        self._localizer = Localizer(self._place_map, on_keyframe=tell)
+        self.use(place_map, index_of(store.root, place_map, tell, lambda: self._emit(MapReading(0.0, WAITING))))
+
+    def use(self, place_map: PlaceMap, index: MapIndex | None = None) -> None:
+        """Answer from this map."""
+        self._place_map = shown(place_map)
+        self._localizer = Localizer(self._place_map, index=index)
 
     def calibrate(self, calibration: Calibration) -> None:
         """The robot that drives now; what was known of another one's position is forgotten."""

@@ -7,10 +7,11 @@ Source: Sivic and Zisserman, ICCV 2003 (words, tf-idf); Nister and Stewenius, CV
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from shared.geometry import FloatArray, IntArray
 from station.places.features import DescriptorArray, Float32Array, to_floats
@@ -118,6 +119,35 @@ class AppearanceIndex:
         weight = np.sqrt(count) * self._idf[pair_word]
         norm = np.sqrt(np.bincount(self._posting_image, weight**2, minlength=len(images)))
         self._posting_weight = weight / np.maximum(norm[self._posting_image], 1e-12)
+
+    def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
+        """The whole index; `of_arrays` makes it again."""
+        v = self._vocabulary
+        if v is None:
+            return {}
+        return {
+            "coarse_words": v.coarse,
+            "words": v.fine,
+            "first_word": v.first,
+            "posting_image": self._posting_image,
+            "posting_weight": self._posting_weight,
+            "first_posting": self._begin,
+            "word_idf": self._idf,
+        }
+
+    @classmethod
+    def of_arrays(cls, num_images: int, arrays: Mapping[str, npt.NDArray[np.generic]]) -> AppearanceIndex:
+        """What `arrays` gave, over as many images. Raises KeyError, ValueError when these are others."""
+        index = cls(())
+        index.num_images = num_images
+        if "words" in arrays:
+            coarse, fine = (arrays[name].astype(np.float32, copy=False) for name in ("coarse_words", "words"))
+            index._vocabulary = Vocabulary(coarse, fine, arrays["first_word"].astype(np.int64, copy=False))
+            index._posting_image = arrays["posting_image"].astype(np.int64, copy=False)
+            index._posting_weight = arrays["posting_weight"].astype(np.float64, copy=False)
+            index._begin = arrays["first_posting"].astype(np.int64, copy=False)
+            index._idf = arrays["word_idf"].astype(np.float64, copy=False)
+        return index
 
     @property
     def num_words(self) -> int:

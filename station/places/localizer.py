@@ -6,7 +6,7 @@ estimated within one map only. docs/localisation.md has the measurements behind 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from station.places.appearance import AppearanceIndex
 from station.places.camera_pose import CameraPose, solve_pose, solve_pose_from
 from station.places.features import FeatureExtractor, Features, to_floats, to_rays
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
+from station.places.map_index import MapIndex
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +75,11 @@ class Localizer:
         maps: PlaceMap | Sequence[PlaceMap],
         config: LocalizerConfig | None = None,
         described: Sequence[Sequence[KeyframeFeatures]] | None = None,
-        on_keyframe: Callable[[], None] = lambda: None,
+        index: MapIndex | None = None,
     ) -> None:
-        """Describe and index all keyframes of the maps: some 60 ms per keyframe on one core.
+        """Describe and index all keyframes of the maps: some 100 ms per keyframe on one core.
 
-        `described`: the features of every map's keyframes, where they are known already; else `on_keyframe` is called
-        before each of them.
+        `described`: the features of every map's keyframes, where they are known already; `index`: of the only map.
         """
         self.maps = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
         self.config = config or LocalizerConfig()
@@ -87,12 +87,16 @@ class Localizer:
         self._keyframes: list[_Keyframe] = []
         for m, place_map in enumerate(self.maps):
             poses = place_map.navigation.keyframes.T_world_cam
-            known = (
-                described[m] if described is not None else describe_keyframes(place_map, self._extractor, on_keyframe)
-            )
+            if index is not None:
+                known: Sequence[KeyframeFeatures] = index.keyframes
+            else:
+                known = described[m] if described is not None else describe_keyframes(place_map, self._extractor)
             for k, features in enumerate(known):
                 self._keyframes.append(_Keyframe(m, k, features, poses[k]))
-        self.index = AppearanceIndex([k.features.all_descriptors for k in self._keyframes])
+        if index is not None:
+            self.index = index.appearance
+        else:
+            self.index = AppearanceIndex([k.features.all_descriptors for k in self._keyframes])
         self._views = [_Views(self._keyframes, m) for m in range(len(self.maps))]
 
     def localize(self, frame: ImageFrame, calibration: Calibration) -> Localization | None:
