@@ -19,7 +19,6 @@ from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.health import CpuMeter, read_temperatures
 from robot.outbox import FrameCursor, FrameSlot, ImuBacklog, ImuCursor
-from robot.reception import Reception
 from robot.sensors import Faults, pump_camera, pump_imu
 from robot.station_client import StationClient
 from robot.systemd import Systemd
@@ -42,6 +41,7 @@ from shared.messages import (
     Status,
     Welcome,
 )
+from shared.reception import Reception
 from shared.session import Event, State, reply_to
 
 logger = logging.getLogger(__name__)
@@ -96,7 +96,7 @@ class RobotServer:
                     listener,
                     self._doorstep.tls(),
                     self._config.server.max_waiting,
-                    lambda reader, writer: self._take_in(tasks, reader, writer),
+                    lambda: _streams(lambda reader, writer: self._take_in(tasks, reader, writer)),
                 )
                 receiving = tasks.create_task(reception.run())
                 try:
@@ -354,3 +354,9 @@ class RobotServer:
             return None, None
         self.faults.clear("battery")
         return state.voltage_v, state.fraction
+
+
+def _streams(take_in: Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]) -> asyncio.StreamReaderProtocol:
+    """What a new connection speaks; `take_in` gets it when its handshake is done."""
+    loop = asyncio.get_running_loop()
+    return asyncio.StreamReaderProtocol(asyncio.StreamReader(loop=loop), take_in, loop=loop)

@@ -7,12 +7,16 @@ import contextlib
 import logging
 import signal
 import socket
+import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import uvicorn
 
+from shared.certificates import HANDSHAKE_WITHIN_S
 from shared.errors import ConfigError
 from shared.listening import is_loopback
+from shared.reception import Reception
 from station.api.server import make_api
 from station.app import Station
 from station.expiry import watch_expiry
@@ -22,12 +26,61 @@ PING_EVERY_S = PONG_WITHIN_S = 5.0  # a page whose network vanished gives its se
 END_WITHIN_S = 2  # open video streams never end by themselves
 
 
+MAX_STRANGERS = 64  # connections that shake hands, or have not asked for anything yet
+FIRST_REQUEST_WITHIN_S = 10.0
+LOOK_S = 0.25
+UNKNOWN = object()
+
+
 class _Server(uvicorn.Server):
-    """Signals are the caller's: the motors must stop first."""
+    """Signals are the caller's: the motors must stop first. Strangers are bounded, so that silence keeps nobody out."""
+
+    _receiving: asyncio.Task[None] | None = None
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Uvicorn's own, but for how connections are taken: it would take any number that never say a word."""
+        assert sockets is not None and len(sockets) == 1
+        await super().startup(sockets=[])
+        tls: dict[str, Any] = {}
+        if self.config.ssl is not None:
+            tls = {"ssl": self.config.ssl, "ssl_handshake_timeout": HANDSHAKE_WITHIN_S}
+        reception = Reception(sockets[0], tls, MAX_STRANGERS, self._make_protocol, _until_asked)
+        self._receiving = asyncio.create_task(reception.run(), name="API's reception")
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        if self._receiving is not None:
+            self._receiving.cancel()
+            await asyncio.gather(self._receiving, return_exceptions=True)
+        await super().shutdown(sockets)
+
+    def _make_protocol(self) -> asyncio.Protocol:
+        return self.config.http_protocol_class(  # type: ignore[call-arg]
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+
+
+async def _until_asked(transport: asyncio.Transport, protocol: asyncio.Protocol) -> None:
+    """Until the first request is read; a connection without one is ended, at the latest when another needs the room."""
+    end_s = time.monotonic() + FIRST_REQUEST_WITHIN_S
+    try:
+        while _is_silent(transport, protocol) and time.monotonic() < end_s:
+            await asyncio.sleep(LOOK_S)
+    finally:
+        if _is_silent(transport, protocol):
+            transport.abort()
+
+
+def _is_silent(transport: asyncio.Transport, protocol: asyncio.Protocol) -> bool:
+    """Uvicorn makes a cycle of each request it has read; for a WebSocket it makes another protocol."""
+    return (
+        not transport.is_closing()
+        and transport.get_protocol() is protocol
+        and getattr(protocol, "cycle", UNKNOWN) is None
+    )
 
 
 async def serve(station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None) -> None:

@@ -9,15 +9,20 @@ import asyncio
 import collections
 import logging
 import socket
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Awaitable, Callable
+from typing import Any, Generic, TypeVar
 
 logger = logging.getLogger(__name__)
 
+P = TypeVar("P", bound=asyncio.Protocol)
 PAUSE_S = 0.2  # when the machine has no file descriptor for another connection
 
 
-class Reception:
+async def _nothing_more(transport: asyncio.Transport, protocol: asyncio.Protocol) -> None:
+    """Its handshake is enough."""
+
+
+class Reception(Generic[P]):
     """Hands over connections whose handshake is done (without TLS: at once)."""
 
     def __init__(
@@ -25,18 +30,24 @@ class Reception:
         listener: socket.socket,
         tls: dict[str, Any],
         limit: int,
-        take_in: Callable[[asyncio.StreamReader, asyncio.StreamWriter], None],
+        make_protocol: Callable[[], P],
+        until_in: Callable[[asyncio.Transport, P], Awaitable[None]] = _nothing_more,
     ) -> None:
-        """`tls`: arguments of loop.connect_accepted_socket; `limit`: how many may shake hands at once."""
+        """`tls`: arguments of loop.connect_accepted_socket; `limit`: how many may shake hands at once.
+
+        `until_in` returns when a connection whose handshake is done is no stranger any more; until then it counts too.
+        When it is cancelled it must yield: another one needs the room.
+        """
         self._listener = listener
         self._tls = tls
         self._limit = limit
-        self._take_in = take_in
-        self._waiting: dict[asyncio.Task[None], str] = {}  # handshakes under way and from where, the oldest first
+        self._make_protocol = make_protocol
+        self._until_in = until_in
+        self._waiting: dict[asyncio.Task[None], str] = {}  # strangers and from where, the oldest first
 
     @property
     def num_waiting(self) -> int:
-        """Handshakes under way."""
+        """Strangers, who may be shaking hands."""
         return len(self._waiting)
 
     async def run(self) -> None:
@@ -51,7 +62,7 @@ class Reception:
                     await asyncio.sleep(PAUSE_S)
                     continue
                 self._make_room()
-                task = loop.create_task(self._shake_hands(connection))
+                task = loop.create_task(self._receive(connection))
                 self._waiting[task] = str(address[0]) if isinstance(address, tuple) else ""
                 task.add_done_callback(lambda done: self._waiting.pop(done, None))
                 await asyncio.sleep(0)  # it owns the connection once it has begun; a flood must not hold up the loop
@@ -63,7 +74,7 @@ class Reception:
             await asyncio.gather(*waiting, return_exceptions=True)
 
     def _make_room(self) -> None:
-        """Of the address with most handshakes the oldest yields: silence must not keep others out."""
+        """Of the address with most strangers the oldest yields: silence must not keep others out."""
         if len(self._waiting) < self._limit:
             return
         busiest, _ = collections.Counter(self._waiting.values()).most_common(1)[0]
@@ -71,11 +82,11 @@ class Reception:
         oldest.cancel()
         del self._waiting[oldest]
 
-    async def _shake_hands(self, connection: socket.socket) -> None:
+    async def _receive(self, connection: socket.socket) -> None:
         loop = asyncio.get_running_loop()
-        reader = asyncio.StreamReader(loop=loop)
-        protocol = asyncio.StreamReaderProtocol(reader, self._take_in, loop=loop)
         try:
-            await loop.connect_accepted_socket(lambda: protocol, connection, **self._tls)
+            transport, protocol = await loop.connect_accepted_socket(self._make_protocol, connection, **self._tls)
         except OSError as exc:  # also what TLS does not like, and a handshake that takes too long
             logger.debug("a connection ended before its handshake did: %s", exc)
+            return
+        await self._until_in(transport, protocol)
