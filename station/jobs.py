@@ -93,12 +93,19 @@ class Jobs:
                 self._keep(done)
                 self._events.say("job", f"{done.title}: done")
         except RobotSystemError as exc:
-            if self._jobs[job_id].state == "running":
-                self._keep(replace(self._jobs[job_id], state="failed", message=str(exc)))
-                self._events.say("job", f"{self._jobs[job_id].title}: {exc}", "error")
+            self._fail(job_id, str(exc))
+        except Exception as exc:  # on top of the job: whatever it is, nobody must wait for what will never be done
+            logger.exception("%s", job_id)
+            self._fail(job_id, f"an error of the station ended this job: {exc!r}")
         finally:
             await worker.close()
             self._running.pop(job_id, None)
+
+    def _fail(self, job_id: str, sentence: str) -> None:
+        job = self._jobs[job_id]
+        if job.state == "running":
+            self._keep(replace(job, state="failed", message=sentence))
+            self._events.say("job", f"{job.title}: {sentence}", "error")
 
     def _advance(self, job_id: str, event: tuple[float, str]) -> None:
         job = self._jobs[job_id]

@@ -110,11 +110,11 @@ class Locating:
         self.status = "no map is active" if map_id is None else "reading the map"
         self.progress = None if map_id is None else 0.0
         self._events.changed("place")
-        if self._worker is not None:
-            self._worker.kill()  # it may be in the middle of a map that nobody wants any more
-            await self._worker.close()
-            self._worker = None
         self._wanted.set()
+        worker, self._worker = self._worker, None  # before we wait: the next one is there soon
+        if worker is not None:
+            worker.kill()  # it may be in the middle of a map that nobody wants any more
+            await worker.close()
 
     def regroup(self, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
         """Tell the worker of changed places of its map. It may be busy: its next answer counts, nobody waits for it."""

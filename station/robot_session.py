@@ -102,7 +102,12 @@ class RobotSession:
 
     async def close(self) -> None:
         """Close the drive being recorded, and end the workers."""
-        await asyncio.gather(self.recording.close(), self.locating.close())
+        closing = (self.recording.close(), self.locating.close())
+        for end in await asyncio.gather(
+            *closing, return_exceptions=True
+        ):  # one that fails must not keep the other open
+            if isinstance(end, BaseException):
+                raise end
 
     @property
     def state(self) -> LinkState:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
 from importlib.metadata import PackageNotFoundError, version
 from typing import TypeVar
 
-from distributed import Client, as_completed
+from distributed import Client, Future, wait
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
@@ -19,6 +20,8 @@ from station.executors.port import Closing, ExecutorFailed
 P = TypeVar("P")
 R = TypeVar("R")
 CONNECT_WITHIN_S = 10
+LOOK_S = 5  # how often it is looked whether anybody is there who works
+DESERTED_FOR_S = 60.0  # a worker that died is back by then, where something starts it again
 # Whose version may change a result's last bits.
 DECIDING = ("sentinel-robot", "numpy", "scipy", "opencv-python-headless", "pycolmap", "scikit-learn", "small-gicp")
 
@@ -52,8 +55,7 @@ class DaskExecutor(Closing):
             # Not pure: Dask would take equal pieces for one.
             futures = [self.client.submit(function, piece, pure=False, retries=0) for piece in pieces]
         try:
-            for number, _ in enumerate(as_completed(futures, loop=self.client.loop), start=1):
-                done(number)
+            self._wait_for(futures, done)
             return [future.result() for future in futures]
         except KilledWorker as exc:
             raise ExecutorFailed(
@@ -61,13 +63,34 @@ class DaskExecutor(Closing):
                 " is there enough memory?"
             ) from exc
         except (CancelledError, CommClosedError) as exc:
-            raise ExecutorFailed(f"the Dask scheduler went away at work ({exc}); start it and try again") from exc
+            raise ExecutorFailed("the Dask scheduler went away at work; start it, and try again") from exc
         finally:
             with contextlib.suppress(CancelledError, OSError, TimeoutError):
                 self.client.cancel(futures)
 
+    def _wait_for(self, futures: Sequence[Future], done: Callable[[int], None]) -> None:
+        """Until all are over. Raises ExecutorFailed: nobody has been there for a while who could do the rest."""
+        left = set(futures)
+        deserted_s: float | None = None
+        while left:
+            with contextlib.suppress(TimeoutError):
+                wait(left, timeout=LOOK_S, return_when="FIRST_COMPLETED")
+            over = {future for future in left if future.done()}
+            for number in range(len(futures) - len(left), len(futures) - len(left) + len(over)):
+                done(number + 1)
+            left -= over
+            if over or self.client.nthreads():
+                deserted_s = None
+            elif deserted_s is None:
+                deserted_s = time.monotonic()
+            elif time.monotonic() - deserted_s > DESERTED_FOR_S:
+                raise ExecutorFailed(
+                    f"the Dask cluster had no workers for {DESERTED_FOR_S:.0f} s; start `dask worker`, and try again"
+                )
+
     def close(self) -> None:
-        self.client.close()
+        with contextlib.suppress(OSError, TimeoutError):  # a scheduler that is gone cannot be told
+            self.client.close()
 
 
 def versions() -> dict[str, str]:

@@ -48,6 +48,9 @@ class ProcessExecutor(Closing):
         self, function: Callable[[P], R], pieces: Sequence[P], results: dict[int, R], done: Callable[[int], None]
     ) -> None:
         if self._pool is None:
+            # A job's own process may have no children as long as it counts as one that ends with the station's
+            # interpreter. It ends with the station all the same, when its pipe does, and the pool with it (_begin).
+            multiprocessing.current_process().daemon = False
             context = multiprocessing.get_context("forkserver")
             self._pool = ProcessPoolExecutor(self._num_processes, context, initializer=_begin)
         left = {self._pool.submit(function, pieces[n]): n for n in range(len(pieces)) if n not in results}

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -136,6 +140,79 @@ def test_results_come_in_order_and_errors_as_they_were_raised(cluster: object) -
             assert counted == [1, 2, 3]
             with pytest.raises(DataError, match="piece 5 is broken"):
                 executor.map(fail, [5])
+
+
+def nap(begun: Path) -> None:
+    begun.touch()
+    time.sleep(600)
+
+
+@contextlib.contextmanager
+def own_cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Scheduler and one worker as a person starts them: the executor's address, and both programs."""
+    pytest.importorskip("distributed")
+    file = folder / "scheduler.json"
+    words = (("scheduler", "--host", "127.0.0.1", "--port", "0"), ("worker", "--nthreads", "1", "--no-nanny"))
+    programs: list[subprocess.Popen[bytes]] = []
+    with (folder / "log").open("wb") as log:
+        try:
+            for kind, *options in words:
+                command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *options, "--no-dashboard"]
+                command += ["--scheduler-file", str(file)]
+                programs.append(subprocess.Popen(command, stdout=log, stderr=log))
+            wait_until(file.is_file)
+            address = json.loads(file.read_text())["address"].replace("tcp://", "dask://")
+            yield address, programs
+        finally:
+            for program in programs:
+                program.kill()
+                program.wait()
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < deadline, "the awaited condition did not come true"
+        time.sleep(0.05)
+
+
+def opened(where: str) -> Executor:
+    """As soon as its worker is there."""
+    deadline = time.monotonic() + 120
+    while True:
+        try:
+            return open_executor(where)
+        except ConfigError as exc:
+            if "no workers" not in str(exc) or time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+
+
+@pytest.mark.parametrize(("dying", "sentence"), [(0, "scheduler went away at work"), (1, "had no workers for 1 s")])
+def test_a_cluster_that_dies_at_work_is_told_and_nobody_waits_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dying: int, sentence: str
+) -> None:
+    """The second piece has not begun by then: it waits in the scheduler."""
+    with own_cluster(tmp_path) as (where, programs):
+        machines = opened(where)
+        monkeypatch.setattr("station.executors.dask.LOOK_S", 1)
+        monkeypatch.setattr("station.executors.dask.DESERTED_FOR_S", 1.0)
+        failures: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                machines.map(nap, [tmp_path / "first", tmp_path / "second"])
+            except BaseException as exc:
+                failures.append(exc)
+
+        with machines:
+            working = threading.Thread(target=work)
+            working.start()
+            wait_until((tmp_path / "first").is_file)
+            programs[dying].kill()
+            working.join(120)
+        assert [type(failure) for failure in failures] == [ExecutorFailed]
+        assert sentence in str(failures[0])
 
 
 def test_a_piece_that_kills_its_workers_is_given_up() -> None:

@@ -1,0 +1,81 @@
+"""Background jobs whose process, executor or files fail: each ends, and says why in a sentence."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from shared.errors import DataError
+from station.events import Events
+from station.executors.opening import open_executor
+from station.jobs import Job, Jobs
+from station.workers import Worker
+from tests.link_support import until
+
+
+def double(number: int) -> int:
+    return 2 * number
+
+
+class Porter:
+    """A servant of jobs."""
+
+    def __init__(self, emit: Callable[[tuple[float, str]], None]) -> None:
+        self._emit = emit
+
+    def wait(self) -> None:
+        self._emit((0.5, str(os.getpid())))
+        time.sleep(600)
+
+    def double(self, executor: str) -> list[int]:
+        with open_executor(executor) as machines:
+            return machines.map(double, [1, 2, 3])
+
+
+async def run(jobs: Jobs, work: Callable[[Worker], Awaitable[dict[str, Any]]]) -> Job:
+    """A job until it is over."""
+    job = jobs.start("test", "a test", work)
+    await until(lambda: jobs.get(job.id).state != "running")
+    return jobs.get(job.id)
+
+
+async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next() -> None:
+    events = Events()
+    jobs = Jobs(events, servant="tests.integration.test_jobs:Porter")
+
+    async def waiting(worker: Worker) -> dict[str, Any]:
+        await worker.call("wait")
+        return {}
+
+    async def failing(worker: Worker) -> dict[str, Any]:
+        raise DataError("the drive cannot be read")
+
+    async def stumbling(worker: Worker) -> dict[str, Any]:
+        raise OSError(28, "No space left on device")
+
+    async def doubling(worker: Worker) -> dict[str, Any]:
+        return {"doubled": await worker.call("double", "processes")}
+
+    try:
+        killed = jobs.start("test", "a test", waiting)
+        queued = jobs.start("test", "another test", waiting)
+        await until(lambda: jobs.get(killed.id).progress and jobs.get(queued.id).progress)
+        os.kill(int(jobs.get(killed.id).message), signal.SIGKILL)
+        await until(lambda: jobs.get(killed.id).state == "failed")
+        assert "ended unexpectedly" in jobs.get(killed.id).message
+        assert jobs.get(queued.id).state == "running"  # it has a process of its own
+        assert (await jobs.cancel(queued.id)).state == "cancelled"
+        assert (await run(jobs, failing)).message == "the drive cannot be read"
+        stumbled = await run(jobs, stumbling)
+        assert stumbled.state == "failed" and "No space left" in stumbled.message
+        assert sum(line.level == "error" for line in events.log) == 3
+        done = await run(jobs, doubling)
+        assert done.result == {"doubled": [2, 4, 6]}, done.message
+        await asyncio.sleep(0)
+        assert not jobs._running
+    finally:
+        await jobs.close()
