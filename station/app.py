@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from shared.errors import RobotSystemError
 from station.access import open_access
 from station.bin import Bin, Kind
 from station.comparisons import Comparisons, summarise
@@ -310,7 +311,10 @@ class Station:
     async def _every_hour(self) -> None:
         while True:
             await asyncio.sleep(BIN_CHECK_S)
-            await self.empty_bin(everything=False)
+            try:
+                await self.empty_bin(everything=False)
+            except RobotSystemError as exc:  # a disk or a database that is away for a while must not end the robots
+                self.events.say("map", f"the bin could not be looked through: {exc}", "warning")
 
     async def _tidy_up(self, interrupted: list[DriveRecord]) -> None:
         """Recover what the station's end cut off, then remove what is beyond the limits."""

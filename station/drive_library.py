@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -132,9 +133,10 @@ class DriveLibrary:
         """The recordings of drives that are over."""
         kept = []
         for drive in self.list():
-            path = self.recording(drive.id)
-            if drive.state in ("ready", "failed") and path.is_file():
-                kept.append(KeptRecording(drive.id, drive.started_wall_s, path.stat().st_size))
+            if drive.state in ("ready", "failed"):
+                with contextlib.suppress(OSError):  # there is none, or somebody deletes it just now
+                    size = self.recording(drive.id).stat().st_size
+                    kept.append(KeptRecording(drive.id, drive.started_wall_s, size))
         return kept
 
     def remove_recording(self, drive_id: str) -> None:

@@ -55,6 +55,8 @@ RETRY_S = 0.25  # a robot that just started is found well within two seconds
 REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a handshake was cut in the middle
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
+# Heartbeats are answered before anything else is sent. So many messages without an answer: the robot does not hear us.
+UNHEARD_AFTER_NS, UNHEARD_MESSAGES = 1_100_000_000, 10
 AUTO = "auto"  # as host: look for a robot
 FIND_WITHIN_S = 2.0
 ANSWER_WITHIN_S = 2.0
@@ -137,6 +139,8 @@ class RobotLink:
         self._notice: ErrorNotice | None = None
         self._answer: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for what the robot says
         self._answer_seq = 0  # of the heartbeat behind the question
+        self._heard_us_ns = 0  # when the last heartbeat was answered
+        self._unanswered = 0  # messages since then
 
     @property
     def state(self) -> LinkState:
@@ -340,6 +344,8 @@ class RobotLink:
                 elif duty is Tick.CLOSE:
                     self._retry_s = 0.0
                     raise _Ended
+            if self._is_unheard(now_ns):
+                self._silence.set()
             self._rates.sample(now_ns, self._frames, self._imu_samples, self._bytes)
             await asyncio.sleep(TICK_S)
 
@@ -352,20 +358,26 @@ class RobotLink:
         while True:
             await self._silence.wait()
             self._silence.clear()
-            while session.state is State.QUIET:
+            while session.state is State.QUIET or self._is_unheard(self._now_ns()):
                 num_bytes = self._bytes  # half a message that trickles is life enough
                 is_there = await answers(self._host, self._port, self._robots)
-                if is_there and session.state is State.QUIET and self._bytes == num_bytes:
+                is_silent = session.state is State.QUIET and self._bytes == num_bytes
+                if is_there and (is_silent or self._is_unheard(self._now_ns())):
                     self._retry_s = 0.0
-                    session.close(
-                        Event.LOST, "the connection carries nothing any more, and the robot answers a new one"
-                    )
+                    what = "carries nothing any more" if is_silent else "does not reach the robot any more"
+                    session.close(Event.LOST, f"the connection {what}, and the robot answers a new one")
                     raise _Ended
                 await asyncio.sleep(RETRY_S)
+
+    def _is_unheard(self, now_ns: int) -> bool:
+        """The robot speaks and does not answer: what we say is lost, or its end waits for the rest of something."""
+        is_late = now_ns - self._heard_us_ns >= UNHEARD_AFTER_NS
+        return self._connected and is_late and self._unanswered >= UNHEARD_MESSAGES
 
     # What arrives
 
     def _take(self, message: Message, now_ns: int) -> None:
+        self._unanswered += 1
         match message:
             case CameraFrame():
                 self._frames += 1
@@ -379,6 +391,7 @@ class RobotLink:
                 self._clock.add_stamp(message.t_robot_ns, now_ns)
                 self._listener.on_drive_applied(message)
             case HeartbeatReply():
+                self._heard_us_ns, self._unanswered = now_ns, 0
                 self._clock.add_reply(message, now_ns)
                 if message.seq >= self._answer_seq:
                     self._answered(None)
@@ -392,6 +405,7 @@ class RobotLink:
             case Welcome():
                 self._connected = True
                 self._connections += 1
+                self._heard_us_ns, self._unanswered = now_ns, 0
                 self._beat()  # at once: the robot needs something to tell late commands by
                 if self._hello is not None:
                     self._listener.on_connected(self._hello)

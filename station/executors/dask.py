@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
 from importlib.metadata import PackageNotFoundError, version
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from distributed import Client, Future, wait
 from distributed.comm.core import CommClosedError
@@ -68,7 +68,7 @@ class DaskExecutor(Closing):
             with contextlib.suppress(CancelledError, OSError, TimeoutError):
                 self.client.cancel(futures)
 
-    def _wait_for(self, futures: Sequence[Future], done: Callable[[int], None]) -> None:
+    def _wait_for(self, futures: Sequence[Future[Any]], done: Callable[[int], None]) -> None:
         """Until all are over. Raises ExecutorFailed: nobody has been there for a while who could do the rest."""
         left = set(futures)
         deserted_s: float | None = None

@@ -35,7 +35,8 @@ async def test_an_attempt_given_up_as_its_handshake_ends_is_closed_and_harms_no_
     context = make_identity(tmp_path, "test", ["127.0.0.1"], 10, NOW).server_context()
     server = await asyncio.start_server(silent, "127.0.0.1", 0, ssl=context)
     port = server.sockets[0].getsockname()[1]
-    (await connect_by_tls("127.0.0.1", port)).writer.transport.abort()  # the thread for names is there now
+    first = await connect_by_tls("127.0.0.1", port)  # the thread for names is there from now on
+    first.writer.transport.abort()
     original = asyncio.StreamReaderProtocol.connection_made
 
     def made(self: asyncio.StreamReaderProtocol, transport: asyncio.BaseTransport) -> None:

@@ -14,7 +14,8 @@ from station.events import Events
 from station.executors.opening import open_executor
 from station.jobs import Job, Jobs
 from station.workers import Worker
-from tests.link_support import until
+
+STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports
 
 
 def double(number: int) -> int:
@@ -36,8 +37,16 @@ class Porter:
             return machines.map(double, [1, 2, 3])
 
 
+async def until(condition: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + STARTS_WITHIN_S
+    while not condition():
+        assert time.monotonic() < deadline_s, "the awaited condition did not come true"
+        await asyncio.sleep(0.02)
+
+
 async def run(jobs: Jobs, work: Callable[[Worker], Awaitable[dict[str, Any]]]) -> Job:
-    """A job until it is over."""
+    """A job until it is over, once the processes of earlier ones have ended."""
+    await until(lambda: not jobs._running)
     job = jobs.start("test", "a test", work)
     await until(lambda: jobs.get(job.id).state != "running")
     return jobs.get(job.id)
@@ -75,7 +84,6 @@ async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next(
         assert sum(line.level == "error" for line in events.log) == 3
         done = await run(jobs, doubling)
         assert done.result == {"doubled": [2, 4, 6]}, done.message
-        await asyncio.sleep(0)
-        assert not jobs._running
+        await until(lambda: not jobs._running)
     finally:
         await jobs.close()

@@ -77,6 +77,23 @@ async def test_wrong_bytes_end_a_connection_and_never_become_samples(direction: 
         await until(lambda: notes.sequences and notes.sequences[-1] == bench.imu.next_sequence - 1)
 
 
+async def test_a_robot_that_speaks_and_does_not_hear_is_met_anew() -> None:
+    """As after a wrong byte in a length that it waits for: its own words go on, so that nothing is silent."""
+    async with over_a_bad_network() as (bench, proxy, notes):
+        proxy.faults["to robot"].is_swallowed = True
+
+        def is_left() -> bool:
+            bench.imu.inject(1)
+            return bool(notes.reasons)
+
+        await until(is_left)
+        assert "does not reach the robot" in notes.reasons[0]
+        proxy.heal()
+        await until(lambda: len(notes.hellos) == 2)
+        bench.imu.inject(5)
+        await until(lambda: notes.sequences[-1:] == [bench.imu.next_sequence - 1])
+
+
 async def test_cuts_in_the_middle_of_messages_never_repeat_or_reorder_samples() -> None:
     async with over_a_bad_network() as (bench, proxy, notes):
         bench.imu.inject(1)  # what is lost before the first sample cannot be known
