@@ -66,14 +66,6 @@ class Line(Protocol):
         """The network is sound from now on."""
         ...
 
-    def distrust(self) -> None:
-        """Wrong bytes come, which may stand where nothing shows them, in a number."""
-        ...
-
-    def trust(self) -> None:
-        """No more of them."""
-        ...
-
     @property
     def is_back(self) -> bool:
         """Since `mark` something came through in each direction."""
@@ -179,8 +171,6 @@ async def disturb(line: Line, rng: random.Random, lag: LagMeter, report: Callabl
         (name,) = rng.choices(names, weights)
         outage_s = rng.uniform(0.0, 0.5) if rng.random() < 0.9 else rng.uniform(0.5, 3.0)
         before = line.connections
-        if name == "garbage":
-            line.distrust()
         await FAULTS[name][0](line.proxy, rng, outage_s)
         if name == "garbage" and not line.finds_garbage:
             await line.proxy.reset()
@@ -191,7 +181,6 @@ async def disturb(line: Line, rng: random.Random, lag: LagMeter, report: Callabl
             waited_s = time.monotonic() - begin_s
             assert waited_s < GIVE_UP_S, f"{line.name} is not back {waited_s:.0f} s after fault {number}, {name}"
         back_s = time.monotonic() - begin_s
-        line.trust()
         ended = line.connections > before
         report(Return(line.name, name, number, outage_s, back_s, ended, lag.since(begin_s)))
 
@@ -207,13 +196,12 @@ class Counts:
         self.newest_sample = -1
         self.missing = 0
         self.is_in_order = True
-        self.is_trusted = True
 
     def on_connected(self, hello: Hello) -> None:  # noqa: ARG002
         self.connections += 1
 
     def on_imu(self, batch: ImuBatch) -> None:
-        self.is_in_order &= batch.first_sequence > self.newest_sample or not self.is_trusted
+        self.is_in_order &= batch.first_sequence > self.newest_sample
         self.newest_sample = batch.next_sequence - 1
 
     def on_gap(self, num_samples: int) -> None:
@@ -239,7 +227,6 @@ class LinkLine:
     proxy: FaultProxy
     link: RobotLink
     counts: Counts
-    has_tls: bool
     finds_garbage: bool = True
     _sample_at_mark: int = 0
     _heard_at_mark: int = field(default=0, repr=False)
@@ -247,13 +234,6 @@ class LinkLine:
     @property
     def connections(self) -> int:
         return self.counts.connections
-
-    def distrust(self) -> None:
-        self.counts.is_trusted = self.has_tls
-
-    def trust(self) -> None:
-        if not self.counts.is_trusted:
-            self.counts.is_trusted, self.counts.newest_sample = True, -1
 
     @property
     def in_order(self) -> bool:
@@ -300,7 +280,7 @@ async def link_line(name: str, folder: Path, seed: int, *, has_tls: bool) -> Asy
         bench.port = robot_port
     counts = Counts()
     link = RobotLink("127.0.0.1", proxy.port, counts, robots=robots)
-    line = LinkLine(name, bench, proxy, link, counts, has_tls)
+    line = LinkLine(name, bench, proxy, link, counts)
     tasks = [asyncio.create_task(link.run()), asyncio.create_task(line.feed())]
     try:
         yield line
@@ -338,10 +318,6 @@ class PageLine:
     @property
     def is_back(self) -> bool:
         return all(self._messages.get(path, 0) > self._at_mark.get(path, 0) for path in self.paths)
-
-    def distrust(self) -> None: ...
-
-    def trust(self) -> None: ...
 
     async def run(self) -> None:
         async with asyncio.TaskGroup() as tasks:

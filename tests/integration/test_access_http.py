@@ -55,8 +55,8 @@ async def test_every_call_is_refused_to_strangers_and_to_roles_that_may_not(tmp_
         served = {name for name in ROLES if not name.startswith("WS ")}
         hidden = served - documented.keys()
         assert documented.keys() <= served
-        assert hidden == {"GET /", "GET /assets/{name}", "GET /favicon.svg", "GET /openapi.json", "GET /docs",
-                          "GET /docs/start.js", "GET /docs/{name}"}  # fmt: skip
+        assert hidden == {"GET /", "GET /assets/{name}", "GET /favicon.ico", "GET /favicon.svg", "GET /openapi.json",
+                          "GET /docs", "GET /docs/start.js", "GET /docs/{name}"}  # fmt: skip
         for name in sorted(served):
             needed = ROLES[name]
             if name in documented:
@@ -80,7 +80,7 @@ def test_the_table_of_roles_has_no_row_without_a_call() -> None:
     assert set(ROLES) == set(all_calls())
     assert {name.partition(" ")[2] for name in ROLES if name.startswith("WS ")} == set(SOCKETS)
     assert [name for name, role in ROLES.items() if role is None] == [
-        "GET /", "GET /assets/{name}", "GET /favicon.svg", "POST /login"
+        "GET /", "GET /assets/{name}", "GET /favicon.svg", "GET /favicon.ico", "POST /login"
     ]  # fmt: skip
 
 
