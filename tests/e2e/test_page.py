@@ -165,9 +165,16 @@ async def test_two_browsers_one_driver_and_a_take_over(room: Room, screen: dict[
     await expect(second.locator("#driver")).to_contain_text("drives")
     await expect(second.locator("#take-over")).to_be_visible()
     assert await boxes(second) == at_rest  # whoever drives: STOP and joystick stay under the thumb
-    await second.keyboard.down("w")
-    await expect(second.locator("#why")).to_contain_text("drives")  # refused
-    await second.keyboard.up("w")
+    why = second.locator("#why")
+    while "drives" not in (await why.text_content() or ""):  # until it is refused
+        # On a busy machine late pictures stop either of them first; then it is held anew, as a person does.
+        if not room.motors_run:
+            await first.mouse.up()
+            await room.hold(first)
+        await second.wait_for_selector(".age:not(.bad)")
+        await second.keyboard.down("w")
+        await expect(why).to_be_visible()
+        await second.keyboard.up("w")
     await first.mouse.up()
     await until(lambda: room.motors_rest)
     await room.hold(first)

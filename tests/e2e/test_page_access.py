@@ -40,8 +40,12 @@ async def house(browser: Browser, tmp_path: Path) -> AsyncIterator[tuple[Guarded
 
 async def test_a_watcher_logs_in_sees_stops_and_cannot_drive(house: tuple[Guarded, Bench, Page]) -> None:
     station, bench, page = house
+    await page.emulate_media(color_scheme="light")
     await page.goto(station.desk.address)
     await page.get_by_label("Token").fill("nonsense")
+    await expect(page.locator("html")).to_have_attribute("data-theme", "light")  # before anybody has logged in
+    field = await page.get_by_label("Token").bounding_box()
+    assert field is not None and field["width"] > 300
     await page.get_by_role("button", name="Log in").click()
     await expect(page.get_by_role("alert").filter(has_text="not valid")).to_be_visible()
     for theme in ("dark", "light"):

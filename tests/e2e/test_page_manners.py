@@ -68,6 +68,34 @@ async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(r
     await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
 
 
+CUT = """() => {
+  const scene = document.getElementById('scene').getBoundingClientRect();
+  const names = [...document.querySelectorAll('.place-label:not(.dot)')].filter((e) => e.style.display !== 'none');
+  const boxes = names.map((e) => e.getBoundingClientRect());
+  return boxes.filter((b) => b.top < scene.top - 1 || b.bottom > scene.bottom + 1).length;
+}"""
+
+
+async def test_no_name_of_a_place_is_cut_at_the_edge_of_the_view(room: Room) -> None:
+    place_map = store_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": place_map.id})
+    await expect(page.locator("#place-name")).to_have_text(place_map.places[0].name)
+    await expect(page.locator(".place-label")).to_have_count(len(place_map.places))
+    left, top, right, bottom = await box(page, "#scene")
+    x, y = (left + right) / 2, bottom - 40
+    await page.mouse.move(x, y)
+    await page.mouse.down(button="right")
+    for step in range(12):  # past the upper edge, name by name
+        drawn = int(await page.locator("#scene").get_attribute("data-frames") or 0)
+        await page.mouse.move(x, y - (step + 1) * (bottom - top) / 20)
+        await page.wait_for_function(
+            "(drawn) => Number(document.getElementById('scene').dataset.frames) > drawn", arg=drawn
+        )
+        assert await page.evaluate(CUT) == 0
+    await page.mouse.up(button="right")
+
+
 async def test_what_slam_has_left_to_do_is_told_and_can_be_given_up(room: Room) -> None:
     page = await room.open()
     await page.locator("#record").click()

@@ -62,10 +62,12 @@ export class Labels {
       // A name at the edge moves in as a whole, and makes way for a heavier one; a bearing stays where its line is.
       const x = isPlace ? Math.min(Math.max(one.x, w / 2 + GAP_PX), width - w / 2 - GAP_PX) : one.x;
       const step = h + 2 * GAP_PX;
-      const free = (isPlace ? [0, -step, step, -2 * step, 2 * step] : [0]).find((dy) => isFree(x, one.y + dy, w, h));
+      const inside = (y: number) => Math.min(Math.max(y, h / 2 + GAP_PX), height - h / 2 - GAP_PX);
+      const tried = isPlace ? [0, -step, step, -2 * step, 2 * step].map((dy) => inside(one.y + dy)) : [one.y];
+      const free = tried.find((y) => isFree(x, y, w, h));
       // Where the robot is, and what a person named, is always read, however narrow it gets.
       const fits = free !== undefined || isHere(one.label) || node.dataset["named"] === "true";
-      const y = one.y + (free ?? 0);
+      const y = free ?? (fits ? tried[0]! : one.y);
       if (isPlace) node.classList.toggle("dot", !fits);
       else if (!fits) node.style.display = "none";
       if (fits) take(x, y, w, h);

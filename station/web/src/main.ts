@@ -115,14 +115,3 @@ async function checkRobot(): Promise<void> {
 }
 
 by("hijack").addEventListener("click", openHijack);
-
-by("theme").addEventListener("click", () => {
-  const dark = getComputedStyle(document.documentElement).colorScheme.includes("dark");
-  setTheme(dark ? "light" : "dark");
-});
-
-function setTheme(theme: string): void {
-  document.documentElement.dataset["theme"] = theme;
-  localStorage.setItem("theme", theme);
-}
-setTheme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"));
