@@ -151,6 +151,8 @@ async def run(tally: Tally, disconnects: int, minutes: float, links: int, pages:
         for line in lines:
             line.proxy.heal()
             await line.proxy.mend()
+            if not line.finds_garbage:  # its last fault may have been cut short before the connection was
+                await line.proxy.reset()
             line.mark()
         if not broken:
             await all_back(lines)
@@ -193,9 +195,10 @@ async def disturb_all(
 
 
 async def all_back(lines: list[Line]) -> None:
-    async with asyncio.timeout(60):
-        while not all(line.is_back for line in lines):
-            await asyncio.sleep(0.05)
+    deadline_s = time.monotonic() + 60
+    while away := [line.name for line in lines if not line.is_back]:
+        assert time.monotonic() < deadline_s, f"not back after a minute: {', '.join(away)}"
+        await asyncio.sleep(0.05)
 
 
 def summary(tally: Tally) -> str:
