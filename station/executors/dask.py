@@ -10,7 +10,7 @@ from concurrent.futures import CancelledError
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 
-from distributed import Client, Future, wait
+from distributed import Client, Future
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
@@ -20,7 +20,8 @@ from station.executors.port import Closing, ExecutorFailed
 P = TypeVar("P")
 R = TypeVar("R")
 CONNECT_WITHIN_S = 10
-LOOK_S = 5  # how often it is looked whether anybody is there who works
+LOOK_S = 0.05
+ASK_S = 5.0  # how often it is asked whether anybody is there who works
 DESERTED_FOR_S = 60.0  # a worker that died is back by then, where something starts it again
 # Whose version may change a result's last bits.
 DECIDING = ("sentinel-robot", "numpy", "scipy", "opencv-python-headless", "pycolmap", "scikit-learn", "small-gicp")
@@ -70,20 +71,20 @@ class DaskExecutor(Closing):
 
     def _wait_for(self, futures: Sequence[Future[Any]], done: Callable[[int], None]) -> None:
         """Until all are over. Raises ExecutorFailed: nobody has been there for a while who could do the rest."""
-        left = set(futures)
-        deserted_s: float | None = None
-        while left:
-            with contextlib.suppress(TimeoutError):
-                wait(left, timeout=LOOK_S, return_when="FIRST_COMPLETED")
-            over = {future for future in left if future.done()}
-            for number in range(len(futures) - len(left), len(futures) - len(left) + len(over)):
-                done(number + 1)
-            left -= over
-            if over or self.client.nthreads():
-                deserted_s = None
-            elif deserted_s is None:
-                deserted_s = time.monotonic()
-            elif time.monotonic() - deserted_s > DESERTED_FOR_S:
+        count = 0
+        asked_s = served_s = time.monotonic()
+        while count < len(futures):
+            time.sleep(LOOK_S)
+            for _ in range(sum(future.done() for future in futures) - count):
+                count += 1
+                done(count)
+            now_s = time.monotonic()
+            if now_s - asked_s < ASK_S:
+                continue
+            asked_s = now_s
+            if self.client.nthreads():
+                served_s = now_s
+            elif now_s - served_s > DESERTED_FOR_S:
                 raise ExecutorFailed(
                     f"the Dask cluster had no workers for {DESERTED_FOR_S:.0f} s; start `dask worker`, and try again"
                 )

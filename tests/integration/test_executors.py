@@ -154,12 +154,13 @@ def own_cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes
     file = folder / "scheduler.json"
     words = (("scheduler", "--host", "127.0.0.1", "--port", "0"), ("worker", "--nthreads", "1", "--no-nanny"))
     programs: list[subprocess.Popen[bytes]] = []
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).parent, Path(__file__).parents[2])))}
     with (folder / "log").open("wb") as log:
         try:
             for kind, *options in words:
                 command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *options, "--no-dashboard"]
                 command += ["--scheduler-file", str(file)]
-                programs.append(subprocess.Popen(command, stdout=log, stderr=log))
+                programs.append(subprocess.Popen(command, stdout=log, stderr=log, env=env))
             wait_until(file.is_file)
             address = json.loads(file.read_text())["address"].replace("tcp://", "dask://")
             yield address, programs
@@ -195,7 +196,7 @@ def test_a_cluster_that_dies_at_work_is_told_and_nobody_waits_for_it(
     """The second piece has not begun by then: it waits in the scheduler."""
     with own_cluster(tmp_path) as (where, programs):
         machines = opened(where)
-        monkeypatch.setattr("station.executors.dask.LOOK_S", 1)
+        monkeypatch.setattr("station.executors.dask.ASK_S", 0.5)
         monkeypatch.setattr("station.executors.dask.DESERTED_FOR_S", 1.0)
         failures: list[BaseException] = []
 
