@@ -49,8 +49,11 @@ class MapView:
         distance, index = self.tree.query(p_map)
         tied = self.tree.query_ball_point(p_map, tie * distance)
         # Rounding must not leave out the nearest one itself.
-        every = np.concatenate([np.union1d(near, first) for near, first in zip(tied, index, strict=True)])
-        shares = np.bincount(index, minlength=count), np.bincount(every.astype(np.int64), minlength=count)
+        point = np.repeat(np.arange(len(p_map)), [len(near) for near in tied])
+        pairs = np.concatenate(
+            [point * count + np.concatenate(tied).astype(np.int64), np.arange(len(p_map)) * count + index]
+        )
+        shares = np.bincount(index, minlength=count), np.bincount(np.unique(pairs) % count, minlength=count)
         return shares[0] / len(p_map), shares[1] / len(p_map)
 
     def covered(self, p_map: FloatArray, c: BeliefConfig) -> FloatArray:
