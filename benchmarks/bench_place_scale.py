@@ -30,7 +30,7 @@ from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray
 from station.frames import ImageFrame
 from station.maps.map import Place, PlaceMap
 from station.navigation import Keyframes, Landmarks
@@ -65,8 +65,16 @@ def make_room(seed: int, calibration: Calibration) -> Room:
     described = describe_keyframes(place_map, FeatureExtractor())
     keyframes = place_map.navigation.keyframes
     kept = np.unique(np.linspace(0, len(keyframes) - 1, KEYFRAMES_PER_ROOM).round().astype(int))
+    landmarks = place_map.navigation.landmarks
+    still = np.isin(landmarks.observed_keyframe, kept)
     thinned = replace(
         place_map.navigation,
+        landmarks=replace(
+            landmarks,
+            observed_landmark=landmarks.observed_landmark[still],
+            observed_keyframe=np.searchsorted(kept, landmarks.observed_keyframe[still]),
+            observed_uv_px=landmarks.observed_uv_px[still],
+        ),
         keyframes=Keyframes(
             np.arange(len(kept)),
             keyframes.t_robot_ns[kept],
@@ -111,6 +119,7 @@ def offset_of(copy: int) -> FloatArray:
 def build_copies(rooms: list[Room], count: int) -> tuple[PlaceMap, list[KeyframeFeatures]]:
     """One map of `count` rooms, and its keyframes' features."""
     poses, points, places, described = [], [], [], []
+    seen, seen_from, seen_at = [], [], []
     num_landmarks, num_keyframes = 0, 0
     for copy in range(count):
         room = rooms[copy % len(rooms)]
@@ -123,10 +132,12 @@ def build_copies(rooms: list[Room], count: int) -> tuple[PlaceMap, list[Keyframe
         places += [_moved(place, copy, offset, num_landmarks, num_keyframes) for place in room.place_map.places]
         poses.append(T)
         points.append(navigation.landmarks.p_world + offset)
+        seen.append(navigation.landmarks.observed_landmark + num_landmarks)
+        seen_from.append(navigation.landmarks.observed_keyframe + num_keyframes)
+        seen_at.append(navigation.landmarks.observed_uv_px)
         num_landmarks += len(navigation.landmarks)
         num_keyframes += len(T)
     base = rooms[0].place_map
-    nothing: IntArray = np.zeros(0, dtype=np.int64)
     t = np.arange(num_keyframes, dtype=np.int64)
     navigation = replace(
         base.navigation,
@@ -136,9 +147,9 @@ def build_copies(rooms: list[Room], count: int) -> tuple[PlaceMap, list[Keyframe
             np.concatenate(points),
             np.zeros((num_landmarks, 3), np.uint8),
             np.zeros((0, 3, 3)),  # not asked for by an answer
-            nothing,
-            nothing,
-            np.zeros((0, 2)),
+            np.concatenate(seen),
+            np.concatenate(seen_from),
+            np.concatenate(seen_at),
         ),
     )
     return PlaceMap(f"{count} rooms", "", navigation, tuple(places), (), base.config), described
@@ -166,7 +177,7 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
     centroids = np.array([place.centroid_map for place in place_map.places])
     rng = np.random.default_rng(count)
     asked = Asked(localizer, estimator, calibration, FeatureExtractor())
-    wall, cpu, index_ms, states = [], [], [], []
+    wall, cpu, index_ms, states, recognised = [], [], [], [], []
     t_ns = START_NS
     for visit in range(max(1, answers // VISIT)):
         copy = int(rng.integers(count))
@@ -177,7 +188,7 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
             t_ns += 500_000_000
             estimator.on_odometry(t_ns, room.T_true[k], segment=visit)
             begin, begin_cpu = time.perf_counter(), time.process_time()
-            features, answer = asked.answer(room.frames[k], copy, t_ns)
+            features, is_recognised, answer = asked.answer(room.frames[k], copy, t_ns)
             wall.append(time.perf_counter() - begin)
             cpu.append(time.process_time() - begin_cpu)
             begin = time.perf_counter()
@@ -186,6 +197,7 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
             distance = np.linalg.norm(centroids - (room.T_true[k, :3, 3] + offset_of(copy)), axis=1)
             right = {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
             states.append((answer.state, answer.place is not None and answer.place.id in right))
+            recognised.append(is_recognised)
     tracemalloc.start()
     for k in range(TRACED):
         t_ns += 500_000_000
@@ -209,6 +221,8 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
         "cpu_ms_median": 1e3 * float(np.median(cpu)),
         "cpu_ms_p95": 1e3 * float(np.percentile(cpu, 95)),
         "index_ms_median": float(np.median(index_ms)),
+        "recognised": int(np.sum(recognised)),
+        "unknown": sum(state == "unknown" for state, _ in states),
         "known": len(known),
         "known_right": int(np.sum(known)),
     }
@@ -223,8 +237,8 @@ class Asked:
     calibration: Calibration
     extractor: FeatureExtractor
 
-    def answer(self, frame: ImageFrame, copy: int, t_ns: int) -> tuple[Features, Any]:
-        """The answer to one image taken in a copy of its room; features as that copy shows them."""
+    def answer(self, frame: ImageFrame, copy: int, t_ns: int) -> tuple[Features, bool, Any]:
+        """Of one image taken in a copy of its room: its features there, whether it was recognised, the answer."""
         assert self.calibration.camera is not None
         seen = self.extractor.extract(frame.grey())
         features = Features(seen.uv_px, shuffled(seen.descriptors, copy))
@@ -233,7 +247,7 @@ class Asked:
             self.estimator.on_candidates(attempt.candidates, t_ns)
         else:
             self.estimator.on_failure(t_ns, attempt.num_features)
-        return features, self.estimator.answer(t_ns)
+        return features, bool(attempt.candidates), self.estimator.answer(t_ns)
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
