@@ -297,11 +297,9 @@ class CurrentPlaceEstimator:
         A candidate that no hypothesis expects becomes one, with its share of what was "lost".
         """
         c = self.config
-        extra = max(0, candidates[0].num_inliers - c.fewest_inliers)
-        false = c.false_localization * float(np.exp(-extra / c.false_localization_inliers))
-        false = max(false, c.false_localization_floor)
-        share = np.array([float(z.num_inliers) for z in candidates]) ** c.candidate_exponent
-        share /= share.sum()
+        odds = np.array([self._odds(z) for z in candidates])
+        false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
+        share = odds / odds.sum()
         measured = [self._measured(z) for z in candidates]
         fits = [[self._fit(h, m, T_nav_body) for m in measured] for h in self._hypotheses]
         density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(measured)) * share
@@ -346,6 +344,11 @@ class CurrentPlaceEstimator:
         index = self._index[z.map_id]
         sigma_m = float(np.hypot(z.sigma_position / self._maps[index].unit, self.config.pose_floor_m))
         return _Measured(z, index, z.T_map_cam @ self._T_cam_body, sigma_m)
+
+    def _odds(self, z: Localization) -> float:
+        """That a candidate is right, against that it is a look-alike."""
+        extent_m = z.extent / self._maps[self._index[z.map_id]].unit
+        return float((max(extent_m, 1e-3) / self.config.even_extent_m) ** self.config.extent_exponent)
 
     def _fit(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray) -> Agreement:
         """How well a measured pose fits a hypothesis; in another map not at all."""

@@ -193,12 +193,14 @@ class Localizer:
         if pose is None:
             return None
         inlier = np.flatnonzero(pose.inlier)
+        _, first_of_each = np.unique(landmark[found[inlier]], return_index=True)
         return _FoundPose(
             pose=pose,
             map_index=members[0].map_index,
             query=query[inlier],
             landmark=landmark[found[inlier]],
             num_matches=len(query),
+            extent=_extent(p_map[found[inlier[first_of_each]]]),
         )
 
     def _distinct(self, poses: list[_FoundPose]) -> list[_FoundPose]:
@@ -270,6 +272,7 @@ class Localizer:
             sigma_position=found.pose.sigma_position,
             keyframe_index=self._keyframes[evidence].keyframe_index,
             map_id=self.maps[found.map_index].id,
+            extent=found.extent,
             landmarks=np.unique(found.landmark),
         )
 
@@ -287,6 +290,7 @@ class _FoundPose:
     query: IntArray  # (i,) feature numbers of the inliers
     landmark: IntArray  # (i,) their landmarks
     num_matches: int
+    extent: float  # map units
 
 
 class _Views:
@@ -309,6 +313,11 @@ class _Views:
         length = np.searchsorted(self._landmark, landmark, side="right") - begin
         at = np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum())
         return self._view[at]
+
+
+def _extent(p_map: FloatArray) -> float:
+    """Median distance of points (n, 3) from their middle."""
+    return float(np.median(np.linalg.norm(p_map - np.median(p_map, axis=0), axis=1)))
 
 
 def _match(

@@ -61,7 +61,12 @@ def make_map(map_id: str = "map", places: int = 3) -> PlaceMap:
 
 
 def seen(
-    t_s: float, T_map_body: FloatArray, inliers: int = 200, map_id: str = "map", landmarks: tuple[int, ...] = ()
+    t_s: float,
+    T_map_body: FloatArray,
+    inliers: int = 200,
+    map_id: str = "map",
+    landmarks: tuple[int, ...] = (),
+    extent: float = 0.4,
 ) -> Localization:
     return Localization(
         t_robot_ns=int(t_s * SECOND),
@@ -71,6 +76,7 @@ def seen(
         sigma_position=0.03,
         keyframe_index=4,
         map_id=map_id,
+        extent=extent,
         landmarks=np.array(landmarks, dtype=np.int64),
     )
 
@@ -113,6 +119,21 @@ def test_an_image_localised_late_counts_for_its_own_moment() -> None:
     answer = estimator.answer(3 * SECOND)
     assert answer.place is not None and answer.place.id == "map-1"
     assert answer.position_map is not None and answer.position_map[0] == pytest.approx(3.0, abs=0.05)
+
+
+def test_a_piece_of_furniture_is_less_evidence_than_an_arrangement() -> None:
+    for extent, state in ((0.07, "lost"), (0.5, "known")):
+        estimator = CurrentPlaceEstimator(make_map())
+        estimator.on_localization(seen(1.0, pose(2.8, 0.2), inliers=150, extent=extent))
+        assert estimator.answer(SECOND).state == state
+
+
+def test_of_two_poses_the_one_that_explains_more_space_is_believed_not_the_one_with_more_landmarks() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    piece, arrangement = pose(0.2, 0.0), pose(5.9, 0.0)
+    estimator.on_candidates([seen(1.0, piece, inliers=200, extent=0.1), seen(1.0, arrangement, inliers=60, extent=0.6)])
+    answer = estimator.answer(SECOND)
+    assert answer.place is not None and answer.place.id == "map-2"
 
 
 def test_an_answer_about_the_past_says_that_it_is_about_now() -> None:
