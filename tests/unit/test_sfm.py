@@ -16,7 +16,7 @@ from station.slam.sfm.bundle import BundleState, Observations, adjust, log_many,
 from station.slam.sfm.inertial import InertialTrack, estimate_gyro_bias, exp_many
 from station.slam.sfm.matching import match_descriptors
 from station.slam.sfm.metric import ScaleEstimate, align_to_imu, fuse_scales, scale_from_drive
-from station.slam.sfm.odometry import Odometry, bias_at_rest, dead_reckon
+from station.slam.sfm.odometry import DEAD_RECKONED, Odometry, bias_at_rest, dead_reckon
 from station.slam.sfm.tracks import build_tracks, longest, triangulate
 from station.slam.sfm.trajectory import all_frames
 
@@ -187,6 +187,7 @@ def test_bundle_adjustment_corrects_poses_and_survives_outliers(
         p=drift[:, :3, 3],
         sigma_rotation=np.full(n - 1, 0.002),
         sigma_position=np.full((n - 1, 3), 0.01),
+        drift=DEAD_RECKONED,
         track=InertialTrack(flat_drive()[1], np.zeros(3)),
     )
     state = BundleState(

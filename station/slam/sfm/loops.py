@@ -12,14 +12,12 @@ from station.slam.sfm.bundle import BundleState
 from station.slam.sfm.config import MatchConfig
 from station.slam.sfm.features import Features
 from station.slam.sfm.matching import match_descriptors
+from station.slam.sfm.odometry import Drift
 from station.slam.sfm.tracks import Pairs, Tracks
 
 MIN_APART = 8  # keyframes nearer in time have been matched already
 MAX_ANGLE_RAD = 0.5  # between viewing directions: beyond it SIFT and a narrow view share nothing
 MAX_DISTANCE_M = 2.0
-DRIFT_M = 0.3  # the poses may be wrong by this much, and 5 % of the way between
-DRIFT_PER_WAY = 0.05
-DRIFT_RAD = 0.09
 PNP_ERROR_PX = 5.0
 
 
@@ -30,9 +28,10 @@ def find_loops(
     tracks: Tracks,
     T_body_cam: FloatArray,
     focal_px: float,
+    drift: Drift,
     config: MatchConfig,
 ) -> list[Pairs]:
-    """Matches between keyframes far apart in time, each confirmed by a pose from landmarks that odometry believes."""
+    """Matches between keyframes far apart in time, each confirmed by a pose from landmarks that `drift` explains."""
     R_cam = state.R_world_body @ T_body_cam[:3, :3]
     centre = state.p_world_body + state.R_world_body @ T_body_cam[:3, 3]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
@@ -53,8 +52,8 @@ def find_loops(
         R_world_cam, t_world_cam, inliers = found
         turned = float(np.linalg.norm(so3_log(R_cam[b].T @ R_world_cam)))
         moved = float(np.linalg.norm(t_world_cam - centre[b]))
-        believable = turned < DRIFT_RAD and moved < DRIFT_M + DRIFT_PER_WAY * abs(way[b] - way[a])
-        if believable and len(inliers) >= config.min_loop_inliers:
+        is_explained = drift.explains(moved, turned, float(abs(way[b] - way[a])))
+        if is_explained and len(inliers) >= config.min_loop_inliers:
             out.append((a, b, pairs[inliers]))
     return out
 

@@ -21,6 +21,22 @@ POSITION_FLOOR_M = 0.004
 VERTICAL_SIGMA_M = 0.003  # floors are flat; carpets and thresholds are not quite
 
 
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """How wrong a chain of relative motions may be: a loop that says more shows a look-alike, not the same thing."""
+
+    position_m: float
+    position_per_way: float
+    rotation_rad: float
+
+    def explains(self, moved_m: float, turned_rad: float, way_m: float) -> bool:
+        """Whether a loop over such a way may correct by so much."""
+        return turned_rad < self.rotation_rad and moved_m < self.position_m + self.position_per_way * way_m
+
+
+DEAD_RECKONED = Drift(position_m=0.3, position_per_way=0.05, rotation_rad=0.09)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativeMotions:
     """Relative motion between consecutive keyframes, in the body frame of the first of the two."""
@@ -31,6 +47,7 @@ class RelativeMotions:
     p: FloatArray  # (N-1, 3) m
     sigma_rotation: FloatArray  # (N-1,) rad
     sigma_position: FloatArray  # (N-1, 3) m, body axes
+    drift: Drift  # of the whole chain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,5 +145,6 @@ def dead_reckon(
         p=p,
         sigma_rotation=sigma_rotation,
         sigma_position=sigma_position,
+        drift=DEAD_RECKONED,
         track=track,
     )

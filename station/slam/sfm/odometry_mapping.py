@@ -92,7 +92,7 @@ def map_with_motions(
     counts = [len(f) for f in features]
     tracks = build_tracks(counts, verified)
     state, kept = refine(state, tracks, rays, odometry, camera, FIRST_SCALES)
-    loops = find_loops(features, rays, state, kept, T_body_cam, camera.fx, config.matching)
+    loops = find_loops(features, rays, state, kept, T_body_cam, camera.fx, odometry.drift, config.matching)
     if loops:
         tracks = build_tracks(counts, [*verified, *loops])
         state, kept = refine(state, tracks, rays, odometry, camera, LOOP_SCALES)
