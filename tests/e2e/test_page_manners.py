@@ -194,6 +194,56 @@ async def test_a_page_that_never_got_a_picture_does_not_drive(room: Room) -> Non
     assert not any(linear or angular for _, linear, angular in room.bench.motors.history)
 
 
+async def test_a_stop_arrives_also_where_the_socket_is_dead_and_nobody_was_told(room: Room) -> None:
+    page = await room.new_page()
+    await page.route_web_socket(re.compile("/ws/drive"), lambda _: None)  # takes everything, and hands nothing on
+    await page.goto(room.desk.address)
+    await page.wait_for_selector("#link[data-state=good]")
+    stops = room.bench.stops_heard
+    await page.keyboard.press("Space")
+    await until(lambda: room.bench.stops_heard > stops)
+
+
+async def test_a_page_that_does_not_drive_stops_nobody_by_what_keeps_it_from_driving(room: Room) -> None:
+    await keep(room, "nav-1")
+    page = await room.new_page()
+    await page.add_init_script(PAD)
+    await room.visit(page)
+    await page.bring_to_front()
+    await page.get_by_role("button", name="More about Drive nav-1").click()
+    await page.evaluate("pad.axes = [0, -1]")
+    await expect(page.locator("#why")).to_contain_text("a dialog is open")
+    await page.keyboard.press("Space")  # sent after whatever was sent before, and told
+    await expect(page.locator("#log")).to_contain_text("stopped: STOP key")
+    assert not [line for line in room.desk.station.first.events.log if "a dialog is open" in line.text]
+
+
+async def test_a_hand_on_the_joystick_is_no_more_in_a_list(room: Room) -> None:
+    page = await room.open()
+    await page.locator("#robots").evaluate("e => { e.hidden = false; e.focus(); }")  # as with two robots
+    await expect(page.locator("#robots")).to_be_focused()
+    left, top, right, bottom = await box(page, "#stick")
+    await page.mouse.move((left + right) / 2, (top + bottom) / 2)
+    await page.mouse.down()
+    await expect(page.locator("#robots")).not_to_be_focused()
+    await page.mouse.up()
+
+
+async def test_the_page_is_dressed_as_the_system_is_until_a_person_chooses(room: Room) -> None:
+    page = await room.new_page()
+    dress = page.locator("html")
+    for theme in ("dark", "light"):
+        await page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
+        await page.goto(room.desk.address)
+        await expect(dress).to_have_attribute("data-theme", theme)
+    await page.emulate_media(color_scheme="dark")  # at dusk, while the page is open
+    await expect(dress).to_have_attribute("data-theme", "dark")
+    await page.locator("#theme").click()
+    await expect(dress).to_have_attribute("data-theme", "light")
+    await page.reload()
+    await expect(dress).to_have_attribute("data-theme", "light")
+
+
 async def test_the_address_of_a_robot_that_is_gone_leads_to_those_that_are_there(room: Room) -> None:
     page = await room.new_page()
     await page.goto(f"{room.desk.address}/?robot=attic")

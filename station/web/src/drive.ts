@@ -95,7 +95,9 @@ export class DriveControl {
 
   emergencyStop(reason: string): void {
     this.release();
-    if (!this.send({ type: "stop", reason })) attempt(() => call("POST", "/stop")); // watchers may stop too
+    this.send({ type: "stop", reason });
+    // Also by itself, and not for watchers only: the socket may be dead, and neither end told yet.
+    attempt(() => call("POST", "/stop"));
     this.say("Stopped");
   }
 
@@ -181,7 +183,8 @@ export class DriveControl {
     const wasHeld = this.isDriving || this.direction !== null;
     this.release();
     if (!wasHeld) return;
-    if (tellRobot) this.stopDriving(reason);
+    // What we have not set going may be another one's drive, and a STOP of ours would end it.
+    if (tellRobot && this.isDriving) this.stopDriving(reason);
     this.isDriving = false;
     this.say(`Stopped: ${reason}`);
   }
@@ -223,7 +226,8 @@ export class DriveControl {
     };
     stick.addEventListener("pointerdown", (event) => {
       if (pointer !== null) return;
-      event.preventDefault();
+      event.preventDefault(); // which also leaves the keyboard where it is: in a list, it would not let us drive
+      if (document.activeElement instanceof HTMLSelectElement) document.activeElement.blur();
       stick.setPointerCapture(event.pointerId);
       pointer = event.pointerId;
       move(event);
