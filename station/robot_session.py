@@ -72,6 +72,7 @@ class RobotSession:
         )
         self._driver: str | None = None  # as was told
         self._last_driver: str | None = None
+        self._last_stopper: str | None = None
         self._hijacking = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.locating = Locating(
@@ -140,6 +141,22 @@ class RobotSession:
         if (pan or tilt) and (reason := self.head_must_rest):
             raise Conflict(reason)
         self.driving.point(driver, pan, tilt)
+
+    def stop(self, by: str, why: str | None = None) -> bool:
+        """Motors off now, and a line on who said it; none for an empty `why`, which is letting go.
+
+        Nor for one who says it again without a reason while nothing moves: a program that repeats would leave the log
+        no room for other lines. False when no robot is connected.
+        """
+        is_news = self.driving.is_moving or by != self._last_stopper
+        is_told = self.driving.stop(by)
+        if why:
+            self.events.say("drive", f"{by} stopped: {why}")
+        elif why is None and is_told and is_news:
+            self.events.say("drive", f"{by} stopped the robot")
+        if why != "":
+            self._last_stopper = by
+        return is_told
 
     async def hijack(self, spot: tuple[float, float, float] | None) -> None:
         """Put a simulated robot down at x m, y m, yaw rad of its world, or (None) wherever it likes.

@@ -84,9 +84,8 @@ def _driver_model(robot: RobotSession, caller: str) -> DriverModel:
 @of_robot.post("/stop", summary="Motors off now", responses=responses(503))
 async def stop(robot: RobotDep, driver: DriverDep) -> Accepted:
     """Anyone may stop the robot, also one who does not drive; then the driver must let go before driving on."""
-    if not robot.driving.stop(driver):
+    if not robot.stop(driver):
         raise NoRobot("no robot is connected; its own watchdog stops it when the link is lost")
-    robot.events.say("drive", f"{driver} stopped the robot")
     return Accepted()
 
 
@@ -169,9 +168,7 @@ async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, la
                 robot.driving.drive(name, command.linear, command.angular, left_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
             case StopCommand():
-                robot.driving.stop(name)
-                if command.reason:
-                    robot.events.say("drive", f"{name} stopped: {command.reason}")
+                robot.stop(name, command.reason)
             case PanTiltCommand():
                 robot.point(name, command.pan, command.tilt)
             case TakeOverCommand():
