@@ -313,7 +313,8 @@ class Station:
             await asyncio.sleep(BIN_CHECK_S)
             try:
                 await self.empty_bin(everything=False)
-            except (RobotSystemError, OSError) as exc:  # a disk or a database that is away for a while must not end the robots
+            except (RobotSystemError, OSError) as exc:
+                # A disk or a database that is away for a while must not end the robots.
                 self.events.say("map", f"the bin could not be looked through: {exc}", "warning")
 
     async def _tidy_up(self, interrupted: list[DriveRecord]) -> None:
