@@ -130,7 +130,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, exc: RequestValidationError) -> JSONResponse:
         errors = [{"where": ".".join(map(str, e["loc"])), "what": _what_is_wrong(request, e)} for e in exc.errors()]
-        detail = "; ".join(f"{e['where']}: {e['what']}" for e in errors[:5])
+        detail = "; ".join(f"{e['where'].removeprefix('body.')}: {e['what']}" for e in errors[:5])
         return problem(request, 422, "invalid", "The request is not valid", detail, errors=errors)
 
     @app.exception_handler(HTTPException)

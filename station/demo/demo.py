@@ -23,8 +23,8 @@ from station.navigation_files import load_navigation
 
 START_TIMEOUT_S = 90.0  # the first start of a flat bakes its textures
 DRIVE_TIMEOUT_S = 240.0
-SLAM_TIMEOUT_S = 300.0
-MAP_TIMEOUT_S = 120.0
+SLAM_TIMEOUT_S = 600.0  # without any progress; its last step tells of none, and a busy computer may take minutes
+MAP_TIMEOUT_S = 300.0
 SECOND_DRIVE_S = 20.0  # Navigation2 lasts this long after the robot was put down
 ASK_EVERY_S = 0.5
 Say = Callable[[str], None]
@@ -163,7 +163,10 @@ def wait_for_slam(demo: Demo, navigation: str) -> None:
             raise RobotSystemError(f"SLAM failed: {drive['message']}")
         return bool(drive["state"] == "ready")
 
-    wait_for(demo.programs, "SLAM", is_finished, SLAM_TIMEOUT_S)
+    def progress() -> object:
+        return demo.station.get("/slam")["message"]
+
+    wait_for(demo.programs, "SLAM", is_finished, SLAM_TIMEOUT_S, progress)
     drive = demo.station.get(f"/navigations/{navigation}")
     demo.say(
         f"Navigation1: {drive['duration_s']:.0f} s, {drive['frames']} frames, {drive['imu_samples']} IMU samples "
@@ -260,13 +263,25 @@ def serve_until_interrupted(demo: Demo) -> None:
         demo.say("ending: motors off, then the station finishes what it writes (some seconds)")
 
 
-def wait_for(programs: Programs, what: str, is_ready: Callable[[], bool], timeout_s: float) -> None:
-    """Wait for a condition while the programs live."""
+def wait_for(
+    programs: Programs,
+    what: str,
+    is_ready: Callable[[], bool],
+    timeout_s: float,
+    progress: Callable[[], object] = lambda: None,
+) -> None:
+    """Wait for a condition while the programs live; the time counts anew whenever `progress` returns something else."""
     end = time.monotonic() + timeout_s
+    reached = progress()
     while not is_ready():
         programs.check()
+        if reached != (now := progress()):
+            reached, end = now, time.monotonic() + timeout_s
         if time.monotonic() > end:
-            raise RobotSystemError(f"{what} was not ready within {timeout_s:.0f} s; see the demo's logs")
+            raise RobotSystemError(
+                f"{what} was not ready within {timeout_s:.0f} s: this computer is too busy, or it hangs;"
+                " see the demo's logs"
+            )
         time.sleep(0.2)
 
 

@@ -17,6 +17,7 @@ const KEYS: Record<string, [number, number]> = {
   ArrowRight: [1, 0],
 };
 const DEAD_ZONE = 0.12;
+const TELL_AFTER_MS = 1500; // a picture this old is no hiccup: the control says that it cannot drive
 
 export class DriveControl {
   private readonly socket: LastingSocket | null; // null: this visitor may only watch
@@ -86,11 +87,17 @@ export class DriveControl {
     this.driver = driver;
     this.youDrive = driver === driverName;
     const other = driver !== null && !this.youDrive;
-    const free = !this.connected ? "No robot" : this.able?.drive ? "Hold to drive" : "This robot cannot drive";
-    setText(by("driver"), this.youDrive ? "You drive" : other ? `${driver} drives` : free);
+    setText(by("driver"), this.youDrive ? "You drive" : other ? `${driver} drives` : this.whyFree());
     by("driver").title = other ? `${driver} drives` : "";
     by("driver").classList.toggle("other", other);
     show(by("take-over"), other && this.socket !== null);
+  }
+
+  /** What a hand on the stick would do while nobody drives. */
+  private whyFree(): string {
+    if (!this.connected) return "No robot";
+    if (!this.able?.drive) return "This robot cannot drive";
+    return this.able.camera && this.video.ageMs > TELL_AFTER_MS ? "No driving: the picture is old" : "Hold to drive";
   }
 
   emergencyStop(reason: string): void {
@@ -128,6 +135,7 @@ export class DriveControl {
 
   private tick(): void {
     this.readGamepad();
+    if (this.driver === null) this.showDriver(null); // pictures grow old without anybody telling
     const direction = this.direction;
     if (!direction) {
       if (this.isDriving) this.stopDriving("");
