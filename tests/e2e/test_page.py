@@ -81,6 +81,7 @@ async def test_stale_video_stops_the_robot(room: Room) -> None:
     await until(lambda: room.motors_rest)
     await expect(page.locator("#why")).to_contain_text("the picture is")
     await expect(page.locator(".age")).to_have_class("tag age bad")
+    await expect(page.locator("#driver")).to_have_text("No driving: the picture is old")
 
 
 KEYBOARD_GOES = {

@@ -113,6 +113,14 @@ async def test_what_slam_has_left_to_do_is_told_and_can_be_given_up(room: Room) 
     await expect(page.locator("#slam")).to_be_empty()
 
 
+@pytest.mark.parametrize("width", [900, 1100, 1280])
+async def test_a_laptop_has_room_for_the_head_too(room: Room, width: int) -> None:
+    page = await room.open(viewport={"width": width, "height": 800})
+    for slider in ("#pan", "#tilt"):
+        left, _, right, _ = await box(page, slider)
+        assert right - left > 110, f"{slider} is {right - left:.0f} px wide"
+
+
 async def test_a_phone_has_room_for_the_head_and_for_whole_sentences(room: Room) -> None:
     page = await room.open(**PHONE)
     for slider in ("#pan", "#tilt", "#speed"):
