@@ -55,8 +55,9 @@ RETRY_S = 0.25  # a robot that just started is found well within two seconds
 REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a handshake was cut in the middle
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
-# Heartbeats are answered before anything else is sent. So many messages without an answer: the robot does not hear us.
-UNHEARD_AFTER_NS, UNHEARD_MESSAGES = 1_100_000_000, 10
+# Heartbeats are answered before anything else is sent. So late an answer, and the robot spoke on for so long with so
+# many messages: it does not hear us. After a stall of the network all comes at once, and the answers right behind.
+UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
 AUTO = "auto"  # as host: look for a robot
 FIND_WITHIN_S = 2.0
 ANSWER_WITHIN_S = 2.0
@@ -140,7 +141,8 @@ class RobotLink:
         self._answer: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for what the robot says
         self._answer_seq = 0  # of the heartbeat behind the question
         self._heard_us_ns = 0  # when the last heartbeat was answered
-        self._unanswered = 0  # messages since then
+        self._unanswered = 0  # messages that came when an answer was late already
+        self._unanswered_since_ns = 0  # when the first of them came
 
     @property
     def state(self) -> LinkState:
@@ -371,13 +373,16 @@ class RobotLink:
 
     def _is_unheard(self, now_ns: int) -> bool:
         """The robot speaks and does not answer: what we say is lost, or its end waits for the rest of something."""
-        is_late = now_ns - self._heard_us_ns >= UNHEARD_AFTER_NS
-        return self._connected and is_late and self._unanswered >= UNHEARD_MESSAGES
+        speaks_on = now_ns - self._unanswered_since_ns >= UNHEARD_FOR_NS
+        return self._connected and speaks_on and self._unanswered >= UNHEARD_MESSAGES
 
     # What arrives
 
     def _take(self, message: Message, now_ns: int) -> None:
-        self._unanswered += 1
+        if now_ns - self._heard_us_ns >= UNHEARD_AFTER_NS:
+            if self._unanswered == 0:
+                self._unanswered_since_ns = now_ns
+            self._unanswered += 1
         match message:
             case CameraFrame():
                 self._frames += 1
