@@ -164,7 +164,7 @@ def wait_for_slam(demo: Demo, navigation: str) -> None:
         return bool(drive["state"] == "ready")
 
     def progress() -> object:
-        return demo.station.get("/slam")["message"]
+        return demo.station.get("/pose")["message"]
 
     wait_for(demo.programs, "SLAM", is_finished, SLAM_TIMEOUT_S, progress)
     drive = demo.station.get(f"/navigations/{navigation}")
