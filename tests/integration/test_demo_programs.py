@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import socket
@@ -12,8 +13,13 @@ from pathlib import Path
 import pytest
 
 from shared.errors import ConfigError, RobotSystemError
+from station.demo.demo import Demo, DemoOptions, wait_for_slam
 from station.demo.folder import alone_in, fresh_folder, require_free
 from station.demo.processes import Programs
+from station.demo.simulator_client import SimulatorClient
+from station.demo.station_client import StationClient
+from tests.integration.test_station_drives import keep_drive
+from tests.station_support import running_station
 
 SCRIPT = """
 import signal, sys
@@ -109,3 +115,17 @@ def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
         pass
     with alone_in(tmp_path / "demo"):
         pass
+
+
+async def test_the_demo_asks_a_station_what_it_can_answer(tmp_path: Path) -> None:
+    drive = keep_drive(tmp_path / "data", "nav-1")
+    said: list[str] = []
+    options = DemoOptions(seed=1, once=True, port=0, out=tmp_path, world="small", backend=None)
+    async with running_station(1, tmp_path / "data") as desk:
+        with Programs(tmp_path / "logs") as programs, socket.create_server(("127.0.0.1", 0)) as nobody:
+            port = nobody.getsockname()[1]
+            simulator = SimulatorClient(port)
+            demo = Demo(options, programs, StationClient(desk.address), simulator, port, said.append)
+            await asyncio.to_thread(wait_for_slam, demo, drive.id)
+            simulator.close()
+    assert said and "5 landmarks (sfm, metric scale)" in said[0]
