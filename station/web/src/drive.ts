@@ -135,7 +135,7 @@ export class DriveControl {
 
   private tick(): void {
     this.readGamepad();
-    if (this.driver === null) this.showDriver(null); // pictures grow old without anybody telling
+    if (this.driver === null) setText(by("driver"), this.whyFree()); // pictures grow old without anybody telling
     const direction = this.direction;
     if (!direction) {
       if (this.isDriving) this.stopDriving("");
