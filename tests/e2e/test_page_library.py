@@ -127,13 +127,24 @@ PAD = """
 """
 
 
-async def test_a_gamepad_drives_while_its_stick_is_held(room: Room) -> None:
+async def open_with_gamepad(room: Room) -> Page:
+    """The page of somebody who has a gamepad, at rest."""
     page = await room.new_page()
     await page.add_init_script(PAD)
     await room.visit(page)
     await page.bring_to_front()
+    return page
+
+
+async def hold_gamepad(room: Room, page: Page) -> None:
+    """Forward, until the motors run."""
     await page.evaluate("pad.axes = [0, -1]")
     await until(lambda: room.motors_run)
+
+
+async def test_a_gamepad_drives_while_its_stick_is_held(room: Room) -> None:
+    page = await open_with_gamepad(room)
+    await hold_gamepad(room, page)
     assert room.bench.motors.history[-1][1] > 0
     await page.evaluate("pad.axes = [0.02, 0.03]")  # a stick never rests at exactly nothing
     await until(lambda: room.motors_rest)
@@ -146,12 +157,8 @@ async def test_a_gamepad_drives_while_its_stick_is_held(room: Room) -> None:
 
 
 async def test_a_stop_while_the_gamepad_is_held_lasts_until_it_is_let_go(room: Room) -> None:
-    page = await room.new_page()
-    await page.add_init_script(PAD)
-    await room.visit(page)
-    await page.bring_to_front()
-    await page.evaluate("pad.axes = [0, -1]")
-    await until(lambda: room.motors_run)
+    page = await open_with_gamepad(room)
+    await hold_gamepad(room, page)
     await page.locator("#stop").dispatch_event("click")
     await until(lambda: room.motors_rest)
     stopped, seen = len(room.bench.motors.history), room.film.count

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import re
 import signal
+from typing import Literal
 
 import pytest
 from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import PHONE, Room
-from tests.e2e.test_page_library import PAD
+from tests.e2e.test_page_library import hold_gamepad, open_with_gamepad
 from tests.integration.test_station_drives import keep_drive
 from tests.link_support import until
 from tests.openapi_support import furnish
@@ -37,7 +38,7 @@ async def test_rows_stay_the_same_buttons_while_what_they_tell_of_changes(room: 
     more = page.get_by_role("button", name="More about Drive nav-before")
     await more.focus()
     button = await more.element_handle()
-    assert button is not None
+    assert button is not None and await button.evaluate("e => e === document.activeElement")
     await room.desk.http.post("/navigations")
     await expect(page.locator("#record .text")).to_contain_text("· 0:02")  # told every second
     await room.desk.http.patch("/navigations/nav-before", json={"name": "All rooms"})
@@ -56,7 +57,8 @@ async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(r
     await expect(page.locator("#map-count")).to_contain_text("places")
     drive = (await room.desk.http.post("/navigations")).json()["id"]
     await expect(page.locator("#slam")).to_have_text("going straight")
-    await until(lambda: len(room.desk.station.first.recording.live.points) > 100)  # type: ignore[union-attr]
+    recording = room.desk.station.first.recording
+    await until(lambda: recording.live is not None and len(recording.live.points) > 100)
     await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
     await page.locator("[data-layer=live]").click()
     grown = re.compile(r"\d,\d\d\d landmarks")
@@ -101,7 +103,7 @@ async def test_what_slam_has_left_to_do_is_told_and_can_be_given_up(room: Room) 
     await page.locator("#record").click()
     await expect(page.locator("#slam")).to_have_text("going straight")
     pid = room.desk.station.first.recording.slam_pid
-    assert pid is not None
+    assert pid is not None and pid != os.getpid()
     os.kill(pid, signal.SIGSTOP)  # a busy machine
     await page.locator("#record").click()
     await expect(page.locator("#slam")).to_contain_text("finishing:")
@@ -168,12 +170,8 @@ async def test_a_refused_name_stays_in_its_dialog_with_the_reason(room: Room) ->
 async def test_nothing_drives_behind_a_dialog_and_space_stops_there_too(room: Room) -> None:
     await keep(room, "nav-1")
     await keep(room, "nav-2")
-    page = await room.new_page()
-    await page.add_init_script(PAD)
-    await room.visit(page)
-    await page.bring_to_front()
-    await page.evaluate("pad.axes = [0, -1]")
-    await until(lambda: room.motors_run)
+    page = await open_with_gamepad(room)
+    await hold_gamepad(room, page)
     await page.get_by_role("button", name="More about Drive nav-1").dispatch_event("click")
     await until(lambda: room.motors_rest)
     await expect(page.locator("#why")).to_contain_text("a dialog is open")
@@ -214,10 +212,7 @@ async def test_a_stop_arrives_also_where_the_socket_is_dead_and_nobody_was_told(
 
 async def test_a_page_that_does_not_drive_stops_nobody_by_what_keeps_it_from_driving(room: Room) -> None:
     await keep(room, "nav-1")
-    page = await room.new_page()
-    await page.add_init_script(PAD)
-    await room.visit(page)
-    await page.bring_to_front()
+    page = await open_with_gamepad(room)
     await page.get_by_role("button", name="More about Drive nav-1").click()
     await page.evaluate("pad.axes = [0, -1]")
     await expect(page.locator("#why")).to_contain_text("a dialog is open")
@@ -240,8 +235,9 @@ async def test_a_hand_on_the_joystick_is_no_more_in_a_list(room: Room) -> None:
 async def test_the_page_is_dressed_as_the_system_is_until_a_person_chooses(room: Room) -> None:
     page = await room.new_page()
     dress = page.locator("html")
-    for theme in ("dark", "light"):
-        await page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
+    themes: tuple[Literal["dark", "light"], ...] = ("dark", "light")
+    for theme in themes:
+        await page.emulate_media(color_scheme=theme)
         await page.goto(room.desk.address)
         await expect(dress).to_have_attribute("data-theme", theme)
     await page.emulate_media(color_scheme="dark")  # at dusk, while the page is open
