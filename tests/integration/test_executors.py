@@ -104,13 +104,13 @@ def test_a_cluster_makes_the_same_map_and_a_killed_worker_changes_nothing(cluste
         killer = Killer(lambda: [pid for pid in children() if pid not in before], {})
         assert map_hash(processes, drive_in_two()) == expected
         killer.join()
-        assert killer.killed is not None
+        assert killer.killed and killer.killed not in children()
     with open_executor(address(cluster)) as machines:
         base = {pid: sum(psutil.Process(pid).cpu_times()[:2]) for pid in nannies(cluster)}
         killer = Killer(lambda: [pid for pid in nannies(cluster) if pid in base], base)
         assert map_hash(machines, drive_in_two()) == expected
         killer.join()
-        assert killer.killed is not None
+        assert killer.killed and killer.killed not in nannies(cluster)
 
 
 def test_a_recording_travels_to_a_cluster_and_gives_the_same_map(cluster: object, tmp_path: Path) -> None:
