@@ -54,6 +54,7 @@ def save_navigation(nav: Navigation, folder: Path) -> None:
             fresh = scratch / "fresh"
             _write(nav, fresh)
             swap_folder(fresh, folder, scratch / "old")
+            _flush(folder.parent)  # the name too: who reads that a navigation is ready may pull the plug
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
     except OSError as exc:

@@ -25,6 +25,7 @@ from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_T
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.events import LogLine
 from station.foxglove import IMAGE_SCHEMA_NAME, camera_calibration, encode_image, image_schema, time_of
+from station.maps.bucket import flush
 from station.place_report import PlaceReport
 from station.recording_topics import (
     ANSWER_TOPIC,
@@ -98,6 +99,8 @@ class Recorder:
         self._frames_taken = 0
         self._frames_written = 0
         self._frames_dropped = 0
+        # Log times of the newest that was taken, that was given to the file, that the disk has:
+        self._newest_ns = self._written_ns = self._safe_ns = self._wall_minus_monotonic_ns + now_ns()
         self._error = ""
         self._closed = False
         self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
@@ -115,7 +118,7 @@ class Recorder:
         return RecordingReport(self.path, self._messages, size, self._frames_dropped, self._error)
 
     def close(self, within_s: float = CLOSE_WITHIN_S) -> RecordingReport:
-        """Write what waits, finish the file. Safe to call twice.
+        """Write what waits, finish the file. Safe to call twice. Without `error` the whole file is on the disk then.
 
         A disk that does not take it in that time is left to itself; the report says so.
         """
@@ -220,6 +223,7 @@ class Recorder:
         t_station_ns = self._now_ns() if t_station_ns is None else t_station_ns
         # Foxglove's time line is the log time, which is wall time; the sensor's own time is the publish time.
         wall_ns = t_station_ns + self._wall_minus_monotonic_ns
+        self._newest_ns = max(self._newest_ns, wall_ns)
         self._waiting.put(_Entry(topic, max(0, wall_ns if t_sensor_ns is None else t_sensor_ns), wall_ns, content))
 
     def _fail(self, why: str) -> None:
@@ -228,17 +232,29 @@ class Recorder:
             logger.error("%s", self._error)
             self._waiting.put(None)  # what was accepted until now is still written
 
+    def _fail_to_write(self, why: str) -> None:
+        """The disk did not take everything: say how much, also of a recording that was being ended already."""
+        lost_s = (self._newest_ns - self._safe_ns) * 1e-9
+        why = f"{why}; its last {lost_s:.1f} s may be missing, what came before can be read"
+        if not self._error:
+            self._fail(why)
+        else:
+            self._error += f"; its end could not be written: {why}"
+            logger.error("%s", self._error)
+
     def _write_all(self) -> None:
         try:
             with self._file:
                 self._write_entries()
         except OSError as exc:
-            self._fail(f"{exc.strerror or exc}; what was written until then can be read")
+            self._fail_to_write(exc.strerror or str(exc))
         except Exception as exc:
             logger.exception("recorder")
-            self._fail(f"an error of the recorder ({exc}); what was written until then can be read")
+            self._fail_to_write(f"an error of the recorder ({exc})")
 
     def _write_entries(self) -> None:
+        if self._is_on_disk:
+            flush(self.path.parent)  # its name too survives a power cut
         writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
         writer.start(profile="", library="sentinel-robot")
         channels = _register_channels(writer)
@@ -252,6 +268,7 @@ class Recorder:
             if entry is None:
                 break
             self._messages += 1
+            self._written_ns = max(self._written_ns, entry.t_station_ns)
             self._frames_written += entry.topic == IMAGE_TOPIC
             content = entry.content if isinstance(entry.content, bytes) else msgspec.json.encode(entry.content)
             writer.add_message(
@@ -265,15 +282,26 @@ class Recorder:
                 checked_ns = self._now_ns()
                 self._write_out(writer)
                 self._check_disk()
-        finish: Callable[[], None] = writer.finish
+        finish: Callable[[], None] = writer.finish  # mcap leaves it untyped
         finish()
+        self._file.flush()
+        self._wait_for_disk()  # whoever hears that it is closed may pull the plug
 
     def _write_out(self, writer: Writer) -> None:
         """End the chunk and wait until the disk has it."""
-        flush: Callable[[], None] = writer.flush  # mcap leaves it untyped
-        flush()
-        if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+        write_chunk: Callable[[], None] = writer.flush  # it flushes the file too
+        write_chunk()
+        self._wait_for_disk()
+
+    def _wait_for_disk(self) -> None:
+        if self._is_on_disk:
             os.fsync(self._file.fileno())
+        self._safe_ns = self._written_ns
+
+    @property
+    def _is_on_disk(self) -> bool:
+        """A device (/dev/full) cannot be waited for."""
+        return stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)
 
     def _check_disk(self) -> None:
         free = _free_bytes(self.path)

@@ -352,7 +352,7 @@ class Recording:
             folder = self._library.navigation_folder(drive.id)
             report = await running.slam.finish(drive.id, folder)
             finished = await asyncio.to_thread(_view_of, folder)
-            said = [why, _restarted(running.slam), *report.messages, _refused(running.slam)]
+            said = [why, _error_of(running), _restarted(running.slam), *report.messages, _refused(running.slam)]
             drive = replace(
                 drive,
                 state="ready",
@@ -365,7 +365,7 @@ class Recording:
             self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
         except (RobotSystemError, OSError) as exc:
             cause = CANCELLED if running.is_cancelled else running.slam.trouble or str(exc)
-            said = [why, cause, _refused(running.slam)]
+            said = [why, _error_of(running), cause, _refused(running.slam)]
             drive = replace(drive, state="failed", message="; ".join(filter(None, said)))
             running.live.message = drive.message
             level: Level = "warning" if running.is_cancelled else "error"
@@ -411,6 +411,11 @@ def _left_to_do(running: _Running) -> str:
     if waiting:
         return f"finishing: {max(0, total - waiting)} of {total} pictures were looked at"
     return "finishing: computing trajectory and landmarks"
+
+
+def _error_of(running: _Running) -> str:
+    """Why the recording ended by itself, in a sentence."""
+    return "" if running.recorder is None else running.recorder.error
 
 
 def _restarted(slam: SlamProcess) -> str:

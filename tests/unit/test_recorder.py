@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 import math
+import os
 import threading
 from contextlib import suppress
 from dataclasses import replace
@@ -292,6 +293,53 @@ def test_a_write_error_of_another_kind_is_told_too(
     monkeypatch.setattr(station.recorder, "_free_bytes", unplugged)
     recorder.on_connected(HELLO)
     assert "Input/output error" in recorder.close().error
+
+
+def test_what_is_called_closed_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited_for: list[int] = []
+    monkeypatch.setattr(station.recorder.os, "fsync", lambda file: waited_for.append(os.fstat(file).st_size))
+    report = record(tmp_path / "d.mcap")
+    assert report.error == "" and waited_for[-1] == report.bytes
+
+
+def test_a_disk_that_fails_at_the_very_end_is_told_with_what_may_be_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL)
+    now_ns = 0
+
+    def fails(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0, now_ns=lambda: now_ns)
+    recorder.on_connected(HELLO)
+    now_ns = 700_000_000
+    recorder.on_imu(batch(0))
+    monkeypatch.setattr(station.recorder.os, "fsync", fails)
+    error = recorder.close().error
+    assert "Input/output error" in error and "its last 0.7 s may be missing" in error
+
+
+def test_a_recording_that_was_being_ended_says_both_reasons(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL)
+    may_end = threading.Event()
+    finish = Writer.finish
+
+    def fails(writer: Writer) -> None:
+        may_end.wait(60)
+        finish(writer)
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(Writer, "finish", fails)
+    monkeypatch.setattr(station.recorder, "MAX_LATE", 0)
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+    recorder.on_connected(HELLO)
+    assert "messages behind" in recorder.error
+    may_end.set()
+    error = recorder.close().error
+    assert "messages behind" in error and "Input/output error" in error
 
 
 @pytest.mark.parametrize(
