@@ -125,7 +125,7 @@ def _restore_map(store: MapStore, map_id: str, found: list[tuple[MapRecord, byte
 def _readable(store: MapStore, damaged: list[str]) -> Iterator[tuple[MapRecord, bytes]]:
     if not store.database.exists:
         return
-    with store.database.reading() as connection:
+    with store.reading() as connection:
         rows = versions.all_rows(connection)
     for row in rows:
         try:

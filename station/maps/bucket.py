@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
 import time
@@ -13,6 +14,36 @@ from typing import Any, Protocol
 from shared.errors import ConfigError, DataError
 
 SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
+PROBE_BYTES = 64 * 1024  # an empty file can be made on many a full disk
+_REMEDIES = {
+    errno.EROFS: "make its disk writable again (one that fails is mounted read-only: check it)",
+    errno.EIO: "check the disk",
+    errno.ENOSPC: "free space",
+    errno.EDQUOT: "free space",
+    errno.EACCES: "run as the user that owns it",
+    errno.EPERM: "run as the user that owns it",
+}
+
+
+class Unwritable(DataError):
+    """A place takes no writes; what is there may well be read."""
+
+
+def cannot_write(place: Path | str, exc: OSError) -> Unwritable:
+    """The sentence for it."""
+    remedy = _REMEDIES.get(exc.errno or 0, "check the folder")
+    return Unwritable(f"{place} cannot be written ({exc.strerror or exc}); {remedy}, or choose another folder")
+
+
+def why_unwritable(folder: Path) -> OSError | None:
+    """What the system says to a small file in this folder, which is removed again; None: it takes writes."""
+    try:
+        with tempfile.TemporaryFile(prefix=SCRATCH, dir=folder, buffering=0) as file:
+            if file.write(bytes(PROBE_BYTES)) < PROBE_BYTES:
+                return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except OSError as exc:
+        return exc
+    return None
 
 
 class Bucket(Protocol):
@@ -57,7 +88,7 @@ class FolderBucket:
             for folder in {(self._root / name).parent for name in files}:
                 flush(folder)
         except OSError as exc:
-            raise DataError(f"{self._root} cannot be written ({exc.strerror}); free space or choose another") from exc
+            raise cannot_write(self._root, exc) from exc
 
     def get(self, name: str) -> bytes | None:
         try:
@@ -79,7 +110,7 @@ class FolderBucket:
         try:
             (self._root / name).unlink(missing_ok=True)
         except OSError as exc:
-            raise DataError(f"{self._root / name} cannot be removed ({exc.strerror}); check its permissions") from exc
+            raise cannot_write(self._root, exc) from exc
 
     def _put(self, path: Path, data: bytes) -> None:
         if not path.parent.is_dir():

@@ -33,7 +33,7 @@ def verify(store: MapStore) -> tuple[Damage, ...]:
     """What is damaged and could not be put right by itself; the store's `tell` hears what could."""
     if not store.open():
         return ()
-    with store.database.reading() as connection:
+    with store.reading() as connection:
         rows = versions.all_rows(connection)
     return tuple(_damages(store, rows))
 
@@ -70,7 +70,7 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
 
 def collect_garbage(store: MapStore) -> list[str]:
     """Remove files no version needs: of purged maps, and of writers that were killed."""
-    with store.database.reading() as connection:
+    with store.reading() as connection:
         rows = versions.all_rows(connection)
     needed: set[str] = set()
     for row in rows:
@@ -98,6 +98,7 @@ def purge_versions(store: MapStore, map_id: str) -> None:
     Raises:
         DataError: there is no such map.
     """
+    store.open(writes=True)
     newest = store.history(map_id)[0]
     if newest.kind == "deleted":
         purge(store, map_id)
@@ -130,7 +131,7 @@ def _damages(store: MapStore, rows: list[VersionRow]) -> Iterator[Damage]:
 
 def _repair_rows(store: MapStore) -> list[str]:
     """Rows made again from their records (a PostgreSQL row; SQLite's file is made again as a whole)."""
-    with store.database.reading() as connection:
+    with store.reading() as connection:
         broken = [row for row in versions.all_rows(connection) if not row.is_sealed]
     done = []
     for row in broken:
@@ -165,7 +166,7 @@ def _go_back(store: MapStore, left: tuple[Damage, ...]) -> list[str]:
     bad_records = {(damage.map_id, damage.number) for damage in left if not damage.address}
     bad_blobs = {damage.address for damage in left if damage.address}
     for map_id in sorted({damage.map_id for damage in left}):
-        with store.database.reading() as connection:
+        with store.reading() as connection:
             rows = versions.history(connection, map_id)
         good = next((row for row in rows if _is_good(store, row, bad_records, bad_blobs)), None)
         if good is not None and good is not rows[0] and good.kind != "deleted":

@@ -8,7 +8,7 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from sqlalchemy import BigInteger, Column, Integer, MetaData, String, Table, Text, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, Connection, Engine, make_url
@@ -16,15 +16,20 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, Operati
 from sqlalchemy.pool import NullPool
 
 from shared.errors import ConfigError, DataError
+from station.maps.bucket import Unwritable, cannot_write
 
+LOCK = ".lock"  # in the store's folder
 REVISIONS = ("0001", "0002")  # the migrations in migrations/versions
 HEAD = REVISIONS[-1]
 LOCK_WAIT_S = 30
+_LOCK_LOOK_S = 0.05
 _MIGRATIONS_LOCK = 7_400_001  # advisory lock numbers of ours in PostgreSQL
 _SQLITE_IS_BROKEN = re.compile(
     r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding|decode",
     re.IGNORECASE,
 )
+# https://www.sqlite.org/rescode.html: PERM, READONLY, IOERR, FULL, CANTOPEN
+_SQLITE_CANNOT_WRITE = (3, 8, 10, 13, 14)
 
 METADATA = MetaData()
 VERSIONS = Table(
@@ -50,7 +55,9 @@ class IndexDamaged(DataError):
 class Database:
     """Connections to the index. `lock` names what a writer holds: one map, or everything in SQLite."""
 
-    def __init__(self, url: str, folder: Path) -> None:
+    def __init__(self, url: str, folder: Path, place: str = "") -> None:
+        """`place` is what messages call it; else its path or URL."""
+        self._place = place
         self._url = _url(url, folder)
         self._folder = folder
         self.is_sqlite = self._url.get_backend_name() == "sqlite"
@@ -60,6 +67,8 @@ class Database:
     @property
     def place(self) -> str:
         """What messages call it, without a password."""
+        if self._place:
+            return self._place
         return str(self.path) if self.path else self._url.render_as_string(hide_password=True)
 
     @property
@@ -68,7 +77,13 @@ class Database:
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Connection]:
+        """A transaction that writes nothing itself.
+
+        Raises Unwritable: SQLite must first undo a transaction that was cut, and the disk takes no writes.
+        """
         with self._in_words(), self._engine.connect() as connection, connection.begin():
+            if self.is_sqlite:  # its BEGIN looks at nothing yet: whatever is wrong shows here, before the caller's work
+                connection.exec_driver_sql("PRAGMA schema_version").scalar()
             yield connection
 
     @contextlib.contextmanager
@@ -133,7 +148,7 @@ class Database:
     def set_aside(self) -> Path:
         """Give a broken SQLite file another name, so that a new one can be made; the new name."""
         assert self.path is not None
-        with _flock(self._folder, exclusive=True):
+        with self._in_words(), _flock(self._folder, exclusive=True):
             aside = self.path.with_name(
                 f"{self.path.name}.damaged-{time.strftime('%Y%m%d-%H%M%S')}-{time.time_ns() % 10**9:09d}"
             )
@@ -141,8 +156,16 @@ class Database:
                 os.replace(self.path, aside)
                 self.path.with_name(f"{self.path.name}-journal").unlink(missing_ok=True)
             except OSError as exc:
-                raise DataError(f"{self.path} is damaged and cannot be set aside ({exc.strerror})") from exc
+                raise Unwritable(f"{self.path} is damaged and cannot be set aside ({exc.strerror})") from exc
         return aside
+
+    @contextlib.contextmanager
+    def held_still(self) -> Iterator[None]:
+        """Nobody writes meanwhile. Needs no write itself; raises DataError for a writer that does not end."""
+        with self._in_words(), contextlib.ExitStack() as stack:
+            with contextlib.suppress(FileNotFoundError, PermissionError):  # nobody has ever written, or it is hidden
+                _hold(stack.enter_context((self._folder / LOCK).open("rb")), self.place)
+            yield
 
     def close(self) -> None:
         self._engine.dispose()
@@ -164,18 +187,22 @@ class Database:
             reason = str(exc.orig).strip().splitlines()[0] if str(exc.orig).strip() else type(exc.orig).__name__
             if self.is_sqlite and _SQLITE_IS_BROKEN.search(reason):
                 raise IndexDamaged(f"{self.place} is damaged ({reason})") from exc
+            if self.is_sqlite and getattr(exc.orig, "sqlite_errorcode", 0) & 0xFF in _SQLITE_CANNOT_WRITE:
+                raise Unwritable(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc
             if isinstance(exc, OperationalError):
                 raise DataError(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc
             raise IndexDamaged(f"{self.place} is damaged ({reason})") from exc
         except OSError as exc:
-            raise DataError(f"{self.place} cannot be used ({exc.strerror}); free space or choose another") from exc
+            raise cannot_write(self.place, exc) from exc
 
     def _remedy(self, reason: str) -> str:
         if not self.is_sqlite:
             return "check that PostgreSQL runs there and takes this user"
         if "locked" in reason:
             return "another program holds it; end that, or wait"
-        return "free space, or choose a folder that can be written"
+        if "full" in reason:
+            return "free space, or choose another folder"
+        return "make its disk writable again, or choose a folder that can be written"
 
 
 def upgrade(connection: Connection, revision: str = HEAD) -> None:
@@ -236,6 +263,23 @@ def _flock(folder: Path, *, exclusive: bool) -> Iterator[None]:
         yield
         return
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("a") as file:
+    with (folder / LOCK).open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH)
         yield
+
+
+def _hold(file: IO[bytes], place: str) -> None:
+    """Lock it until it is closed, alone. Raises DataError after LOCK_WAIT_S."""
+    try:
+        import fcntl
+    except ImportError:
+        return
+    deadline_s = time.monotonic() + LOCK_WAIT_S
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError as exc:
+            if time.monotonic() > deadline_s:
+                raise DataError(f"{place} cannot be used (another program writes); end that, or wait") from exc
+            time.sleep(_LOCK_LOOK_S)

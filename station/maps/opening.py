@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from shared.errors import DataError
 from station.maps import versions
 from station.maps.blobs import Damaged, read_checked
+from station.maps.bucket import Unwritable
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder
 from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
@@ -28,7 +29,10 @@ def has_content(store: MapStore) -> bool:
 
 
 def open_store(store: MapStore) -> dict[str, str]:
-    """Make a store usable. Returns the maps of the old format that could not be read: id → why."""
+    """Make a store usable. Returns the maps of the old format that could not be read: id → why.
+
+    Raises Unwritable where that needs a write and there can be none; in a copy of the index it can be done then.
+    """
     try:
         was_empty = store.database.migrate()
         if not was_empty:
@@ -38,7 +42,8 @@ def open_store(store: MapStore) -> dict[str, str]:
         if not store.database.is_sqlite:
             raise
         aside = store.database.set_aside()
-        store.tell(f"{exc}; it is set aside as {aside.name} and made again from the records")
+        done = "what is shown is" if store.is_copy else f"it is set aside as {aside.name} and"
+        store.tell(f"{exc}; {done} made again from the records")
         store.database.migrate()
         take_in_records(store)
     return _import_folders(store)
@@ -100,8 +105,12 @@ def _import_folders(store: MapStore) -> dict[str, str]:
         try:
             store.keep(load_map_folder(max(folders)), f"imported from {max(folders).name}")
         except DataError as exc:
+            if isinstance(exc, Unwritable) and store.database.is_sqlite and not store.is_copy:
+                raise  # a copy can take it in
             failed[map_id] = str(exc)
             continue
+        if store.is_copy:
+            continue  # the next opening in a folder that takes writes does it for good
         try:
             (root / IMPORTED).mkdir(exist_ok=True)
             for folder in folders:

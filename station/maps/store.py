@@ -15,7 +15,7 @@ from sqlalchemy.engine import Connection
 from shared.errors import DataError
 from station.maps import opening, versions
 from station.maps.blobs import Blobs, Damaged, Tell, read_checked
-from station.maps.bucket import open_bucket
+from station.maps.bucket import Bucket, Unwritable, cannot_write, open_bucket, why_unwritable
 from station.maps.database import Database
 from station.maps.editing import with_place_renamed
 from station.maps.map import PlaceMap
@@ -31,6 +31,7 @@ from station.maps.record import (
     read_map,
     record_name,
 )
+from station.maps.unwritable import IndexCopy
 from station.maps.versions import Rows, VersionRow, row_of
 from station.navigation_files import REPORT, encode_navigation
 
@@ -61,15 +62,18 @@ class MapStore:
     """Maps by id. Methods block: call them in a thread. Several stores, processes and stations may share one address.
 
     All methods raise DataError when the store cannot be read or written, in a sentence; nothing is left half-written.
+    In a folder that takes no writes the maps can still be seen (unwritable.py).
     """
 
     def __init__(self, where: Path | StoreAddress, tell: Tell = logger.warning) -> None:
         """`tell` hears a sentence about everything found damaged, whether it was put right or not."""
         self.address = StoreAddress(where) if isinstance(where, Path) else where
         self.tell = tell
-        self.database = Database(self.address.database, self.address.root)
-        self.bucket = open_bucket(self.address.blobs, self.address.root)
-        self.blobs = Blobs(self.bucket, tell)
+        self._home = Database(self.address.database, self.address.root)
+        self._files = open_bucket(self.address.blobs, self.address.root)
+        self._use(self._home, self._files)
+        self._copy: IndexCopy | None = None  # where nothing can be written: what is looked at instead
+        self._told = ""
         self._written = threading.local()  # .names: records of the transaction under way
         self._opening = threading.Lock()
         self._is_open = False
@@ -145,7 +149,7 @@ class MapStore:
         """The map changed last of those that were made from this drive, alone or with others behind it."""
         if not self.open():
             return None
-        with self.database.reading() as connection:
+        with self.reading() as connection:
             rows = versions.of_drive(connection, drive_id)
         for row in rows:
             if row.kind != "deleted":
@@ -156,7 +160,7 @@ class MapStore:
         """All maps, by name; a damaged one says so instead of hiding the others."""
         if not self.open():
             return ()
-        with self.database.reading() as connection:
+        with self.reading() as connection:
             rows = versions.newest_of_all(connection)
         summaries = [
             MapSummary(row.map_id, row.name, row.places, "" if row.is_sealed else self._unsealed(row))
@@ -183,7 +187,7 @@ class MapStore:
         """Maps that `undo` brings back."""
         if not self.open():
             return ()
-        with self.database.reading() as connection:
+        with self.reading() as connection:
             rows = versions.newest_of_all(connection)
         return tuple(MapSummary(row.map_id, row.name, row.places) for row in rows if row.kind == "deleted")
 
@@ -259,18 +263,75 @@ class MapStore:
         return record, data
 
     def open(self, *, writes: bool = False) -> bool:
-        """Once: check, migrate, take in what is there. False when there is nothing yet and nothing is to be written."""
+        """Once: check, migrate, take in what is there. False when there is nothing yet and nothing is to be written.
+
+        Raises Unwritable for `writes` in a folder that takes none; when it does again all is as ever.
+        """
         with self._opening:
-            if self._is_open:
-                return True
-            if not writes and not self.database.exists and not opening.has_content(self):
-                return False
-            self._not_imported = opening.open_store(self)
-            self._is_open = True
+            if self._copy is not None and not self._copy.is_needed:
+                self._leave_copy()
+            if self._copy is None and not self._is_open:
+                if not writes and not self.database.exists and not opening.has_content(self):
+                    return False
+                try:
+                    self._not_imported = opening.open_store(self)
+                    self._is_open = True
+                except Unwritable as exc:
+                    self._look_at_copy(exc)
+            if self._copy is not None and writes:
+                raise Unwritable(self._copy.refusal)
             return True
 
+    @property
+    def is_copy(self) -> bool:
+        """The folder takes no writes; a copy of the index is looked at, and may be changed like any."""
+        return self._copy is not None
+
+    def require_writable(self) -> None:
+        """Before long work whose result is to be kept here. Raises DataError."""
+        self.open(writes=True)
+        if self.database.is_sqlite and (told := why_unwritable(self.address.root)):
+            raise cannot_write(self.address.root, told)
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """A transaction on the index of a store that is open; on a copy where SQLite cannot read without writing."""
+        with contextlib.ExitStack() as stack:
+            try:
+                connection = stack.enter_context(self.database.reading())
+            except Unwritable as exc:  # a write was cut while this store was open
+                with self._opening:
+                    if self._copy is None:
+                        self._look_at_copy(exc)
+                connection = stack.enter_context(self.database.reading())
+            yield connection
+
     def close(self) -> None:
+        self._leave_copy()
         self.database.close()
+
+    def _use(self, database: Database, bucket: Bucket) -> None:
+        self.database, self.bucket, self.blobs = database, bucket, Blobs(bucket, self.tell)
+
+    def _look_at_copy(self, because: Unwritable) -> None:
+        if not self.database.is_sqlite:
+            raise because
+        self._copy = IndexCopy(self.address.root, self._home, self._files, because)
+        self._use(self._copy.database, self._copy.bucket)
+        try:
+            self._not_imported = opening.open_store(self)
+        except BaseException:
+            self._leave_copy()
+            raise
+        if self._copy.refusal != self._told:
+            self._told = self._copy.refusal
+            self.tell(self._told)
+
+    def _leave_copy(self) -> None:
+        if self._copy is not None:
+            self._use(self._home, self._files)
+            self._copy.remove()
+            self._copy, self._is_open = None, False
 
     @contextlib.contextmanager
     def _changing(self, map_id: str) -> Iterator[Connection]:
@@ -324,7 +385,7 @@ class MapStore:
     def _history(self, map_id: str) -> Rows:
         if not self.open():
             return []
-        with self.database.reading() as connection:
+        with self.reading() as connection:
             return versions.history(connection, map_id)
 
     def _readable(self, rows: Rows) -> MapRecord | None:
