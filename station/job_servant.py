@@ -15,8 +15,9 @@ from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.navigation import Navigation, NavigationReport
 from station.navigation_files import load_navigation, save_navigation
-from station.places.build import build_map, carry_names
+from station.places.build import build_map
 from station.places.config import PlacesConfig, PlacesMode
+from station.places.growing import keep_places
 from station.places.merge import merge_navigations
 from station.slam.backend import SlamUpdate
 from station.slam.backends import make_backend
@@ -42,7 +43,7 @@ class JobServant:
     def build_map(
         self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
     ) -> BuiltMap:
-        """Navigation folders -> a map in the store. Places of an earlier map of the first drive keep their names."""
+        """Navigation folders -> a map in the store. Places of an earlier map of the first drive stay (growing.py)."""
         self._emit((0.05, "reading the navigation"))
         navigations = [load_navigation(folder) for folder in folders]
         config = PlacesConfig() if mode is None else PlacesConfig(mode=mode)
@@ -52,7 +53,7 @@ class JobServant:
         store = MapStore(address)
         earlier = store.newest_of_drive(navigations[0].id)
         if earlier is not None:
-            place_map = carry_names(earlier, place_map)
+            place_map = keep_places(earlier, place_map)
         self._emit((0.8, f"saving {_count(len(place_map.places), 'place')}"))
         store.save(place_map, f"built from {place_map.navigation.id}"[:200])
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))

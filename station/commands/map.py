@@ -22,8 +22,8 @@ from station.maps.folder import load_map_folder, save_map_folder
 from station.maps.map import PlaceMap
 from station.navigation import Navigation
 from station.navigation_files import load_navigation
-from station.places.build import carry_names
 from station.places.graph import shortest_route, to_graphml, to_json_dict
+from station.places.growing import keep_places
 from station.slam.backends import check_backend
 
 
@@ -71,7 +71,7 @@ def build(
         say("joining navigations" if len(loaded) > 1 else "clustering landmarks")
         place_map = machines.map(make_map, [MapOfNavigations(tuple(loaded), config, name)])[0]
     if old is not None:
-        place_map = carry_names(old, place_map)
+        place_map = keep_places(old, place_map)
     save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
     if as_json:
         print(json.dumps(to_json_dict(place_map)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -102,6 +102,11 @@ def carry_names(old: PlaceMap, new: PlaceMap, T_new_old: FloatArray | None = Non
         if i not in taken and j not in inherited:
             taken.add(i)
             inherited[j] = old.places[i]
+    return named_after(old, new, inherited)
+
+
+def named_after(old: PlaceMap, new: PlaceMap, inherited: Mapping[int, Place]) -> PlaceMap:
+    """`new` with the ids and names of the places of `old` that its places (by number) inherit; one-to-one."""
     numbers = iter(range(_last_number(old.places) + 1, _last_number(old.places) + len(new.places) + 1))
     renamed: dict[str, str] = {}
     places = []

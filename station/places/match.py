@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from shared.geometry import FloatArray, IntArray, transform
 from station.maps.map import Place, PlaceMap
@@ -16,6 +15,7 @@ from station.places.clusters import MIN_LANDMARKS, NOISE, Clusters, Lengths, clu
 from station.places.config import PlacesConfig
 from station.places.extent import half_extent
 from station.places.registration import Registration
+from station.places.territory import Territory
 
 MAX_DISTANCE_SHARE = 0.8  # of the place's half extent: a farther centroid is another place, or a part of this one
 MIN_SUPPORT = 0.5  # share of a location's landmarks that lie in the place
@@ -95,7 +95,7 @@ def _one_to_one(
     places = np.array([place.centroid_map for place in place_map.places])
     carried = transform(T_map_nav, np.array([location.centroid_map for location in locations]))
     distance = np.linalg.norm(places[:, None] - carried[None], axis=2)
-    territory = _Territory(place_map)
+    territory = Territory(place_map)
     best: dict[int, PlaceMatch] = {}
     for j, location in enumerate(locations):
         i = int(distance[:, j].argmin())
@@ -127,7 +127,7 @@ def _regroup(place_map: PlaceMap, navigation: Navigation, clusters: Clusters, T_
     """
     if not place_map.places or not clusters.count:
         return clusters
-    territory = _Territory(place_map)
+    territory = Territory(place_map)
     p_map = transform(T_map_nav, navigation.landmarks.p_world)
     label = np.full(len(clusters.label), NOISE, dtype=np.int64)
     quality: list[float] = []
@@ -147,23 +147,6 @@ def _regroup(place_map: PlaceMap, navigation: Navigation, clusters: Clusters, T_
                 quality.append(float(clusters.quality[k]))
             label[members[place == i]] = group_of_place[i]
     return replace(clusters, label=label, quality=np.array(quality))
-
-
-class _Territory:
-    """Which place a point of the map's frame belongs to: that of the nearest landmark of a place."""
-
-    def __init__(self, place_map: PlaceMap) -> None:
-        p = place_map.navigation.landmarks.p_world
-        self._owner = np.repeat(
-            np.arange(len(place_map.places)), [len(place.landmark_index) for place in place_map.places]
-        )
-        self._tree = cKDTree(np.concatenate([p[place.landmark_index] for place in place_map.places]))
-        self._reach = float(np.median([place.radius for place in place_map.places]))
-
-    def place_of(self, p_map: FloatArray) -> IntArray:
-        """(n,) index of the place; -1 farther than a typical radius from every place's landmarks."""
-        distance, index = self._tree.query(p_map)
-        return np.where(distance <= self._reach, self._owner[index], -1).astype(np.int64)
 
 
 def _nearest_place(place_map: PlaceMap, position_map: FloatArray) -> IntArray:
