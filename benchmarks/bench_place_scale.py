@@ -17,6 +17,7 @@ import json
 import time
 import tracemalloc
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from station.frames import ImageFrame
 from station.maps.map import Place, PlaceMap
 from station.navigation import Keyframes, Landmarks
 from station.places.current import CurrentPlaceEstimator
-from station.places.features import DescriptorArray, FeatureExtractor, Features
+from station.places.features import DescriptorArray, FeatureExtractor, Features, extract_encoded
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.localizer import Localizer
 
@@ -62,7 +63,7 @@ def make_room(seed: int, calibration: Calibration) -> Room:
     assert calibration.camera is not None
     renderer = Renderer(world, calibration.camera, default_cache_dir())
     place_map = map_flat(world, renderer, calibration, seed, unmapped="")
-    described = describe_keyframes(place_map, FeatureExtractor())
+    described = describe_keyframes(place_map, partial(extract_encoded, extractor=FeatureExtractor()))
     keyframes = place_map.navigation.keyframes
     kept = np.unique(np.linspace(0, len(keyframes) - 1, KEYFRAMES_PER_ROOM).round().astype(int))
     landmarks = place_map.navigation.landmarks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,14 +12,16 @@ from shared.errors import DataError
 from station.datasets import open_dataset
 from station.executors.opening import open_executor
 from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+from station.kept_index import index_of
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.navigation import Navigation, NavigationReport
-from station.navigation_files import load_navigation, save_navigation
+from station.navigation_files import PICTURES, load_navigation, save_navigation
 from station.places.build import build_map
 from station.places.config import PlacesConfig, PlacesMode
 from station.places.growing import keep_places
 from station.places.merge import merge_navigations
+from station.places.pictures import DescribedPictures
 from station.slam.backend import SlamUpdate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
@@ -56,7 +59,21 @@ class JobServant:
             place_map = keep_places(earlier, place_map)
         self._emit((0.8, f"saving {_count(len(place_map.places), 'place')}"))
         store.save(place_map, f"built from {place_map.navigation.id}"[:200])
+        self._index(folders, store, place_map)
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
+
+    def _index(self, folders: list[Path], store: MapStore, place_map: PlaceMap) -> None:
+        """Where pictures were described while the robot drove, localisation need not look at them again.
+
+        Else that is left to it: it can take minutes, and the map can be seen meanwhile.
+        """
+        pictures = DescribedPictures()
+        for folder in folders:
+            with contextlib.suppress(OSError):
+                pictures.add((folder / PICTURES).read_bytes())
+        if len(pictures):
+            self._emit((0.85, "indexing what its pictures look like"))
+            index_of(store.address.root, place_map, _nothing, _nothing, pictures)
 
     def _map_of(self, navigations: list[Navigation], config: PlacesConfig, name: str, executor: str) -> PlaceMap:
         if executor:
@@ -117,6 +134,10 @@ class JobServant:
         self._emit((0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report
+
+
+def _nothing() -> None:
+    """Nobody is told."""
 
 
 def _count(number: int, word: str) -> str:

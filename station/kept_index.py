@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from station.maps.map import PlaceMap
 from station.places.map_index import MapIndex, fingerprint, make_index
+from station.places.pictures import DescribedPictures
 
 logger = logging.getLogger(__name__)
 FOLDER = "localisation"  # beside the maps
@@ -50,10 +51,17 @@ class _Head(msgspec.Struct, frozen=True):
     parts: tuple[_Part, ...]
 
 
-def index_of(root: Path, place_map: PlaceMap, on_keyframe: Callable[[], None], on_wait: Callable[[], None]) -> MapIndex:
+def index_of(
+    root: Path,
+    place_map: PlaceMap,
+    on_keyframe: Callable[[], None],
+    on_wait: Callable[[], None],
+    pictures: DescribedPictures | None = None,
+) -> MapIndex:
     """The index of a map of the store at `root`: the one that is kept, or made now.
 
-    `on_keyframe` is called before each picture that is described, `on_wait` when another process does that already.
+    `on_keyframe` is called before each picture that is described, `on_wait` when another process does that already;
+    `pictures`: what is described already.
     """
     wanted = fingerprint(place_map)
     path = root / FOLDER / f"{place_map.id}{SUFFIX}"
@@ -64,12 +72,12 @@ def index_of(root: Path, place_map: PlaceMap, on_keyframe: Callable[[], None], o
         lock = (path.parent / LOCK).open("ab")
     except OSError as exc:
         logger.warning("%s cannot be written (%s); each robot makes its own index", path.parent, exc.strerror)
-        return make_index(place_map, on_keyframe)
+        return make_index(place_map, on_keyframe, pictures)
     with lock:
         _wait_for(lock, on_wait)
         if (kept := _read(path, wanted)) is not None:  # made while we waited
             return kept
-        made = make_index(place_map, on_keyframe)
+        made = make_index(place_map, on_keyframe, pictures)
         try:
             _write(path, wanted, made)
         except OSError as exc:

@@ -6,6 +6,7 @@ landmarks.ply       x y z (double), red green blue, first_frame, num_observation
 navigation.json     the report
 calibration.json    camera and IMU the navigation was made with
 keyframes/          NNNNNN.jpg|png as recorded, and observations.npz: poses, segments, observations
+pictures.npz        derived, may be missing: what localisation sees in the keyframes (station/places/pictures.py)
 ```
 """
 
@@ -33,7 +34,8 @@ from station.ply import decode_ply, encode_ply
 TRAJECTORY, LANDMARKS, REPORT, CALIBRATION = "trajectory.tum", "landmarks.ply", "navigation.json", "calibration.json"
 IMAGES = "keyframes"
 OBSERVATIONS = f"{IMAGES}/observations.npz"
-OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES}
+PICTURES = "pictures.npz"
+OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES, PICTURES}
 PNG_MAGIC = b"\x89PNG"
 UPPER = np.triu_indices(3)
 COV_COLUMNS = [f"cov_{'xyz'[i]}{'xyz'[j]}" for i, j in zip(*UPPER, strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,11 +15,14 @@ from shared.calibration import Calibration
 from shared.errors import EstimationError
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.navigation import Navigation, NavigationReport
-from station.navigation_files import save_navigation
+from station.navigation_files import PICTURES, save_navigation
+from station.places.pictures import DescribedPictures
 from station.sequencer import Sequencer
 from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.workers import resolve
+
+logger = logging.getLogger(__name__)
 
 
 class SlamServant:
@@ -29,6 +33,8 @@ class SlamServant:
         self._backend: SlamBackend | None = None
         self._sequencer = Sequencer(0.0, has_imu=False)
         self._started_s = 0.0
+        self._pictures = DescribedPictures()
+        self._looked_at = 0  # of the backend's keyframes
 
     def begin(
         self, backend: str, calibration: Calibration, seed: int, threads: int = -1, intrinsics_known: bool = True
@@ -57,12 +63,29 @@ class SlamServant:
 
     def catch_up(self) -> bool:
         """Do a piece of the work that can wait; the worker asks while no request does."""
-        return self._backend is not None and self._backend.catch_up()
+        return self._backend is not None and (self._backend.catch_up() or self._describe_next(self._backend))
+
+    def _describe_next(self, backend: SlamBackend) -> bool:
+        """Describe a keyframe for localisation, which needs all of them as soon as there is a map."""
+        pictures = backend.keyframe_pictures()
+        if len(pictures) < self._looked_at:  # the backend left some out
+            self._looked_at = 0
+            self._pictures.keep_only(pictures)
+        if self._looked_at == len(pictures):
+            return False
+        self._pictures.describe(pictures[self._looked_at])
+        self._looked_at += 1
+        return True
 
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""
         navigation = self.complete(navigation_id)
         save_navigation(navigation, folder)
+        self._pictures.keep_only(navigation.keyframes.encoded)
+        try:
+            (folder / PICTURES).write_bytes(self._pictures.encode())
+        except OSError as exc:  # whoever needs them describes them again
+            logger.warning("%s cannot be written (%s)", folder / PICTURES, exc.strerror)
         return navigation.report
 
     def complete(self, navigation_id: str) -> Navigation:

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.calibration import CameraCalibration
+from shared.errors import DataError
 from shared.geometry import FloatArray
-from station.frames import ImageArray
+from station.frames import ImageArray, ImageFrame
 
 DescriptorArray = npt.NDArray[np.uint8]
 Float32Array = npt.NDArray[np.float32]
@@ -53,6 +54,15 @@ class FeatureExtractor:
             np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5
         ) / scale - 0.5  # centres of pixels stay centres
         return Features(uv, to_bytes(np.asarray(raw, dtype=np.float32)))
+
+
+def extract_encoded(encoded: bytes, extractor: FeatureExtractor) -> Features:
+    """Features of a JPEG or PNG file; none where it cannot be decoded."""
+    try:
+        grey = ImageFrame(index=0, t_robot_ns=0, exposure_ns=0, encoded=encoded).grey()
+    except DataError:
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8))
+    return extractor.extract(grey)
 
 
 def to_bytes(sift: Float32Array) -> DescriptorArray:

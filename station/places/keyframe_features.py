@@ -9,11 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from shared.calibration import CameraCalibration
-from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray
-from station.frames import ImageFrame
 from station.maps.map import PlaceMap
-from station.places.features import DescriptorArray, FeatureExtractor, Features, to_rays
+from station.places.features import DescriptorArray, Features, to_rays
 
 ON_LANDMARK_PX = 2.0  # two detectors agree on a corner to about a pixel
 NEAR_LANDMARK_PX = 30.0  # a surface is smooth that far, or its landmarks disagree in depth
@@ -32,11 +30,11 @@ class KeyframeFeatures:
 
 
 def describe_keyframes(
-    place_map: PlaceMap, extractor: FeatureExtractor, on_keyframe: Callable[[], None] = lambda: None
+    place_map: PlaceMap, describe: Callable[[bytes], Features], on_keyframe: Callable[[], None] = lambda: None
 ) -> list[KeyframeFeatures]:
     """Features of every keyframe; an image that cannot be decoded, or is missing, has none.
 
-    `on_keyframe` is called before each of them.
+    `describe` finds them in an encoded image; `on_keyframe` is called before each.
     """
     navigation = place_map.navigation
     landmarks, keyframes = navigation.landmarks, navigation.keyframes
@@ -47,7 +45,7 @@ def describe_keyframes(
     for k in range(len(keyframes)):
         on_keyframe()
         observed = order[begin[k] : begin[k + 1]]
-        features = _extract(keyframes.encoded[k], extractor)
+        features = describe(keyframes.encoded[k])
         if camera is None or not len(observed) or not len(features):
             out.append(_nothing(features))
             continue
@@ -58,14 +56,6 @@ def describe_keyframes(
             )
         )
     return out
-
-
-def _extract(encoded: bytes, extractor: FeatureExtractor) -> Features:
-    try:
-        grey = ImageFrame(index=0, t_robot_ns=0, exposure_ns=0, encoded=encoded).grey()
-    except DataError:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8))
-    return extractor.extract(grey)
 
 
 def _nothing(features: Features) -> KeyframeFeatures:

@@ -20,7 +20,7 @@ from station.maps.map import PlaceMap
 from station.places.answer import Localization
 from station.places.appearance import AppearanceIndex
 from station.places.camera_pose import CameraPose, solve_pose, solve_pose_from
-from station.places.features import FeatureExtractor, Features, to_floats, to_rays
+from station.places.features import FeatureExtractor, Features, extract_encoded, to_floats, to_rays
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.map_index import MapIndex
 
@@ -90,7 +90,7 @@ class Localizer:
             if index is not None:
                 known: Sequence[KeyframeFeatures] = index.keyframes
             else:
-                known = described[m] if described is not None else describe_keyframes(place_map, self._extractor)
+                known = described[m] if described is not None else describe_keyframes(place_map, self._describe)
             for k, features in enumerate(known):
                 self._keyframes.append(_Keyframe(m, k, features, poses[k]))
         if index is not None:
@@ -98,6 +98,9 @@ class Localizer:
         else:
             self.index = AppearanceIndex([k.features.all_descriptors for k in self._keyframes])
         self._views = [_Views(self._keyframes, m) for m in range(len(self.maps))]
+
+    def _describe(self, encoded: bytes) -> Features:
+        return extract_encoded(encoded, self._extractor)
 
     def localize(self, frame: ImageFrame, calibration: Calibration) -> Localization | None:
         """A verified pose, or None. Raises DataError for an undecodable image, ConfigError without a camera."""

@@ -7,18 +7,17 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import cv2
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from station.maps.map import PlaceMap
 from station.places.appearance import AppearanceIndex
-from station.places.features import FeatureExtractor
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
+from station.places.pictures import DESCRIBED_BY, DescribedPictures
 
 Arrays = Mapping[str, npt.NDArray[np.generic]]
-VERSION = 1  # of how pictures are described and indexed: count it up when that changes
+VERSION = 2  # of how described pictures are indexed: count it up when that changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +53,16 @@ class MapIndex:
         return cls(keyframes, AppearanceIndex.of_arrays(len(keyframes), arrays))
 
 
-def make_index(place_map: PlaceMap, on_keyframe: Callable[[], None] = lambda: None) -> MapIndex:
-    """Describe and index all keyframes: some 100 ms for each on one core; `on_keyframe` is called before each."""
-    described = describe_keyframes(place_map, FeatureExtractor(), on_keyframe)
+def make_index(
+    place_map: PlaceMap,
+    on_keyframe: Callable[[], None] = lambda: None,
+    pictures: DescribedPictures | None = None,
+) -> MapIndex:
+    """Describe and index all keyframes: some 100 ms for each on one core; `on_keyframe` is called before each.
+
+    `pictures`: what is described already.
+    """
+    described = describe_keyframes(place_map, (pictures or DescribedPictures()).describe, on_keyframe)
     return MapIndex(tuple(described), AppearanceIndex([keyframe.all_descriptors for keyframe in described]))
 
 
@@ -64,7 +70,7 @@ def fingerprint(place_map: PlaceMap) -> str:
     """Of everything that decides the index: the same for the same drive, whatever its places are called."""
     navigation = place_map.navigation
     landmarks, keyframes = navigation.landmarks, navigation.keyframes
-    digest = hashlib.sha256(f"{VERSION} cv2 {cv2.__version__} numpy {np.__version__}".encode())
+    digest = hashlib.sha256(f"{VERSION} of {DESCRIBED_BY}".encode())
     digest.update(msgspec.json.encode(navigation.calibration))
     arrays = (landmarks.p_world, landmarks.observed_keyframe, landmarks.observed_landmark, landmarks.observed_uv_px)
     for array in (*arrays, keyframes.T_world_cam):

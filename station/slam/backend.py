@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -40,6 +41,10 @@ class SlamBackend(Protocol):
 
     def catch_up(self) -> bool:
         """Do a piece of the work that can wait, while no data do; False when nothing waits. `finish` does the rest."""
+        ...
+
+    def keyframe_pictures(self) -> Sequence[bytes]:
+        """Encoded images that are going to be keyframes, as far as is known by now; a shorter list is a new one."""
         ...
 
     def finish(self) -> Navigation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -123,6 +124,9 @@ class SfmBackend:
     def catch_up(self) -> bool:
         """Nothing can be done before all images are there."""
         return False
+
+    def keyframe_pictures(self) -> Sequence[bytes]:
+        return [frame.encoded for frame in self._frames]
 
     def finish(self) -> Navigation:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -238,6 +239,10 @@ class UkfBackend:
         """Describe a view of the map; see SlamBackend."""
         with self._blas.limit(limits=1):
             return self._memory.views is not None and self._memory.views.describe_next()
+
+    def keyframe_pictures(self) -> Sequence[bytes]:
+        """The views; of a map from tracks it is not known before the end."""
+        return [] if self._memory.views is None else self._memory.views.pictures()
 
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""

@@ -76,6 +76,10 @@ class MapViews:
             pass
         return self._items, self._pairs
 
+    def pictures(self) -> list[bytes]:
+        """Of the views described so far, as they were encoded."""
+        return [view.keyframe.image.encoded for view in self._items]
+
     def _is_new(self, keyframe: Keyframe) -> bool:
         if self._newest is None or self._newest.segment != keyframe.segment:
             return True

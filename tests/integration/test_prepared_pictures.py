@@ -1,0 +1,105 @@
+"""Keyframes are described while SLAM has nothing else to do; the map's job indexes them, localisation only reads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from shared.calibration import Calibration
+from station.frames import ImageFrame
+from station.job_servant import JobServant
+from station.kept_index import FOLDER, SUFFIX
+from station.maps.map import PlaceMap
+from station.maps.store import MapStore, StoreAddress
+from station.navigation import Navigation
+from station.navigation_files import PICTURES
+from station.place_report import HijackNotice, MapReading
+from station.place_servant import PlaceServant
+from station.places.localizer import Localizer
+from station.places.map_index import make_index
+from station.places.pictures import DescribedPictures
+from station.slam_servant import SlamServant
+from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
+from tests.made_up_workers import StraightSlam
+
+VIEWS = [picture(1, camera_at(x, 0.1, -0.2, 0.1)) for x in (-0.7, 0.3, 0.9)]
+BACKEND = "tests.integration.test_prepared_pictures:WallSlam"
+
+
+@cache
+def wall() -> PlaceMap:
+    return make_map("wall", 1)
+
+
+class WallSlam(StraightSlam):
+    """Makes a keyframe of each frame, and leaves every other one out again when it has more than five."""
+
+    def keyframe_pictures(self) -> list[bytes]:
+        pictures = [item.encoded for item in self.frames]
+        return pictures if len(pictures) <= 5 else pictures[::2]
+
+    def finish(self) -> Navigation:
+        return wall().navigation
+
+
+def follow(folder: Path, frames: int) -> None:
+    """Drive along the wall, with time to spare after each frame; the last one is held until the drive ends."""
+    servant = SlamServant(lambda update: None)
+    servant.begin(BACKEND, Calibration(camera=CALIBRATION.camera, imu=None), 0)
+    for number, encoded in enumerate(wall().navigation.keyframes.encoded[:frames]):
+        servant.add_frame(ImageFrame(number, number * 1_000_000_000, 0, encoded))
+        while servant.catch_up():
+            pass
+    servant.finish("drive", folder)
+
+
+def test_the_file_of_a_drive_has_the_keyframes_there_was_time_for(tmp_path: Path) -> None:
+    follow(tmp_path / "navigation", 4)
+    pictures = DescribedPictures()
+    assert pictures.add((tmp_path / "navigation" / PICTURES).read_bytes())
+    assert [pictures.knows(encoded) for encoded in wall().navigation.keyframes.encoded] == [True] * 3 + [False] * 4
+
+
+def test_a_thinned_drive_is_described_to_its_end(tmp_path: Path) -> None:
+    follow(tmp_path / "navigation", 7)
+    pictures = DescribedPictures()
+    assert pictures.add((tmp_path / "navigation" / PICTURES).read_bytes())
+    assert {0, 2, 4} <= {k for k, e in enumerate(wall().navigation.keyframes.encoded) if pictures.knows(e)}
+
+
+def test_what_was_described_ahead_gives_the_same_index_bit_for_bit() -> None:
+    pictures = DescribedPictures()
+    for encoded in wall().navigation.keyframes.encoded[:4]:
+        pictures.describe(encoded)
+    direct, prepared = make_index(wall()).arrays(), make_index(wall(), pictures=pictures).arrays()
+    assert direct.keys() == prepared.keys()
+    assert all(np.array_equal(direct[name], prepared[name]) for name in direct)
+
+
+def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(tmp_path: Path) -> None:
+    folder, address = tmp_path / "drive" / "navigation", StoreAddress(tmp_path / "maps")
+    follow(folder, 5)
+    built = JobServant(lambda told: None).build_map([folder], address, "wall", None)
+    assert (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
+    told: list[HijackNotice | MapReading] = []
+    servant = PlaceServant(told.append)
+    servant.load(address, built.map_id)
+    assert told == []
+    servant.calibrate(CALIBRATION)
+    alone = Localizer(MapStore(address).load(built.map_id))
+    for number, view in enumerate(VIEWS):
+        report = servant.answer(replace(frame(view), t_robot_ns=number * 500_000_000))
+        direct = alone.attempt(frame(view), CALIBRATION).localization
+        assert report.T_map_cam is not None and direct is not None
+        assert report.T_map_cam.tobytes() == direct.T_map_cam.tobytes()
+
+
+def test_where_nothing_was_described_ahead_the_map_does_not_wait_for_it(tmp_path: Path) -> None:
+    folder, address = tmp_path / "drive" / "navigation", StoreAddress(tmp_path / "maps")
+    follow(folder, 5)
+    (folder / PICTURES).write_bytes(b"damaged")
+    built = JobServant(lambda told: None).build_map([folder], address, "wall", None)
+    assert not (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
