@@ -128,13 +128,12 @@ def climb(
 
     for start in range(0, len(order), CHUNK):
         chunk = order[start : start + CHUNK]
-        for i, near in zip(chunk.tolist(), density.tree.query_ball_point(p[chunk], reach), strict=True):
-            around = np.array(near, dtype=np.int64)
-            higher = around[rank[around] < rank[i]]
-            higher = higher[np.argsort(((p[higher] - p[i]) ** 2).sum(axis=1), kind="stable")]
-            _, first = np.unique(top[higher], return_index=True)
+        begin, higher = _higher_around(p, rank, chunk, density.tree, reach)
+        for k, i in enumerate(chunk.tolist()):
+            mine = higher[begin[k] : begin[k + 1]]
+            _, first = np.unique(top[mine], return_index=True)
             level: dict[int, float] = {}  # of every hill in reach: at which density the cell is connected with it
-            for j in higher[np.sort(first)].tolist():  # the nearest cell of each
+            for j in mine[np.sort(first)].tolist():  # the nearest cell of each
                 hill = root(int(top[j]))
                 if hill not in level:
                     level[hill] = min(float(value[i]), density.lowest_between(p[i], p[j]))
@@ -149,3 +148,14 @@ def climb(
     peak = value[tops]
     prominence = 1.0 - np.array([saddle.get(int(t), 0.0) for t in tops]) / peak
     return Modes(label=label.reshape(-1).astype(np.int64), density=value, peak=peak, prominence=prominence)
+
+
+def _higher_around(
+    p: FloatArray, rank: IntArray, chunk: IntArray, tree: cKDTree, reach: float
+) -> tuple[IntArray, IntArray]:
+    """Of the k-th cell of a chunk: the higher cells within reach, nearest first, at begin[k] : begin[k + 1]."""
+    near = cKDTree(p[chunk]).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
+    is_higher = rank[near.col] < rank[chunk[near.row]]
+    row, col = near.row[is_higher], near.col[is_higher]
+    order = np.argsort(row + 0.5 * near.data[is_higher] / reach, kind="stable")  # by row, within it by distance
+    return np.searchsorted(row[order], np.arange(len(chunk) + 1)), col[order].astype(np.int64)
