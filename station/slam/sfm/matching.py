@@ -14,6 +14,7 @@ from station.slam.sfm.config import MatchConfig
 from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
 
 Descriptors = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,24 +35,25 @@ def match_descriptors(a: Descriptors, b: Descriptors, max_ratio: float) -> IntAr
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), dtype=np.int64)
     similarity = a @ b.T
-    best_b, clear_a = _nearest(similarity, max_ratio)
-    best_a, clear_b = _nearest(similarity.T, max_ratio)
-    index_a = np.arange(len(a))
-    good = clear_a & (best_a[best_b] == index_a) & clear_b[best_b]
-    return np.column_stack([index_a[good], best_b[good]]).astype(np.int64)
-
-
-def _nearest(similarity: npt.NDArray[np.float32], max_ratio: float) -> tuple[IntArray, npt.NDArray[np.bool_]]:
-    """Of each row: the best column, and whether it is clearly better than the second best."""
+    every = np.arange(len(a))
     best = similarity.argmax(axis=1)
-    rows = np.arange(len(similarity))
-    first = similarity[rows, best].copy()
-    second = similarity.copy()  # twice a maximum is five times as fast as a partition
-    second[rows, best] = -1.0
-    top_two = second.max(axis=1)
-    # Unit vectors: distance^2 = 2 - 2 * similarity.
-    clear = (1.0 - first) < max_ratio**2 * (1.0 - top_two)
-    return best.astype(np.int64), clear
+    first = similarity[every, best]
+    similarity[every, best] = -1.0  # twice a maximum is five times as fast as a partition
+    second = similarity.max(axis=1)
+    similarity[every, best] = first
+    rows = np.flatnonzero(_is_clear(first, second, max_ratio))
+    columns = best[rows]
+    # The other way round is asked of these only: between images far apart they are few.
+    first, of_columns = first[rows], similarity[:, columns]
+    is_mutual = first == of_columns.max(axis=0)
+    of_columns[rows, np.arange(len(rows))] = -1.0
+    good = is_mutual & _is_clear(first, of_columns.max(axis=0), max_ratio)
+    return np.column_stack([rows[good], columns[good]]).astype(np.int64)
+
+
+def _is_clear(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32], max_ratio: float) -> BoolArray:
+    """Whether the nearest is clearly nearer than the second; of unit vectors, distance^2 = 2 - 2 * similarity."""
+    return (1.0 - first) < max_ratio**2 * (1.0 - second)
 
 
 class Shortlist:
