@@ -117,16 +117,16 @@ def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Tim
 def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
     """robot-server with simulated devices, and the station; wait until pictures arrive."""
     say(f"simulated robot in {options.world} number {options.seed}; logs in {options.out / 'logs'}")
-    robot_port, sim_port = free_port(), free_port()
+    robot_port, sim_port, port = free_port(), free_port(), options.port or free_port()
     programs.start(
         "robot-server",
         "robot.main",
         *("--devices", "simulated", "--world", options.world, "--seed", str(options.seed)),
         *("--port", str(robot_port), "--sim-port", str(sim_port)),
     )
-    serve = ["serve", "--robot", f"127.0.0.1:{robot_port}", "--port", str(options.port), "--data", str(data)]
+    serve = ["serve", "--robot", f"127.0.0.1:{robot_port}", "--port", str(port), "--data", str(data)]
     programs.start("station", "station.main", *serve, *(("--backend", options.backend) if options.backend else ()))
-    station = StationClient(f"http://127.0.0.1:{options.port}")
+    station = StationClient(f"http://127.0.0.1:{port}")
     wait_for(programs, "the station", lambda: station.is_up(), START_TIMEOUT_S)
     wait_for(programs, "the robot", lambda: station.get("/robot")["rates"]["frames_hz"] > 1, START_TIMEOUT_S)
     say(f"page, live video and API: {station.address}")
