@@ -62,9 +62,9 @@ def _drop_neighbours(points: FloatArray, min_distance: float) -> FloatArray:
     """Points (N, 2), best first, without those nearer than min_distance to a better one."""
     if len(points) < 2:
         return points
-    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    keep = np.ones(len(points), dtype=bool)
-    for i in range(len(points)):
-        if keep[i]:
-            keep[i + 1 :] &= distance[i, i + 1 :] >= min_distance
+    is_near = np.linalg.norm(points[:, None] - points[None], axis=-1) < min_distance
+    keep = [True] * len(points)
+    for better, worse in np.argwhere(np.triu(is_near, 1)).tolist():  # by the better one, which is decided by then
+        if keep[better]:
+            keep[worse] = False
     return points[keep]

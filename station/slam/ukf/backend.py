@@ -137,7 +137,8 @@ class UkfBackend:
         soft = self._soft_constraints(vio.state, current, is_still)
         keep_previous = self._standstill.began_with_previous
         self._standstill.update(frame.index, is_still)
-        current.link = memory.link_by(segment, vio.state)
+        if self._config.refine:  # who does not refine needs no links between keyframes
+            current.link = memory.link_by(segment, vio.state)
         memory.add(current)
         result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous)
         self._tracker.drop(result.rejected_ids)
