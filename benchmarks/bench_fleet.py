@@ -102,7 +102,7 @@ class Fleet:
 
     def slam_worker(self, robot: str) -> psutil.Process | None:
         for process in self.station.children(recursive=True):
-            with contextlib.suppress(psutil.NoSuchProcess):
+            with contextlib.suppress(psutil.NoSuchProcess, FileNotFoundError):  # it may end while we look
                 if Path(f"/proc/{process.pid}/comm").read_text().strip() == f"SLAM {robot}"[:15]:
                     return process
         return None
