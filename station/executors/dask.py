@@ -23,6 +23,7 @@ CONNECT_WITHIN_S = 10
 LOOK_S = 0.05
 ASK_S = 5.0  # how often it is asked whether anybody is there who works
 DESERTED_FOR_S = 60.0  # a worker that died is back by then, where something starts it again
+SCHEDULER_GONE = "the Dask scheduler went away at work; start it, and try again"
 # Whose version may change a result's last bits.
 DECIDING = ("sentinel-robot", "numpy", "scipy", "opencv-python-headless", "pycolmap", "scikit-learn", "small-gicp")
 
@@ -64,7 +65,7 @@ class DaskExecutor(Closing):
                 " is there enough memory?"
             ) from exc
         except (CancelledError, CommClosedError) as exc:
-            raise ExecutorFailed("the Dask scheduler went away at work; start it, and try again") from exc
+            raise ExecutorFailed(SCHEDULER_GONE) from exc
         finally:
             with contextlib.suppress(CancelledError, OSError, TimeoutError):
                 self.client.cancel(futures)
@@ -82,7 +83,11 @@ class DaskExecutor(Closing):
             if now_s - asked_s < ASK_S:
                 continue
             asked_s = now_s
-            if self.client.nthreads():
+            try:
+                threads = self.client.nthreads()
+            except OSError as exc:  # it gave up connecting again; a piece's own OSError comes with its result
+                raise ExecutorFailed(SCHEDULER_GONE) from exc
+            if threads:
                 served_s = now_s
             elif now_s - served_s > DESERTED_FOR_S:
                 raise ExecutorFailed(
