@@ -12,7 +12,7 @@ import queue
 import stat
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -48,9 +48,10 @@ from station.slam.backend import SlamUpdate
 
 logger = logging.getLogger(__name__)
 
+REST_S = 0.05  # the thread takes all that came meanwhile: woken by each message it would take turns with the event loop
 CHUNK_BYTES = 512 * 1024  # about a third of a second of video
 MAX_WAITING_FRAMES = 120  # some seconds between the event loop and the disk; then frames are dropped, counted
-MAX_LATE = 100_000  # IMU samples and reports are never dropped; a disk that is minutes behind ends the recording
+MAX_LATE = 20_000  # IMU batches and reports are never dropped; a disk that is minutes behind ends the recording
 CLOSE_WITHIN_S = 60.0  # a disk that hangs must not keep the station from ending
 MIN_FREE_BYTES = 256 * 1024 * 1024  # the disk also holds the maps: stop in time, with a proper end of the file
 CHECK_DISK_NS = 1_000_000_000  # so often what was taken is written to the disk: the most that a crash may cost
@@ -75,6 +76,24 @@ class _Entry:
     content: bytes | dict[str, Any]  # bytes: encoded already; otherwise JSON
 
 
+@dataclass(frozen=True, slots=True)
+class _ImuArrival:
+    """Samples that came together: one entry each, made in the recorder's thread."""
+
+    batch: ImuBatch
+    t_station_ns: int
+
+    def entries(self) -> Iterator[_Entry]:
+        for number, sample in enumerate(self.batch.samples):
+            content = {
+                "timestamp": time_of(sample.t_robot_ns),
+                "sequence": self.batch.first_sequence + number,
+                "gyro": dict(zip("xyz", sample.gyro_imu, strict=True)),
+                "accel": dict(zip("xyz", sample.accel_imu, strict=True)),
+            }
+            yield _Entry(IMU_TOPIC, max(0, sample.t_robot_ns), self.t_station_ns, content)
+
+
 class Recorder:
     """A link's listener that records. Give it the present hello first, when the robot is connected already.
 
@@ -94,7 +113,7 @@ class Recorder:
         self._wall_minus_monotonic_ns = time.time_ns() - now_ns()
         self._min_free_bytes = min_free_bytes
         self._file = _create(path, min_free_bytes)
-        self._waiting: queue.Queue[_Entry | None] = queue.Queue()
+        self._waiting: queue.SimpleQueue[_Entry | _ImuArrival | None] = queue.SimpleQueue()
         self._messages = 0
         self._frames_taken = 0
         self._frames_written = 0
@@ -165,15 +184,7 @@ class Recorder:
         self._put(IMAGE_TOPIC, frame.t_robot_ns, encode_image(frame.t_robot_ns, frame.jpeg), t_station_ns)
 
     def on_imu(self, batch: ImuBatch) -> None:
-        t_station_ns = self._now_ns()
-        for number, sample in enumerate(batch.samples):
-            content = {
-                "timestamp": time_of(sample.t_robot_ns),
-                "sequence": batch.first_sequence + number,
-                "gyro": dict(zip("xyz", sample.gyro_imu, strict=True)),
-                "accel": dict(zip("xyz", sample.accel_imu, strict=True)),
-            }
-            self._put(IMU_TOPIC, sample.t_robot_ns, content, t_station_ns)
+        self._queue(_ImuArrival(batch, self._now_ns() + self._wall_minus_monotonic_ns))
 
     def on_gap(self, num_samples: int) -> None:
         self._put(GAP_TOPIC, None, {"num_samples": num_samples})
@@ -215,16 +226,19 @@ class Recorder:
     def _put(
         self, topic: str, t_sensor_ns: int | None, content: bytes | dict[str, Any], t_station_ns: int | None = None
     ) -> None:
+        t_station_ns = self._now_ns() if t_station_ns is None else t_station_ns
+        # Foxglove's time line is the log time, which is wall time; the sensor's own time is the publish time.
+        wall_ns = t_station_ns + self._wall_minus_monotonic_ns
+        self._queue(_Entry(topic, max(0, wall_ns if t_sensor_ns is None else t_sensor_ns), wall_ns, content))
+
+    def _queue(self, arrival: _Entry | _ImuArrival) -> None:
         if self._closed or self._error:
             return
         if self._waiting.qsize() >= MAX_LATE:
             self._fail(f"the disk is {MAX_LATE} messages behind; record to a faster one")
             return
-        t_station_ns = self._now_ns() if t_station_ns is None else t_station_ns
-        # Foxglove's time line is the log time, which is wall time; the sensor's own time is the publish time.
-        wall_ns = t_station_ns + self._wall_minus_monotonic_ns
-        self._newest_ns = max(self._newest_ns, wall_ns)
-        self._waiting.put(_Entry(topic, max(0, wall_ns if t_sensor_ns is None else t_sensor_ns), wall_ns, content))
+        self._newest_ns = max(self._newest_ns, arrival.t_station_ns)
+        self._waiting.put(arrival)
 
     def _fail(self, why: str) -> None:
         if not self._error:
@@ -261,27 +275,30 @@ class Recorder:
         checked_ns = self._now_ns()
         while True:
             try:
-                entry = self._waiting.get(timeout=max(0.05, CHECK_DISK_NS / 1e9))
+                arrival = self._waiting.get(timeout=max(0.05, CHECK_DISK_NS / 1e9))
             except queue.Empty:  # a silent robot: what came last must not wait in memory
                 self._write_out(writer)
                 continue
-            if entry is None:
+            if arrival is None:
                 break
-            self._messages += 1
-            self._written_ns = max(self._written_ns, entry.t_station_ns)
-            self._frames_written += entry.topic == IMAGE_TOPIC
-            content = entry.content if isinstance(entry.content, bytes) else msgspec.json.encode(entry.content)
-            writer.add_message(
-                channel_id=channels[entry.topic],
-                log_time=entry.t_station_ns,
-                data=content,
-                publish_time=entry.t_sensor_ns,
-                sequence=self._messages & 0xFFFFFFFF,
-            )
+            for entry in (arrival,) if isinstance(arrival, _Entry) else arrival.entries():
+                self._messages += 1
+                self._written_ns = max(self._written_ns, entry.t_station_ns)
+                self._frames_written += entry.topic == IMAGE_TOPIC
+                content = entry.content if isinstance(entry.content, bytes) else msgspec.json.encode(entry.content)
+                writer.add_message(
+                    channel_id=channels[entry.topic],
+                    log_time=entry.t_station_ns,
+                    data=content,
+                    publish_time=entry.t_sensor_ns,
+                    sequence=self._messages & 0xFFFFFFFF,
+                )
             if self._now_ns() - checked_ns >= CHECK_DISK_NS:
                 checked_ns = self._now_ns()
                 self._write_out(writer)
                 self._check_disk()
+            if self._waiting.empty() and not self._closed:
+                time.sleep(REST_S)
         finish: Callable[[], None] = writer.finish  # mcap leaves it untyped
         finish()
         self._file.flush()

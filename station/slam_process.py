@@ -23,7 +23,7 @@ LIVE_BACKENDS = ("ukf",)
 DRIVE_BACKLOG = 6000  # reports, 20 a second: five minutes
 MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
 QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes
-HEAD_START_S = 2.0  # a drive waits for it
+HEAD_START_S = 10.0  # a drive waits for its first word
 MAX_TOLD_FAILURES = 20  # different sentences; some hold numbers that never repeat
 
 

@@ -1,7 +1,7 @@
 """Worker processes. Each owns one servant object; the station calls its methods by name over a pipe.
 
-The event loop only puts requests into a bounded outbox and gets answers back; two threads per worker move the bytes. An
-exception in the servant is raised at the caller. A process that dies fails what waits for it and is reported once.
+Requests wait in a bounded outbox; two tasks of the event loop move the bytes: threads would have to take turns with it.
+An exception in the servant is raised at the caller. A process that dies fails what waits for it and is reported once.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ import math
 import multiprocessing
 import os
 import pickle
+import select
 import signal
-import threading
+import socket
+import struct
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from multiprocessing import forkserver
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ END_TIMEOUT_S = 1.5
 MAX_WAITING = 10_000  # requests of one kind that nobody gave a limit: then the oldest is dropped, counted
 MAX_CALLS = 1_000  # calls wait for an answer, so none is dropped: a further one is refused
 END = "<end>"  # the request that ends a worker
+LENGTH = struct.Struct("!Q")  # before each pickled request, answer or event
 # Forking the station would copy threads' locks and the event loop; spawning means seconds of imports per worker, and
 # memory for them. So workers are forked from a server process that has done the imports and nothing else.
 _CONTEXT = multiprocessing.get_context("forkserver")
@@ -69,21 +71,20 @@ class Outbox:
         self._now_s = now_s
         self._items: deque[tuple[str, float, tuple[Any, ...]]] = deque()  # with when they came
         self._waiting: Counter[str] = Counter()
-        self._changed = threading.Condition()
+        self._changed = asyncio.Event()  # something waits, or nothing will any more
         self._closed = False
         self.dropped: Counter[str] = Counter()
 
     def put(self, kind: str, item: tuple[Any, ...]) -> bool:
         """Add an item; False when older ones of its kind had to go."""
         now_s = self._now_s()
-        with self._changed:
-            dropped = 0
-            while self._waiting[kind] and self._must_go(kind, now_s):
-                dropped += 1
-            self.dropped[kind] += dropped
-            self._waiting[kind] += 1
-            self._items.append((kind, now_s, item))
-            self._changed.notify()
+        dropped = 0
+        while self._waiting[kind] and self._must_go(kind, now_s):
+            dropped += 1
+        self.dropped[kind] += dropped
+        self._waiting[kind] += 1
+        self._items.append((kind, now_s, item))
+        self._changed.set()
         return not dropped
 
     def _must_go(self, kind: str, now_s: float) -> bool:
@@ -96,25 +97,24 @@ class Outbox:
         self._waiting[kind] -= 1
         return True
 
-    def take(self) -> tuple[Any, ...] | None:
+    async def take(self) -> tuple[Any, ...] | None:
         """Wait for the next item; None when the outbox is closed."""
-        with self._changed:
-            while not self._items and not self._closed:
-                self._changed.wait()
-            if self._closed:
-                return None
-            kind, _, item = self._items.popleft()
-            self._waiting[kind] -= 1
-            return item
+        while not self._items and not self._closed:
+            self._changed.clear()
+            await self._changed.wait()
+        if self._closed:
+            return None
+        kind, _, item = self._items.popleft()
+        self._waiting[kind] -= 1
+        return item
 
     def waiting(self, kind: str) -> int:
         """How many items of a kind wait."""
         return self._waiting[kind]
 
     def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
+        self._closed = True
+        self._changed.set()
 
 
 class Worker:
@@ -135,7 +135,8 @@ class Worker:
     ) -> None:
         """`servant` is "package.module:Class"; its first argument is a function that sends an event here.
 
-        For `head_start_s` it runs as important as the station itself, so that a dead worker is soon replaced.
+        Until its first event, at most for `head_start_s`, it runs as important as the station itself: a dead worker is
+        soon replaced, however busy the others are.
         `on_failure` is told in a sentence what a posted request raised: nobody waits for an answer to it.
         """
         self.name = name
@@ -150,7 +151,7 @@ class Worker:
         self._next_call = 0
         self._process: Any = None
         self._spawning: asyncio.Future[None] | None = None
-        self._connection: Connection | None = None
+        self._moving: tuple[asyncio.Task[None], ...] = ()  # what moves the bytes
         self._closing = False
         self._dead = ""
 
@@ -169,11 +170,21 @@ class Worker:
 
     async def start(self) -> None:
         """Start the process; requests may be posted from now on, it answers when it is up."""
-        loop = asyncio.get_running_loop()
-        self._spawning = asyncio.ensure_future(asyncio.to_thread(self._spawn))
-        await asyncio.shield(self._spawning)  # whoever is cancelled here: `close` finds the process
-        for task in (self._write, self._read):
-            threading.Thread(target=task, args=(loop,), name=f"{self.name} {task.__name__}", daemon=True).start()
+        ours, theirs = socket.socketpair()
+        self._spawning = asyncio.ensure_future(asyncio.to_thread(self._spawn, theirs))
+        try:
+            await asyncio.shield(self._spawning)  # whoever is cancelled here: `close` finds the process
+            reader, writer = await asyncio.open_connection(sock=ours)
+        except BaseException:
+            ours.close()  # the process ends when nobody talks to it
+            raise
+        writer.transport.set_write_buffer_limits(
+            high=0
+        )  # what is not sent yet waits in the outbox, where it may be dropped
+        self._moving = (
+            asyncio.create_task(self._write(writer), name=f"{self.name} requests"),
+            asyncio.create_task(self._read(reader, writer), name=f"{self.name} answers"),
+        )
 
     def post(self, method: str, *arguments: Any, kind: str = "") -> bool:
         """Ask without waiting for an answer. False when an older request of this kind was dropped for it."""
@@ -226,41 +237,45 @@ class Worker:
             self._process.kill()
             await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
         self._outbox.close()
+        for task in self._moving:  # a process of the worker's own may hold the pipe open
+            task.cancel()
+        await asyncio.gather(*self._moving, return_exceptions=True)
         self._fail_calls(f"the {self.name} worker was stopped")
 
-    def _spawn(self) -> None:
-        ours, theirs = _CONTEXT.Pipe()
-        self._process = _CONTEXT.Process(
-            target=_serve,
-            args=(theirs, self.name, self._head_start_s, self._servant, self._arguments),
-            name=self.name,
-            daemon=True,
-        )
-        self._process.start()
-        theirs.close()  # so that reading ends when the process does
-        self._connection = ours
+    def _spawn(self, theirs: socket.socket) -> None:
+        with theirs:  # the process has its own copy; ours would keep it open when that has ended
+            self._process = _CONTEXT.Process(
+                target=_serve,
+                args=(theirs, self.name, self._head_start_s, self._servant, self._arguments),
+                name=self.name,
+                daemon=True,
+            )
+            self._process.start()
 
-    def _write(self, loop: asyncio.AbstractEventLoop) -> None:
-        assert self._connection is not None
-        while (item := self._outbox.take()) is not None:
+    async def _write(self, writer: asyncio.StreamWriter) -> None:
+        while (item := await self._outbox.take()) is not None:
             try:
                 data = pickle.dumps(item, pickle.HIGHEST_PROTOCOL)
-                self._connection.send_bytes(data)
-            except (OSError, ValueError):
-                return  # the reader notices the end and reports it
             except (pickle.PicklingError, TypeError, AttributeError) as exc:
-                _soon(loop, self._receive, (item[0], False, WorkerFailed(f"{item[1]} cannot be sent: {exc}")))
-
-    def _read(self, loop: asyncio.AbstractEventLoop) -> None:
-        assert self._connection is not None
-        while True:
+                self._receive((item[0], False, WorkerFailed(f"{item[1]} cannot be sent: {exc}")))
+                continue
+            writer.writelines((LENGTH.pack(len(data)), data))
             try:
-                message = pickle.loads(self._connection.recv_bytes())  # from our own child  # noqa: S301  # nosec B301
-            except (EOFError, OSError):
-                break
-            _soon(loop, self._receive, message)
-        self._process.join(END_TIMEOUT_S)
-        _soon(loop, self._end)
+                await writer.drain()
+            except OSError:
+                return  # the reader notices the end and reports it
+
+    async def _read(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while True:
+                (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
+                message = pickle.loads(await reader.readexactly(length))  # from our own child  # noqa: S301  # nosec B301
+                self._receive(message)
+        except (asyncio.IncompleteReadError, OSError):
+            await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
+            self._end()
+        finally:
+            writer.close()
 
     def _receive(self, message: tuple[int | None, bool, Any]) -> None:
         call, is_ok, value = message
@@ -297,11 +312,37 @@ class Worker:
                 future.set_exception(WorkerDied(reason))
 
 
-def _soon(loop: asyncio.AbstractEventLoop, function: Callable[..., None], *arguments: Any) -> None:
-    try:
-        loop.call_soon_threadsafe(function, *arguments)
-    except RuntimeError:
-        logger.debug("the event loop is closed, a late answer is of no use")
+class _Line:
+    """The worker's end of the pipe."""
+
+    def __init__(self, line: socket.socket) -> None:
+        self._line = line
+        self._arrivals = select.poll()
+        self._arrivals.register(line, select.POLLIN)
+
+    def has_request(self) -> bool:
+        """Whether one waits, or the station is gone, which `receive` tells."""
+        return bool(self._arrivals.poll(0))
+
+    def receive(self) -> Any:
+        """Wait for a request. Raises EOFError, OSError when the station is gone."""
+        (length,) = LENGTH.unpack(self._read(LENGTH.size))
+        return pickle.loads(self._read(length))  # from our own parent  # noqa: S301  # nosec B301
+
+    def send(self, message: object) -> None:
+        """Raises OSError when the station is gone."""
+        data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        self._line.sendall(LENGTH.pack(len(data)) + data)
+
+    def _read(self, size: int) -> bytearray:
+        data = bytearray(size)
+        rest = memoryview(data)
+        while rest:
+            taken = self._line.recv_into(rest)
+            if not taken:
+                raise EOFError
+            rest = rest[taken:]
+        return data
 
 
 def resolve(path: str) -> Any:
@@ -314,24 +355,44 @@ def _nothing_to_do() -> bool:
     return False
 
 
-def _serve(
-    connection: Connection, name: str, head_start_s: float, servant_path: str, arguments: tuple[Any, ...]
-) -> None:
+class _Importance:
+    """A worker gives way to the event loop, but for its head start."""
+
+    def __init__(self, head_start_s: float) -> None:
+        self._nice_from_s = time.monotonic() + head_start_s
+        self._is_nice = False
+
+    def end_head_start(self) -> None:
+        self._nice_from_s = -math.inf
+
+    def settle(self) -> None:
+        """Before a piece of work."""
+        if not self._is_nice and time.monotonic() >= self._nice_from_s:
+            os.nice(NICE)
+            self._is_nice = True
+
+
+def _serve(line: socket.socket, name: str, head_start_s: float, servant_path: str, arguments: tuple[Any, ...]) -> None:
     """The worker process: requests in, answers and events out, until the pipe closes.
 
     A servant may have `catch_up`: a piece of work that can wait until there are no requests; False when there is none.
     """
-    nice_from_s = time.monotonic() + head_start_s
-    is_nice = False
+    pipe = _Line(line)
+    importance = _Importance(head_start_s)
     with contextlib.suppress(OSError):  # `top` shows which robot's worker it is; only Linux has this file
         Path("/proc/self/comm").write_text(name[:15])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    servant = resolve(servant_path)(lambda event: connection.send((None, True, event)), *arguments)
+
+    def emit(event: object) -> None:
+        pipe.send((None, True, event))
+        importance.end_head_start()
+
+    servant = resolve(servant_path)(emit, *arguments)
     catch_up: Callable[[], bool] = getattr(servant, "catch_up", _nothing_to_do)
     while True:
         try:
-            while not connection.poll() and catch_up():
+            while not pipe.has_request() and catch_up():
                 pass
         except OSError:
             return
@@ -339,14 +400,12 @@ def _serve(
             logger.exception("catching up failed")
             catch_up = _nothing_to_do
         try:
-            call, method, values = pickle.loads(connection.recv_bytes())  # from our own parent  # noqa: S301  # nosec B301
+            call, method, values = pipe.receive()
         except (EOFError, OSError):
             return
         if method == END:
             return
-        if not is_nice and time.monotonic() >= nice_from_s:
-            os.nice(NICE)
-            is_nice = True
+        importance.settle()
         try:
             answer = (call, True, getattr(servant, method)(*values))
         except RobotSystemError as exc:
@@ -356,6 +415,6 @@ def _serve(
             answer = (call, False, WorkerFailed(f"{method} failed: {type(exc).__name__}: {exc}"))
         if call is not None or not answer[1]:
             try:
-                connection.send(answer)
+                pipe.send(answer)
             except OSError:
                 return

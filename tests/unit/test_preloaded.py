@@ -31,7 +31,7 @@ def test_loading_the_libraries_starts_no_thread_but_those_of_linear_algebra() ->
     assert seen.stdout.split(maxsplit=1) == ["1", "[]\n"]
 
 
-def test_what_waits_too_long_goes_when_the_next_of_its_kind_comes_and_nothing_else_does() -> None:
+async def test_what_waits_too_long_goes_when_the_next_of_its_kind_comes_and_nothing_else_does() -> None:
     now_s = [0.0]
     outbox = Outbox({"frame": 10, "imu": 10}, {"frame": 5.0}, lambda: now_s[0])
     assert outbox.put("frame", ("f0",)) and outbox.put("imu", ("i0",)) and outbox.put("frame", ("f1",))
@@ -39,4 +39,4 @@ def test_what_waits_too_long_goes_when_the_next_of_its_kind_comes_and_nothing_el
     assert outbox.put("imu", ("i1",))
     assert not outbox.put("frame", ("f2",))
     assert outbox.dropped["frame"] == 2 and outbox.dropped["imu"] == 0
-    assert [outbox.take() for _ in range(3)] == [("i0",), ("i1",), ("f2",)]
+    assert [await outbox.take() for _ in range(3)] == [("i0",), ("i1",), ("f2",)]

@@ -192,22 +192,22 @@ def test_commands_out_of_range_are_refused_and_do_not_take_the_wheel(
     assert desk.driver is None and link.told == []
 
 
-def test_outbox_drops_the_oldest_of_a_full_kind_only() -> None:
+async def test_outbox_drops_the_oldest_of_a_full_kind_only() -> None:
     outbox = Outbox({"frame": 2})
     for n in range(4):
         outbox.put("frame", (n,))
         outbox.put("imu", (10 + n,))
-    assert [outbox.take() for _ in range(6)] == [(10,), (11,), (2,), (12,), (3,), (13,)]
+    assert [await outbox.take() for _ in range(6)] == [(10,), (11,), (2,), (12,), (3,), (13,)]
     assert outbox.dropped["frame"] == 2 and outbox.dropped["imu"] == 0
     outbox.close()
-    assert outbox.take() is None
+    assert await outbox.take() is None
 
 
-def test_an_outbox_nobody_gave_a_limit_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_outbox_nobody_gave_a_limit_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(station.workers, "MAX_WAITING", 2)
     outbox = Outbox({})
     assert [outbox.put("add_drive", (n,)) for n in range(3)] == [True, True, False]
-    assert outbox.dropped["add_drive"] == 1 and outbox.take() == (1,)
+    assert outbox.dropped["add_drive"] == 1 and await outbox.take() == (1,)
 
 
 async def test_a_worker_refuses_calls_beyond_what_can_wait(monkeypatch: pytest.MonkeyPatch) -> None:
