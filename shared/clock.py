@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 WINDOW_NS = 60_000_000_000  # a crystal's drift follows its temperature: older arrivals would bend the line
-BIN_NS = 40_000_000  # of each 40 ms only the quickest arrival is kept: 1500 points at most
-REFIT_NS = 500_000_000  # a fit costs about a millisecond on a PC
+BIN_NS = 200_000_000  # of each fifth of a second only the quickest arrival is kept: 300 points at most
+REFIT_NS = 500_000_000  # a fit costs a fifth of a millisecond on a PC, and a station has a clock for each robot
 MIN_SPAN_NS = 2_000_000_000  # a shorter stretch says nothing on drift
 MAX_DRIFT = 0.02  # resonators are off by 0.5 %; more is not a clock
 STEP_NS = 1_000_000_000  # an arrival that much too early: the remote clock was set, or ours slept

@@ -19,7 +19,7 @@ import signal
 import socket
 import struct
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Mapping
 from multiprocessing import forkserver
 from pathlib import Path
@@ -69,8 +69,8 @@ class Outbox:
         self._limits = dict(limits)
         self._max_age_s = dict(max_age_s or {})
         self._now_s = now_s
-        self._items: deque[tuple[str, float, tuple[Any, ...]]] = deque()  # with when they came
-        self._waiting: Counter[str] = Counter()
+        self._queues: dict[str, deque[tuple[int, float, tuple[Any, ...]]]] = defaultdict(deque)  # number, when it came
+        self._count = 0
         self._changed = asyncio.Event()  # something waits, or nothing will any more
         self._closed = False
         self.dropped: Counter[str] = Counter()
@@ -78,39 +78,30 @@ class Outbox:
     def put(self, kind: str, item: tuple[Any, ...]) -> bool:
         """Add an item; False when older ones of its kind had to go."""
         now_s = self._now_s()
+        queue = self._queues[kind]
+        limit, max_age_s = self._limits.get(kind, MAX_WAITING), self._max_age_s.get(kind, math.inf)
         dropped = 0
-        while self._waiting[kind] and self._must_go(kind, now_s):
+        while queue and (len(queue) >= limit or now_s - queue[0][1] > max_age_s):
+            queue.popleft()
             dropped += 1
         self.dropped[kind] += dropped
-        self._waiting[kind] += 1
-        self._items.append((kind, now_s, item))
+        self._count += 1
+        queue.append((self._count, now_s, item))
         self._changed.set()
         return not dropped
 
-    def _must_go(self, kind: str, now_s: float) -> bool:
-        """Whether the oldest of a kind makes room; then it is gone."""
-        oldest, came_s = next((i, came_s) for i, (waiting, came_s, _) in enumerate(self._items) if waiting == kind)
-        is_full = self._waiting[kind] >= self._limits.get(kind, MAX_WAITING)
-        if not is_full and now_s - came_s <= self._max_age_s.get(kind, math.inf):
-            return False
-        del self._items[oldest]
-        self._waiting[kind] -= 1
-        return True
-
     async def take(self) -> tuple[Any, ...] | None:
         """Wait for the next item; None when the outbox is closed."""
-        while not self._items and not self._closed:
+        while not self._closed:
+            if waiting := [queue for queue in self._queues.values() if queue]:
+                return min(waiting, key=lambda queue: queue[0][0]).popleft()[2]
             self._changed.clear()
             await self._changed.wait()
-        if self._closed:
-            return None
-        kind, _, item = self._items.popleft()
-        self._waiting[kind] -= 1
-        return item
+        return None
 
     def waiting(self, kind: str) -> int:
         """How many items of a kind wait."""
-        return self._waiting[kind]
+        return len(self._queues[kind])
 
     def close(self) -> None:
         self._closed = True
