@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from station.places.features import FeatureExtractor, Features, extract_encoded
+from station.shelf import Shelf
 
 VERSION = 1  # of how pictures are described: count it up when that changes
 DESCRIBED_BY = f"{VERSION} cv2 {cv2.__version__} numpy {np.__version__}"
@@ -25,6 +26,7 @@ class DescribedPictures:
 
     def __init__(self) -> None:
         self._extractor = FeatureExtractor()
+        self._shelf = Shelf()
         self._known: dict[bytes, Features] = {}
 
     def __len__(self) -> int:
@@ -37,7 +39,8 @@ class DescribedPictures:
         """The picture's features, none where it cannot be decoded; kept for the next who asks."""
         digest = _digest(encoded)
         if digest not in self._known:
-            self._known[digest] = extract_encoded(encoded, self._extractor)
+            found = extract_encoded(encoded, self._extractor)
+            self._known[digest] = Features(self._shelf.put(found.uv_px), self._shelf.put(found.descriptors))
         return self._known[digest]
 
     def keep_only(self, pictures: Iterable[bytes]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import cv2
@@ -16,6 +16,7 @@ from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.navigation import Keyframes, Navigation, NavigationReport
+from station.shelf import Shelf, ShelvedFiles
 from station.slam.backend import SlamUpdate
 from station.slam.frontend.lens import Lens
 from station.slam.sfm.assemble import Reconstructed, read_model, read_odometry_map
@@ -33,6 +34,7 @@ from station.slam.sfm.world import place_in_world
 
 logger = logging.getLogger(__name__)
 MIN_KEYFRAMES = 3
+MAX_BATCHES = 1024  # of inertial samples, then they are joined
 
 
 class SfmBackend:
@@ -56,7 +58,9 @@ class SfmBackend:
         self._shortlist = Shortlist(self._config.matching)
         self._imu: list[ImuBatch] = []
         self._drive: list[DriveSample] = []
-        self._frames: list[ImageFrame] = []  # keyframes
+        self._shelf = Shelf()
+        self._frames: list[ImageFrame] = []  # keyframes, without their files
+        self._encoded = ShelvedFiles(self._shelf)  # these
         self._features: list[Features] = []
         self._pairs: list[Pairs] = []  # feature pairs, unverified
         self._matches: list[Match] = []  # verified
@@ -64,6 +68,9 @@ class SfmBackend:
 
     def add_imu(self, imu: ImuBatch) -> None:
         self._imu.append(imu)
+        if len(self._imu) > MAX_BATCHES:  # the heads of many small arrays take more than what is in them
+            joined = concatenate_imu(self._imu)
+            self._imu = self._imu if joined is None else [joined]
 
     def add_drive(self, drive: DriveSample) -> None:
         self._drive.append(drive)
@@ -105,11 +112,13 @@ class SfmBackend:
         if not self._has_odometry:  # with odometry, loops are looked for where poses say so
             older = [*self._shortlist.most_alike(features, older[0] if older else 0), *older]
             self._shortlist.add(features)
-        self._frames.append(frame)
-        self._features.append(features)
+        self._frames.append(replace(frame, encoded=b""))
+        self._encoded.append(frame.encoded)
+        put = self._shelf.put
+        self._features.append(Features(put(features.uv_px), put(features.uv_ideal_px), put(features.sift)))
         for a in older:
             pairs = match_descriptors(self._features[a].descriptors, features.descriptors, config.max_ratio)
-            self._pairs.append((a, b, pairs))
+            self._pairs.append((a, b, put(pairs)))
             if self._calibration.imu is None:  # no odometry can come any more: do the work now
                 self._verify_pairs()
 
@@ -126,7 +135,7 @@ class SfmBackend:
         return False
 
     def keyframe_pictures(self) -> Sequence[bytes]:
-        return [frame.encoded for frame in self._frames]
+        return self._encoded
 
     def finish(self) -> Navigation:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""
@@ -134,6 +143,9 @@ class SfmBackend:
             raise EstimationError(
                 f"{_keyframes(len(self._frames))} too few to reconstruct from; drive further, with texture in view"
             )
+        self._frames = [
+            replace(frame, encoded=encoded) for frame, encoded in zip(self._frames, self._encoded, strict=True)
+        ]
         imu = concatenate_imu(self._imu)
         if self._has_odometry and imu is not None:
             model, facts = self._map_with_odometry(imu)

@@ -23,10 +23,16 @@ class Features:
 
     uv_px: FloatArray  # (N, 2) as seen: distorted pixels
     uv_ideal_px: FloatArray  # (N, 2) where a pinhole camera with the same K would see them
-    descriptors: npt.NDArray[np.float32]  # (N, 128) of length 1
+    sift: npt.NDArray[np.uint8]  # (N, 128) as COLMAP gives them: a quarter of what unit vectors take
 
     def __len__(self) -> int:
         return len(self.uv_px)
+
+    @property
+    def descriptors(self) -> npt.NDArray[np.float32]:
+        """(N, 128) of length 1; made anew each time."""
+        found = self.sift.astype(np.float32)
+        return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
 
 
 class SiftExtractor:
@@ -47,11 +53,9 @@ class SiftExtractor:
         keypoints, found = self._extractor.extract_from_uint8_array(np.ascontiguousarray(grey))
         table = pycolmap.keypoints_to_matrix(keypoints)
         uv = table[:, :2].astype(np.float64) - COLMAP_PIXEL_CENTRE
-        descriptors = np.asarray(found.data, dtype=np.float32)
         order = np.argsort(-table[:, 2], kind="stable") if len(table) else np.empty(0, np.int64)
-        uv, descriptors = uv[order], descriptors[order]
-        length = np.linalg.norm(descriptors, axis=1, keepdims=True)
-        return Features(uv, ideal_pixels(uv, lens), descriptors / np.maximum(length, 1e-9))
+        uv = uv[order]
+        return Features(uv, ideal_pixels(uv, lens), np.asarray(found.data, dtype=np.uint8)[order])
 
 
 def ideal_pixels(uv_px: FloatArray, lens: Lens) -> FloatArray:

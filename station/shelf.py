@@ -1,0 +1,105 @@
+"""Arrays that are put aside until the end of a drive: in files without names, not in memory."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import mmap
+import os
+import tempfile
+from collections.abc import Sequence
+from typing import TypeVar, overload
+
+import numpy as np
+import numpy.typing as npt
+
+logger = logging.getLogger(__name__)
+A = TypeVar("A", bound=np.generic)
+FILE_BYTES = 64 * 1024 * 1024  # some 250 keyframes; each file costs a file descriptor
+RESIDENT_BYTES = 8 * 1024 * 1024  # what stays in memory
+ALIGNED = 64  # as numpy's own arrays
+
+
+class Shelf:
+    """Takes arrays and gives read-only ones with the same bits back, which take no memory while nobody looks at them.
+
+    A drive of an hour has gigabytes of features, of which only the last few are looked at before it ends. Where the
+    disk is full, or there is none, they stay in memory.
+    """
+
+    def __init__(self, file_bytes: int = FILE_BYTES, resident_bytes: int = RESIDENT_BYTES) -> None:
+        self._file_bytes = file_bytes
+        self._resident_bytes = resident_bytes
+        self._chunk: mmap.mmap | None = None
+        self._used = 0  # of the chunk
+        self._resident = 0
+        self._is_full = False
+
+    def put(self, array: npt.NDArray[A]) -> npt.NDArray[A]:
+        """The same array, on the shelf."""
+        if not array.nbytes or self._is_full:
+            return array
+        chunk = self._room_for(array.nbytes)
+        if chunk is None:
+            return array
+        view = np.frombuffer(chunk, array.dtype, array.size, self._used).reshape(array.shape)
+        view[...] = array
+        view.flags.writeable = False
+        size = -(-array.nbytes // ALIGNED) * ALIGNED
+        self._used += size
+        self._resident += size
+        if self._resident > self._resident_bytes:
+            self._give_back(chunk)
+        return view
+
+    def _room_for(self, size: int) -> mmap.mmap | None:
+        if self._chunk is None or self._used + size > len(self._chunk):
+            if self._chunk is not None:
+                self._give_back(self._chunk)
+            try:
+                self._chunk, self._used = _map_file(max(size, self._file_bytes)), 0
+            except OSError as exc:
+                self._is_full = True
+                logger.warning("no room on the disk to put arrays aside (%s); they stay in memory", exc.strerror)
+                return None
+        return self._chunk
+
+    def _give_back(self, chunk: mmap.mmap) -> None:
+        """Its memory, to the system: who reads an array in it later gets it from the disk."""
+        self._resident = 0
+        if hasattr(mmap, "MADV_DONTNEED"):
+            with contextlib.suppress(OSError):
+                chunk.madvise(mmap.MADV_DONTNEED)
+
+
+class ShelvedFiles(Sequence[bytes]):
+    """Files, such as pictures, on a shelf."""
+
+    def __init__(self, shelf: Shelf) -> None:
+        self._shelf = shelf
+        self._files: list[npt.NDArray[np.uint8]] = []
+
+    def append(self, file: bytes) -> None:
+        self._files.append(self._shelf.put(np.frombuffer(file, np.uint8)))
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[bytes]: ...
+    def __getitem__(self, index: int | slice) -> bytes | list[bytes]:
+        if isinstance(index, slice):
+            return [file.tobytes() for file in self._files[index]]
+        return self._files[index].tobytes()
+
+
+def _map_file(size: int) -> mmap.mmap:
+    """Raises OSError when there is no room for it: found out later, touching it would end the process."""
+    with tempfile.TemporaryFile(prefix="sentinel-", buffering=0) as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)
+        elif file.write(bytes(size)) != size:
+            raise OSError("the disk is full")
+        return mmap.mmap(file.fileno(), size)  # it keeps the file
