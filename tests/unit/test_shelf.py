@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as arrays
 from station.shelf import Shelf
 
 KINDS = st.sampled_from([np.uint8, np.int64, np.float64])
-SHAPES = arrays.array_shapes(min_dims=1, max_dims=2, min_side=0, max_side=200)
+SHAPES = arrays.array_shapes(min_dims=1, max_dims=2, min_side=0, max_side=30)
 
 
 def resident_bytes() -> int:
@@ -24,7 +24,7 @@ def resident_bytes() -> int:
 
 @given(given_arrays=st.lists(KINDS.flatmap(lambda kind: arrays.arrays(kind, SHAPES)), max_size=12))
 def test_every_array_comes_back_and_cannot_be_written(given_arrays: list[np.ndarray]) -> None:
-    shelf = Shelf(file_bytes=4096)  # many chunks, and arrays that are larger than one
+    shelf = Shelf(file_bytes=1024)  # many chunks, and arrays that are larger than one
     kept = [shelf.put(array) for array in given_arrays]
     for array, back in zip(given_arrays, kept, strict=True):
         assert back.dtype == array.dtype and back.shape == array.shape
