@@ -292,18 +292,28 @@ class RobotLink:
         self._due.clear()
         self._silence.clear()
         self._seq = 0
+        # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
+        tasks = [
+            asyncio.create_task(part)
+            for part in (
+                self._read(connection.reader),
+                self._write(writer),
+                self._tick(),
+                self._look_for_another_way(),
+            )
+        ]
         try:
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._read(connection.reader))
-                tasks.create_task(self._write(writer))
-                tasks.create_task(self._tick())
-                tasks.create_task(self._look_for_another_way())
-        except* _Ended:
-            pass
-        except* OSError as group:
-            self._session.close(Event.LOST, f"connection lost: {in_words(group.exceptions[0], address)}")
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
+            for task in tasks:
+                task.cancel()
             writer.transport.abort()
+            ends = await asyncio.gather(*tasks, return_exceptions=True)
+        for end in ends:
+            if isinstance(end, OSError):
+                self._session.close(Event.LOST, f"connection lost: {in_words(end, address)}")
+            elif isinstance(end, Exception) and not isinstance(end, _Ended):
+                raise end
         return self._session.close_reason
 
     async def _read(self, reader: asyncio.StreamReader) -> None:

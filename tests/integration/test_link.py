@@ -8,8 +8,9 @@ import time
 import pytest
 
 from shared.errors import DeviceLost, LocalProtocolError
-from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
-from tests.link_support import Bench, Proxy, linked, running_robot, until
+from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Status
+from station.link import RobotLink
+from tests.link_support import Bench, Notes, Proxy, linked, running_robot, until
 
 
 async def test_frames_imu_and_reports_arrive_as_the_devices_made_them() -> None:
@@ -34,6 +35,21 @@ async def test_frames_imu_and_reports_arrive_as_the_devices_made_them() -> None:
         assert notes.statuses[0].battery_v == 7.4
         state = link.state
         assert (state.imu_samples, state.imu_lost, state.frames, state.connections) == (500, 0, 1, 1)
+
+
+async def test_a_link_that_is_ended_while_the_robot_leaves_ends() -> None:
+    class Leaving(Notes):
+        """The connection breaks in the moment of the cancellation."""
+
+        def on_status(self, status: Status) -> None:
+            running.cancel()
+            raise ConnectionResetError
+
+    async with running_robot() as bench:
+        running = asyncio.create_task(RobotLink("127.0.0.1", bench.port, Leaving()).run())
+        done, _ = await asyncio.wait({running}, timeout=20)
+        running.cancel()
+        assert done and running.cancelled()
 
 
 async def test_the_robots_clock_is_known_soon() -> None:
