@@ -30,6 +30,7 @@ from station.recorder import Recorder
 from station.recording import DriveRecorder
 from station.refusals import Conflict, Unknown
 from station.robot_session import RobotSession, Shared
+from station.turns import Turns
 from station.workers import Worker, warm_up
 
 logger = logging.getLogger(__name__)
@@ -68,6 +69,7 @@ class Station:
             self.access.robots,
             make_recorder or (lambda path: open_recorder(path, config.recordings)),
             place_servant,
+            Turns(),
         )
         self.robots: dict[str, RobotSession] = {}
         for robot in config.fleet:

@@ -21,6 +21,7 @@ from station.maps.map import Place, PlaceEdge
 from station.maps.store import StoreAddress
 from station.place_report import HijackNotice, MapReading, PlaceReport
 from station.places.answer import PlaceAnswer, PlaceState
+from station.turns import Turns
 from station.workers import Worker, WorkerDied
 
 logger = logging.getLogger(__name__)
@@ -53,8 +54,11 @@ class Locating:
         events: Events,
         servant: str = "station.place_servant:PlaceServant",
         on_report: Callable[[PlaceReport], None] = lambda _: None,
+        turns: Turns | None = None,
     ) -> None:
+        """`turns` are shared by the robots of a station: whose pictures are looked at now."""
         self._on_report = on_report
+        self._turns = turns or Turns()
         self._servant = servant
         self._store = store
         self._config = config
@@ -232,9 +236,12 @@ class Locating:
             while self._generation == generation:
                 run, frame = await self._frames.get()
                 started_s = time.monotonic()
-                if self._groups.is_fresh:
-                    await worker.call("regroup", *await self._groups.get())
-                report = await self._answer(worker, frame)
+                async with self._turns.turn():
+                    if self._frames.is_fresh:  # it came while others had their turn
+                        run, frame = await self._frames.get()
+                    if self._groups.is_fresh:
+                        await worker.call("regroup", *await self._groups.get())
+                    report = await self._answer(worker, frame)
                 is_of_now = self._generation == generation and self._runs == run
                 # The answer to a picture from before a hijack may be read after the notice of it.
                 if report is not None and is_of_now and report.num_hijacks >= self._hijacks_told:

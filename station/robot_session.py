@@ -24,6 +24,7 @@ from station.map_library import Maps
 from station.paired_robots import PairedRobots
 from station.recording import DriveRecorder, Recording
 from station.refusals import Conflict, NoRobot, NotCapable, OutOfRange
+from station.turns import Turns
 
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
@@ -47,6 +48,7 @@ class Shared:
     paired: PairedRobots
     make_recorder: Callable[[Path], DriveRecorder | None]
     place_servant: str  # the class that the localisation worker runs
+    turns: Turns  # of the localisation workers of all robots
 
 
 class RobotSession:
@@ -81,6 +83,7 @@ class RobotSession:
             events,
             shared.place_servant,
             lambda report: self.recording.on_answer(report),
+            shared.turns,
         )
         self.recording = Recording(
             shared.drives,

@@ -58,6 +58,7 @@ def serve(
 ) -> None:
     """Serve the page and the API: drive, map, and ask which place the robot is at."""
     from station.app import Station  # the web and estimation libraries load only for this command
+    from station.promptness import ask_for_short_turns
     from station.serving import serve_until_signal
 
     logging.basicConfig(
@@ -92,6 +93,7 @@ def serve(
             finally:
                 telling.cancel()
 
+        ask_for_short_turns()
         with asyncio.Runner(loop_factory=_loop_factory()) as runner:
             runner.run(run())
 
