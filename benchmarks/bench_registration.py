@@ -186,13 +186,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--seeds", choices=sorted(FIRST_SEED), default="test")
+    parser.add_argument("--first", type=int, default=None, help="seed of the first pair, instead of --seeds")
     parser.add_argument("--set", nargs="*", default=list(SETS), choices=list(SETS))
     parser.add_argument("--points", nargs=2, type=int, default=(3000, 20000))
     parser.add_argument("--baselines", action="store_true")
     parser.add_argument("--rows", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=None)
     a = parser.parse_args()
-    first, points = FIRST_SEED[a.seeds], (a.points[0], a.points[1])
+    first = FIRST_SEED[a.seeds] if a.first is None else a.first
+    points = (a.points[0], a.points[1])
     results: dict[str, Any] = {"sets": [], "baselines": []}
     for name in a.set:
         results["sets"].append(run_set(name, range(first, first + a.pairs), points, a.rows))

@@ -16,6 +16,7 @@ from station.places.registration.free_space import Rays
 from station.places.registration.gicp import align_gicp, require_backend
 from station.places.registration.kiss import kiss_is_available, match_features
 from station.places.registration.nudge import nudge
+from station.places.registration.parts import parts_apart
 from station.places.registration.refine import Refined, measure_residuals, refine, scale_of
 from station.places.registration.result import Alternative, Backend, Gravity, Registration, Scale, refused
 from station.places.registration.score import Contrast, Score, contrast_of, landed_apart, score_alignment
@@ -31,6 +32,7 @@ NUM_CANDIDATES = 8  # refined; the right one was among the first two in 40 of 40
 NUM_JUDGED = 3  # different alignments whose contrast is measured
 BESIDE_VOXELS = 0.75  # farther than this, an alignment around the best one is another answer, and not the same optimum
 MAX_MOVES = 2  # to a better alignment around the best one
+PARTS_VOXELS = 0.2  # a lidar's planes are smoother than its poses are good: the unit is no smaller than this
 PROMISING = 0.97  # of the best one's inlier share, before an alignment around it is finished, too
 OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
 NUDGE_SUBSET = 250
@@ -99,6 +101,18 @@ def register_clouds(
     if search:  # what found the guesses otherwise vouches for them
         best, score, beside = _look_beside(A, B, best, score, subsets, gravity, scale, voxel, backend, rng)
     contrast = contrast_of(A, B, best.T_target_source, score.inlier_share, *subsets, tolerance)
+    parts = parts_apart(
+        A,
+        B,
+        best.T_target_source,
+        R_up=_upright(A, B, gravity),
+        subset=_subsets(A, B, rng, FINE_SUBSET)[1],
+        reach=FINE_REACHES[-1] * voxel,
+        unit=max(tolerance, PARTS_VOXELS * voxel),
+        upright=gravity == "known",
+        free_scale=scale == "free",
+        rng=rng,
+    )
     others = [
         (r, c) for r, c in judged if landed_apart(r.T_target_source, best.T_target_source, B) > OTHER_VOXELS * voxel
     ]
@@ -110,6 +124,7 @@ def register_clouds(
         contrast=contrast,
         runner_up=others[0][1] if others else None,
         beside=beside,
+        parts=parts,
         tolerance=tolerance,
         voxel=voxel,
         scale=scale,
@@ -212,7 +227,7 @@ def _refine_and_rank(
     subset_A, subset_B = _subsets(A, B, rng, REFINE_SUBSET)
     reaches = tuple(r * voxel for r in COARSE_REACHES)
     tolerance = _tolerance(A, B)
-    R_up = np.eye(3) if gravity == "known" else upright_rotations(A, B)[0]
+    R_up = _upright(A, B, gravity)
     few = subset_B[:: max(1, len(subset_B) // NUDGE_SUBSET)]
     ranked = []
     for candidate in candidates:
@@ -284,7 +299,7 @@ def _look_beside(
 ) -> tuple[Refined, Score, Score | None]:
     """The best alignment around `best` (which has `score`), its score, and that of the best one beside it, if any."""
     tolerance = _tolerance(A, B)
-    R_up = np.eye(3) if gravity == "known" else upright_rotations(A, B)[0]
+    R_up = _upright(A, B, gravity)
     subset_B = subsets[1]
     for moves_left in range(MAX_MOVES, -1, -1):
         found = alignments_beside(
@@ -337,6 +352,11 @@ def _contrasts(
         if len(out) == NUM_JUDGED:
             break
     return sorted(out, key=lambda pair: -pair[1].mean)
+
+
+def _upright(A: PreparedCloud, B: PreparedCloud, gravity: Gravity) -> FloatArray:
+    """The rotation (3, 3) that puts the target's vertical along z."""
+    return np.eye(3) if gravity == "known" else upright_rotations(A, B)[0]
 
 
 def _tolerance(A: PreparedCloud, B: PreparedCloud) -> float:

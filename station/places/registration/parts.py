@@ -1,0 +1,87 @@
+"""Do parts of the landmarks, each by itself, say the same?
+
+Where two clouds show one place, every part of them fits at one spot. An alignment that rests on chance, or on
+furniture that meets its neighbour, is a compromise: each part alone would move it elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray
+from station.places.registration.cloud import PreparedCloud
+from station.places.registration.refine import measure_residuals, refine
+from station.places.registration.score import landed_apart
+
+PASSES = 6
+MIN_POINTS = 30  # fewer landmarks determine no motion
+
+
+@dataclass(frozen=True, slots=True)
+class PartsApart:
+    """How far apart the answers of two parts of the source lie: median distance of its landmarks, in units.
+
+    0 where a part is too small for an answer.
+    """
+
+    halves: float  # two halves drawn at random: the noise of the answer
+    sides: float  # two sides of what the clouds share, the worse of two cuts: its bias
+    unit: float  # target units
+
+
+def parts_apart(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    T: FloatArray,
+    *,
+    R_up: FloatArray,
+    subset: IntArray,
+    reach: float,
+    unit: float,
+    upright: bool,
+    free_scale: bool,
+    rng: np.random.Generator,
+) -> PartsApart:
+    """Refine T (4, 4) by parts of the source alone.
+
+    Args:
+        R_up: (3, 3) rotation that puts the target's vertical along z; the cuts are upright.
+        subset: (m,) source points to part.
+        reach: search radius, target units.
+        unit: what distances are told in, target units.
+    """
+
+    def apart(first: IntArray, second: IntArray) -> float:
+        if min(len(first), len(second)) < MIN_POINTS:
+            return 0.0  # nothing is known against it
+        one, other = (
+            refine(
+                target,
+                source,
+                T,
+                subset=np.sort(part),
+                reaches=(0.8 * reach,) * PASSES,
+                upright=upright,
+                free_scale=free_scale,
+                tolerance=1e-4 * reach,
+            ).T_target_source
+            for part in (first, second)
+        )
+        return landed_apart(one, other, source) / unit
+
+    mixed = rng.permutation(subset)
+    found = measure_residuals(target, source.points[subset], source.normals[subset], T, reach)
+    shared = np.isfinite(found.distance)
+    on_floor = ((source.points[subset] @ T[:3, :3].T + T[:3, 3]) @ R_up.T)[:, :2]
+    if np.count_nonzero(shared) < 2 * MIN_POINTS:
+        return PartsApart(apart(mixed[::2], mixed[1::2]), 0.0, unit)
+    centred = on_floor - np.median(on_floor[shared], axis=0)
+    axes = np.linalg.svd(centred[shared], full_matrices=False)[2]
+    cuts = [centred @ axis > 0 for axis in axes]
+    return PartsApart(
+        halves=apart(mixed[::2], mixed[1::2]),
+        sides=max(apart(subset[side], subset[~side]) for side in cuts),
+        unit=unit,
+    )
