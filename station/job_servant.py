@@ -63,7 +63,7 @@ class JobServant:
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
 
     def _index(self, folders: list[Path], store: MapStore, place_map: PlaceMap) -> None:
-        """Where pictures were described while the robot drove, localisation need not look at them again.
+        """Where most pictures were described while the robot drove, localisation need not look at them again.
 
         Else that is left to it: it can take minutes, and the map can be seen meanwhile.
         """
@@ -71,7 +71,8 @@ class JobServant:
         for folder in folders:
             with contextlib.suppress(OSError):
                 pictures.add((folder / PICTURES).read_bytes())
-        if len(pictures):
+        encoded = place_map.navigation.keyframes.encoded
+        if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded):
             self._emit((0.85, "indexing what its pictures look like"))
             index_of(store.address.root, place_map, _nothing, _nothing, pictures)
 

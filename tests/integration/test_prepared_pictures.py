@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from shared.calibration import Calibration
 from station.frames import ImageFrame
@@ -97,9 +98,13 @@ def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(
         assert report.T_map_cam.tobytes() == direct.T_map_cam.tobytes()
 
 
-def test_where_nothing_was_described_ahead_the_map_does_not_wait_for_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("frames", "is_damaged"), [(5, True), (4, False)])  # four: of seven pictures three are known
+def test_where_little_was_described_ahead_the_map_does_not_wait_for_it(
+    tmp_path: Path, frames: int, is_damaged: bool
+) -> None:
     folder, address = tmp_path / "drive" / "navigation", StoreAddress(tmp_path / "maps")
-    follow(folder, 5)
-    (folder / PICTURES).write_bytes(b"damaged")
+    follow(folder, frames)
+    if is_damaged:
+        (folder / PICTURES).write_bytes(b"damaged")
     built = JobServant(lambda told: None).build_map([folder], address, "wall", None)
     assert not (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
