@@ -60,6 +60,7 @@ class Scenario:
     look: Callable[[Path, list[object]], str]
     longest_s: float  # the kill comes before
     read: Callable[[Path, list[object]], None]  # what must be readable on a disk that is full or read-only
+    write_again: Callable[[Path], None]  # what must work once the disk takes writes again, after `look`
     is_timed: bool = False  # longest_s is by the clock on the wall, else seconds of the child's processor time
 
 

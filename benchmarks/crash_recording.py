@@ -126,6 +126,24 @@ def read_recordings(folder: Path, promises: list[object]) -> None:
             assert lost == 0.0, f"{drive_id} was closed and lacks {lost:.2f} s"
 
 
+def write_again(folder: Path) -> None:
+    """Once the disk takes writes again, a drive is recorded and kept as ever."""
+    library = DriveLibrary(folder / "drives")
+    assert not library.open(), "a drive that was cut is told again"
+    number = 1 + max((int(drive.id.split("-")[1]) for drive in library.list()), default=0)
+    drive = DriveRecord(f"drive-{number}", f"D{number}", "recording", time.time(), "sfm")
+    recorder = begin(library, drive, 0)
+    jpeg = PICTURE + (1000 * number).to_bytes(4, "big")
+    frame = CameraFrame(seq=0, t_robot_ns=0, exposure_ns=0, width=640, height=480, skipped=0, jpeg=jpeg)
+    recorder.on_frame(frame, time.monotonic_ns())
+    sample = ImuSample(0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
+    recorder.on_imu(ImuBatch(first_sequence=0, samples=(sample,)))
+    assert not recorder.close().error
+    assert lost_s(library.recording(drive.id), number, 0) == 0.0
+    library.keep(replace(drive, state="failed", message="ended"))
+    assert not DriveLibrary(folder / "drives").open()
+
+
 def last_taken(promises: list[object]) -> tuple[dict[str, int], dict[str, str]]:
     """The last time that was handed over, by drive; and how drives ended that are over."""
     taken: dict[str, int] = {}
@@ -155,4 +173,6 @@ def lost_s(path: Path, drive: int, last_ns: int) -> float:
     return max(0.0, (last_ns - last_read_ns) * 1e-9)
 
 
-SCENARIOS = {"record": Scenario(lambda _: None, record_on, look_at_recordings, 6.0, read_recordings, is_timed=True)}
+SCENARIOS = {
+    "record": Scenario(lambda _: None, record_on, look_at_recordings, 6.0, read_recordings, write_again, is_timed=True)
+}

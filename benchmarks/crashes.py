@@ -88,11 +88,16 @@ def run_on_full_disk(name: str, seed: int) -> str:
             )
         finally:
             promises = working.kill()
-        return f"{scenario.look(disk.home, promises)}; {told}"
+        seen = scenario.look(disk.home, promises)
+        scenario.write_again(disk.home)
+        return f"{seen}; {told}"
 
 
 def run_on_failing_disk(name: str, seed: int) -> str:
-    """The disk becomes read-only at a random moment of the work, and stays it until the next start."""
+    """The disk becomes read-only at a random moment of the work: everything is read beside the work and after its end.
+
+    Then it is mounted again, nothing that was promised is missing, and it is written to as ever.
+    """
     scenario, rng = SCENARIOS[name], random.Random(seed)
     with disk_image() as image:
         with failing_disk(image) as disk:
@@ -104,8 +109,11 @@ def run_on_failing_disk(name: str, seed: int) -> str:
                 told = _refuse(working, scenario, disk, rng)
             finally:
                 promises = working.kill()
+            scenario.read(disk.home, promises)
         with failing_disk(image) as disk:
-            return f"{scenario.look(disk.home, promises)}; {told}"
+            seen = scenario.look(disk.home, promises)
+            scenario.write_again(disk.home)
+            return f"{seen}; {told}"
 
 
 RUNS_ON_BAD_DISK = {"full": run_on_full_disk, "read-only": run_on_failing_disk}

@@ -84,10 +84,14 @@ class Station:
         interrupted = self.drives.library.open()
         for drive in interrupted:
             self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
+        if self.drives.library.unwritable:
+            text = f"{self.drives.library.unwritable}; until then nothing can be recorded or changed"
+            self.events.say("navigation", text, "error")
+            logger.error("%s", text)
         await self.maps.open()
         self.bin.open()
         await asyncio.to_thread(self.comparisons.clean)
-        await self.empty_bin(everything=False)
+        await self._tidy_bin()
         await self._look_in_active_map()
         for kind in STATES:
             self.events.changed(kind)  # who listens from now on is first told how everything is
@@ -102,6 +106,7 @@ class Station:
         finally:
             closing = [*(robot.close() for robot in self.robots.values()), self.jobs.close()]
             failed = [e for e in await asyncio.gather(*closing, return_exceptions=True) if isinstance(e, Exception)]
+            await self.drives.close()
             if failed:  # told only now: one that fails must not keep the others open
                 raise failed[0]
 
@@ -136,12 +141,12 @@ class Station:
 
     # Navigations and maps
 
-    def stop_drive(self, drive_id: str) -> DriveRecord:
+    async def stop_drive(self, drive_id: str) -> DriveRecord:
         """End the recording of a drive, whichever robot drives it. Raises Unknown, Conflict."""
         drive = self.drives.get(drive_id)
         for robot in self.robots.values():
             if robot.recording.running is not None and robot.recording.running.id == drive_id:
-                return robot.recording.stop(drive_id)
+                return await robot.recording.stop(drive_id)
         raise Conflict(f"{drive.name} is not being recorded (it is {drive.state})")
 
     def cancel_drive(self, drive_id: str) -> DriveRecord:
@@ -205,7 +210,8 @@ class Station:
             try:
                 arguments = (recording, chosen, self.config.slam.seed, drive_id, folder, self.config.executor)
                 report = await worker.call("reprocess", *arguments)
-                await self._robot_of(self.drives.reprocessed(drive_id, report)).recording.show(drive_id)
+                drive = await self.drives.reprocessed(drive_id, report)
+                await self._robot_of(drive).recording.show(drive_id)
             finally:
                 self.drives.release(drive_id)
             return {"navigation": drive_id, "landmarks": report.landmarks}
@@ -313,15 +319,18 @@ class Station:
     async def _every_hour(self) -> None:
         while True:
             await asyncio.sleep(BIN_CHECK_S)
-            try:
-                await self.empty_bin(everything=False)
-            except (RobotSystemError, OSError) as exc:
-                # A disk or a database that is away for a while must not end the robots.
-                self.events.say("map", f"the bin could not be looked through: {exc}", "warning")
+            await self._tidy_bin()
+
+    async def _tidy_bin(self) -> None:
+        """A disk or a database that is away, or takes no writes, must not end the robots nor keep the maps hidden."""
+        try:
+            await self.empty_bin(everything=False)
+        except (RobotSystemError, OSError) as exc:
+            self.events.say("map", f"the bin could not be looked through: {exc}", "warning")
 
     async def _tidy_up(self, interrupted: list[DriveRecord]) -> None:
         """Recover what the station's end cut off, then remove what is beyond the limits."""
-        await recover_recordings(self.drives.library, interrupted, self.events)
+        await recover_recordings(self.drives, interrupted, self.events)
         await retain_recordings(self.drives.library, self.config.recordings, self.events)
 
 

@@ -38,6 +38,7 @@ class Bin:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._entries: dict[tuple[str, str], BinEntry] = {}
+        self._written: dict[tuple[str, str], BinEntry] = {}
 
     def open(self) -> None:
         """Read the file; without one, what `update` is told of was deleted then."""
@@ -45,7 +46,7 @@ class Bin:
             entries = msgspec.json.decode(self._path.read_bytes(), type=list[BinEntry])
         except (OSError, msgspec.DecodeError):
             entries = []
-        self._entries = {(entry.kind, entry.id): entry for entry in entries}
+        self._entries = self._written = {(entry.kind, entry.id): entry for entry in entries}
 
     def update(self, there: Mapping[Kind, Iterable[tuple[str, str]]], now_s: float) -> None:
         """What is there now, (id, name) of each kind: others are forgotten, unknown ones were deleted now.
@@ -59,8 +60,9 @@ class Bin:
             for kind, things in there.items()
             for found, name in things
         }
-        if self._entries != before:
+        if self._entries != self._written:
             self._write()
+            self._written = self._entries
 
     def list(self) -> tuple[BinEntry, ...]:
         """The newest first."""

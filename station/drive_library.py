@@ -16,7 +16,7 @@ from typing import Literal
 import msgspec
 
 from shared.errors import DataError
-from station.maps.bucket import flush
+from station.maps.bucket import Unwritable, cannot_write, flush, why_unwritable
 from station.refusals import Unknown
 from station.retention import KeptRecording
 
@@ -48,20 +48,31 @@ class DriveRecord:
 
 
 class DriveLibrary:
-    """All drives in one folder. Small files only: safe to call on the event loop."""
+    """All drives in one folder. What writes, moves or removes waits for the disk: call it in one thread."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
+        self.unwritable = ""  # a sentence, when `open` found that nothing can be written
         self._drives: dict[str, DriveRecord] = {}
 
     def open(self) -> list[DriveRecord]:
-        """Read what is there. Drives that were under way when the station ended are kept as failed, and returned."""
+        """Read what is there. Drives that were under way when the station ended are kept as failed, and returned.
+
+        Where nothing can be written they are only known as failed until the station ends; `unwritable` says why then.
+        Raises DataError: there is no such folder and none can be made.
+        """
         interrupted = []
+        self.unwritable = ""
         try:
-            self._root.mkdir(parents=True, exist_ok=True)
-            folders = sorted(p for p in self._root.iterdir() if _ID.fullmatch(p.name) and p.is_dir())
+            data = self._root.parent
+            if not self._root.is_dir() and (not data.is_dir() or why_unwritable(data) is None):
+                self._root.mkdir(parents=True)
+            here = sorted(self._root.iterdir()) if self._root.is_dir() else []
         except OSError as exc:
             raise DataError(f"{self._root} cannot be used ({exc.strerror}); choose another folder with --data") from exc
+        if (told := why_unwritable(self._root if self._root.is_dir() else data)) is not None:
+            self.unwritable = str(cannot_write(self._root, told))
+        folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
         for folder in folders:
             try:
                 drive = msgspec.json.decode((folder / "drive.json").read_bytes(), type=DriveRecord)
@@ -71,14 +82,18 @@ class DriveLibrary:
                 drive = _without_record(folder)
             if drive.state in ("recording", "finishing"):
                 drive = replace(drive, state="failed", message="the station ended before this navigation was finished")
-                self.keep(drive)
+                try:
+                    self.keep(drive)
+                except Unwritable:
+                    self.remember(drive)
                 interrupted.append(drive)
             self._drives[drive.id] = drive
         return interrupted
 
     def list(self) -> list[DriveRecord]:
         """Oldest first."""
-        return sorted(self._drives.values(), key=lambda d: (d.started_wall_s, d.id))
+        known = list(self._drives.values())  # in one step: another thread may add to them
+        return sorted(known, key=lambda d: (d.started_wall_s, d.id))
 
     def get(self, drive_id: str) -> DriveRecord:
         """Raises Unknown."""
@@ -105,7 +120,12 @@ class DriveLibrary:
         return self.folder(drive_id) / "navigation"
 
     def keep(self, drive: DriveRecord) -> None:
-        """Write a drive's record, whole or not at all."""
+        """Write a drive's record and know it. Raises Unwritable."""
+        self.write(drive)
+        self.remember(drive)
+
+    def write(self, drive: DriveRecord) -> None:
+        """Write a drive's record, whole or not at all; when this returns it survives a power cut. Raises Unwritable."""
         folder = self.folder(drive.id)
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -118,11 +138,10 @@ class DriveLibrary:
             for changed in (folder, self._root):  # the names too survive a power cut
                 flush(changed)
         except OSError as exc:
-            raise DataError(f"{folder} cannot be written ({exc.strerror}); free space or choose another") from exc
-        self.remember(drive)
+            raise cannot_write(folder, exc) from exc
 
     def remember(self, drive: DriveRecord) -> None:
-        """Know it as long as the station runs."""
+        """Know it as long as the station runs. Returns at once."""
         self._drives[drive.id] = drive
 
     def recording(self, drive_id: str) -> Path:

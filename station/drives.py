@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import TypeVar
 
 from shared.errors import DataError
 from station.drive_library import DriveLibrary, DriveRecord
 from station.events import Teller
 from station.maps.editing import tidy_name
 from station.navigation import NavigationReport
-from station.refusals import Conflict
+from station.refusals import Conflict, Unknown
+
+T = TypeVar("T")
 
 
 class Drives:
-    """What is on disk, and the counts of the drives that are being recorded."""
+    """What is on disk, and the counts of the drives that are being recorded.
+
+    One thread writes, so that records reach the disk in the order in which they were kept and a slow disk holds up no
+    drive command. What is known in memory is the newest at once.
+    """
 
     def __init__(self, library: DriveLibrary, events: Teller) -> None:
         self.library = library
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="drives")
+        self._writing: set[asyncio.Future[None]] = set()
         self._events = events
         self._running: dict[str, Callable[[], DriveRecord]] = {}  # drive → its record of now
         self._reserved: set[str] = set()
@@ -39,27 +49,61 @@ class Drives:
     def end(self, drive_id: str) -> None:
         self._running.pop(drive_id, None)
 
-    def keep(self, drive: DriveRecord) -> None:
-        """Also when the disk is full: then only this run of the station knows how the drive ended."""
-        try:
-            self.library.keep(drive)
-        except DataError as exc:
-            self.library.remember(drive)
-            self._events.say("navigation", str(exc), "error")
+    def keep(self, drive: DriveRecord) -> asyncio.Future[None]:
+        """Know it from now on, and write it; wait for the result where somebody is told that it is kept.
+
+        A disk that does not take it is told as an event: then only this run of the station knows how the drive ended.
+        """
+        self.library.remember(drive)
         self.tell(drive)
+        writing = asyncio.ensure_future(self._watch(self.in_order(self._write, drive)))
+        self._writing.add(writing)
+        writing.add_done_callback(self._writing.discard)
+        return asyncio.shield(writing)  # who stops waiting does not take it back
+
+    async def _watch(self, writing: asyncio.Future[None]) -> None:
+        try:
+            await writing
+        except Unknown:
+            pass  # it was deleted meanwhile
+        except DataError as exc:
+            self._events.say("navigation", str(exc), "error")
+
+    def _write(self, drive: DriveRecord) -> None:
+        """Raises Unknown, DataError."""
+        self.library.get(drive.id)  # else its folder would come back
+        self.library.write(drive)
+
+    def in_order(self, work: Callable[..., T], *arguments: object) -> asyncio.Future[T]:
+        """Let the thread do it that writes, after all that was asked of it before."""
+        return asyncio.get_running_loop().run_in_executor(self._disk, work, *arguments)
+
+    async def close(self) -> None:
+        """Wait until everything is written; nothing can be kept any more."""
+        await asyncio.gather(*self._writing, return_exceptions=True)
+        await asyncio.to_thread(self._disk.shutdown)
 
     def tell(self, drive: DriveRecord) -> None:
         self._events.changed("navigation", drive, drive.id)
 
-    def rename(self, drive_id: str, name: str) -> DriveRecord:
-        """Name a drive. Raises Unknown; Conflict while it is being recorded or finished, DataError for a bad name."""
+    async def rename(self, drive_id: str, name: str) -> DriveRecord:
+        """Name a drive. Raises Unknown; Conflict while it is being recorded or finished.
+
+        DataError for a bad name, or for a disk that does not take it: then the old name stays.
+        """
         drive = self.library.get(drive_id)
         name = tidy_name(name, "a navigation's name")
         if drive.state in ("recording", "finishing"):
             raise Conflict(_still(drive))
-        drive = replace(drive, name=name)
-        self.keep(drive)
-        return drive
+        renamed = replace(drive, name=name)
+        self.library.remember(renamed)  # at once: what is kept meanwhile keeps the name
+        try:
+            await self.in_order(self._write, renamed)
+        except DataError:
+            self.library.remember(replace(self.library.get(drive_id), name=drive.name))
+            raise
+        self.tell(self.library.get(drive_id))
+        return self.library.get(drive_id)
 
     async def delete(self, drive_id: str) -> None:
         """Put a drive into the bin. Raises Unknown; Conflict while it is being recorded or finished."""
@@ -67,13 +111,13 @@ class Drives:
         if drive.state in ("recording", "finishing"):
             raise Conflict(_still(drive))
         self._refuse_reserved(drive_id)
-        await asyncio.to_thread(self.library.delete, drive_id)
+        await self.in_order(self.library.delete, drive_id)
         self._events.forget("navigation", drive_id)
         self._events.changed("navigation", None)
 
     async def restore(self, drive_id: str) -> DriveRecord:
         """Take a drive out of the bin. Raises Unknown."""
-        drive = await asyncio.to_thread(self.library.restore, drive_id)
+        drive = await self.in_order(self.library.restore, drive_id)
         self.tell(drive)
         return drive
 
@@ -90,7 +134,7 @@ class Drives:
             name = self.library.get(drive_id).name
             raise Conflict(f"SLAM runs over {name} just now; wait for the job or cancel it (GET /jobs)")
 
-    def reprocessed(self, drive_id: str, report: NavigationReport) -> DriveRecord:
+    async def reprocessed(self, drive_id: str, report: NavigationReport) -> DriveRecord:
         """SLAM ran over a drive's recording again and left its navigation."""
         drive = replace(
             self.library.get(drive_id),
@@ -100,7 +144,7 @@ class Drives:
             scale=report.scale,
             message="; ".join(report.messages) or f"{report.landmarks} landmarks",
         )
-        self.keep(drive)
+        await self.keep(drive)
         self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
         return drive
 

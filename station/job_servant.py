@@ -47,13 +47,14 @@ class JobServant:
         self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
     ) -> BuiltMap:
         """Navigation folders -> a map in the store. Places of an earlier map of the first drive stay (growing.py)."""
+        store = MapStore(address)
+        store.require_writable()  # before the work
         self._emit((0.05, "reading the navigation"))
         navigations = [load_navigation(folder) for folder in folders]
         config = PlacesConfig() if mode is None else PlacesConfig(mode=mode)
         if len(navigations) > 1:
             self._emit((0.1, f"registering {_count(len(navigations) - 1, 'navigation')} to the first one"))
         place_map = self._map_of(navigations, config, name, executor)
-        store = MapStore(address)
         earlier = store.newest_of_drive(navigations[0].id)
         if earlier is not None:
             place_map = keep_places(earlier, place_map)

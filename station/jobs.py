@@ -42,6 +42,7 @@ class Jobs:
         self._servant = servant
         self._jobs: OrderedDict[str, Job] = OrderedDict()
         self._running: dict[str, tuple[asyncio.Task[None], Worker]] = {}
+        self._cancelled: set[str] = set()  # those of them that somebody cancelled
         self._count = 0
 
     def list(self) -> list[Job]:
@@ -70,28 +71,33 @@ class Jobs:
         return job
 
     async def cancel(self, job_id: str) -> Job:
-        """End a running job; one that is over stays as it is."""
+        """End a running job. Raises Unknown; Conflict for one that was over before it could be cancelled."""
         job = self.get(job_id)
         if job.state == "running":
-            task, worker = self._running[job_id]
-            self._keep(replace(job, state="cancelled", message="cancelled"))
-            worker.kill()
-            await asyncio.wait([task])
-        return self.get(job_id)
+            await self._end(job_id)
+            job = self.get(job_id)
+        if job.state != "cancelled":
+            raise Conflict(f"{job.title}: {job.message}; there is nothing left to cancel")
+        return job
 
     async def close(self) -> None:
         """Cancel everything."""
         for job_id in list(self._running):
-            await self.cancel(job_id)
+            await self._end(job_id)
+
+    async def _end(self, job_id: str) -> None:
+        task, worker = self._running[job_id]
+        self._cancelled.add(job_id)
+        worker.kill()
+        await asyncio.wait([task])
 
     async def _run(self, job_id: str, worker: Worker, work: Callable[[Worker], Awaitable[dict[str, Any]]]) -> None:
         try:
             await worker.start()
             result = await work(worker)
-            if self._jobs[job_id].state == "running":
-                done = replace(self._jobs[job_id], state="done", progress=1.0, message="done", result=result)
-                self._keep(done)
-                self._events.say("job", f"{done.title}: done")
+            done = replace(self._jobs[job_id], state="done", progress=1.0, message="done", result=result)
+            self._keep(done)
+            self._events.say("job", f"{done.title}: done")
         except RobotSystemError as exc:
             self._fail(job_id, str(exc))
         except Exception as exc:  # on top of the job: whatever it is, nobody must wait for what will never be done
@@ -100,10 +106,13 @@ class Jobs:
         finally:
             await worker.close()
             self._running.pop(job_id, None)
+            self._cancelled.discard(job_id)
 
     def _fail(self, job_id: str, sentence: str) -> None:
         job = self._jobs[job_id]
-        if job.state == "running":
+        if job_id in self._cancelled:
+            self._keep(replace(job, state="cancelled", message="cancelled"))
+        else:
             self._keep(replace(job, state="failed", message=sentence))
             self._events.say("job", f"{job.title}: {sentence}", "error")
 

@@ -118,7 +118,8 @@ def _read(path: Path, wanted: str) -> MapIndex | None:
                 return None
             file.seek(len(MAGIC))
             line = file.readline()
-        os.utime(path)  # it is in use
+        with contextlib.suppress(OSError):  # a disk that takes no writes
+            os.utime(path)  # it is in use
     except (OSError, ValueError):  # an empty file cannot be mapped
         return None
     try:

@@ -10,23 +10,23 @@ from dataclasses import replace
 from shared.errors import RobotSystemError
 from station.config import RecordingConfig
 from station.drive_library import DriveLibrary, DriveRecord
+from station.drives import Drives
 from station.events import Teller
 from station.recovery import recover_recording
 from station.retention import to_remove
 
 
-async def recover_recordings(library: DriveLibrary, interrupted: Iterable[DriveRecord], events: Teller) -> None:
+async def recover_recordings(drives: Drives, interrupted: Iterable[DriveRecord], events: Teller) -> None:
     """Give the recordings of drives that the station's end cut their own end, and say what was saved."""
     for drive in interrupted:
-        path = library.recording(drive.id)
+        path = drives.library.recording(drive.id)
         try:
             recovery = await asyncio.to_thread(recover_recording, path) if path.is_file() else None
             if recovery is None:
                 continue
             message = f"interrupted; {recovery.seconds:.0f} s are recovered: station slam {path} makes a navigation"
-            if drive in library.list():  # nobody deleted it meanwhile
-                library.keep(replace(drive, message=message))
-                events.changed("navigation", library.get(drive.id), drive.id)
+            if drive in drives.library.list():  # nobody deleted or named it meanwhile
+                await drives.keep(replace(drive, message=message))
             events.say("navigation", f"{drive.name}: {recovery}", "warning")
         except RobotSystemError as exc:
             events.say("navigation", f"{drive.name}: {exc}", "error")

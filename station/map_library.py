@@ -15,10 +15,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shared.errors import DataError, RobotSystemError
+from shared.errors import RobotSystemError
 from station.events import Teller
 from station.kept_index import forget_index
 from station.live import NO_PLACE
+from station.maps.bucket import Unwritable, cannot_write, flush
 from station.maps.checking import collect_garbage
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.map import Place, PlaceMap
@@ -105,7 +106,10 @@ class Maps:
             self._events.say("map", f"the last map cannot be used: {exc}", "error")
 
     async def activate(self, map_id: str | None) -> ActiveMap | None:
-        """Use a map, or none. Raises Unknown, or DataError when its files are damaged."""
+        """Use a map, or none. Raises Unknown, or DataError when its files are damaged.
+
+        Where that cannot be written down it holds until the station ends, and a warning says so.
+        """
         async with self._changing:
             if map_id is None:
                 self._active = None
@@ -113,7 +117,10 @@ class Maps:
                 await self._require(map_id)
                 self._active = await asyncio.to_thread(_derive, self._store, map_id)
             self.revision += 1
-            await asyncio.to_thread(_remember, self.address.root, map_id)
+            try:
+                await asyncio.to_thread(_remember, self.address.root, map_id)
+            except Unwritable as exc:
+                self._events.say("map", f"which map is in use will be forgotten at the next start: {exc}", "warning")
         self._events.changed("map")
         if self._active is not None:
             self._events.say("map", f"using {self._active.place_map.name}")
@@ -313,10 +320,19 @@ def _place_of_point(place_map: PlaceMap, numbers: Mapping[str, int]) -> npt.NDAr
 
 
 def _remember(root: Path, map_id: str | None) -> None:
+    """Raises Unwritable."""
+    content = json.dumps({"id": map_id}) + "\n"
+    try:
+        if (root / "active.json").read_text() == content:
+            return
+    except (OSError, ValueError):
+        pass  # it is made now
     try:
         root.mkdir(parents=True, exist_ok=True)
         scratch = root / ".active.json"
-        scratch.write_text(json.dumps({"id": map_id}) + "\n")
+        scratch.write_text(content)
+        flush(scratch)
         os.replace(scratch, root / "active.json")
+        flush(root)
     except OSError as exc:
-        raise DataError(f"{root} cannot be written ({exc.strerror}); free space or choose another folder") from exc
+        raise cannot_write(root, exc) from exc

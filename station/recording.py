@@ -34,6 +34,8 @@ CANCELLED = "SLAM was cancelled; the recording is kept, and SLAM can run over it
 OTHER_ROBOT = "another robot was connected; this navigation ended there"
 OTHER_RUN = "the robot was started anew, its clock with it; this navigation ended there"
 
+OTHER_MEANWHILE = "another robot was connected, or this one started anew, just as the recording began; start it again"
+
 
 class DriveRecorder(LinkListener, Protocol):
     """Writes what the link delivers into a file, in a thread of its own; calls return at once."""
@@ -81,8 +83,16 @@ class _Finishing:
     """A drive whose recording has ended and whose SLAM has not."""
 
     running: _Running
-    task: asyncio.Task[None]
     why: str  # the recording ended, in a sentence, where it was not a person who asked
+
+
+@dataclass(slots=True, eq=False)
+class _Beginning:
+    """A drive whose files are being made."""
+
+    hello: Hello
+    task: asyncio.Task[DriveRecord] | None = None
+    is_void: bool = False  # another robot, or another run of it, has come meanwhile
 
 
 class Recording:
@@ -109,6 +119,9 @@ class Recording:
         self._on_pose = on_pose
         self._running: _Running | None = None
         self._finishing: dict[str, _Finishing] = {}
+        self._tasks: set[asyncio.Task[None]] = set()  # that finish drives, until all of it is kept
+        self._beginning: _Beginning | None = None
+        self._is_closed = False
         self._times_shown = 0
         self.live: LiveSlam | None = None
 
@@ -128,10 +141,56 @@ class Recording:
         finishing = None if self.live is None else self._finishing.get(self.live.navigation_id)
         return "" if finishing is None else _left_to_do(finishing.running)
 
-    def start(self, hello: Hello, name: str) -> DriveRecord:
-        """Begin a drive. Raises Conflict when one is being recorded, DataError when there is no room for it."""
+    @property
+    def is_busy(self) -> bool:
+        """A drive is being recorded, or about to be."""
+        return self._running is not None or self._beginning is not None
+
+    async def start(self, hello: Hello, name: str) -> DriveRecord:
+        """Begin a drive; it is kept when this returns. Raises DataError when there is no room for it.
+
+        Conflict when one is being recorded, or when the robot changes meanwhile.
+        """
         if self._running is not None:
             raise Conflict(f"{self._running.drive.name} is being recorded; stop it first")
+        if self._beginning is not None:
+            raise Conflict("a navigation is just being begun; stop it first")
+        beginning = self._beginning = _Beginning(hello)
+        beginning.task = asyncio.create_task(self._begin(beginning, name), name="begin a drive")
+        return await asyncio.shield(beginning.task)  # half a drive is nobody's
+
+    async def _begin(self, beginning: _Beginning, name: str) -> DriveRecord:
+        hello = beginning.hello
+        try:
+            drive, recorder = await self._drives.in_order(self._make, hello, name)
+            if beginning.is_void or self._is_closed:
+                await self._drives.in_order(self._unmake, drive, recorder)
+                raise Conflict(OTHER_MEANWHILE if beginning.is_void else "the station is ending")
+        finally:
+            self._beginning = None
+        self._library.remember(drive)
+        if recorder is not None:
+            recorder.on_connected(hello)
+        live = LiveSlam(drive.id)
+        slam = SlamProcess(
+            f"SLAM {self._robot or drive.id}",
+            self._config,
+            hello.calibration,
+            self._events,
+            on_update=lambda update: self._on_update(live, update),
+            on_trouble=live.say,
+            on_restart=live.restart,
+        )
+        running = self._running = _Running(drive, slam, live, recorder, hello)
+        self._drives.begin(drive.id, lambda: self._counted(running))
+        self.live = live
+        self._drives.tell(drive)
+        self._events.changed("landmarks")
+        self._events.say("navigation", f"recording {drive.name}")
+        return drive
+
+    def _make(self, hello: Hello, name: str) -> tuple[DriveRecord, DriveRecorder | None]:
+        """The files of a drive. Waits for the disk."""
         drive_id = self._library.new_id()
         drive = DriveRecord(
             id=drive_id,
@@ -143,68 +202,62 @@ class Recording:
             robot_id=hello.robot_id,
             robot=self._robot,
         )
-        live = LiveSlam(drive_id)
         # Before the drive is kept: one that cannot be recorded never was.
         recorder: DriveRecorder | None = None
         try:
             recorder = self._make_recorder(self._library.recording(drive_id))
-            self._library.keep(drive)
+            self._library.write(drive)
         except RobotSystemError:
-            if recorder is not None:
-                recorder.close()
-            self._library.discard(drive_id)
+            self._unmake(drive, recorder)
             raise
-        if recorder is not None:
-            recorder.on_connected(hello)
-        slam = SlamProcess(
-            f"SLAM {self._robot or drive_id}",
-            self._config,
-            hello.calibration,
-            self._events,
-            on_update=lambda update: self._on_update(live, update),
-            on_trouble=live.say,
-            on_restart=live.restart,
-        )
-        running = self._running = _Running(drive, slam, live, recorder, hello)
-        self._drives.begin(drive_id, lambda: self._counted(running))
-        self.live = live
-        self._drives.tell(drive)
-        self._events.changed("landmarks")
-        self._events.say("navigation", f"recording {drive.name}")
-        return drive
+        return drive, recorder
 
-    def stop(self, drive_id: str) -> DriveRecord:
+    def _unmake(self, drive: DriveRecord, recorder: DriveRecorder | None) -> None:
+        if recorder is not None:
+            recorder.close()
+        self._library.discard(drive.id)
+
+    async def stop(self, drive_id: str) -> DriveRecord:
         """End recording; SLAM finishes in the background. Raises Unknown, or Conflict when it is not being recorded."""
         drive = self._library.get(drive_id)
         running = self._running
         if running is None or running.drive.id != drive_id:
             raise Conflict(f"{drive.name} is not being recorded (it is {drive.state})")
-        return self._end(running, "")
+        kept = self._end(running, "")
+        drive = running.drive
+        await kept
+        return drive
 
     def cancel(self, drive_id: str) -> DriveRecord:
-        """Give up what SLAM still computes of a drive; its recording stays. Raises Unknown, Conflict."""
+        """Give up what SLAM still computes of a drive; its recording stays.
+
+        Raises Unknown; Conflict when SLAM computes nothing of it, not yet or not any more.
+        """
         drive = self._library.get(drive_id)
         finishing = self._finishing.get(drive_id)
         if finishing is None:
             raise Conflict(f"{drive.name} is not being finished (it is {drive.state})")
+        if not finishing.running.slam.give_up():
+            raise Conflict(f"SLAM has ended for {drive.name} already; there is nothing left to cancel")
         finishing.running.is_cancelled = True
-        finishing.running.slam.give_up()
         return drive
 
-    def _end(self, running: _Running, why: str) -> DriveRecord:
-        """End recording; `why` in a sentence where it was not a person who asked."""
+    def _end(self, running: _Running, why: str) -> asyncio.Future[None]:
+        """End recording; `why` in a sentence where it was not a person who asked. Done when that is kept."""
         self._running = None
         self._drives.end(running.drive.id)
         message = "; ".join(filter(None, (why, _left_to_do(running))))
         running.drive = drive = replace(self._counted(running), state="finishing", message=message)
         # First what closes recorder and SLAM: nothing that fails here may leave them open.
         task = asyncio.create_task(self._finish(running, drive, why), name=f"finish {drive.id}")
-        self._finishing[drive.id] = _Finishing(running, task, why)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        self._finishing[drive.id] = _Finishing(running, why)
         if why:
             self._events.say("navigation", f"{drive.name}: {why}", "warning")
-        self._drives.keep(drive)
+        kept = self._drives.keep(drive)
         self._events.changed("pose")  # SLAM's state is another one
-        return drive
+        return kept
 
     async def show(self, drive_id: str) -> None:
         """Let `live` be a finished drive, unless one is being recorded."""
@@ -218,14 +271,18 @@ class Recording:
 
     async def close(self) -> None:
         """The station ends: the recording is closed, unfinished SLAM is given up and said so."""
+        self._is_closed = True
+        if self._beginning is not None and self._beginning.task is not None:
+            await asyncio.wait({self._beginning.task})
         if self._running is not None:
             running, self._running = self._running, None
             self._drives.end(running.drive.id)
             await self._close_recorder(running)
             await running.slam.close(at_once=True)
-            self._drives.keep(replace(self._counted(running), state="failed", message="the station was stopped"))
+            message = "; ".join(filter(None, ("the station was stopped", _error_of(running))))
+            await self._drives.keep(replace(self._counted(running), state="failed", message=message))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
-        tasks = [finishing.task for finishing in self._finishing.values()]
+        tasks = tuple(self._tasks)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -277,7 +334,9 @@ class Recording:
         running.slam.post("add_drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
 
     def on_connected(self, hello: Hello) -> None:
-        running = self._running
+        running, beginning = self._running, self._beginning
+        if beginning is not None and beginning.hello.session_id != hello.session_id:
+            beginning.is_void = True
         if running is not None and running.hello.robot_id != hello.robot_id:
             self._end(running, OTHER_ROBOT)
         elif running is not None and running.hello.session_id != hello.session_id:
@@ -375,10 +434,11 @@ class Recording:
                 text = "the station was stopped before this navigation was finished"
                 drive = replace(drive, state="failed", message=text)
             await running.slam.close(at_once=drive.state == "failed")
-            self._drives.keep(drive)
             self._finishing.pop(drive.id, None)
+            kept = self._drives.keep(drive)
             self._events.changed("pose")
             self._events.changed("landmarks")
+            await kept
         await retain_recordings(self._library, self._recordings, self._events)
 
     def _recorders(self) -> tuple[DriveRecorder, ...]:

@@ -26,6 +26,7 @@ from station.recording import DriveRecorder, Recording
 from station.refusals import Conflict, NoRobot, NotCapable, OutOfRange
 from station.turns import Turns
 
+MAX_STOP_LINES = 8
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
 
@@ -74,7 +75,7 @@ class RobotSession:
         )
         self._driver: str | None = None  # as was told
         self._last_driver: str | None = None
-        self._last_stopper: str | None = None
+        self._told_stops: set[tuple[str, str]] = set()  # who and why, since it moved last
         self._hijacking = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.locating = Locating(
@@ -125,7 +126,7 @@ class RobotSession:
 
         The calibration tells where the camera is while it does; nothing tells the estimation where it is otherwise.
         """
-        if self.recording.running is not None:
+        if self.recording.is_busy:
             return "a navigation is being recorded, and the camera must look straight ahead for it; stop that first"
         return ""
 
@@ -146,19 +147,20 @@ class RobotSession:
         self.driving.point(driver, pan, tilt)
 
     def stop(self, by: str, why: str | None = None) -> bool:
-        """Motors off now, and a line on who said it; none for an empty `why`, which is letting go.
+        """Motors off now, and a line on who said it and why; none for an empty `why`, which is letting go.
 
-        Nor for one who says it again without a reason while nothing moves: a program that repeats would leave the log
-        no room for other lines. False when no robot is connected.
+        Said again while nothing moves it is no news, and of one rest no more than MAX_STOP_LINES are told: a program
+        that repeats, also one with ever other reasons, would leave the log no room for other lines. False when no robot
+        is connected.
         """
-        is_news = self.driving.is_moving or by != self._last_stopper
+        if self.driving.is_moving:
+            self._told_stops.clear()
+        said = (by, why or "")
+        is_news = said not in self._told_stops and len(self._told_stops) < MAX_STOP_LINES
         is_told = self.driving.stop(by)
-        if why:
-            self.events.say("drive", f"{by} stopped: {why}")
-        elif why is None and is_told and is_news:
-            self.events.say("drive", f"{by} stopped the robot")
-        if why != "":
-            self._last_stopper = by
+        if is_news and (why or (why is None and is_told)):
+            self._told_stops.add(said)
+            self.events.say("drive", f"{by} stopped: {why}" if why else f"{by} stopped the robot")
         return is_told
 
     async def hijack(self, spot: tuple[float, float, float] | None) -> None:
@@ -178,8 +180,8 @@ class RobotSession:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
         self.events.say("hijack", HIJACK_NOTICE, "warning")
 
-    def start_drive(self, name: str) -> DriveRecord:
-        """Record from now on. Raises NoRobot, Conflict."""
+    async def start_drive(self, name: str) -> DriveRecord:
+        """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
         state = self.link.state
         if not state.connected or state.hello is None:
             raise NoRobot("no robot is connected; there is nothing to record")
@@ -187,7 +189,7 @@ class RobotSession:
             raise NotCapable("this robot has no camera; SLAM needs one")
         if not self.driving.head_is_centred:
             raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you record")
-        return self.recording.start(state.hello, name)
+        return await self.recording.start(state.hello, name)
 
     # What the station's maps mean for it
 

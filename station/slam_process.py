@@ -53,6 +53,7 @@ class SlamProcess:
         self._on_trouble = on_trouble
         self._on_restart = on_restart
         self._ended = False
+        self._report: asyncio.Future[NavigationReport] | None = None  # asked for
         self._deaths = 0  # in a row, each soon after the start
         self._launched_s = 0.0
         self._first_segment = self._segment = 0
@@ -92,13 +93,16 @@ class SlamProcess:
         """End the navigation. Raises what the backend raises, or WorkerDied."""
         self._ended = True  # a process that dies now has nothing to come back for
         await asyncio.wait({self._starting})
-        report: NavigationReport = await self._worker.call("finish", drive_id, folder)
-        return report
+        self._report = self._worker.ask("finish", drive_id, folder)
+        return await self._report
 
-    def give_up(self) -> None:
-        """End the process in the middle of its work: `finish` raises WorkerDied then."""
+    def give_up(self) -> bool:
+        """End the process in the middle of its work: `finish` raises WorkerDied then. False: it had ended by itself."""
+        if self._report is not None and self._report.done():
+            return False
         self._ended = True
         self._worker.kill()
+        return True
 
     async def close(self, *, at_once: bool = False) -> None:
         """End the process, also one that is just being started; `at_once`: in the middle of its work."""

@@ -25,7 +25,7 @@ async def navigations(station: StationDep) -> list[NavigationModel]:
 
 @of_robot.post("/navigations", summary="Start recording, with SLAM", status_code=201, responses=responses(409, 503))
 async def start(robot: RobotDep, order: Annotated[NavigationStart | None, Body()] = None) -> NavigationModel:
-    return navigation_model(robot.start_drive(order.name if order else ""))
+    return navigation_model(await robot.start_drive(order.name if order else ""))
 
 
 @router.get("/navigations/{navigation_id}", summary="One navigation", responses=responses(404))
@@ -35,18 +35,21 @@ async def navigation(navigation_id: str, station: StationDep) -> NavigationModel
 
 @router.patch("/navigations/{navigation_id}", summary="Rename a navigation", responses=responses(404, 409))
 async def rename(navigation_id: str, name: NewName, station: StationDep) -> NavigationModel:
-    return navigation_model(station.drives.rename(navigation_id, name.name))
+    return navigation_model(await station.drives.rename(navigation_id, name.name))
 
 
 @router.post("/navigations/{navigation_id}/stop", summary="End recording", responses=responses(404, 409))
 async def stop(navigation_id: str, station: StationDep) -> NavigationModel:
     """SLAM finishes in the background: the state goes from "finishing" to "ready" or "failed"."""
-    return navigation_model(station.stop_drive(navigation_id))
+    return navigation_model(await station.stop_drive(navigation_id))
 
 
 @router.post("/navigations/{navigation_id}/cancel", summary="Give up finishing", responses=responses(404, 409))
 async def cancel_finishing(navigation_id: str, station: StationDep) -> NavigationModel:
-    """While the state is "finishing"; it goes to "failed". The recording stays, and can be processed again."""
+    """While SLAM finishes; the state goes to "failed". The recording stays, and can be processed again.
+
+    409 when there is nothing to cancel: the navigation is still being recorded, or SLAM has ended.
+    """
     return navigation_model(station.cancel_drive(navigation_id))
 
 
@@ -112,6 +115,7 @@ async def job(job_id: str, station: StationDep) -> JobModel:
     return job_model(station.jobs.get(job_id))
 
 
-@router.delete("/jobs/{job_id}", summary="Cancel a job", tags=["jobs"], responses=responses(404))
+@router.delete("/jobs/{job_id}", summary="Cancel a job", tags=["jobs"], responses=responses(404, 409))
 async def cancel(job_id: str, station: StationDep) -> JobModel:
+    """409 when it was over before it could be cancelled: what it made is there."""
     return job_model(await station.jobs.cancel(job_id))

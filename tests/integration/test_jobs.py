@@ -9,10 +9,13 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+import pytest
+
 from shared.errors import DataError
 from station.events import Events
 from station.executors.opening import open_executor
 from station.jobs import Job, Jobs
+from station.refusals import Conflict
 from station.workers import Worker
 
 STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports
@@ -85,5 +88,31 @@ async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next(
         done = await run(jobs, doubling)
         assert done.result == {"doubled": [2, 4, 6]}, done.message
         await until(lambda: not jobs._running)
+        with pytest.raises(Conflict, match="a test: done; there is nothing left to cancel"):
+            await jobs.cancel(done.id)
+    finally:
+        await jobs.close()
+
+
+async def test_a_job_that_was_done_before_it_could_be_cancelled_is_not_called_cancelled() -> None:
+    """Its process has answered; what is left is a line in the station's own files."""
+    jobs = Jobs(Events(), servant="tests.integration.test_jobs:Porter")
+    may_write = asyncio.Event()
+
+    async def writing(worker: Worker) -> dict[str, Any]:
+        doubled = await worker.call("double", "processes")
+        answered.set()
+        await may_write.wait()
+        return {"doubled": doubled}
+
+    answered = asyncio.Event()
+    try:
+        job = jobs.start("test", "a test", writing)
+        await answered.wait()
+        cancelling = asyncio.create_task(jobs.cancel(job.id))
+        asyncio.get_running_loop().call_later(0.01, may_write.set)
+        with pytest.raises(Conflict, match="nothing left to cancel"):
+            await cancelling
+        assert jobs.get(job.id).state == "done"
     finally:
         await jobs.close()

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import websockets
 
+from station.robot_session import MAX_STOP_LINES
 from tests.link_support import until
 from tests.station_at_work import at_work, drive_off, heard, is_problem, wait_for
 from tests.station_support import Desk, running_station, store_map
@@ -75,6 +76,26 @@ async def test_the_log_tells_who_has_the_wheel_and_who_stopped_the_robot(tmp_pat
         await desk.http.post("/drive", json=order, headers=anna)
         told = [line["text"] for line in (await desk.http.get("/log")).json() if line["topic"] == "drive"]
         assert told == ["anna drives", "ben took over from anna", "anna stopped the robot", "anna drives"]
+
+
+async def test_a_program_that_repeats_its_stops_leaves_the_log_room(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _film):
+
+        def told() -> list[str]:
+            return [line.text for line in desk.station.first.events.log if "stopped" in line.text]
+
+        robot = desk.station.first
+        for _ in range(20):
+            for why in ("tab hidden", "video stale"):
+                robot.stop("anna", why)
+        assert told() == ["anna stopped: tab hidden", "anna stopped: video stale"]
+        for number in range(100):
+            robot.stop(f"program {number}", f"{number} ms late")
+        assert len(told()) == MAX_STOP_LINES
+        order = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}
+        await drive_off(bench, lambda: desk.http.post("/drive", json=order, headers={"X-Driver": "ben"}))
+        robot.stop("anna", "tab hidden")  # of a robot that moved: that is news
+        assert told()[MAX_STOP_LINES:] == ["anna stopped: tab hidden"]
 
 
 async def test_without_a_robot_there_is_no_wheel_to_take(tmp_path: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import threading
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from station.drives import Drives
 from station.events import Events
 from station.recording import CANCELLED, DriveRecorder, Recording
 from station.refusals import Conflict
-from station.slam_process import MAX_DEATHS
+from station.slam_process import MAX_DEATHS, SlamProcess
 from station.workers import WorkerDied
 from tests.link_support import Notes, until
 
@@ -42,8 +43,8 @@ class FakeWorker:
         self._begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.made.append(self)
 
-    def ask(self, method: str, *_: object) -> asyncio.Future[None]:
-        return self._begun
+    def ask(self, method: str, *arguments: object) -> asyncio.Future[Any]:
+        return asyncio.ensure_future(self.call(method, *arguments)) if method == "finish" else self._begun
 
     async def start(self) -> None:
         await self.may_start.wait()
@@ -91,14 +92,22 @@ class FakeRecorder(Notes):
 
 
 class FullDisk(DriveLibrary):
-    """A library whose disk fills up."""
+    """A library whose disk fills up, or is slow."""
 
     is_full = False
 
-    def keep(self, drive: DriveRecord) -> None:
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self.may_write = threading.Event()
+        self.may_write.set()
+        self.written: list[str] = []  # states and names, in order
+
+    def write(self, drive: DriveRecord) -> None:
+        assert self.may_write.wait(60)
         if self.is_full:
             raise DataError("no space left")
-        super().keep(drive)
+        super().write(drive)
+        self.written.append(f"{drive.state} {drive.name}")
 
 
 class Room:
@@ -139,35 +148,38 @@ def hello(session: str = "one", robot: str = "robot") -> Hello:
 
 
 @pytest.fixture
-async def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Room:
+async def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Room]:
     monkeypatch.setattr(station.slam_process, "Worker", FakeWorker)
     monkeypatch.setattr(FakeWorker, "made", [], raising=False)
     monkeypatch.setattr(FakeWorker, "may_start", asyncio.Event(), raising=False)
     FakeWorker.may_start.set()
-    return Room(tmp_path / "navigations")
+    made = Room(tmp_path / "navigations")
+    yield made
+    made.library.may_write.set()
+    await made.drives.close()
 
 
 async def test_a_drive_that_cannot_be_recorded_never_was(room: Room, tmp_path: Path) -> None:
     room.cannot_record = "cannot record there"
     with pytest.raises(DataError, match="cannot record there"):
-        room.recording.start(hello(), "first")
+        await room.recording.start(hello(), "first")
     assert room.drives.list() == [] and room.recording.running is None and FakeWorker.made == []
     assert list((tmp_path / "navigations").iterdir()) == []
     room.cannot_record, room.library.is_full = "", True
     with pytest.raises(DataError, match="no space left"):
-        room.recording.start(hello(), "second")
+        await room.recording.start(hello(), "second")
     assert room.drives.list() == [] and room.recorder.is_closed and FakeWorker.made == []
 
 
 async def test_what_is_left_to_do_after_a_drive_is_told_and_can_be_given_up(room: Room) -> None:
-    drive = room.recording.start(hello(), "Round the table")
+    drive = await room.recording.start(hello(), "Round the table")
     worker = FakeWorker.made[0]
     worker.may_finish.clear()
     for number in range(5):
         frame = CameraFrame(seq=number, t_robot_ns=number, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b"")
         room.recording.on_frame(frame, number)
     worker.num_waiting = 3
-    room.recording.stop(drive.id)
+    await room.recording.stop(drive.id)
     assert room.drives.get(drive.id).message == "finishing: 2 of 5 pictures were looked at"
     worker.num_waiting = 0
     room.recording.refresh()
@@ -175,7 +187,7 @@ async def test_what_is_left_to_do_after_a_drive_is_told_and_can_be_given_up(room
         "finishing: computing trajectory and landmarks"
     )  # fmt: skip
     with pytest.raises(Conflict, match="Round the table is being finished"):
-        room.drives.rename(drive.id, "Other")
+        await room.drives.rename(drive.id, "Other")
     room.recording.cancel(drive.id)
     over = await room.over(drive.id)
     assert over.state == "failed" and over.message == CANCELLED and room.recording.left_to_do == ""
@@ -184,9 +196,9 @@ async def test_what_is_left_to_do_after_a_drive_is_told_and_can_be_given_up(room
 
 
 async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room) -> None:
-    drive = room.recording.start(hello(), "")
+    drive = await room.recording.start(hello(), "")
     room.library.is_full = True
-    assert room.recording.stop(drive.id).state == "finishing"
+    assert (await room.recording.stop(drive.id)).state == "finishing"
     over = await room.over(drive.id)
     assert over.message == "drive longer"
     assert room.recorder.is_closed and FakeWorker.made[0].is_closed
@@ -205,7 +217,7 @@ async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room)
 async def test_another_run_or_robot_ends_the_drive_and_keeps_its_recording(
     room: Room, other: Hello, sentence: str
 ) -> None:
-    drive = room.recording.start(hello(), "")
+    drive = await room.recording.start(hello(), "")
     room.recording.on_connected(hello())  # the network was away for a moment
     assert room.recording.running is not None
     room.recording.on_connected(other)
@@ -213,12 +225,12 @@ async def test_another_run_or_robot_ends_the_drive_and_keeps_its_recording(
     over = await room.over(drive.id)
     assert sentence in over.message and room.said(sentence)
     assert room.recorder.is_closed and [h.session_id for h in room.recorder.hellos] == ["one", "one"]
-    assert room.recording.start(other, "").robot_id == other.robot_id
+    assert (await room.recording.start(other, "")).robot_id == other.robot_id
     await room.recording.close()
 
 
 async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(room: Room) -> None:
-    drive = room.recording.start(hello(), "")
+    drive = await room.recording.start(hello(), "")
     for deaths in range(1, MAX_DEATHS):
         await until(lambda: FakeWorker.made[-1].is_up)
         FakeWorker.made[-1].die()
@@ -228,18 +240,18 @@ async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(
     FakeWorker.made[-1].die()
     assert len(FakeWorker.made) == MAX_DEATHS and room.said("goes on without it") == 1
     assert room.recording.running is not None and not room.recorder.is_closed
-    room.recording.stop(drive.id)
+    await room.recording.stop(drive.id)
     assert "goes on without it" in (await room.over(drive.id)).message
 
 
 @pytest.mark.parametrize("how", ["stop", "close"])
 async def test_a_process_that_is_still_starting_is_closed_with_its_drive(room: Room, how: str) -> None:
-    drive = room.recording.start(hello(), "")
+    drive = await room.recording.start(hello(), "")
     await until(lambda: FakeWorker.made[0].is_up)
     FakeWorker.may_start.clear()
     FakeWorker.made[0].die()
     if how == "stop":
-        room.recording.stop(drive.id)
+        await room.recording.stop(drive.id)
         FakeWorker.may_start.set()
         await room.over(drive.id)
     else:
@@ -251,19 +263,103 @@ async def test_a_process_that_is_still_starting_is_closed_with_its_drive(room: R
 
 
 async def test_what_slam_refuses_is_told_once_and_counted(room: Room) -> None:
-    drive = room.recording.start(hello(), "")
+    drive = await room.recording.start(hello(), "")
     for sentence in ("image 1 is 3x3", "image 1 is 3x3", "image 2 is not a readable JPEG"):
         FakeWorker.made[0].on_failure(sentence)
     assert room.said("image 1 is 3x3") == 1 and room.said("image 2") == 1
     assert room.drives.get(drive.id).slam_failures == 3
-    room.recording.stop(drive.id)
+    await room.recording.stop(drive.id)
     over = await room.over(drive.id)
     assert over.slam_failures == 3 and "SLAM refused 3" in over.message and "image 1 is 3x3" in over.message
 
 
 async def test_a_station_that_ends_at_once_after_a_drive_closes_it(room: Room) -> None:
-    drive = room.recording.start(hello(), "")
-    room.recording.stop(drive.id)
+    drive = await room.recording.start(hello(), "")
+    await room.recording.stop(drive.id)
     await room.recording.close()
     assert room.recorder.is_closed and FakeWorker.made[0].is_closed
     assert room.library.get(drive.id).state == "failed"
+
+
+async def test_a_slow_disk_holds_up_nothing_and_gets_everything_in_order(room: Room) -> None:
+    drive = await room.recording.start(hello(), "slow")
+    room.library.may_write.clear()
+    stopping = asyncio.create_task(room.recording.stop(drive.id))
+    await until(lambda: room.drives.get(drive.id).state == "failed")  # SLAM has ended, all by the event loop
+    assert not stopping.done(), "it was said to be kept"
+    deleting = asyncio.create_task(room.drives.delete(drive.id))
+    await asyncio.sleep(0)
+    room.library.may_write.set()
+    assert (await stopping).state == "finishing"
+    await deleting
+    assert room.library.written == ["recording slow", "finishing slow", "failed slow"]
+    assert [gone.state for gone in room.library.deleted()] == ["failed"]
+    again = DriveLibrary(room.library.folder(drive.id).parent)
+    assert again.open() == [] and again.list() == []  # nothing came back behind the deletion
+
+
+async def test_a_station_that_ends_has_written_everything(room: Room) -> None:
+    drive = await room.recording.start(hello(), "")
+    room.library.may_write.clear()
+    closing = asyncio.create_task(room.recording.close())
+    await until(lambda: room.drives.get(drive.id).state == "failed")
+    room.library.may_write.set()
+    await closing
+    await room.drives.close()
+    again = DriveLibrary(room.library.folder(drive.id).parent)
+    assert again.open() == [] and again.get(drive.id).message == "the station was stopped"
+
+
+async def test_a_name_that_the_disk_does_not_take_is_refused(room: Room) -> None:
+    drive = await room.recording.start(hello(), "first")
+    await room.recording.stop(drive.id)
+    await room.over(drive.id)
+    room.library.is_full = True
+    with pytest.raises(DataError, match="no space left"):
+        await room.drives.rename(drive.id, "second")
+    assert room.drives.get(drive.id).name == "first"
+    room.library.is_full = False
+    assert (await room.drives.rename(drive.id, "second")).name == "second"
+
+
+async def test_what_happens_while_a_drive_begins_on_a_slow_disk(room: Room, tmp_path: Path) -> None:
+    room.library.may_write.clear()
+    starting = asyncio.create_task(room.recording.start(hello(), "first"))
+    await until(lambda: room.recording.is_busy)
+    with pytest.raises(Conflict, match="just being begun"):
+        await room.recording.start(hello(), "second")
+    room.recording.on_connected(hello(session="two"))
+    room.library.may_write.set()
+    with pytest.raises(Conflict, match="start it again"):
+        await starting
+    assert not room.recording.is_busy and room.recorder.is_closed and FakeWorker.made == []
+    assert list((tmp_path / "navigations").iterdir()) == []
+    room.library.may_write.clear()
+    starting = asyncio.create_task(room.recording.start(hello(session="two"), "third"))
+    await until(lambda: room.recording.is_busy)
+    closing = asyncio.create_task(room.recording.close())
+    await asyncio.sleep(0)
+    room.library.may_write.set()
+    with pytest.raises(Conflict, match="ending"):
+        await starting
+    await closing
+    assert list((tmp_path / "navigations").iterdir()) == [] and room.drives.list() == []
+
+
+async def test_what_is_over_is_not_said_to_be_cancelled(room: Room, tmp_path: Path) -> None:
+    drive = await room.recording.start(hello(), "first")
+    with pytest.raises(Conflict, match="not being finished"):
+        room.recording.cancel(drive.id)
+    room.library.may_write.clear()  # the disk does not know yet that it is over
+    stopping = asyncio.create_task(room.recording.stop(drive.id))
+    await until(lambda: room.drives.get(drive.id).state == "failed")
+    with pytest.raises(Conflict, match=r"not being finished \(it is failed\)"):
+        room.recording.cancel(drive.id)
+    room.library.may_write.set()
+    await stopping
+    assert (await room.over(drive.id)).message == "drive longer"
+    slam = SlamProcess("SLAM", SlamConfig(), REFERENCE_ROBOT, room.events, lambda _: None, lambda _: None)
+    with pytest.raises(EstimationError):
+        await slam.finish(drive.id, tmp_path)
+    assert not slam.give_up()  # it has answered: its navigation may be there
+    await slam.close()
