@@ -174,7 +174,7 @@ class DriveLibrary:
             (self._root / BIN).mkdir(exist_ok=True)
             os.rename(self.folder(drive_id), self._root / BIN / drive_id)
         except OSError as exc:
-            raise DataError(f"{self.folder(drive_id)} cannot be moved ({exc.strerror})") from exc
+            raise cannot_write(self._root, exc) from exc
         del self._drives[drive_id]
 
     def deleted(self) -> tuple[DriveRecord, ...]:
@@ -195,7 +195,7 @@ class DriveLibrary:
         try:
             os.rename(self._root / BIN / drive_id, self.folder(drive_id))
         except OSError as exc:
-            raise DataError(f"{self.folder(drive_id)} cannot be restored ({exc.strerror})") from exc
+            raise cannot_write(self._root, exc) from exc
         self._drives[drive_id] = drive
         return drive
 

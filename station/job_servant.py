@@ -13,6 +13,7 @@ from station.datasets import open_dataset
 from station.executors.opening import open_executor
 from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 from station.kept_index import index_of
+from station.maps.bucket import cannot_write, why_unwritable
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
 from station.navigation import Navigation, NavigationReport
@@ -108,6 +109,8 @@ class JobServant:
         self, recording: Path, backend: str, seed: int, drive_id: str, folder: Path, executor: str = ""
     ) -> NavigationReport:
         """A recording -> its navigation folder, by running SLAM over it again."""
+        if (told := why_unwritable(folder.parent)) is not None:  # before the work
+            raise cannot_write(folder, told)
         if executor:
             self._emit((0.02, f"SLAM runs at {executor}"))
             with open_executor(executor) as machines:

@@ -248,7 +248,7 @@ class Recorder:
 
     def _fail_to_write(self, why: str) -> None:
         """The disk did not take everything: say how much, also of a recording that was being ended already."""
-        lost_s = (self._newest_ns - self._safe_ns) * 1e-9
+        lost_s = -(-(self._newest_ns - self._safe_ns) // 100_000_000) / 10  # rounded up
         why = f"{why}; its last {lost_s:.1f} s may be missing, what came before can be read"
         if not self._error:
             self._fail(why)

@@ -7,6 +7,7 @@ import os
 import socket
 import stat
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -301,6 +302,23 @@ def test_a_code_allows_so_many_exchanges(tmp_path: Path) -> None:
         desk.exchange(Pake("station", code, b"f").message, 1.0)
     with pytest.raises(PairingRefused):
         desk.exchange(Pake("station", code, b"f").message, 1.0)
+
+
+def test_proofs_at_once_are_judged_as_often_as_one_after_the_other(tmp_path: Path) -> None:
+    desk = PairingDesk(tmp_path, TokenBook.create(tmp_path), b"f")
+    code = desk.open_code(Role.WATCH, 0.0)
+    wrong = f"{(int(code) + 1) % 1_000_000:06d}"
+    begun = [desk.exchange(Pake("station", wrong, b"f").message, 1.0) for _ in range(MAX_EXCHANGES - 1)]
+
+    def guess(pake: Pake) -> str:
+        with pytest.raises(PairingRefused) as refused:
+            desk.finish(pake, bytes(32), "thief", 2.0)
+        return str(refused.value)
+
+    with ThreadPoolExecutor(8) as threads:
+        answers = list(threads.map(guess, begun))
+    assert sum("the code is wrong" in answer for answer in answers) == TRIES
+    assert sum("no pairing code is open" in answer for answer in answers) == len(begun) - TRIES
 
 
 def test_a_clock_that_was_set_back_does_not_lengthen_a_code(tmp_path: Path) -> None:

@@ -1,0 +1,101 @@
+"""A station whose data folder takes no writes: it starts, shows, localises, and refuses every change in a sentence."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sqlite3
+import sys
+from pathlib import Path
+
+import pytest
+
+from station.drive_library import DriveLibrary, DriveRecord
+from station.maps.store import MapStore
+from station.navigation_files import save_navigation
+from tests.disk_support import unwritable
+from tests.made_up_workers import made_up_navigation
+from tests.station_at_work import at_work, is_problem, wait_for
+from tests.station_support import running_station, store_map
+
+pytestmark = pytest.mark.timeout(600)
+NAMED = "Sofa"
+
+
+def spoilt_station(data_dir: Path) -> str:
+    """The data of a station that ended in the middle of everything; its map's id.
+
+    A change of the map without its row, a drive that was being recorded, one that is ready, a deleted map.
+    """
+    place_map = store_map(data_dir)
+    MapStore(data_dir / "maps").rename_place(place_map.id, place_map.places[0].id, NAMED)
+    with contextlib.closing(sqlite3.connect(data_dir / "maps" / "maps.db")) as connection:
+        connection.execute("DELETE FROM map_version WHERE number = 2")
+        connection.commit()
+    library = DriveLibrary(data_dir / "navigations")
+    library.keep(DriveRecord("nav-1", "Ready", "ready", 1.0, "sfm", landmarks=5, scale="metric"))
+    library.keep(DriveRecord("nav-2", "Cut", "recording", 2.0, "sfm"))
+    save_navigation(made_up_navigation(), library.navigation_folder("nav-1"))
+    (library.folder("nav-1") / "recording.mcap").write_bytes(b"x")
+    return place_map.id
+
+
+async def station_map(*arguments: str) -> tuple[int | None, str, str]:
+    """A command, beside the running station."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "station.main", "map", *arguments,
+        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+    )  # fmt: skip
+    out, err = await process.communicate()
+    return process.returncode, out.decode(), err.decode()
+
+
+async def test_a_station_on_a_disk_that_takes_no_writes_shows_and_localises_and_changes_nothing(
+    tmp_path: Path,
+) -> None:
+    map_id = spoilt_station(tmp_path)
+    refused = "(Read-only file system)" if os.getuid() == 0 else "(Permission denied)"
+    with unwritable(tmp_path):
+        async with at_work(tmp_path) as (desk, _, _film):
+            http = desk.http
+            assert [m["id"] for m in (await http.get("/maps")).json()] == [map_id]
+            states = {n["id"]: n["state"] for n in (await http.get("/navigations")).json()}
+            assert states == {"nav-1": "ready", "nav-2": "failed"}
+            assert (await http.put("/maps/active", json={"id": map_id})).status_code == 200
+            await wait_for(desk, "/place/current", lambda answer: answer["state"] == "known")
+            places = (await http.get("/places")).json()
+            assert places[0]["name"] == NAMED
+            for answer in (
+                await http.post("/navigations", json={"name": "new"}),
+                await http.patch("/navigations/nav-1", json={"name": "other"}),
+                await http.delete("/navigations/nav-1"),
+                await http.patch(f"/places/{places[0]['id']}", json={"name": "Desk"}),
+                await http.patch(f"/maps/{map_id}", json={"name": "Flat"}),
+                await http.post("/places/undo"),
+            ):
+                assert is_problem(answer, 409) and refused in answer.json()["detail"], answer.json()
+            for call, body in (("/maps", {"navigations": ["nav-1"]}), ("/navigations/nav-1/reprocess", None)):
+                job = (await http.post(call, json=body)).json()
+                over = await wait_for(desk, f"/jobs/{job['id']}", lambda job: job["state"] != "running")
+                assert over["state"] == "failed" and refused in over["message"]
+            assert (await http.get("/places")).json() == places
+            assert {n["id"]: n["name"] for n in (await http.get("/navigations")).json()}["nav-1"] == "Ready"
+            log = [line["text"] for line in (await http.get("/log")).json()]
+            assert sum("nothing can be recorded or changed" in text for text in log) == 1
+            assert any("which map is in use will be forgotten" in text for text in log)
+        code, out, err = await station_map("list", "--data", str(tmp_path))
+        assert code == 0 and map_id in out and "can be seen, not changed" in err
+        code, out, err = await station_map("verify", "--data", str(tmp_path))
+        assert code == 0 and "all maps are as they were written" in out
+        code, out, err = await station_map("delete", map_id, "--data", str(tmp_path))
+        assert code == 1 and out == "" and refused in err and "Traceback" not in err
+        assert str(tmp_path / "maps") in err.splitlines()[-1]
+    async with running_station(1, tmp_path) as desk:  # it takes writes again
+        assert (await desk.http.put("/maps/active", json={"id": map_id})).status_code == 200
+        places = (await desk.http.get("/places")).json()
+        renamed = await desk.http.patch(f"/places/{places[0]['id']}", json={"name": "Desk"})
+        assert places[0]["name"] == NAMED and renamed.status_code == 200
+        assert (await desk.http.patch("/navigations/nav-1", json={"name": "other"})).json()["name"] == "other"
+    library = DriveLibrary(tmp_path / "navigations")
+    assert library.open() == [] and library.get("nav-1").name == "other"
