@@ -16,7 +16,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, Operati
 from sqlalchemy.pool import NullPool
 
 from shared.errors import ConfigError, DataError
-from station.maps.bucket import Unwritable, cannot_write
+from station.maps.bucket import Unwritable, cannot_write, why_unwritable
 
 LOCK = ".lock"  # in the store's folder
 REVISIONS = ("0001", "0002")  # the migrations in migrations/versions
@@ -188,6 +188,9 @@ class Database:
             if self.is_sqlite and _SQLITE_IS_BROKEN.search(reason):
                 raise IndexDamaged(f"{self.place} is damaged ({reason})") from exc
             if self.is_sqlite and getattr(exc.orig, "sqlite_errorcode", 0) & 0xFF in _SQLITE_CANNOT_WRITE:
+                told = None if self.path is None else why_unwritable(self.path.parent)
+                if told is not None:  # says it better than "unable to open database file"
+                    raise cannot_write(self.place, told) from exc
                 raise Unwritable(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc
             if isinstance(exc, OperationalError):
                 raise DataError(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc

@@ -126,6 +126,24 @@ def test_all_maps_are_seen_and_none_can_be_changed(
     store.close()
 
 
+def test_a_sound_store_needs_no_copy_and_says_the_same_to_every_change(root: Path, place_map: PlaceMap) -> None:
+    told: list[str] = []
+    store = MapStore(root, told.append)
+    with unwritable(root):
+        assert name_of_place(store, place_map) == NAMED and verify(store) == ()
+        for change in (
+            lambda: store.save(replace(place_map, name="other")),
+            lambda: store.delete(place_map.id),
+            lambda: store.undo(place_map.id),
+            store.require_writable,
+        ):
+            with pytest.raises(Unwritable, match=r"cannot be written \((Read-only|Permission)") as refused:
+                change()
+            assert str(root) in str(refused.value)
+        assert not store.is_copy and told == []
+    assert name_of_place(store, place_map) == NAMED
+
+
 def test_a_write_that_is_cut_while_the_store_is_open_hides_no_map(root: Path, place_map: PlaceMap) -> None:
     store = MapStore(root, lambda _: None)
     assert store.list()
