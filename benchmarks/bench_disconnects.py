@@ -160,11 +160,21 @@ async def run(tally: Tally, disconnects: int, minutes: float, links: int, pages:
             memory_after = psutil.Process().memory_info().rss
             print(f"after: {show(after)}, {memory_after / 1e6:.0f} MB")
             left = [f"{after[what] - before[what]} {what}" for what in before if after[what] > before[what]]
-        orphans = sum(line.num_robot_clients - 1 for line in lines if isinstance(line, LinkLine))
-        if orphans > 0 and not broken:
+        orphans = 0 if broken else await orphaned(lines, SETTLE_WITHIN_S)
+        if orphans > 0:
             left.append(f"{orphans} connections in robots")
         left += [f"samples out of order in {ln.name}" for ln in lines if isinstance(ln, LinkLine) and not ln.in_order]
     tally.end_run(round(seconds, 1), left + broken)
+
+
+async def orphaned(lines: list[Line], within_s: float) -> int:
+    """Connections beside each station's own that robots still hold when no more of them end: silence ends them."""
+    deadline_s = time.monotonic() + within_s
+    while True:
+        orphans = sum(line.num_robot_clients - 1 for line in lines if isinstance(line, LinkLine))
+        if orphans <= 0 or time.monotonic() > deadline_s:
+            return orphans
+        await asyncio.sleep(0.5)
 
 
 async def disturb_all(

@@ -19,6 +19,7 @@ from station.bin import Bin, Kind
 from station.comparisons import Comparisons, summarise
 from station.config import RecordingConfig, StationConfig
 from station.drive_library import DriveLibrary, DriveRecord
+from station.drive_making import DriveRecorder
 from station.drives import Drives
 from station.events import EventKind, Events, EventsOfAll
 from station.jobs import Job, Jobs
@@ -27,7 +28,6 @@ from station.map_library import Maps, PlacesChange
 from station.maps.map import Place
 from station.maps.store import MapSummary, StoreAddress
 from station.recorder import Recorder
-from station.recording import DriveRecorder
 from station.refusals import Conflict, Unknown
 from station.robot_session import RobotSession, Shared
 from station.turns import Turns

@@ -70,7 +70,7 @@ class DriveLibrary:
             here = sorted(self._root.iterdir()) if self._root.is_dir() else []
         except OSError as exc:
             raise DataError(f"{self._root} cannot be used ({exc.strerror}); choose another folder with --data") from exc
-        if (told := why_unwritable(self._root if self._root.is_dir() else data)) is not None:
+        if (told := why_unwritable(self._root)) is not None:
             self.unwritable = str(cannot_write(self._root, told))
         folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
         for folder in folders:

@@ -8,18 +8,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import RecordingConfig, SlamConfig
 from station.drive_library import DriveRecord
+from station.drive_making import DriveRecorder, MakeRecorder, make_drive, unmake_drive
 from station.drives import Drives
 from station.events import Level, LogLine, Teller
 from station.frames import DriveSample, ImageFrame
 from station.kept_recordings import retain_recordings
-from station.link import LinkListener
 from station.live import LiveSlam
 from station.navigation_files import load_navigation
 from station.place_report import PlaceReport
@@ -35,28 +34,6 @@ OTHER_ROBOT = "another robot was connected; this navigation ended there"
 OTHER_RUN = "the robot was started anew, its clock with it; this navigation ended there"
 
 OTHER_MEANWHILE = "another robot was connected, or this one started anew, just as the recording began; start it again"
-
-
-class DriveRecorder(LinkListener, Protocol):
-    """Writes what the link delivers into a file, in a thread of its own; calls return at once."""
-
-    @property
-    def error(self) -> str:
-        """Why it ended by itself, in a sentence; empty while it works."""
-        ...
-
-    def on_command(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None: ...
-
-    def on_slam(self, update: SlamUpdate) -> None: ...
-
-    def on_answer(self, report: PlaceReport) -> None: ...
-
-    def on_log(self, line: LogLine) -> None: ...
-
-    def close(self) -> object: ...
-
-
-MakeRecorder = Callable[[Path], DriveRecorder | None]
 
 
 @dataclass(slots=True, eq=False)
@@ -162,9 +139,12 @@ class Recording:
     async def _begin(self, beginning: _Beginning, name: str) -> DriveRecord:
         hello = beginning.hello
         try:
-            drive, recorder = await self._drives.in_order(self._make, hello, name)
+            backend = choose_backend(self._config.backend, hello.calibration)
+            drive, recorder = await self._drives.in_order(
+                make_drive, self._library, self._make_recorder, hello, name, backend, self._robot
+            )
             if beginning.is_void or self._is_closed:
-                await self._drives.in_order(self._unmake, drive, recorder)
+                await self._drives.in_order(unmake_drive, self._library, drive, recorder)
                 raise Conflict(OTHER_MEANWHILE if beginning.is_void else "the station is ending")
         finally:
             self._beginning = None
@@ -188,34 +168,6 @@ class Recording:
         self._events.changed("landmarks")
         self._events.say("navigation", f"recording {drive.name}")
         return drive
-
-    def _make(self, hello: Hello, name: str) -> tuple[DriveRecord, DriveRecorder | None]:
-        """The files of a drive. Waits for the disk."""
-        drive_id = self._library.new_id()
-        drive = DriveRecord(
-            id=drive_id,
-            name=name or time.strftime("%-d %b, %H:%M", time.localtime()),
-            state="recording",
-            started_wall_s=time.time(),
-            backend=choose_backend(self._config.backend, hello.calibration),
-            message="recording",
-            robot_id=hello.robot_id,
-            robot=self._robot,
-        )
-        # Before the drive is kept: one that cannot be recorded never was.
-        recorder: DriveRecorder | None = None
-        try:
-            recorder = self._make_recorder(self._library.recording(drive_id))
-            self._library.write(drive)
-        except RobotSystemError:
-            self._unmake(drive, recorder)
-            raise
-        return drive, recorder
-
-    def _unmake(self, drive: DriveRecord, recorder: DriveRecorder | None) -> None:
-        if recorder is not None:
-            recorder.close()
-        self._library.discard(drive.id)
 
     async def stop(self, drive_id: str) -> DriveRecord:
         """End recording; SLAM finishes in the background. Raises Unknown, or Conflict when it is not being recorded."""

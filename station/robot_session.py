@@ -14,6 +14,7 @@ from pathlib import Path
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import RobotConfig, StationConfig
 from station.drive_library import DriveRecord
+from station.drive_making import DriveRecorder
 from station.drives import Drives
 from station.driving import Driving
 from station.events import Events
@@ -22,7 +23,7 @@ from station.locating import Locating
 from station.mailbox import Broadcast
 from station.map_library import Maps
 from station.paired_robots import PairedRobots
-from station.recording import DriveRecorder, Recording
+from station.recording import Recording
 from station.refusals import Conflict, NoRobot, NotCapable, OutOfRange
 from station.turns import Turns
 

@@ -36,9 +36,13 @@ def cannot_write(place: Path | str, exc: OSError) -> Unwritable:
 
 
 def why_unwritable(folder: Path) -> OSError | None:
-    """What the system says to a small file in this folder, which is removed again; None: it takes writes."""
+    """What the system says to a small file in this folder, which is removed again; None: it takes writes.
+
+    Of a folder that is not there: whether it could be made.
+    """
+    there = next((place for place in (folder, *folder.absolute().parents) if place.is_dir()), folder)
     try:
-        with tempfile.TemporaryFile(prefix=SCRATCH, dir=folder, buffering=0) as file:
+        with tempfile.TemporaryFile(prefix=SCRATCH, dir=there, buffering=0) as file:
             if file.write(bytes(PROBE_BYTES)) < PROBE_BYTES:
                 return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as exc:

@@ -16,9 +16,10 @@ from shared.errors import DataError, EstimationError
 from shared.messages import PROTOCOL_VERSION, CameraFrame, Capabilities, Hello
 from station.config import SlamConfig
 from station.drive_library import DriveLibrary, DriveRecord
+from station.drive_making import DriveRecorder
 from station.drives import Drives
 from station.events import Events
-from station.recording import CANCELLED, DriveRecorder, Recording
+from station.recording import CANCELLED, Recording
 from station.refusals import Conflict
 from station.slam_process import MAX_DEATHS, SlamProcess
 from station.workers import WorkerDied

@@ -144,6 +144,17 @@ def test_a_sound_store_needs_no_copy_and_says_the_same_to_every_change(root: Pat
     assert name_of_place(store, place_map) == NAMED
 
 
+def test_a_folder_without_maps_says_the_same(root: Path, place_map: PlaceMap) -> None:
+    with unwritable(root):
+        store = MapStore(root / "none", lambda _: None)
+        assert store.list() == ()
+        with pytest.raises(Unwritable, match=r"none cannot be written \((Read-only|Permission)"):
+            store.save(place_map)
+        assert store.list() == ()
+    store.save(place_map)
+    assert [summary.id for summary in store.list()] == [place_map.id]
+
+
 def test_a_write_that_is_cut_while_the_store_is_open_hides_no_map(root: Path, place_map: PlaceMap) -> None:
     store = MapStore(root, lambda _: None)
     assert store.list()
