@@ -1,4 +1,4 @@
-"""The files a drive begins with: its recording, then its record. Making them waits for the disk: call it in a thread."""
+"""The files a drive begins with: its recording, then its record. Making them waits for the disk: do it in a thread."""
 
 from __future__ import annotations
 
