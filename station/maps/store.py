@@ -289,7 +289,11 @@ class MapStore:
 
     def require_writable(self) -> None:
         """Before long work whose result is to be kept here. Raises DataError."""
-        self.open(writes=True)
+        try:
+            self.open(writes=True)
+        except Unwritable:
+            self.close()  # a worker that is refused ends without tidying up, and need not look on
+            raise
         if self.database.is_sqlite and (told := why_unwritable(self.address.root)):
             raise cannot_write(self.address.root, told)
 
