@@ -7,6 +7,7 @@ worker processes, files to threads, and the event loop only carries messages.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Callable
@@ -164,6 +165,8 @@ class Station:
                 "build_map", folders, self.maps.address, name or title, mode, self.config.executor
             )
             self.maps.changed()
+            with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
+                await worker.call("index_map", folders, self.maps.address)
             if activate:
                 await self.use_map(built.map_id)
             return {"map": built.map_id, "places": built.places}

@@ -110,8 +110,11 @@ class Drives:
         drive = self.library.get(drive_id)
         if drive.state in ("recording", "finishing"):
             raise Conflict(_still(drive))
-        self._refuse_reserved(drive_id)
-        await self.in_order(self.library.delete, drive_id)
+        self.reserve(drive_id)  # nothing begins to read it while it waits behind what is written
+        try:
+            await self.in_order(self.library.delete, drive_id)
+        finally:
+            self.release(drive_id)
         self._events.forget("navigation", drive_id)
         self._events.changed("navigation", None)
 
@@ -132,7 +135,9 @@ class Drives:
     def _refuse_reserved(self, drive_id: str) -> None:
         if drive_id in self._reserved:
             name = self.library.get(drive_id).name
-            raise Conflict(f"SLAM runs over {name} just now; wait for the job or cancel it (GET /jobs)")
+            raise Conflict(
+                f"SLAM runs over {name} just now, or it goes into the bin; wait for the job or cancel it (GET /jobs)"
+            )
 
     async def reprocessed(self, drive_id: str, report: NavigationReport) -> DriveRecord:
         """SLAM ran over a drive's recording again and left its navigation."""

@@ -43,6 +43,7 @@ class JobServant:
 
     def __init__(self, emit: Callable[[tuple[float, str]], None]) -> None:
         self._emit = emit
+        self._built: PlaceMap | None = None
 
     def build_map(
         self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
@@ -61,22 +62,25 @@ class JobServant:
             place_map = keep_places(earlier, place_map)
         self._emit((0.8, f"saving {_count(len(place_map.places), 'place')}"))
         store.save(place_map, f"built from {place_map.navigation.id}"[:200])
-        self._index(folders, store, place_map)
+        self._built = place_map
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
 
-    def _index(self, folders: list[Path], store: MapStore, place_map: PlaceMap) -> None:
-        """Where most pictures were described while the robot drove, localisation need not look at them again.
+    def index_map(self, folders: list[Path], address: StoreAddress) -> None:
+        """The index of the map that was built, where most pictures were described while the robot drove.
 
-        Else that is left to it: it can take minutes, and the map can be seen meanwhile.
+        Else that is left to localisation: it can take minutes, and the map can be seen meanwhile.
         """
+        if self._built is None:
+            return
         pictures = DescribedPictures()
         for folder in folders:
             with contextlib.suppress(OSError):
                 pictures.add((folder / PICTURES).read_bytes())
-        encoded = place_map.navigation.keyframes.encoded
+        encoded = self._built.navigation.keyframes.encoded
         if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded):
             self._emit((0.85, "indexing what its pictures look like"))
-            index_of(store.address.root, place_map, _nothing, _nothing, pictures)
+            waiting = (0.85, "another map is indexed; this one is next")
+            index_of(address.root, self._built, _nothing, lambda: self._emit(waiting), pictures)
 
     def _map_of(self, navigations: list[Navigation], config: PlacesConfig, name: str, executor: str) -> PlaceMap:
         if executor:

@@ -11,7 +11,7 @@ import sys
 logger = logging.getLogger(__name__)
 SLICE_NS = 500_000  # it works for less than this at a time, and then waits for the next message
 SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # numbers of the call, which Python does not offer
-RESET_ON_FORK = 1  # threads and processes made by this one have ordinary turns
+RESET_ON_FORK = 1  # threads and processes made by this one have ordinary turns (and no negative niceness of its)
 
 
 class _Attributes(ctypes.Structure):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import mmap
 import os
+import shutil
 import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TypeVar, overload
 
 import numpy as np
@@ -18,6 +21,8 @@ A = TypeVar("A", bound=np.generic)
 FILE_BYTES = 64 * 1024 * 1024  # some 250 keyframes; each file costs a file descriptor
 RESIDENT_BYTES = 8 * 1024 * 1024  # what stays in memory
 ALIGNED = 64  # as numpy's own arrays
+KEPT_FREE_BYTES = 1024 * 1024 * 1024  # more than a recording asks for: this must not be what ends it
+FOLDER = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108
 
 
 class Shelf:
@@ -97,9 +102,12 @@ class ShelvedFiles(Sequence[bytes]):
 
 def _map_file(size: int) -> mmap.mmap:
     """Raises OSError when there is no room for it: found out later, touching it would end the process."""
-    with tempfile.TemporaryFile(prefix="sentinel-", buffering=0) as file:
+    folder = FOLDER if "TMPDIR" not in os.environ and os.access(FOLDER, os.W_OK) else Path(tempfile.gettempdir())
+    if shutil.disk_usage(folder).free < size + KEPT_FREE_BYTES:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with tempfile.TemporaryFile(prefix="sentinel-", buffering=0, dir=folder) as file:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(file.fileno(), 0, size)
         elif file.write(bytes(size)) != size:
-            raise OSError("the disk is full")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return mmap.mmap(file.fileno(), size)  # it keeps the file

@@ -73,8 +73,11 @@ class SlamServant:
             self._pictures.keep_only(pictures)
         if self._looked_at == len(pictures):
             return False
-        self._pictures.describe(pictures[self._looked_at])
         self._looked_at += 1
+        try:
+            self._pictures.describe(pictures[self._looked_at - 1])
+        except Exception:  # whoever needs it describes it again; SLAM's own work that waits must not end with it
+            logger.exception("a picture could not be described")
         return True
 
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
@@ -84,8 +87,8 @@ class SlamServant:
         self._pictures.keep_only(navigation.keyframes.encoded)
         try:
             (folder / PICTURES).write_bytes(self._pictures.encode())
-        except OSError as exc:  # whoever needs them describes them again
-            logger.warning("%s cannot be written (%s)", folder / PICTURES, exc.strerror)
+        except (OSError, MemoryError) as exc:  # whoever needs them describes them again
+            logger.warning("%s cannot be written (%s)", folder / PICTURES, exc)
         return navigation.report
 
     def complete(self, navigation_id: str) -> Navigation:

@@ -7,7 +7,7 @@ import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-TURN_S = 2.0  # one that takes longer, or hangs, keeps the others no longer than this
+TURN_S = 15.0  # one that hangs keeps the others no longer than this; on a busy machine an answer takes seconds
 
 
 class Turns:

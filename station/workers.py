@@ -247,11 +247,11 @@ class Worker:
         while (item := await self._outbox.take()) is not None:
             try:
                 data = pickle.dumps(item, pickle.HIGHEST_PROTOCOL)
-            except (pickle.PicklingError, TypeError, AttributeError) as exc:
-                self._receive((item[0], False, WorkerFailed(f"{item[1]} cannot be sent: {exc}")))
+            except Exception as exc:  # pickling runs the code of what it is given
+                self._take((item[0], False, WorkerFailed(f"{item[1]} cannot be sent: {exc}")))
                 continue
-            writer.writelines((LENGTH.pack(len(data)), data))
             try:
+                writer.write(LENGTH.pack(len(data)) + data)  # some Pythons' `writelines` never make `drain` wait
                 await writer.drain()
             except OSError:
                 return  # the reader notices the end and reports it
@@ -261,12 +261,18 @@ class Worker:
             while True:
                 (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
                 message = pickle.loads(await reader.readexactly(length))  # from our own child  # noqa: S301  # nosec B301
-                self._receive(message)
+                self._take(message)
         except (asyncio.IncompleteReadError, OSError):
             await asyncio.to_thread(self._process.join, END_TIMEOUT_S)
             self._end()
         finally:
             writer.close()
+
+    def _take(self, message: tuple[int | None, bool, Any]) -> None:
+        try:
+            self._receive(message)
+        except Exception:  # on top of what others do with an event: it must not cost the worker
+            logger.exception("%s worker: what it said could not be taken", self.name)
 
     def _receive(self, message: tuple[int | None, bool, Any]) -> None:
         call, is_ok, value = message
@@ -385,8 +391,6 @@ def _serve(line: socket.socket, name: str, head_start_s: float, servant_path: st
         try:
             while not pipe.has_request() and catch_up():
                 pass
-        except OSError:
-            return
         except Exception:  # the work that could wait fails again where it is needed, and is told there
             logger.exception("catching up failed")
             catch_up = _nothing_to_do

@@ -322,11 +322,14 @@ class MapStore:
             raise because
         self._copy = IndexCopy(self.address.root, self._home, self._files, because)
         self._use(self._copy.database, self._copy.bucket)
+        self._written.opens = True
         try:
             self._not_imported = opening.open_store(self)
         except BaseException:
             self._leave_copy()
             raise
+        finally:
+            self._written.opens = False
         if self._copy.refusal != self._told:
             self._told = self._copy.refusal
             self.tell(self._told)
@@ -340,6 +343,8 @@ class MapStore:
     @contextlib.contextmanager
     def _changing(self, map_id: str) -> Iterator[Connection]:
         """A transaction, alone on this map. Where it fails its records go too, or the next start would take them in."""
+        if self._copy is not None and not getattr(self._written, "opens", False):
+            raise Unwritable(self._copy.refusal)  # another thread found just now that nothing can be kept here
         written: list[str] = []
         self._written.names = written
         try:

@@ -83,7 +83,9 @@ def test_what_was_described_ahead_gives_the_same_index_bit_for_bit() -> None:
 def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(tmp_path: Path) -> None:
     folder, address = tmp_path / "drive" / "navigation", StoreAddress(tmp_path / "maps")
     follow(folder, 5)
-    built = JobServant(lambda told: None).build_map([folder], address, "wall", None)
+    job = JobServant(lambda told: None)
+    built = job.build_map([folder], address, "wall", None)
+    job.index_map([folder], address)
     assert (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
     told: list[HijackNotice | MapReading] = []
     servant = PlaceServant(told.append)
@@ -106,5 +108,7 @@ def test_where_little_was_described_ahead_the_map_does_not_wait_for_it(
     follow(folder, frames)
     if is_damaged:
         (folder / PICTURES).write_bytes(b"damaged")
-    built = JobServant(lambda told: None).build_map([folder], address, "wall", None)
+    job = JobServant(lambda told: None)
+    built = job.build_map([folder], address, "wall", None)
+    job.index_map([folder], address)
     assert not (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()

@@ -92,6 +92,21 @@ async def test_events_come_in_order_before_the_answer() -> None:
         assert heard == list(range(500))
 
 
+async def test_an_event_that_cannot_be_taken_does_not_cost_the_worker() -> None:
+    heard: list[int] = []
+
+    def take(event: int) -> None:
+        heard.append(event)
+        if event == 1:
+            raise ValueError("nobody can take this")
+
+    async with started(on_event=take) as worker:
+        for event in range(3):
+            worker.post("say", event)
+        assert await worker.call("back", b"ab") == b"ba"
+        assert heard == [0, 1, 2]
+
+
 async def test_what_a_busy_worker_has_not_taken_may_still_be_dropped() -> None:
     async with started(limits={"frame": 5}) as worker:
         worker.post("sleep", 1.0)

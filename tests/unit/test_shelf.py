@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+import station.shelf
 from station.shelf import Shelf
 
 KINDS = st.sampled_from([np.uint8, np.int64, np.float64])
@@ -45,10 +46,17 @@ def test_what_is_put_aside_takes_no_memory() -> None:
 
 
 def test_without_a_disk_arrays_stay_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(station.shelf, "FOLDER", tmp_path / "none")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
     array = np.arange(5)
     shelf = Shelf()
     assert shelf.put(array) is array and shelf.put(array) is array
+
+
+def test_what_others_need_of_the_disk_is_left_to_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(station.shelf, "KEPT_FREE_BYTES", 2**62)
+    array = np.arange(5)
+    assert Shelf().put(array) is array
 
 
 def test_a_disk_that_fills_up_costs_nothing_that_is_there() -> None:

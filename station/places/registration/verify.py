@@ -116,7 +116,7 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
             f"two sides of what the clouds share, each alone, would lie {e.parts.sides * e.parts.unit:.2g} apart, and "
             f"at most {MAX_SIDES * e.parts.unit:.2g} is asked: a compromise"
         )
-    elif features["beside"] > MAX_BESIDE and e.parts.sides > SIDES_AGREE:
+    elif features["beside"] > MAX_BESIDE and not 0.0 < e.parts.sides <= SIDES_AGREE:  # 0: too few points to say
         against.append(
             f"an alignment a little beside this one fits {features['beside']:.0%} as well: the clouds can slide"
         )
