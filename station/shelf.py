@@ -22,7 +22,7 @@ FILE_BYTES = 64 * 1024 * 1024  # some 250 keyframes; each file costs a file desc
 RESIDENT_BYTES = 8 * 1024 * 1024  # what stays in memory
 ALIGNED = 64  # as numpy's own arrays
 KEPT_FREE_BYTES = 1024 * 1024 * 1024  # more than a recording asks for: this must not be what ends it
-FOLDER = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108
+FOLDER = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108  # nosec B108
 
 
 class Shelf:
