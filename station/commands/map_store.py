@@ -116,7 +116,7 @@ def verify_maps(data: Data = None, config: Config = None, as_json: Json = False)
     if as_json:
         print(json.dumps({"repaired": found, "damaged": [damage.sentence for damage in damages]}))
     else:
-        for sentence in (*found, *(damage.sentence for damage in damages)):
+        for sentence in dict.fromkeys((*found, *(damage.sentence for damage in damages))):
             print(sentence)
         if not damages:
             print("all maps are as they were written")
@@ -143,10 +143,9 @@ def repair_maps(
         print(sentence)
     for damage in result.left:
         print(f"not repaired: {damage.sentence}")
-    if not result.left:
-        print("all maps are as they were written")
-    else:
+    if result.left:
         sys.exit(1)
+    print("nothing is damaged any more" if result.done else "all maps are as they were written")
 
 
 def backup(

@@ -10,7 +10,7 @@ from station.maps import opening, versions
 from station.maps.address import is_whole
 from station.maps.blobs import Damaged, blob_name
 from station.maps.bucket import SCRATCH
-from station.maps.purging import purge
+from station.maps.purging import ASIDE, purge
 from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
 from station.maps.store import MapStore
 from station.maps.versions import VersionRow, row_of
@@ -35,7 +35,7 @@ def verify(store: MapStore) -> tuple[Damage, ...]:
         return ()
     with store.reading() as connection:
         rows = versions.all_rows(connection)
-    return tuple(_damages(store, rows))
+    return (*_damages(store, rows), *_lost(store))
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +57,7 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
         return Repair((), ())
     done += [f"version {row.number} of map {row.map_id} was taken in" for row in opening.take_in_records(store)]
     done += _repair_rows(store)
+    done += _set_aside(store)
     damages = verify(store)
     wanted = {damage.address: damage for damage in damages if damage.address}
     for address, path in _found_copies(wanted, copies):
@@ -70,6 +71,8 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
 
 def collect_garbage(store: MapStore) -> list[str]:
     """Remove files no version needs: of purged maps, and of writers that were killed."""
+    if next(iter(store.bucket.names(ASIDE)), None) is not None:
+        return [f"nothing was tidied up: a record in {ASIDE} may need its files; remove that folder to let them go"]
     with store.reading() as connection:
         rows = versions.all_rows(connection)
     needed: set[str] = set()
@@ -127,6 +130,27 @@ def _damages(store: MapStore, rows: list[VersionRow]) -> Iterator[Damage]:
                 store.blobs.get(ref.address, f"map {row.map_id}, version {row.number}: {name}")
             except Damaged as exc:
                 yield Damage(row.map_id, row.number, ref.address, ref.size, str(exc))
+
+
+def _lost(store: MapStore) -> Iterator[Damage]:
+    for lost in opening.lost_records(store):
+        yield Damage(lost.map_id, lost.number, "", 0, lost.sentence)
+
+
+def _set_aside(store: MapStore) -> list[str]:
+    """Records that are lost, kept beside the others for whoever can read more out of them."""
+    done = []
+    for lost in opening.lost_records(store):
+        aside = f"{ASIDE}/{lost.name.removeprefix(f'{FOLDER}/')}"
+        store.bucket.put({aside: store.bucket.get(lost.name) or b""})
+        store.bucket.remove(lost.name)
+        with store.reading() as connection:
+            rows = versions.history(connection, lost.map_id)
+        left = f"it is what it was at version {rows[0].number}" if rows else "nothing else of it is there"
+        if rows and rows[0].kind == "deleted":
+            left += f", deleted: `station map undo {lost.map_id}` brings it back"
+        done.append(f"version {lost.number} of map {lost.map_id} is lost (its record is {aside} now); {left}")
+    return done
 
 
 def _repair_rows(store: MapStore) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,7 @@ def take_in_records(store: MapStore) -> list[VersionRow]:
     with store.database.writing(FOLDER) as connection:
         found: dict[tuple[str, int], tuple[MapRecord, VersionRow]] = {}
         there = {address for address, _ in store.blobs.addresses()}
-        for name, address in _without_row(store, versions.all_rows(connection)):
+        for _, _, name, address in _without_row(store, versions.all_rows(connection)):
             try:
                 data = read_checked(store.bucket, name, address, name, store.tell)
                 record = decode_record(data, name)
@@ -84,8 +85,33 @@ def take_in_records(store: MapStore) -> list[VersionRow]:
     return taken
 
 
-def _without_row(store: MapStore, rows: list[VersionRow]) -> list[tuple[str, str]]:
-    """(file name, address) of the records that no row names and that may still count."""
+@dataclass(frozen=True, slots=True)
+class LostRecord:
+    """A record that no row names, that may be the newest of its map, and that cannot be put right."""
+
+    map_id: str
+    number: int  # of the version
+    name: str  # of its file
+    sentence: str
+
+
+def lost_records(store: MapStore) -> list[LostRecord]:
+    """What was lost together with the index, which would have told of it. SQLite only, as take_in_records."""
+    if not store.database.is_sqlite:
+        return []
+    with store.reading() as connection:
+        rows = versions.all_rows(connection)
+    lost = []
+    for map_id, number, name, address in _without_row(store, rows):
+        try:
+            decode_record(read_checked(store.bucket, name, address, name, store.tell), name)
+        except Damaged as exc:
+            lost.append(LostRecord(map_id, number, name, str(exc)))
+    return lost
+
+
+def _without_row(store: MapStore, rows: list[VersionRow]) -> list[tuple[str, int, str, str]]:
+    """(map id, version, file name, address) of the records that no row names and that may still count."""
     newest: dict[str, int] = {}
     for row in rows:
         newest[row.map_id] = max(row.number, newest.get(row.map_id, 0))
@@ -93,7 +119,7 @@ def _without_row(store: MapStore, rows: list[VersionRow]) -> list[tuple[str, str
     for name, _ in store.bucket.names(FOLDER):
         parsed = parse_record_name(name)
         if parsed is not None and parsed[1] > newest.get(parsed[0], 0):
-            found.append((name, parsed[2]))
+            found.append((parsed[0], parsed[1], name, parsed[2]))
     return found
 
 

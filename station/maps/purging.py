@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from shared.errors import DataError
 from station.maps import versions
+from station.maps.record import FOLDER, parse_record_name
 from station.maps.store import MapStore
+
+ASIDE = "damaged"  # the folder of records that are lost
 
 
 def purge(store: MapStore, map_id: str) -> None:
@@ -22,6 +25,18 @@ def purge(store: MapStore, map_id: str) -> None:
             return
         if rows[0].kind != "deleted":
             raise DataError(f"map {map_id} is not deleted; delete it first")
+        names = _records(store, map_id)  # now, as no other writer can make one of a new map of this id
         versions.forget(connection, map_id, below=rows[0].number + 1)
-    for row in reversed(rows):
-        store.bucket.remove(row.record_name)
+    for name in names:
+        store.bucket.remove(name)
+
+
+def _records(store: MapStore, map_id: str) -> list[str]:
+    """Every record of a map, the oldest first: also lost ones, which no row names."""
+    found = []
+    for folder in (FOLDER, ASIDE):
+        for name, _ in store.bucket.names(folder):
+            parsed = parse_record_name(f"{FOLDER}/{name.removeprefix(f'{folder}/')}")
+            if parsed is not None and parsed[0] == map_id:
+                found.append((parsed[1], name))
+    return [name for _, name in sorted(found)]

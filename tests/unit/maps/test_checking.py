@@ -133,6 +133,35 @@ def test_a_broken_sqlite_file_is_set_aside_and_made_again(place_map: PlaceMap, t
     assert len(list(tmp_path.glob("maps.db.damaged-*"))) == 2
 
 
+def test_the_newest_record_that_is_lost_with_the_index_is_told_until_it_is_set_aside(
+    place_map: PlaceMap, tmp_path: Path
+) -> None:
+    store = MapStore(StoreAddress(tmp_path / "maps"))
+    store.save(place_map)
+    store.delete(place_map.id)
+    store.undo(place_map.id)
+    store.close()
+    cut(newest_record(store))
+    cut(tmp_path / "maps" / "maps.db")
+    for _ in range(2):  # the index is made again by the first
+        again = MapStore(StoreAddress(tmp_path / "maps"))
+        assert [(damage.map_id, damage.number) for damage in verify(again)] == [(place_map.id, 3)]
+        again.close()
+    told = CliRunner().invoke(app, ["map", "verify", "--data", str(tmp_path)])
+    assert told.exit_code == 1 and "is damaged" in told.output and "as they were written" not in told.output
+    again = MapStore(StoreAddress(tmp_path / "maps"))
+    done = repair(again)
+    assert done.left == () and verify(again) == ()
+    assert any("version 3" in said and f"station map undo {place_map.id}" in said for said in done.done)
+    assert len(list((tmp_path / "maps" / "damaged").iterdir())) == 1
+    again.undo(place_map.id)
+    assert again.load(place_map.id).name == place_map.name
+    again.delete(place_map.id)
+    purge_versions(again, place_map.id)
+    left = [*(tmp_path / "maps" / "records").iterdir(), *(tmp_path / "maps" / "damaged").iterdir()]
+    assert left == [] and verify(again) == ()
+
+
 def test_a_record_whose_writer_was_killed_is_taken_in(place_map: PlaceMap, tmp_path: Path) -> None:
     store = MapStore(tmp_path)
     store.save(place_map)
