@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import datetime
 import ssl
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -15,14 +16,32 @@ import websockets
 
 from robot.access import Gate
 from robot.server import RobotServer
-from shared.access import Role
+from shared.access import Role, Token, prove
 from shared.certificates import make_identity
+from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.listening import bind
+from shared.messages import (
+    PROTOCOL_VERSION,
+    ErrorNotice,
+    Hello,
+    Join,
+    Message,
+    Paired,
+    PairReply,
+    Prove,
+    Refusal,
+    Welcome,
+    encode_message,
+)
+from shared.session import Session
 from shared.token_book import TokenBook
+from station.connecting import Connection, connect_by_tls
+from station.link import RobotLink
 from station.paired_robots import PairedRobot, PairedRobots
-from tests.link_support import Bench, HearingDesk
+from tests.link_support import Bench, HearingDesk, Notes
 from tests.station_support import Desk, running_station
 
+JOIN = Join(protocol=PROTOCOL_VERSION, station_name="desk")
 NOW = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
 
 
@@ -108,3 +127,67 @@ async def guarded_station(tmp_path: Path, robot_port: int = 1) -> AsyncIterator[
     context = ssl.create_default_context(cafile=str(folder / "certificate.pem"))
     async with running_station(robot_port, tmp_path, verify=context) as desk:
         yield Guarded(desk, tokens, context, folder)
+
+
+class Talk:
+    """A station that says whatever a test wants, in whatever order."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self._session = Session("station", 0)
+
+    def say(self, message: Message) -> None:
+        self.say_bytes(encode_payload(encode_message(message), MAX_STATION_PAYLOAD))
+
+    def say_bytes(self, data: bytes) -> None:
+        self.connection.writer.write(data)
+
+    async def hear(self) -> Message | None:
+        """The next message that is not a report; None: the robot closed."""
+        while True:
+            message = self._session.next_message(0)
+            if isinstance(message, Hello | Welcome | Refusal | ErrorNotice | PairReply | Paired):
+                return message
+            if message is None:
+                try:
+                    data = await asyncio.wait_for(self.connection.reader.read(65536), 10)
+                except ConnectionError:
+                    return None
+                if not data:
+                    return None
+                self._session.receive(data)
+
+    async def hear_hello(self) -> Hello:
+        hello = await self.hear()
+        assert isinstance(hello, Hello)
+        return hello
+
+    def prove(self, token: Token, hello: Hello) -> Prove:
+        return Prove(token_id=token.id, proof=prove(token, hello.challenge, self.connection.fingerprint))
+
+
+@asynccontextmanager
+async def talking(bench: GuardedBench) -> AsyncIterator[Talk]:
+    talk = Talk(await connect_by_tls("127.0.0.1", bench.port))
+    try:
+        yield talk
+    finally:
+        talk.connection.writer.transport.abort()
+
+
+@asynccontextmanager
+async def linked(port: int, robots: PairedRobots | None) -> AsyncIterator[tuple[RobotLink, Notes]]:
+    """A link that may or may not get connected."""
+    notes = Notes()
+    link = RobotLink("127.0.0.1", port, notes, robots=robots)
+    task = asyncio.create_task(link.run())
+    try:
+        yield link, notes
+    finally:
+        assert not task.done(), "the link ended by itself"
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+def make_token(bench: GuardedBench, role: Role, name: str = "desk") -> Token:
+    return TokenBook(bench.folder).add(name, role, time.time())
