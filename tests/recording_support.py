@@ -1,0 +1,74 @@
+"""A short made-up recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from shared.calibration import REFERENCE_ROBOT
+from shared.messages import (
+    CameraFrame,
+    Capabilities,
+    DriveApplied,
+    ErrorNotice,
+    Hello,
+    ImuBatch,
+    ImuSample,
+    Status,
+)
+from station.recorder import Recorder, RecordingReport
+
+HELLO = Hello(
+    protocol=2,
+    robot_id="r",
+    name="R",
+    session_id="first",
+    capabilities=Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False),
+    calibration=REFERENCE_ROBOT,
+)
+
+
+START_NS = 1_403_715_283_262_142_976
+
+
+JPEG = bytes(cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (48, 64), np.uint8))[1])
+
+
+def frame(seq: int) -> CameraFrame:
+    return CameraFrame(
+        seq=seq,
+        t_robot_ns=START_NS + seq * 50_000_000,
+        exposure_ns=7,
+        width=64,
+        height=48,
+        skipped=0,
+        jpeg=JPEG + bytes([seq % 256]),
+    )
+
+
+def batch(first: int, count: int = 10) -> ImuBatch:
+    return ImuBatch(
+        first_sequence=first,
+        samples=tuple(
+            ImuSample(START_NS + n * 5_000_000 - 20_000_000, (0.1 * n, 1 / 3, -1e-9), (0.0, 1.0, 9.81))
+            for n in range(first, first + count)
+        ),
+    )
+
+
+def record(path: Path, frames: int = 20) -> RecordingReport:
+    recorder = Recorder(path, min_free_bytes=0)
+    recorder.on_connected(HELLO)
+    for n in range(frames):
+        recorder.on_imu(batch(10 * n))
+        recorder.on_drive_applied(
+            DriveApplied(t_robot_ns=START_NS + n * 50_000_000, linear=0.1 * (n // 5), angular=0.0)
+        )
+        recorder.on_frame(frame(n), n)
+    recorder.on_status(Status(t_robot_ns=START_NS, uptime_s=1.0, temperatures_c={"cpu": 50.0}))
+    recorder.on_gap(3)
+    recorder.on_notice(ErrorNotice(code="device", message="x"))
+    recorder.on_disconnected("over")
+    return recorder.close()
