@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -74,8 +73,7 @@ class JobServant:
             return
         pictures = DescribedPictures()
         for folder in folders:
-            with contextlib.suppress(OSError):
-                pictures.add((folder / PICTURES).read_bytes())
+            pictures.add(folder / PICTURES)
         encoded = self._built.navigation.keyframes.encoded
         if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded):
             self._emit((0.85, "indexing what its pictures look like"))

@@ -86,8 +86,8 @@ class SlamServant:
         save_navigation(navigation, folder)
         self._pictures.keep_only(navigation.keyframes.encoded)
         try:
-            (folder / PICTURES).write_bytes(self._pictures.encode())
-        except (OSError, MemoryError) as exc:  # whoever needs them describes them again
+            self._pictures.write(folder / PICTURES)
+        except OSError as exc:  # whoever needs them describes them again
             logger.warning("%s cannot be written (%s)", folder / PICTURES, exc)
         return navigation.report
 

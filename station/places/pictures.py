@@ -6,18 +6,35 @@ Features are found by the picture's content, so whoever describes a picture firs
 from __future__ import annotations
 
 import hashlib
-import io
-import itertools
+import os
 import zipfile
 from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Generic, TypeVar
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from station.places.features import FeatureExtractor, Features, extract_encoded
 from station.shelf import Shelf
 
-VERSION = 1  # of how pictures are described: count it up when that changes
+A = TypeVar("A", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class Row(Generic[A]):
+    """What one entry of an array in the file looks like."""
+
+    dtype: np.dtype[A]
+    size: int
+
+
+DIGEST = Row(np.dtype(np.uint8), hashlib.sha256().digest_size)
+UV = Row(np.dtype(np.float64), 2)
+DESCRIPTOR = Row(np.dtype(np.uint8), 128)
+VERSION = 2  # of how pictures are described: count it up when that changes
 DESCRIBED_BY = f"{VERSION} cv2 {cv2.__version__} numpy {np.__version__}"
 
 
@@ -48,36 +65,88 @@ class DescribedPictures:
         wanted = {_digest(encoded) for encoded in pictures}
         self._known = {digest: features for digest, features in self._known.items() if digest in wanted}
 
-    def encode(self) -> bytes:
-        """A file that `add` reads."""
-        features = list(self._known.values())
-        file = io.BytesIO()
-        np.savez(
-            file,
-            described_by=np.array(DESCRIBED_BY),
-            digest=np.frombuffer(b"".join(self._known), np.uint8).reshape(-1, hashlib.sha256().digest_size),
-            first=np.cumsum([0, *(len(f) for f in features)]),
-            uv_px=np.concatenate([np.zeros((0, 2)), *(f.uv_px for f in features)]),
-            descriptors=np.concatenate([np.zeros((0, 128), np.uint8), *(f.descriptors for f in features)]),
-        )
-        return file.getvalue()
+    def write(self, path: Path) -> None:
+        """A file that `add` reads, there whole or not at all. One picture after the other: an hour has gigabytes.
 
-    def add(self, file: bytes) -> bool:
-        """Take over what `encode` gave; False, and nothing is added, when it is damaged or of another version."""
+        Raises:
+            OSError: it cannot be written.
+        """
+        features = list(self._known.values())
+        counts = [len(f) for f in features]
+        scratch = path.with_name(f".{path.name}")
         try:
-            with np.load(io.BytesIO(file), allow_pickle=False) as archive:
-                if str(archive["described_by"]) != DESCRIBED_BY:
+            with zipfile.ZipFile(scratch, "w") as archive:
+                described_by = np.array(DESCRIBED_BY)
+                _write_array(archive, "described_by", described_by.dtype, (), [described_by])
+                digests = (np.frombuffer(digest, np.uint8) for digest in self._known)
+                _write_array(archive, "digest", DIGEST.dtype, (len(features), DIGEST.size), digests)
+                _write_array(archive, "count", np.dtype(np.int64), (len(features),), [np.array(counts, np.int64)])
+                _write_array(archive, "uv_px", UV.dtype, (sum(counts), UV.size), (f.uv_px for f in features))
+                descriptors = (f.descriptors for f in features)
+                _write_array(archive, "descriptors", DESCRIPTOR.dtype, (sum(counts), DESCRIPTOR.size), descriptors)
+            os.replace(scratch, path)
+        finally:
+            scratch.unlink(missing_ok=True)
+
+    def add(self, path: Path) -> bool:
+        """Take over what `write` wrote; False, and nothing is added, when it is gone, damaged or of another version."""
+        try:
+            with zipfile.ZipFile(path) as archive:
+                if str(_read_array(archive, "described_by")) != DESCRIBED_BY:
                     return False
-                digests, first = archive["digest"].astype(np.uint8), archive["first"].tolist()
-                uv_px = archive["uv_px"].astype(np.float64).reshape(-1, 2)
-                descriptors = archive["descriptors"].astype(np.uint8).reshape(-1, 128)
+                digests = [row.tobytes() for row in _read_array(archive, "digest")]
+                counts: list[int] = _read_array(archive, "count").tolist()
+                if len(digests) != len(counts):
+                    return False
+                uv_px = self._read_parts(archive, "uv_px", UV, counts)
+                descriptors = self._read_parts(archive, "descriptors", DESCRIPTOR, counts)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return False
-        if len(first) != len(digests) + 1 or not first[-1] == len(uv_px) == len(descriptors):
-            return False
-        for digest, (begin, end) in zip(digests, itertools.pairwise(first), strict=True):
-            self._known[digest.tobytes()] = Features(uv_px[begin:end], descriptors[begin:end])
+        self._known |= dict(zip(digests, map(Features, uv_px, descriptors), strict=True))
         return True
+
+    def _read_parts(self, archive: zipfile.ZipFile, name: str, row: Row[A], counts: list[int]) -> list[npt.NDArray[A]]:
+        """Raises ValueError: other rows than these. BadZipFile: damaged, which is seen at the end."""
+        parts = []
+        with archive.open(f"{name}.npy") as member:
+            shape, dtype = _read_header(member)
+            if (shape, dtype) != ((sum(counts), row.size), row.dtype):
+                raise ValueError(f"{name} has shape {shape} of {dtype}")
+            for count in counts:
+                data = member.read(count * row.size * row.dtype.itemsize)
+                parts.append(self._shelf.put(np.frombuffer(data, row.dtype).reshape(count, row.size)))
+            if member.read(1):  # the checksum is compared at the end only
+                raise ValueError(f"{name} is longer than its header says")
+        return parts
+
+
+def _write_array(
+    archive: zipfile.ZipFile,
+    name: str,
+    dtype: np.dtype[Any],
+    shape: tuple[int, ...],
+    parts: Iterable[npt.NDArray[Any]],
+) -> None:
+    """As np.savez does, from parts that follow one another."""
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+        header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(member, header)
+        for part in parts:
+            member.write(part.astype(dtype, copy=False).tobytes())
+
+
+def _read_array(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
+    with archive.open(f"{name}.npy") as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
+
+
+def _read_header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    if np.lib.format.read_magic(member) != (1, 0):
+        raise ValueError("the array is of another format")
+    shape, in_columns, dtype = np.lib.format.read_array_header_1_0(member)
+    if in_columns:
+        raise ValueError("the array is of another format")
+    return shape, dtype
 
 
 def _digest(encoded: bytes) -> bytes:
