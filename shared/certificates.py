@@ -122,8 +122,8 @@ def fingerprint_of_der(der: bytes) -> bytes:
 
 
 def show_fingerprint(fingerprint: bytes) -> str:
-    """The first half, as people compare it; 128 bits leave no room for a twin."""
-    return ":".join(f"{byte:02x}" for byte in fingerprint[:16])
+    """As browsers show a certificate's SHA-256, for people who compare the two."""
+    return ":".join(f"{byte:02x}" for byte in fingerprint)
 
 
 def pinning_context() -> ssl.SSLContext:

@@ -111,12 +111,30 @@ def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from:
         raise DataError(f"{names_from} was made from {old.navigation.id}, not {ids[0]}; give its own map")
 
 
+MapArgument = Annotated[
+    str, typer.Argument(metavar="MAP", help="Folder written by `station map build`, or id of a map the station keeps.")
+]
+
+
+def open_map(which: str, data: Path | None, config: Path | None) -> PlaceMap:
+    """A map from a folder, or from the station's store.
+
+    Raises:
+        DataError: there is none, or it is damaged.
+    """
+    if Path(which).is_dir() or len(Path(which).parts) > 1:
+        return load_map_folder(Path(which))
+    return map_store.open_store(data, config).load(which)
+
+
 def show(
-    path: Annotated[Path, typer.Argument(metavar="MAP", help="Folder written by `station map build`.")],
+    which: MapArgument,
+    data: map_store.Data = None,
+    config: map_store.Config = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
 ) -> None:
     """List a map's places and edges."""
-    place_map = load_map_folder(path)
+    place_map = open_map(which, data, config)
     if as_json:
         print(json.dumps(to_json_dict(place_map)))
         return
@@ -129,12 +147,14 @@ def show(
 
 
 def route(
-    path: Annotated[Path, typer.Argument(metavar="MAP", help="Folder written by `station map build`.")],
+    which: MapArgument,
     start: Annotated[str, typer.Argument(help="Name or id of a place.")],
     goal: Annotated[str, typer.Argument(help="Name or id of a place.")],
+    data: map_store.Data = None,
+    config: map_store.Config = None,
 ) -> None:
     """The shortest way between two places."""
-    found = shortest_route(load_map_folder(path), start, goal)
+    found = shortest_route(open_map(which, data, config), start, goal)
     if found is None:
         raise DataError(f"no edges lead from {start} to {goal}")
     print(f"{' > '.join(found.names)} ({found.length:.2f})")

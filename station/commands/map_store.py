@@ -39,9 +39,15 @@ def store_address(data: Path | None, config: Path | None) -> StoreAddress:
     return StoreAddress(root, settings.store.database, settings.store.blobs, settings.name)
 
 
+def options(data: Path | None, config: Path | None) -> str:
+    """What a command that we advise needs, to reach the same maps."""
+    return "".join(f" {name} {path}" for name, path in (("--data", data), ("--config", config)) if path is not None)
+
+
 def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
     """The maps of a station, and those that were deleted but not purged."""
-    store = _store(data, config)
+    store = open_store(data, config)
+    more = options(data, config)
     maps, deleted = store.list(), store.deleted()
     if as_json:
         shown = [
@@ -53,14 +59,17 @@ def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -
     for summary in maps:
         print(f"{summary.id}  {summary.name}: {summary.damaged or f'{summary.places} places'}")
     for summary in deleted:
-        print(f"{summary.id}  {summary.name}: deleted; `station map undo {summary.id}` brings it back")
+        print(f"{summary.id}  {summary.name}: deleted; `station map undo {summary.id}{more}` brings it back")
     if not maps and not deleted:
-        print(f"no maps in {store.bucket.place}")
+        is_there = "://" in store.bucket.place or Path(store.bucket.place).is_dir()
+        print(
+            f"no maps in {store.bucket.place}" + ("" if is_there else ", which is not there: is it the right folder?")
+        )
 
 
 def history(map_id: MapId, data: Data = None, config: Config = None, as_json: Json = False) -> None:
     """Every version of a map, the newest first."""
-    records = _store(data, config).history(map_id)
+    records = open_store(data, config).history(map_id)
     if as_json:
         keys = ("number", "kind", "why", "author", "created_ms", "previous", "content", "name")
         print(json.dumps({"versions": [{key: getattr(record, key) for key in keys} for record in records]}))
@@ -78,7 +87,7 @@ def undo(
     config: Config = None,
 ) -> None:
     """Take back the last change of a map, also its deletion; again: the change before."""
-    record = _store(data, config).undo(map_id, to)
+    record = open_store(data, config).undo(map_id, to)
     print(
         f"{record.name} ({map_id}) is {record.why}, with {len(record.places)} places; this is version {record.number}"
     )
@@ -86,9 +95,10 @@ def undo(
 
 def delete(map_id: MapId, data: Data = None, config: Config = None) -> None:
     """Delete a map; `station map undo` brings it back until it is purged."""
-    _store(data, config).delete(map_id)
+    open_store(data, config).delete(map_id)
     print(
-        f"{map_id} is deleted; `station map undo {map_id}` brings it back, `station map purge {map_id}` frees its space"
+        f"{map_id} is deleted; `station map undo {map_id}{options(data, config)}` brings it back,"
+        f" `station map purge {map_id}{options(data, config)} --yes` frees its space"
     )
 
 
@@ -103,7 +113,7 @@ def purge_map(
         raise DataError(f"purging {map_id} cannot be undone; add --yes")
     from station.maps.checking import purge_versions
 
-    purge_versions(_store(data, config), map_id)
+    purge_versions(open_store(data, config), map_id)
     print(f"the earlier versions of {map_id} are gone")
 
 
@@ -112,7 +122,7 @@ def verify_maps(data: Data = None, config: Config = None, as_json: Json = False)
     from station.maps.checking import verify
 
     found: list[str] = []
-    damages = verify(_store(data, config, found))
+    damages = verify(open_store(data, config, found))
     if as_json:
         print(json.dumps({"repaired": found, "damaged": [damage.sentence for damage in damages]}))
     else:
@@ -156,7 +166,7 @@ def backup(
     """All maps with their history in one file."""
     from station.maps.backup import write_backup
 
-    report = write_backup(_store(data, config), out)
+    report = write_backup(open_store(data, config), out)
     for sentence in report.damaged:
         print(f"not in the backup: {sentence}", file=sys.stderr)
     print(f"{report.maps} maps, {report.versions} versions, {report.bytes / 1e6:.1f} MB, written to {out}")
@@ -172,14 +182,17 @@ def restore(
     """Bring the maps of a backup into this station; what it has already stays in the history."""
     from station.maps.backup import restore_backup
 
-    report = restore_backup(_store(data, config), file)
+    report = restore_backup(open_store(data, config), file)
     for sentence in report.damaged:
         print(sentence, file=sys.stderr)
     print(f"{report.maps} maps read from {file}, {report.versions} versions added")
+    if report.versions:
+        print("a station looks for its robot in the maps chosen on its page, or by PUT /maps/active")
     if report.damaged:
         sys.exit(1)
 
 
-def _store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:
+def open_store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:
+    """What it tells goes to stderr, unless it is to be found."""
     address = store_address(data, config)
     return MapStore(address, found.append if found is not None else lambda sentence: print(sentence, file=sys.stderr))

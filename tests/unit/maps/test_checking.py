@@ -231,16 +231,16 @@ def test_the_commands_say_what_they_do(place_map: PlaceMap, tmp_path: Path) -> N
         assert result.exit_code == code, result.output
         return result.output
 
-    assert "no maps" in run("list")
+    assert "which is not there" in run("list")
     store = MapStore(tmp_path / "maps")
     store.save(place_map)
     store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
-    assert place_map.id in run("list")
+    assert place_map.id in run("list") and "Sofa" in run("show", place_map.id)
     assert "is now Sofa" in run("history", place_map.id)
     assert "version 1 again" in run("undo", place_map.id)
     run("backup", str(tmp_path / "b.tar"))
     run("delete", place_map.id)
-    assert "brings it back" in run("list")
+    assert f"`station map undo {place_map.id} --data {tmp_path}` brings it back" in run("list")
     run("undo", place_map.id)
     assert "all maps are as they were written" in run("verify")
     cut(largest_blob(store))
@@ -248,3 +248,12 @@ def test_the_commands_say_what_they_do(place_map: PlaceMap, tmp_path: Path) -> N
     assert "not repaired" in run("repair", code=1)
     assert "1 maps read" in run("restore", str(tmp_path / "b.tar"))
     assert "all maps are as they were written" in run("verify")
+
+
+def test_a_restore_into_another_folder_says_what_is_to_be_done_then(place_map: PlaceMap, tmp_path: Path) -> None:
+    store = MapStore(tmp_path / "maps")
+    store.save(place_map)
+    write_backup(store, tmp_path / "b.tar")
+    restore = ["map", "restore", str(tmp_path / "b.tar"), "--data", str(tmp_path / "other")]
+    assert "PUT /maps/active" in CliRunner().invoke(app, restore).output
+    assert "0 versions added\n" in CliRunner().invoke(app, restore).output[-20:]
