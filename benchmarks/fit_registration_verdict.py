@@ -17,25 +17,36 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.bench_registration import FIRST_SEED, SETS, errors
+from benchmarks.bench_registration import FIRST_SEED, SETS, errors, is_right
 from benchmarks.registration_clouds import make_pair
 from shared.geometry import FloatArray
 from station.places.registration import register_clouds
 from station.places.registration.verify import WEIGHTS
 
 LIMITS = (0.5, 0.7, 0.8, 0.85, 0.9, 0.95)
-BASIN_DEG, BASIN_M = 2.0, 0.1  # the right alignment, though perhaps not exact enough
 
 
 def measure(name: str, seed: int) -> dict[str, Any]:
-    """One training pair: the features of what was found, and whether it is right."""
+    """One training pair: the features of what was found, and how far off it is."""
     pair = make_pair(seed, shared_landmarks=bool(seed % 2), **SETS[name])
     found = register_clouds(pair.target, pair.source, scale="free" if "scale_range" in SETS[name] else "known")
-    right = False
+    e = None
     if pair.T_target_source is not None and found.T_target_source is not None:
         e = errors(found.T_target_source, pair)
-        right = e[0] <= BASIN_DEG and e[1] <= BASIN_M
-    return {"set": name, "seed": seed, "right": right, "evidence": found.evidence}
+    return {
+        "set": name,
+        "seed": seed,
+        "errors": e,
+        "right": e is not None and is_right(e),
+        "accepted": found.accepted,
+        "reasons": found.reasons,
+        "evidence": found.evidence,
+        "overlap": found.overlap,
+        "sigmas": [] if found.covariance is None else np.sqrt(np.diag(found.covariance)).tolist(),
+        "eigenvalues": [] if found.eigenvalues is None else found.eigenvalues.tolist(),
+        "rmse": found.rmse,
+        "points": [len(pair.target), len(pair.source)],
+    }
 
 
 def fit(X: FloatArray, right: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:

@@ -12,22 +12,24 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.registration.cloud import PreparedCloud
-from station.places.registration.refine import measure_residuals, refine
+from station.places.registration.refine import measure_residuals, refine, scale_of
 from station.places.registration.score import landed_apart
 
 PASSES = 6
 MIN_POINTS = 30  # fewer landmarks determine no motion
+UNKNOWN = 0.5  # units; speaks neither for an alignment nor against it
 
 
 @dataclass(frozen=True, slots=True)
 class PartsApart:
     """How far apart the answers of two parts of the source lie: median distance of its landmarks, in units.
 
-    0 where a part is too small for an answer.
+    UNKNOWN where a part is too small for an answer.
     """
 
     halves: float  # two halves drawn at random: the noise of the answer
     sides: float  # two sides of what the clouds share, the worse of two cuts: its bias
+    scales: float  # how far their scales differ, the largest of all cuts, relative; 0 where the scale is known
     unit: float  # target units
 
 
@@ -53,9 +55,9 @@ def parts_apart(
         unit: what distances are told in, target units.
     """
 
-    def apart(first: IntArray, second: IntArray) -> float:
+    def apart(first: IntArray, second: IntArray) -> tuple[float, float]:
         if min(len(first), len(second)) < MIN_POINTS:
-            return 0.0  # nothing is known against it
+            return UNKNOWN, 0.0
         one, other = (
             refine(
                 target,
@@ -69,19 +71,22 @@ def parts_apart(
             ).T_target_source
             for part in (first, second)
         )
-        return landed_apart(one, other, source) / unit
+        return landed_apart(one, other, source) / unit, abs(float(np.log(scale_of(one) / scale_of(other))))
 
     mixed = rng.permutation(subset)
     found = measure_residuals(target, source.points[subset], source.normals[subset], T, reach)
     shared = np.isfinite(found.distance)
     on_floor = ((source.points[subset] @ T[:3, :3].T + T[:3, 3]) @ R_up.T)[:, :2]
+    halves = apart(mixed[::2], mixed[1::2])
     if np.count_nonzero(shared) < 2 * MIN_POINTS:
-        return PartsApart(apart(mixed[::2], mixed[1::2]), 0.0, unit)
+        return PartsApart(halves[0], UNKNOWN, halves[1], unit)
     centred = on_floor - np.median(on_floor[shared], axis=0)
     axes = np.linalg.svd(centred[shared], full_matrices=False)[2]
     cuts = [centred @ axis > 0 for axis in axes]
+    sides = [apart(subset[side], subset[~side]) for side in cuts]
     return PartsApart(
-        halves=apart(mixed[::2], mixed[1::2]),
-        sides=max(apart(subset[side], subset[~side]) for side in cuts),
+        halves=halves[0],
+        sides=max(gap for gap, _ in sides),
+        scales=max(scale for _, scale in [halves, *sides]),
         unit=unit,
     )
