@@ -97,6 +97,16 @@ def test_corners_are_spread_and_keep_away_from_live_tracks() -> None:
     assert quarters.min() >= 4
 
 
+def test_fewer_corners_are_the_best_of_many() -> None:
+    grey = texture(1)
+    many = detect_corners(grey, np.zeros((0, 2)), 200, 32, 1e-4)
+    few = detect_corners(grey, np.zeros((0, 2)), 20, 32, 1e-4)
+    assert len(few) == 20
+    assert np.array_equal(few, many[:20])
+    apart = np.linalg.norm(many[:, None] - many[None], axis=-1) + 1e3 * np.eye(len(many))
+    assert apart.min() > 8.0  # half a cell of the half-size picture, less what the sub-pixel step moves them
+
+
 def test_no_corners_on_a_blank_wall() -> None:
     assert len(detect_corners(np.full((480, 640), 120, np.uint8), np.zeros((0, 2)), 100, 32, 3e-4)) == 0
 

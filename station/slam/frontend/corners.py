@@ -50,7 +50,7 @@ def detect_corners(
     corners = np.stack([col * cell + best % cell, row * cell + best // cell], axis=1).astype(np.float64)
     order = np.argsort(-strength, kind="stable")
     order = order[strength[order] > min_response]
-    corners = _drop_neighbours(corners[order], cell_px / 4.0)[:wanted]
+    corners = _spread(corners[order], cell_px / 4.0, wanted)
     if not len(corners):
         return np.zeros((0, 2))
     start = (corners * 2.0 + 0.5).astype(np.float32).reshape(-1, 1, 2)
@@ -58,13 +58,16 @@ def detect_corners(
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 
-def _drop_neighbours(points: FloatArray, min_distance: float) -> FloatArray:
-    """Points (N, 2), best first, without those nearer than min_distance to a better one."""
-    if len(points) < 2:
-        return points
-    is_near = np.linalg.norm(points[:, None] - points[None], axis=-1) < min_distance
-    keep = [True] * len(points)
-    for better, worse in np.argwhere(np.triu(is_near, 1)).tolist():  # by the better one, which is decided by then
-        if keep[better]:
-            keep[worse] = False
-    return points[keep]
+def _spread(points: FloatArray, min_distance: float, wanted: int) -> FloatArray:
+    """The first `wanted` of the points (N, 2), best first, that are no nearer than min_distance to a better one."""
+    kept = np.empty((min(wanted, len(points)), 2))
+    count = 0
+    for point in points:
+        off = kept[:count] - point
+        if count and float((off * off).sum(axis=1).min()) < min_distance * min_distance:
+            continue
+        kept[count] = point
+        count += 1
+        if count == wanted:
+            break
+    return kept[:count]

@@ -15,6 +15,7 @@ from station.slam.frontend.lens import BoolArray, Lens
 from station.slam.frontend.two_view import epipolar_inliers
 
 PointsArray = npt.NDArray[np.float32]  # (N, 1, 2), OpenCV's shape of points
+LK_EPSILON_PX = 0.02  # the last step; half of it would take half as much time again, for what no filter can see
 VANISHING_BORDER = 0.08  # of the width: a robot that drives on takes features nearer to the border out of the picture
 
 
@@ -171,7 +172,7 @@ def _flow(
         a, b, points, start.copy(),
         winSize=(config.window_px, config.window_px),
         maxLevel=levels,
-        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01),
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, LK_EPSILON_PX),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-4,
     )  # fmt: skip
