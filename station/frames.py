@@ -32,6 +32,10 @@ class ImageFrame:
         """Pixels (H, W, 3), blue first. Raises DataError when the image cannot be decoded."""
         return self._decode(cv2.IMREAD_COLOR)
 
+    def half_bgr(self) -> ImageArray:
+        """Pixels at half size, blue first: of a JPEG in less than half of bgr()'s time. Raises DataError like it."""
+        return self._decode(cv2.IMREAD_REDUCED_COLOR_2)
+
     def _decode(self, flags: int) -> ImageArray:
         buffer = np.frombuffer(self.encoded, dtype=np.uint8)
         image = cv2.imdecode(buffer, flags) if len(buffer) else None

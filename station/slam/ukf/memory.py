@@ -97,7 +97,9 @@ class DriveMemory:
         keyframe = Keyframe(
             image=old.frame,
             tracked=old.tracked,
-            rgb=old.rgb if old.rgb is not None else sample_colours(old.frame.bgr(), old.tracked.uv_px),
+            rgb=old.rgb
+            if old.rgb is not None
+            else sample_colours(old.frame.half_bgr(), 0.5 * old.tracked.uv_px - 0.25),
             T_world_body=retired.T_world_body,
             v_world=retired.v_world,
             omega_body=retired.omega_body,
