@@ -65,11 +65,22 @@ class Prior:
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowSolution:
     states: WindowStates
-    covariance: FloatArray  # (15 K, 15 K)
+    factor: FloatArray  # (15 K, 15 K) lower-triangular Cholesky factor of the information matrix
     points: Triangulation
     used: BoolArray  # (F, K) observations that count
     rms: float  # whitened reprojection error of those
     has_converged: bool
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(15 K, 15 K) of all poses."""
+        whole = cho_solve((self.factor, True), np.eye(len(self.factor)), check_finite=False)
+        return np.asarray(0.5 * (whole + whole.T))
+
+    def covariance_of(self, pose: int) -> FloatArray:
+        """(15, 15) of one pose, for a fraction of the time."""
+        at = slice(N * pose, N * pose + N)
+        return np.asarray(cho_solve((self.factor, True), np.eye(len(self.factor))[:, at], check_finite=False)[at])
 
 
 def solve_window(
@@ -94,10 +105,11 @@ def solve_window(
     damping, cost, has_converged = 1e-6, np.inf, False
     best = states
     step = np.zeros(N * K)
+    stacked = _Links.of(links)
     for _ in range(iterations):
         trial = best.moved(step)
         H, g, trial_cost, points, used, rms = _normal_equations(
-            camera, noise, gravity, trial, links, uv_px, xy, seen, prior, huber
+            camera, noise, gravity, trial, stacked, uv_px, xy, seen, prior, huber
         )
         if trial_cost <= cost * (1.0 + 1e-9):
             has_converged = cost - trial_cost < 3e-3 * max(1.0, trial_cost)
@@ -121,10 +133,10 @@ def solve_window(
             raise DegenerateGeometry("the window's equations are singular")
     H, _, points, used, rms = kept
     try:
-        covariance = np.linalg.inv(H)
+        factor, _ = cho_factor(H, lower=True, check_finite=False)
     except np.linalg.LinAlgError as exc:
         raise DegenerateGeometry("the window's motion leaves its poses open") from exc
-    return WindowSolution(best, 0.5 * (covariance + covariance.T), points, used, rms, has_converged)
+    return WindowSolution(best, factor, points, used, rms, has_converged)
 
 
 def _normal_equations(
@@ -132,7 +144,7 @@ def _normal_equations(
     noise: ImuNoise,
     gravity: float,
     states: WindowStates,
-    links: list[Preintegration],
+    links: _Links,
     uv_px: FloatArray,
     xy: FloatArray,
     seen: BoolArray,
@@ -143,53 +155,93 @@ def _normal_equations(
     K = len(states.x)
     H, g = np.zeros((N * K, N * K)), np.zeros(N * K)
     cost = _add_prior(H, g, states, prior)
-    for i, link in enumerate(links):
-        r, J = _inertial_residual(states, i, link, gravity)
-        r, J = link.sqrt_information @ r, link.sqrt_information @ J
-        at = slice(N * i, N * i + 2 * N)
-        H[at, at] += J.T @ J
-        g[at] -= J.T @ r
-        cost += float(r @ r)
-        sigma = np.repeat([noise.gyro_walk, noise.accel_walk], 3) * np.sqrt(link.duration_s)
-        d = (states.bias[i + 1] - states.bias[i]) / sigma
-        a, b = np.arange(N * i + 9, N * i + 15), np.arange(N * i + 24, N * i + 30)
-        w = 1.0 / sigma**2
-        H[a, a] += w
-        H[b, b] += w
-        H[a, b] -= w
-        H[b, a] -= w
-        g[a] += d / sigma
-        g[b] -= d / sigma
-        cost += float(d @ d)
+    cost += _add_links(H, g, states, links, noise, gravity)
     visual_cost, points, used, rms = _add_tracks(H, g, camera, states, uv_px, xy, seen, huber)
     return H, g, cost + visual_cost, points, used, rms
 
 
-def _inertial_residual(
-    states: WindowStates, i: int, link: Preintegration, gravity: float
-) -> tuple[FloatArray, FloatArray]:
-    """Thesis eq. 2.11 and its derivative (9, 30) by poses i and i + 1."""
-    dR, dv, dp = link.at(states.bias[i])
-    Ri, Rj = states.R[i], states.R[i + 1]
-    T = link.duration_s
+@dataclass(frozen=True, slots=True, eq=False)
+class _Links:
+    """All of the window's preintegrated motions, stacked."""
+
+    duration_s: FloatArray  # (K - 1,)
+    dR: FloatArray  # (K - 1, 3, 3)
+    dv: FloatArray  # (K - 1, 3)
+    dp: FloatArray  # (K - 1, 3)
+    dR_by_bias: FloatArray  # (K - 1, 3, 3)
+    dv_by_bias: FloatArray  # (K - 1, 3, 6)
+    dp_by_bias: FloatArray  # (K - 1, 3, 6)
+    bias: FloatArray  # (K - 1, 6)
+    sqrt_information: FloatArray  # (K - 1, 9, 9)
+
+    @classmethod
+    def of(cls, links: list[Preintegration]) -> _Links:
+        return cls(
+            duration_s=np.array([link.duration_s for link in links]),
+            dR=np.array([link.dR for link in links]),
+            dv=np.array([link.dv for link in links]),
+            dp=np.array([link.dp for link in links]),
+            dR_by_bias=np.array([link.dR_by_bias for link in links]),
+            dv_by_bias=np.array([link.dv_by_bias for link in links]),
+            dp_by_bias=np.array([link.dp_by_bias for link in links]),
+            bias=np.array([link.bias for link in links]),
+            sqrt_information=np.array([link.sqrt_information for link in links]),
+        )
+
+
+def _add_links(
+    H: FloatArray, g: FloatArray, states: WindowStates, links: _Links, noise: ImuNoise, gravity: float
+) -> float:
+    """The IMU between neighbouring poses, and how far biases walk meanwhile."""
+    r, J = _inertial_residuals(states, links, gravity)
+    r = (links.sqrt_information @ r[..., None])[..., 0]
+    J = links.sqrt_information @ J
+    JtJ, Jtr = np.swapaxes(J, 1, 2) @ J, (np.swapaxes(J, 1, 2) @ r[..., None])[..., 0]
+    sigma = np.repeat([noise.gyro_walk, noise.accel_walk], 3) * np.sqrt(links.duration_s)[:, None]
+    d = np.diff(states.bias, axis=0) / sigma
+    w = 1.0 / sigma**2
+    own, next_ = np.arange(9, N), np.arange(N + 9, 2 * N)
+    JtJ[:, own, own] += w
+    JtJ[:, next_, next_] += w
+    JtJ[:, own, next_] -= w
+    JtJ[:, next_, own] -= w
+    Jtr[:, own] -= d / sigma
+    Jtr[:, next_] += d / sigma
+    for i in range(len(r)):
+        at = slice(N * i, N * i + 2 * N)
+        H[at, at] += JtJ[i]
+        g[at] -= Jtr[i]
+    return float((r * r).sum() + (d * d).sum())
+
+
+def _inertial_residuals(states: WindowStates, links: _Links, gravity: float) -> tuple[FloatArray, FloatArray]:
+    """Thesis eq. 2.11 (K - 1, 9) and its derivative (K - 1, 9, 30) by both poses of each link."""
+    d = states.bias[:-1] - links.bias
+    dR = links.dR @ lie.so3_exp((links.dR_by_bias @ d[:, :3, None])[..., 0])
+    dv = links.dv + (links.dv_by_bias @ d[..., None])[..., 0]
+    dp = links.dp + (links.dp_by_bias @ d[..., None])[..., 0]
+    Rit, Rj = np.swapaxes(states.R[:-1], 1, 2), states.R[1:]
+    T = links.duration_s[:, None]
     fall = np.array([0.0, 0.0, -gravity])
-    w_v = states.v[i + 1] - states.v[i] - fall * T
-    w_x = states.x[i + 1] - states.x[i] - states.v[i] * T - 0.5 * fall * T * T
-    r = np.concatenate([lie.so3_log(dR.T @ Ri.T @ Rj), Ri.T @ w_v - dv, Ri.T @ w_x - dp])
-    J = np.zeros((9, 2 * N))
-    Jr_inverse = lie.so3_left_jacobian_inverse(-r[:3])
-    J[:3, :3] = -Jr_inverse @ Rj.T
-    J[:3, N : N + 3] = -J[:3, :3]
-    J[:3, 9:12] = -lie.so3_left_jacobian_inverse(r[:3]) @ link.dR_by_bias
-    J[3:6, :3] = Ri.T @ lie.skew(w_v)
-    J[3:6, 3:6] = -Ri.T
-    J[3:6, N + 3 : N + 6] = Ri.T
-    J[3:6, 9:15] = -link.dv_by_bias
-    J[6:, :3] = Ri.T @ lie.skew(w_x)
-    J[6:, 3:6] = -T * Ri.T
-    J[6:, 6:9] = -Ri.T
-    J[6:, N + 6 : N + 9] = Ri.T
-    J[6:, 9:15] = -link.dp_by_bias
+    w_v = states.v[1:] - states.v[:-1] - fall * T
+    w_x = states.x[1:] - states.x[:-1] - states.v[:-1] * T - 0.5 * fall * T * T
+    r = np.empty((len(T), 9))
+    r[:, :3] = lie.so3_log(np.swapaxes(dR, 1, 2) @ Rit @ Rj)
+    r[:, 3:6] = (Rit @ w_v[..., None])[..., 0] - dv
+    r[:, 6:] = (Rit @ w_x[..., None])[..., 0] - dp
+    J = np.zeros((len(T), 9, 2 * N))
+    J[:, :3, :3] = -lie.so3_left_jacobian_inverse(-r[:, :3]) @ np.swapaxes(Rj, 1, 2)
+    J[:, :3, N : N + 3] = -J[:, :3, :3]
+    J[:, :3, 9:12] = -lie.so3_left_jacobian_inverse(r[:, :3]) @ links.dR_by_bias
+    J[:, 3:6, :3] = Rit @ lie.skew(w_v)
+    J[:, 3:6, 3:6] = -Rit
+    J[:, 3:6, N + 3 : N + 6] = Rit
+    J[:, 3:6, 9:15] = -links.dv_by_bias
+    J[:, 6:, :3] = Rit @ lie.skew(w_x)
+    J[:, 6:, 3:6] = -T[..., None] * Rit
+    J[:, 6:, 6:9] = -Rit
+    J[:, 6:, N + 6 : N + 9] = Rit
+    J[:, 6:, 9:15] = -links.dp_by_bias
     return r, J
 
 
@@ -273,17 +325,19 @@ def _add_tracks(
     A = WD @ pose_jacobian(ErrorKind.PLAIN, R, x, spread)  # (F, K, 2, 6)
     J_p = (WD @ np.swapaxes(R, 2, 3)).reshape(F, 2 * K, 3)
     scale = np.maximum(np.linalg.norm(J_p, axis=1, keepdims=True), 1e-12)
-    Q = np.linalg.qr(J_p / scale)[0]
+    Qt = np.swapaxes(np.linalg.qr(J_p / scale)[0], 1, 2)
     # H = sum_f A^T (I - Q Q^T) A, with A block-diagonal over the poses
-    At = A.reshape(F, K, 2, 6)
-    QA = np.einsum("fkdi,fkdj->fikj", Q.reshape(F, K, 2, 3), At).reshape(F, 3, 6 * K)
-    Qr = np.einsum("fki,fk->fi", Q, r.reshape(F, 2 * K))
-    full = -np.einsum("fia,fib->ab", QA, QA, optimize=True)
-    diagonal = np.einsum("fkdi,fkdj->kij", At, At)
+    by_pose = np.ascontiguousarray(np.swapaxes(A, 0, 1)).reshape(K, 2 * F, 6)
+    QA = np.swapaxes(Qt.reshape(F, 3, K, 2), 1, 2) @ A  # (F, K, 3, 6)
+    QA = np.ascontiguousarray(np.swapaxes(QA, 1, 2)).reshape(3 * F, 6 * K)
+    Qr = (Qt @ r.reshape(F, 2 * K, 1)).reshape(3 * F)
+    full = -(QA.T @ QA)
+    diagonal = np.swapaxes(by_pose, 1, 2) @ by_pose
     for k in range(K):
         at = slice(6 * k, 6 * k + 6)
         full[at, at] += diagonal[k]
-    gradient = np.einsum("fkdi,fkd->ki", At, r).ravel() - np.einsum("fia,fi->a", QA, Qr)
+    r_by_pose = np.swapaxes(r, 0, 1).reshape(K, 2 * F, 1)
+    gradient = (np.swapaxes(by_pose, 1, 2) @ r_by_pose).ravel() - QA.T @ Qr
     index = (np.arange(K)[:, None] * N + np.array([0, 1, 2, 6, 7, 8])[None]).ravel()
     H[np.ix_(index, index)] += full
     g[index] += gradient

@@ -12,6 +12,7 @@ from station.slam.ukf.measurement import CameraModel
 
 MIN_INVERSE_DEPTH = 1.0 / 200.0
 MAX_INVERSE_DEPTH = 1.0 / 0.1
+DONE = 1e-4  # a step that changes no point's squared error by more moves none by a hundredth of its sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,44 +44,40 @@ def triangulate(
     last = M - 1 - np.argmax(seen[:, ::-1], axis=1)
     pick = np.arange(F)
     R_a, c_a = R_wc[pick, last], c[pick, last]
-    R_ia = np.swapaxes(R_wc, 2, 3) @ R_a[:, None]
-    t_ia = np.einsum("fmji,fmj->fmi", R_wc, c_a[:, None] - c)
-    W = camera.lens.whitening(xy, camera.sigma_px) * seen[..., None, None]
+    views = _Views(
+        R=np.ascontiguousarray(np.moveaxis(np.swapaxes(R_wc, 2, 3) @ R_a[:, None], (2, 3), (0, 1))),
+        t=np.ascontiguousarray(np.moveaxis(((c_a[:, None] - c)[:, :, None] @ R_wc)[:, :, 0], 2, 0)),
+        xy=np.ascontiguousarray(np.moveaxis(xy, 2, 0)),
+        W=np.ascontiguousarray(np.moveaxis(camera.lens.whitening(xy, camera.sigma_px), (2, 3), (0, 1))) * seen,
+    )
 
     u = np.empty((F, 3))
     u[:, :2] = xy[pick, last]
-    u[:, 2] = _start_inverse_depth(R_ia, t_ia, xy, seen, u[:, :2])
-    H = np.zeros((F, 3, 3))
-    cost = np.full(F, np.inf)
-    damping = np.full(F, 1e-3)
-    best = u.copy()
-    for _ in range(iterations + 1):
-        r, J, _ = _residuals(u, R_ia, t_ia, xy, W)
-        new_cost = np.einsum("fmi,fmi->f", r, r)
+    u[:, 2] = _start_inverse_depth(views, seen, u[:, :2])
+    best, cost, damping = u, np.full(F, np.inf), np.full(F, 1e-3)
+    H, g, depths = np.zeros((F, 3, 3)), np.zeros((F, 3)), np.zeros((F, M))
+    diagonal = np.arange(3)
+    for step in range(iterations + 1):
+        new_cost, new_H, new_g, new_depths = _normal_equations(views, u)
         better = new_cost <= cost
-        best = np.where(better[:, None], u, best)
-        cost = np.where(better, new_cost, cost)
+        is_done = bool((np.abs(cost - new_cost) < DONE).all())
+        if better.all():
+            best, cost, H, g, depths = u, new_cost, new_H, new_g, new_depths
+        else:
+            best, cost = np.where(better[:, None], u, best), np.where(better, new_cost, cost)
+            H[better], g[better], depths[better] = new_H[better], new_g[better], new_depths[better]
+        if is_done or step == iterations:
+            break
         damping = np.where(better, damping * 0.1, damping * 10.0)
-        if not better.all():
-            r, J, _ = _residuals(best, R_ia, t_ia, xy, W)
-        Jf = J.reshape(F, 2 * M, 3)
-        H = np.swapaxes(Jf, 1, 2) @ Jf
-        g = np.einsum("fki,fk->fi", Jf, r.reshape(F, 2 * M))
         damped = H.copy()
-        diagonal = np.arange(3)
         damped[:, diagonal, diagonal] += damping[:, None] * H[:, diagonal, diagonal] + 1e-9
         u = best + np.linalg.solve(damped, g[..., None])[..., 0]
         u[:, 2] = np.clip(u[:, 2], MIN_INVERSE_DEPTH * 0.5, MAX_INVERSE_DEPTH * 2.0)
-    u = best
-    r, J, depths = _residuals(u, R_ia, t_ia, xy, W)
-    count = np.maximum(seen.sum(axis=1), 1)
-    rms = np.sqrt(np.einsum("fmi,fmi->f", r, r) / (2.0 * count))
-    Jf = J.reshape(F, 2 * M, 3)
-    H = np.swapaxes(Jf, 1, 2) @ Jf
-    H[:, np.arange(3), np.arange(3)] += 1e-9
+    rms = np.sqrt(cost / (2.0 * np.maximum(seen.sum(axis=1), 1)))
+    H[:, diagonal, diagonal] += 1e-9
     cov_u = np.linalg.inv(H)
-    rho = u[:, 2]
-    ray = np.column_stack([u[:, :2], np.ones(F)])
+    rho = best[:, 2]
+    ray = np.column_stack([best[:, :2], np.ones(F)])
     p = c_a + np.einsum("fij,fj->fi", R_a, ray) / rho[:, None]
     D = np.zeros((F, 3, 3))  # d p / d(alpha, beta, rho), anchor camera axes
     D[:, 0, 0] = D[:, 1, 1] = 1.0 / rho
@@ -97,29 +94,47 @@ def triangulate(
     )
 
 
-def _start_inverse_depth(
-    R_ia: FloatArray, t_ia: FloatArray, xy: FloatArray, seen: BoolArray, anchor_xy: FloatArray
-) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Views:
+    """Observations from the anchor's point of view. Components come first: thousands of 3 x 3 products one by one
+    cost several times as much as nine sums over long arrays.
+    """
+
+    R: FloatArray  # (3, 3, F, M) R_view_anchor
+    t: FloatArray  # (3, F, M) of the anchor in the view
+    xy: FloatArray  # (2, F, M)
+    W: FloatArray  # (2, 2, F, M) whitening; zero where not seen
+
+
+def _start_inverse_depth(views: _Views, seen: BoolArray, anchor_xy: FloatArray) -> FloatArray:
     """Inverse depth (F,) along the anchor's ray from linear least squares over all views."""
-    ray = np.einsum("fmij,fj->fmi", R_ia, np.column_stack([anchor_xy, np.ones(len(anchor_xy))]))
+    R, t, xy = views.R, views.t, views.xy
+    ray = R[:, 0] * anchor_xy[:, :1] + R[:, 1] * anchor_xy[:, 1:] + R[:, 2]
     # x (ray_z + rho t_z) = ray_x + rho t_x, likewise y
-    a = (t_ia[..., :2] - xy * t_ia[..., 2:]) * seen[..., None]
-    b = (xy * ray[..., 2:] - ray[..., :2]) * seen[..., None]
-    rho = np.einsum("fmi,fmi->f", a, b) / np.maximum(np.einsum("fmi,fmi->f", a, a), 1e-12)
+    a = (t[:2] - xy * t[2]) * seen
+    b = (xy * ray[2] - ray[:2]) * seen
+    rho = np.einsum("ifm,ifm->f", a, b) / np.maximum(np.einsum("ifm,ifm->f", a, a), 1e-12)
     return np.clip(rho, 0.02, 5.0)
 
 
-def _residuals(
-    u: FloatArray, R_ia: FloatArray, t_ia: FloatArray, xy: FloatArray, W: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened residuals (F, M, 2), Jacobian (F, M, 2, 3) and depth times rho (F, M) at u = (alpha, beta, rho)."""
-    ray = np.column_stack([u[:, :2], np.ones(len(u))])
-    q = np.einsum("fmij,fj->fmi", R_ia, ray) + u[:, None, 2:] * t_ia
-    z = np.where(np.abs(q[..., 2]) < 1e-3, 1e-3, q[..., 2])
-    projected = q[..., :2] / z[..., None]
-    D = np.zeros((*projected.shape, 3))
-    D[..., 0, 0] = D[..., 1, 1] = 1.0 / z
-    D[..., 2] = -projected / z[..., None]
-    by_u = np.concatenate([R_ia[..., :2], t_ia[..., None]], axis=-1)
-    r = (W @ (xy - projected)[..., None])[..., 0]
-    return r, W @ D @ by_u, q[..., 2]
+def _normal_equations(views: _Views, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Squared residuals (F,), J^T J (F, 3, 3), J^T r (F, 3), depth times rho (F, M); u (F, 3): alpha, beta, rho."""
+    R, t, W = views.R, views.t, views.W
+    F, M = t.shape[1:]
+    alpha, beta, rho = u[:, :1], u[:, 1:2], u[:, 2:]
+    q = R[:, 0] * alpha + R[:, 1] * beta + R[:, 2] + t * rho
+    depth = 1.0 / np.where(np.abs(q[2]) < 1e-3, 1e-3, q[2])
+    projected = q[:2] * depth
+    # d projected / d(alpha, beta, rho): columns of [R e1, R e2, t] through the projection
+    by_u = np.empty((2, 3, F, M))
+    by_u[:, :2] = R[:2, :2] - projected[:, None] * R[2, :2]
+    by_u[:, 2] = t[:2] - projected * t[2]
+    by_u *= depth
+    off = views.xy - projected
+    r, J = np.empty((F, 2, M)), np.empty((F, 3, 2, M))
+    for row in range(2):
+        r[:, row] = W[row, 0] * off[0] + W[row, 1] * off[1]
+        J[:, :, row] = np.swapaxes(W[row, 0] * by_u[0] + W[row, 1] * by_u[1], 0, 1)
+    rows, columns = r.reshape(F, 2 * M), J.reshape(F, 3, 2 * M)
+    H = columns @ np.swapaxes(columns, 1, 2)
+    return np.einsum("fk,fk->f", rows, rows), H, (columns @ rows[..., None])[..., 0], q[2]
