@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, inverse, se3
+from shared.geometry import FloatArray, IntArray, inverse
 from station.slam.ukf import lie
 
 
@@ -49,22 +49,36 @@ class PoseLog:
     def follow(self, frame_index: list[int], T_old: FloatArray, T_new: FloatArray, segment: int) -> None:
         """Move all poses of a segment as their keyframes (F, 4, 4) moved, blending between the two around them."""
         known = [(self._row[i], k) for k, i in enumerate(frame_index) if i in self._row]
-        if not known:
+        rows = np.flatnonzero(np.array(self._segment) == segment)
+        if not known or not len(rows):
             return
-        rows = np.array([row for row, _ in known])
-        correction = np.array([T_new[k] @ inverse(T_old[k]) for _, k in known])
-        t_key = np.array([self._t[row] for row in rows], dtype=np.float64)
-        for row in np.flatnonzero(np.array(self._segment) == segment).tolist():
-            right = int(np.clip(np.searchsorted(t_key, self._t[row]), 1, max(len(rows) - 1, 1)))
-            left = right - 1
-            if len(rows) == 1:
-                self._T[row] = correction[0] @ self._T[row]
-                continue
-            w = float(np.clip((self._t[row] - t_key[left]) / (t_key[right] - t_key[left]), 0.0, 1.0))
-            a, b = correction[left] @ self._T[row], correction[right] @ self._T[row]
-            R = a[:3, :3] @ lie.so3_exp(w * lie.so3_log(a[:3, :3].T @ b[:3, :3]))
-            self._T[row] = se3(R, (1.0 - w) * a[:3, 3] + w * b[:3, 3])
+        at = [k for _, k in known]
+        T = np.array([self._T[row] for row in rows.tolist()])
+        t = np.array(self._t, dtype=np.int64)
+        moved = follow_poses(T, t[rows], T_old[at], T_new[at], t[[row for row, _ in known]])
+        for row, pose in zip(rows.tolist(), moved, strict=True):
+            self._T[row] = pose
 
     def arrays(self) -> tuple[IntArray, FloatArray]:
         """Times (N,) and poses (N, 4, 4)."""
         return np.array(self._t, dtype=np.int64), np.array(self._T).reshape(-1, 4, 4)
+
+
+def follow_poses(T: FloatArray, t_ns: IntArray, T_old: FloatArray, T_new: FloatArray, t_key_ns: IntArray) -> FloatArray:
+    """Poses T (N, 4, 4) at t_ns moved as the F keyframes moved that are around them, blending between the two.
+
+    Args:
+        T_old, T_new: (F, 4, 4) the keyframes' poses before and after.
+        t_key_ns: (F,) ascending.
+    """
+    correction = T_new @ inverse(T_old)
+    if len(correction) == 1:
+        return np.asarray(correction[0] @ T)
+    right = np.clip(np.searchsorted(t_key_ns, t_ns), 1, len(t_key_ns) - 1)
+    left = right - 1
+    w = np.clip((t_ns - t_key_ns[left]) / (t_key_ns[right] - t_key_ns[left]), 0.0, 1.0)[:, None]
+    a, b = correction[left] @ T, correction[right] @ T
+    between = lie.so3_log(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3])
+    a[:, :3, :3] = a[:, :3, :3] @ lie.so3_exp(w * between)
+    a[:, :3, 3] = (1.0 - w) * a[:, :3, 3] + w * b[:, :3, 3]
+    return np.asarray(a)
