@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log
+from station.places.recognised import NOTHING, Recognised
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,7 @@ class Hypothesis:
     evidence_keyframe: int
     inliers: int
     number: int = 0  # stays when the hypothesis is moved, so that one can be told from another
+    recognised: Recognised = NOTHING
 
     def pose(self, T_nav_body: FloatArray) -> FloatArray:
         """T_map_body (4, 4) for an odometry pose in metres."""

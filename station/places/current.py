@@ -22,10 +22,12 @@ from station.maps.map import Place, PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
 from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
 from station.places.map_view import MapView
+from station.places.recognised import NOTHING
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
 SAMPLES = 200  # positions drawn per hypothesis
 TIE = 1.1  # centroids within 10 % of the nearest distance count as equally near
+SAME_POSE = 16.0  # squared Mahalanobis distance: 4 sigma
 ODOMETRY_GAP_S = 1.0  # after a longer silence, odometry is treated as absent
 
 
@@ -88,8 +90,8 @@ class CurrentPlaceEstimator:
         self._segment = 0
         self._t_ns: int | None = None  # up to which time the hypotheses were carried
         self._last_view: _OdometryPose | None = None  # of the last image that was evidence
-        self._evidence: dict[tuple[str, int], int] = {}  # landmark of a map -> robot time it was last recognised
         self._numbers = count(1)
+        self._memory_ns = round(self.config.landmark_memory_s * 1e9)
         self._believed: Hypothesis | None = None  # where the robot was known to be
         self._hijack_reason = ""
 
@@ -132,7 +134,7 @@ class CurrentPlaceEstimator:
         t = ours[0].t_robot_ns if t_robot_ns is None else t_robot_ns
         self._advance(t)
         T_nav_body = self._nav_body_at(t)
-        freshness = min(self._freshness(t, T_nav_body, at_least=self.config.same_view), self._novelty(ours, t))
+        freshness = self._freshness(t, T_nav_body, at_least=self.config.same_view)
         self._weigh_candidates(ours, T_nav_body, freshness)
         self._last_view = _OdometryPose(t, T_nav_body)
         return self._believe(T_nav_body)
@@ -168,7 +170,6 @@ class CurrentPlaceEstimator:
         self._unmapped = self._unmapped * (1 - confidence) + known * c.prior_unmapped
         self._normalise()
         self._last_view = None
-        self._evidence.clear()
         self._believed = None
         self._hijack_reason = reason
 
@@ -304,18 +305,21 @@ class CurrentPlaceEstimator:
         fits = [[self._fit(h, m, T_nav_body) for m in measured] for h in self._hypotheses]
         density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(measured)) * share
         at = density.sum(axis=1)  # of the image, at each hypothesis
+        again = c.deceived_again if self._hypotheses else 0.0  # the first look-alike repeats none
+        says = float(np.log((1 - false) / (false * (again or 1.0))))  # log odds, for a hypothesis that it fits
+        freshness = min(freshness, self._novelty(measured, fits, share, says))
         expected = [False] * len(candidates)
         weighed = []
         for i, h in enumerate(self._hypotheses):
             elsewhere = float(np.delete(at, i).max(initial=0.0))
-            likelihood = (1 - false) * at[i] + false * (1 - c.deceived_again + c.deceived_again * elsewhere)
+            likelihood = (1 - false) * at[i] + false * (1 - again + again * elsewhere)
             h = replace(h, weight=h.weight * float(likelihood) ** freshness)
             best = int(np.argmax(density[i]))
-            if fits[i][best].squared < 16.0:  # 4 sigma
+            if fits[i][best].squared < SAME_POSE:
                 expected[best] = True
                 h = self._corrected(h, measured[best], T_nav_body)
             weighed.append(h)
-        deceived = false * (1 - c.deceived_again + c.deceived_again * float(at.max(initial=0.0)))
+        deceived = false * (1 - again + again * float(at.max(initial=0.0)))
         believed = 1 - false**freshness  # of the weight of "lost" that turns to the candidates
         for m, p, is_expected in zip(measured, share, expected, strict=True):
             if not is_expected:
@@ -350,6 +354,11 @@ class CurrentPlaceEstimator:
         extent_m = z.extent / self._maps[self._index[z.map_id]].unit
         return float((max(extent_m, 1e-3) / self.config.even_extent_m) ** self.config.extent_exponent)
 
+    def _log_odds(self, extent_m: float) -> float:
+        """Of what is as large as this; nothing is not less than a thing that is right as often as wrong."""
+        c = self.config
+        return max(0.0, c.extent_exponent * float(np.log(max(extent_m, 1e-3) / c.even_extent_m)))
+
     def _fit(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray) -> Agreement:
         """How well a measured pose fits a hypothesis; in another map not at all."""
         if h.map_index != m.map_index:
@@ -371,6 +380,9 @@ class CurrentPlaceEstimator:
             evidence_t_robot_ns=m.localization.t_robot_ns,
             evidence_keyframe=m.localization.keyframe_index,
             inliers=m.localization.num_inliers,
+            recognised=h.recognised.since(m.localization.t_robot_ns - self._memory_ns).and_then(
+                m.localization.landmarks, m.localization.t_robot_ns
+            ),
         )
 
     def _started(self, m: _Measured, T_nav_body: FloatArray, weight: float) -> Hypothesis:
@@ -387,22 +399,32 @@ class CurrentPlaceEstimator:
             evidence_keyframe=m.localization.keyframe_index,
             inliers=m.localization.num_inliers,
             number=next(self._numbers),
+            recognised=NOTHING.and_then(m.localization.landmarks, m.localization.t_robot_ns),
         )
 
-    def _novelty(self, candidates: Sequence[Localization], t_robot_ns: int) -> float:
-        """Share of the recognised landmarks that were not evidence a moment ago.
+    def _novelty(self, measured: list[_Measured], fits: list[list[Agreement]], share: FloatArray, says: float) -> float:
+        """Weight 0..1 of an image as evidence: the share of the landmarks it recognises that are new to the hypothesis.
 
-        A piece of furniture that looks like another one deceives every image of it in the same way: it counts once.
+        While all that was recognised together is small enough for furniture that comes twice: what the whole gains by
+        it, of what the image `says` by itself (log odds). Of several candidates those count that are probably true.
         """
         c = self.config
-        seen = {(z.map_id, int(i)) for z in candidates for i in z.landmarks}
-        if not seen:
-            return 1.0
-        forget_ns = t_robot_ns - round(c.landmark_memory_s * 1e9)
-        self._evidence = {k: t for k, t in self._evidence.items() if t > forget_ns}
-        new = sum(key not in self._evidence for key in seen)
-        self._evidence.update(dict.fromkeys(seen, t_robot_ns))
-        return float(max(c.same_landmarks, new / len(seen)))
+        surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike is as large: images err one by one
+        weight, novelty = [], []
+        for j, m in enumerate(measured):
+            z, view = m.localization, self._maps[m.map_index]
+            by = [i for i, row in enumerate(fits) if row[j].squared < SAME_POSE]
+            h = self._hypotheses[max(by, key=lambda i: fits[i][j].density)] if by else None
+            before = (NOTHING if h is None else h.recognised).since(z.t_robot_ns - self._memory_ns)
+            p = view.place_map.navigation.landmarks.p_world
+            had = self._log_odds(before.extent(p) / view.unit)
+            new = before.share_of_new(z.landmarks)
+            if before.seen and says > 0 and had < surely:
+                together = before.and_then(z.landmarks, z.t_robot_ns).extent(p)
+                new = min(new, (self._log_odds(together / view.unit) - had) / says)
+            novelty.append(new)
+            weight.append(share[j] * (self._lost if h is None else h.weight))
+        return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), c.same_landmarks, 1.0))
 
     def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray, at_least: float) -> float:
         """Weight 0..1 of an image as evidence: `at_least` while it shows what the last one showed."""

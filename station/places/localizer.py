@@ -23,6 +23,7 @@ from station.places.camera_pose import CameraPose, solve_pose, solve_pose_from
 from station.places.features import FeatureExtractor, Features, extract_encoded, to_floats, to_rays
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.map_index import MapIndex
+from station.places.recognised import extent_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +204,7 @@ class Localizer:
             query=query[inlier],
             landmark=landmark[found[inlier]],
             num_matches=len(query),
-            extent=_extent(p_map[found[inlier[first_of_each]]]),
+            extent=extent_of(p_map[found[inlier[first_of_each]]]),
         )
 
     def _distinct(self, poses: list[_FoundPose]) -> list[_FoundPose]:
@@ -316,11 +317,6 @@ class _Views:
         length = np.searchsorted(self._landmark, landmark, side="right") - begin
         at = np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum())
         return self._view[at]
-
-
-def _extent(p_map: FloatArray) -> float:
-    """Median distance of points (n, 3) from their middle."""
-    return float(np.median(np.linalg.norm(p_map - np.median(p_map, axis=0), axis=1)))
 
 
 def _match(

@@ -60,14 +60,14 @@ def follow(folder: Path, frames: int) -> None:
 def test_the_file_of_a_drive_has_the_keyframes_there_was_time_for(tmp_path: Path) -> None:
     follow(tmp_path / "navigation", 4)
     pictures = DescribedPictures()
-    assert pictures.add((tmp_path / "navigation" / PICTURES).read_bytes())
+    assert pictures.add(tmp_path / "navigation" / PICTURES)
     assert [pictures.knows(encoded) for encoded in wall().navigation.keyframes.encoded] == [True] * 3 + [False] * 4
 
 
 def test_a_thinned_drive_is_described_to_its_end(tmp_path: Path) -> None:
     follow(tmp_path / "navigation", 7)
     pictures = DescribedPictures()
-    assert pictures.add((tmp_path / "navigation" / PICTURES).read_bytes())
+    assert pictures.add(tmp_path / "navigation" / PICTURES)
     assert {0, 2, 4} <= {k for k, e in enumerate(wall().navigation.keyframes.encoded) if pictures.knows(e)}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,8 +26,8 @@ def pose(x: float, y: float, yaw: float = 0.0) -> FloatArray:
     return se3(yaw_rotation(yaw), np.array([x, y, 0.0]))
 
 
-def make_map(map_id: str = "map", places: int = 3) -> PlaceMap:
-    """A drive along x from 0 to 6 m; places at x = 0, 3, 6."""
+def make_map(map_id: str = "map", places: int = 3, more: FloatArray | None = None) -> PlaceMap:
+    """A drive along x from 0 to 6 m; places at x = 0, 3, 6, a landmark each; then `more` (n, 3) landmarks."""
     camera = CameraCalibration(
         width=640, height=480, fx=500, fy=500, cx=320, cy=240, T_body_cam=tuple(se3(R_BODY_CAM, np.zeros(3)).ravel())
     )
@@ -36,10 +35,11 @@ def make_map(map_id: str = "map", places: int = 3) -> PlaceMap:
     T = np.stack([pose(x, 0.0) @ se3(R_BODY_CAM, np.zeros(3)) for x in xs])
     t = np.arange(25) * SECOND
     centroids = np.array([[3.0 * i, 0.0, 0.3] for i in range(places)]).reshape(-1, 3)
+    p_world = np.concatenate([centroids, np.zeros((0, 3)) if more is None else more])
     landmarks = Landmarks(
-        p_world=centroids,
-        rgb=np.zeros((places, 3), dtype=np.uint8),
-        cov_world=np.zeros((places, 3, 3)),
+        p_world=p_world,
+        rgb=np.zeros((len(p_world), 3), dtype=np.uint8),
+        cov_world=np.zeros((len(p_world), 3, 3)),
         observed_landmark=np.arange(places),
         observed_keyframe=np.zeros(places, dtype=np.int64),
         observed_uv_px=np.zeros((places, 2)),
@@ -241,24 +241,27 @@ def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() ->
     assert len(told) == 1 and told[0].distance_m == pytest.approx(4.75, abs=0.3)
 
 
-def deceived_by(landmarks_of_view: Callable[[int], tuple[int, ...]]) -> CurrentPlaceEstimator:
-    """Tracked at x = 0, then eight views in a row that say x = 6."""
-    estimator = CurrentPlaceEstimator(make_map())
+def deceived_by(things: FloatArray) -> CurrentPlaceEstimator:
+    """Tracked at x = 0 for three views of a wall, then eight views, each of the next 60 of these things at x = 6."""
+    wall = np.stack([np.zeros(60), np.linspace(-0.8, 0.8, 60), np.full(60, 0.5)], axis=1)
+    estimator = CurrentPlaceEstimator(make_map(more=np.concatenate([wall, things])))
     estimator.on_odometry(0, pose(0, 0))
-    for k in range(3):
+    for k in range(11):
         estimator.on_odometry(k * SECOND + 1, pose(0, 0, 0.3 * k))
-        estimator.on_localization(seen(k, pose(0, 0, 0.3 * k), landmarks=(1000 + k,)))
-    for k in range(3, 11):
-        estimator.on_odometry(k * SECOND + 1, pose(0, 0, 0.3 * k))
-        estimator.on_localization(seen(k, pose(6.0, 0.0, 0.3 * k), inliers=60, landmarks=landmarks_of_view(k)))
+        at, first, extent_m = (0.0, 3, 0.4) if k < 3 else (6.0, 63 + 60 * (k - 3), 0.15)
+        shown = tuple(range(first, first + 60))
+        estimator.on_localization(seen(k, pose(at, 0.0, 0.3 * k), inliers=60, landmarks=shown, extent=extent_m))
     return estimator
 
 
 def test_one_piece_of_furniture_deceives_once_but_many_things_convince() -> None:
-    one = deceived_by(lambda k: tuple(range(60))).answer(11 * SECOND)
-    assert one.place is not None and one.place.id == "map-0"
-    many = deceived_by(lambda k: tuple(range(60 * k, 60 * k + 60))).answer(11 * SECOND)
-    assert many.place is not None and many.place.id == "map-2"
+    rng = np.random.default_rng(0)
+    furniture = np.array([6.5, 0.0, 0.5]) + rng.uniform(-0.15, 0.15, (480, 3))  # comes into view bit by bit
+    one = deceived_by(furniture).answer(11 * SECOND)
+    assert one.place is None or one.place.id == "map-0"
+    many = furniture + np.repeat(np.stack([np.zeros(8), np.linspace(0, 3, 8), np.zeros(8)], axis=1), 60, axis=0)
+    convinced = deceived_by(many).answer(11 * SECOND)
+    assert convinced.place is not None and convinced.place.id == "map-2"
 
 
 def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:
