@@ -16,6 +16,7 @@ import numpy as np
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray
 from station.slam.ukf import lie
+from station.slam.ukf.roots import shrink, triangular
 from station.slam.ukf.state import (
     BIAS_ACCEL,
     BIAS_GYRO,
@@ -27,7 +28,6 @@ from station.slam.ukf.state import (
     FilterState,
     difference_group,
     retract_group,
-    triangular,
 )
 
 
@@ -68,18 +68,20 @@ def integrate(
     rate = imu.gyro[:, None] - bias_gyro[None]  # (N, K, 3)
     force = imu.accel[:, None] - bias_accel[None]
     turn = rate * dt[..., None]
-    dR = lie.so3_exp(turn)
-    dv = (lie.so3_left_jacobian(turn) @ force[..., None])[..., 0] * dt[..., None]
-    dx = (lie.gamma2(turn) @ force[..., None])[..., 0] * (dt * dt)[..., None]
+    dR, once, twice = lie.gammas(turn, (0, 1, 2))
+    dv = (once @ force[..., None])[..., 0] * dt[..., None]
+    dx = (twice @ force[..., None])[..., 0] * (dt * dt)[..., None]
     fall = np.array([0.0, 0.0, -gravity])
     N, K = len(imu.dt_s), len(R)
     Rs, vs, xs = np.empty((N + 1, K, 3, 3)), np.empty((N + 1, K, 3)), np.empty((N + 1, K, 3))
     Rs[0], vs[0], xs[0] = R, v, x
     for k in range(N):
-        h = imu.dt_s[k]
-        Rs[k + 1] = Rs[k] @ dR[k]
-        vs[k + 1] = vs[k] + (Rs[k] @ dv[k][..., None])[..., 0] + fall * h
-        xs[k + 1] = xs[k] + vs[k] * h + (Rs[k] @ dx[k][..., None])[..., 0] + fall * (0.5 * h * h)
+        np.matmul(Rs[k], dR[k], out=Rs[k + 1])
+    turned = Rs[:-1]
+    step_v = (turned @ dv[..., None])[..., 0] + fall * dt[..., None]
+    vs[1:] = v + np.cumsum(step_v, axis=0)
+    step_x = (turned @ dx[..., None])[..., 0] + vs[:-1] * dt[..., None] + fall * (0.5 * dt * dt)[..., None]
+    xs[1:] = x + np.cumsum(step_x, axis=0)
     return Rs, vs, xs
 
 
@@ -87,10 +89,9 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
     """The state at the end of the segment."""
     if len(imu.dt_s) == 0:
         return state
-    if config.error is not ErrorKind.RIGHT:
-        L = triangular(state.S)
-    else:
-        L = bias_first(state.S) if config.use_sigma_points else state.S
+    # Only the first columns may move the first rows: the biases' six, or all fifteen that become sigma points.
+    leading = 6 if config.error is ErrorKind.RIGHT else CORE
+    L = shrink(state.S) if state.S[:leading, leading:].any() else state.S
     spread = config.spread
     is_right = config.error is ErrorKind.RIGHT
     active = 0 if not config.use_sigma_points else (6 if is_right else CORE)
@@ -153,21 +154,9 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
         R=R_end,
         v=v_end,
         x=x_end,
-        S=triangular(np.concatenate(columns, axis=1)),
+        S=shrink(np.concatenate(columns, axis=1)),
         omega_body=imu.end_gyro - state.bias_gyro,
     )
-
-
-def bias_first(S: FloatArray) -> FloatArray:
-    """The same square root with zeros right of the diagonal in its six bias rows: six Householder reflections."""
-    S = S.copy()
-    for row in range(6):
-        v = S[row, row:].copy()
-        v[0] += np.copysign(np.linalg.norm(v), v[0])
-        size = float(v @ v)
-        if size > 0.0:
-            S[:, row:] -= np.outer(S[:, row:] @ v, v * (2.0 / size))
-    return S
 
 
 def _landmark_rows(p: FloatArray, phi_columns: FloatArray) -> FloatArray:

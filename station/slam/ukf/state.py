@@ -89,11 +89,6 @@ class FilterState:
         return np.vstack([self.v, self.x, self.landmark_p])
 
 
-def triangular(S: FloatArray) -> FloatArray:
-    """Lower-triangular square root (n, n) of S S^T, by QR: the covariance itself is never formed."""
-    return np.ascontiguousarray(np.asarray(np.linalg.qr(S.T, mode="r")).T)
-
-
 def initial_state(
     t_imu_ns: int,
     R: FloatArray,

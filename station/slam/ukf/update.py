@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
 from scipy.stats import chi2
 
 from shared.geometry import FloatArray
 from station.slam.frontend.lens import BoolArray
+from station.slam.ukf.roots import InformationRoot
 from station.slam.ukf.state import ErrorKind, FilterState, retract
 
 MAX_DOF = 120
@@ -51,12 +51,9 @@ def update(state: FilterState, kind: ErrorKind, measurements: Measurements) -> F
     r, A = measurements.r, measurements.A
     if len(r) == 0:
         return state
-    M = A.T @ A
-    M[np.diag_indices_from(M)] += 1.0
-    C = np.linalg.cholesky(M)
-    dx = state.S @ cho_solve((C, True), A.T @ r, check_finite=False)
-    S = solve_triangular(C, state.S.T, lower=True, check_finite=False).T
-    return retract(kind, replace(state, S=np.ascontiguousarray(S)), dx)
+    M = InformationRoot(A)
+    dx = state.S @ M.solve(A.T @ r)
+    return retract(kind, replace(state, S=M.divide(state.S)), dx)
 
 
 def mahalanobis(r: FloatArray, A: FloatArray) -> FloatArray:
