@@ -11,6 +11,7 @@ import numpy as np
 
 from shared.geometry import FloatArray
 
+DIAGONAL = np.arange(3)
 SMALL = 1e-4  # rad; below it the series with terms up to angle^4 are exact to double precision
 
 
@@ -23,8 +24,8 @@ def skew(v: FloatArray) -> FloatArray:
     return S
 
 
-def _gamma(phi: FloatArray, order: int) -> FloatArray:
-    """Gamma_m(phi) = sum_n [phi]x^n / (n + m)!: the exponential (m = 0) and its m-fold integrals over time.
+def gammas(phi: FloatArray, orders: tuple[int, ...]) -> list[FloatArray]:
+    """Gamma_m(phi) = sum_n [phi]x^n / (n + m)! for m of 0, 1, 2: the exponential and its m-fold integrals over time.
 
     Source: Bloesch et al., RSS 2012, appendix.
     """
@@ -34,37 +35,40 @@ def _gamma(phi: FloatArray, order: int) -> FloatArray:
     t = np.where(near, 1.0, theta)
     t2 = t * t
     sin, cos = np.sin(t), np.cos(t)
-    if order == 0:
-        a = np.where(near, 1.0 - theta2 / 6.0, sin / t)
-        b = np.where(near, 0.5 - theta2 / 24.0, (1.0 - cos) / t2)
-        c = 1.0
-    elif order == 1:
-        a = np.where(near, 0.5 - theta2 / 24.0, (1.0 - cos) / t2)
-        b = np.where(near, 1.0 / 6.0 - theta2 / 120.0, (t - sin) / (t2 * t))
-        c = 1.0
-    else:
-        a = np.where(near, 1.0 / 6.0 - theta2 / 120.0, (t - sin) / (t2 * t))
-        # 0.5 t^2 + cos - 1 loses all digits below about 0.1 rad: series to t^4 there
-        series = 1.0 / 24.0 - theta2 / 720.0 + theta2 * theta2 / 40320.0
-        b = np.where(theta < 0.1, series, (0.5 * t2 + cos - 1.0) / (t2 * t2))
-        c = 0.5
     S = skew(phi)
-    return c * np.eye(3) + a[..., None, None] * S + b[..., None, None] * (S @ S)
+    SS = S @ S
+    result = []
+    for order in orders:
+        if order == 0:
+            a = np.where(near, 1.0 - theta2 / 6.0, sin / t)
+            b = np.where(near, 0.5 - theta2 / 24.0, (1.0 - cos) / t2)
+        elif order == 1:
+            a = np.where(near, 0.5 - theta2 / 24.0, (1.0 - cos) / t2)
+            b = np.where(near, 1.0 / 6.0 - theta2 / 120.0, (t - sin) / (t2 * t))
+        else:
+            a = np.where(near, 1.0 / 6.0 - theta2 / 120.0, (t - sin) / (t2 * t))
+            # 0.5 t^2 + cos - 1 loses all digits below about 0.1 rad: series to t^4 there
+            series = 1.0 / 24.0 - theta2 / 720.0 + theta2 * theta2 / 40320.0
+            b = np.where(theta < 0.1, series, (0.5 * t2 + cos - 1.0) / (t2 * t2))
+        gamma = a[..., None, None] * S + b[..., None, None] * SS
+        gamma[..., DIAGONAL, DIAGONAL] += 0.5 if order == 2 else 1.0
+        result.append(gamma)
+    return result
 
 
 def so3_exp(phi: FloatArray) -> FloatArray:
     """Rotations (..., 3, 3) of rotation vectors (..., 3). Thesis eq. B.2."""
-    return _gamma(phi, 0)
+    return gammas(phi, (0,))[0]
 
 
 def so3_left_jacobian(phi: FloatArray) -> FloatArray:
     """J (..., 3, 3) with exp(phi + d) = exp(J d) exp(phi) to first order. Barfoot, State Estimation, eq. 7.77."""
-    return _gamma(phi, 1)
+    return gammas(phi, (1,))[0]
 
 
 def gamma2(phi: FloatArray) -> FloatArray:
     """Gamma_2 (..., 3, 3): position after unit time under a turning unit acceleration."""
-    return _gamma(phi, 2)
+    return gammas(phi, (2,))[0]
 
 
 def so3_log(R: FloatArray) -> FloatArray:
@@ -109,8 +113,8 @@ def so3_left_jacobian_inverse(phi: FloatArray) -> FloatArray:
 
 def exp(phi: FloatArray, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Group element (R, X) of the algebra element phi (..., 3), xi (..., k, 3)."""
-    J = so3_left_jacobian(phi)
-    return so3_exp(phi), xi @ np.swapaxes(J, -1, -2)
+    R, J = gammas(phi, (0, 1))
+    return R, xi @ np.swapaxes(J, -1, -2)
 
 
 def log(R: FloatArray, X: FloatArray) -> tuple[FloatArray, FloatArray]:
