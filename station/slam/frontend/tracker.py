@@ -118,9 +118,16 @@ class Tracker:
         predicted_uv = np.where(in_front[:, None], self.lens.project(predicted_xy), self._uv)
         old = self._uv.astype(np.float32).reshape(-1, 1, 2)
         new, found = _flow(
-            previous, grey, old, predicted_uv.astype(np.float32).reshape(-1, 1, 2), config, config.pyramid_levels
+            previous,
+            grey,
+            old,
+            predicted_uv.astype(np.float32).reshape(-1, 1, 2),
+            config,
+            config.pyramid_levels,
+            LK_EPSILON_PX,
         )
-        back, found_back = _flow(grey, previous, new, old.copy(), config, 1)  # starts at its goal: needs no reach
+        # Starts at its goal: needs no reach; and only whether it stays near is asked.
+        back, found_back = _flow(grey, previous, new, old, config, 1, 0.1 * config.forward_backward_px)
         distance = np.linalg.norm((back - old).reshape(-1, 2), axis=1)
         uv = np.asarray(new, dtype=np.float64).reshape(-1, 2)
         good = found & found_back & (distance < config.forward_backward_px) & np.isfinite(uv).all(axis=1)
@@ -166,13 +173,14 @@ def _flow(
     start: PointsArray,
     config: TrackerConfig,
     levels: int,
+    epsilon_px: float,
 ) -> tuple[PointsArray, BoolArray]:
     """Lucas-Kanade from image a to b, starting at `start`."""
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
         a, b, points, start.copy(),
         winSize=(config.window_px, config.window_px),
         maxLevel=levels,
-        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, LK_EPSILON_PX),
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, epsilon_px),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-4,
     )  # fmt: skip
