@@ -149,7 +149,7 @@ class UkfBackend:
             return self._lose(reason, current.t_imu_ns, frame)
         memory.poses.add(frame.index, current.t_imu_ns, vio.state.T_world_body, memory.segment)
         new_points = [memory.retire(retired, vio.state) for retired in result.retired]
-        if result.new_landmark_ids.size:
+        if self._config.landmarks == "thesis":
             memory.live.entered(result.new_landmark_ids, vio.state)
         points = [p for p in new_points if p is not None]
         return self._update(
