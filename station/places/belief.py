@@ -77,6 +77,7 @@ class Hypothesis:
     inliers: int
     number: int = 0  # stays when the hypothesis is moved, so that one can be told from another
     recognised: Recognised = NOTHING
+    credited: float = 0.0  # log odds that were counted for what is recognised
 
     def pose(self, T_nav_body: FloatArray) -> FloatArray:
         """T_map_body (4, 4) for an odometry pose in metres."""

@@ -22,7 +22,7 @@ from station.maps.map import Place, PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
 from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
 from station.places.map_view import MapView
-from station.places.recognised import NOTHING
+from station.places.recognised import NOTHING, Recognised
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
 SAMPLES = 200  # positions drawn per hypothesis
@@ -165,7 +165,9 @@ class CurrentPlaceEstimator:
         c = self.config
         known = sum(h.weight for h in self._hypotheses) * confidence
         known += (self._lost + self._unmapped) * confidence
-        self._hypotheses = [replace(h, weight=h.weight * (1 - confidence)) for h in self._hypotheses]
+        self._hypotheses = [  # put down where it was, the robot is recognised anew
+            replace(h, weight=h.weight * (1 - confidence), recognised=NOTHING, credited=0.0) for h in self._hypotheses
+        ]
         self._lost = self._lost * (1 - confidence) + known * c.prior_lost
         self._unmapped = self._unmapped * (1 - confidence) + known * c.prior_unmapped
         self._normalise()
@@ -308,6 +310,7 @@ class CurrentPlaceEstimator:
         again = c.deceived_again if self._hypotheses else 0.0  # the first look-alike repeats none
         says = float(np.log((1 - false) / (false * (again or 1.0))))  # log odds, for a hypothesis that it fits
         freshness = min(freshness, self._novelty(measured, fits, share, says))
+        counted = freshness * max(0.0, says)
         expected = [False] * len(candidates)
         weighed = []
         for i, h in enumerate(self._hypotheses):
@@ -317,13 +320,13 @@ class CurrentPlaceEstimator:
             best = int(np.argmax(density[i]))
             if fits[i][best].squared < SAME_POSE:
                 expected[best] = True
-                h = self._corrected(h, measured[best], T_nav_body)
+                h = self._corrected(h, measured[best], T_nav_body, counted)
             weighed.append(h)
         deceived = false * (1 - again + again * float(at.max(initial=0.0)))
         believed = 1 - false**freshness  # of the weight of "lost" that turns to the candidates
         for m, p, is_expected in zip(measured, share, expected, strict=True):
             if not is_expected:
-                weighed.append(self._started(m, T_nav_body, self._lost * believed * float(p)))
+                weighed.append(self._started(m, T_nav_body, self._lost * believed * float(p), counted))
         self._lost *= deceived**freshness
         self._unmapped *= deceived**freshness
         self._hypotheses = weighed
@@ -368,9 +371,10 @@ class CurrentPlaceEstimator:
         sigma_rad = float(np.hypot(h.sigma_rad, self.config.pose_floor_rad))
         return agreement(h.pose(T_nav_body), m.T_map_body, sigma_m, sigma_rad, view.area_m2, view.unit)
 
-    def _corrected(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray) -> Hypothesis:
+    def _corrected(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray, counted: float) -> Hypothesis:
         """The hypothesis after a measurement that it expected."""
         gain = h.sigma_m**2 / (h.sigma_m**2 + m.sigma_m**2)
+        before = h.recognised.since(m.localization.t_robot_ns - self._memory_ns)
         gain_heading = h.sigma_rad**2 / (h.sigma_rad**2 + self.config.pose_floor_rad**2)
         T = fused(h.pose(T_nav_body), m.T_map_body, gain, gain_heading)
         return replace(
@@ -380,12 +384,11 @@ class CurrentPlaceEstimator:
             evidence_t_robot_ns=m.localization.t_robot_ns,
             evidence_keyframe=m.localization.keyframe_index,
             inliers=m.localization.num_inliers,
-            recognised=h.recognised.since(m.localization.t_robot_ns - self._memory_ns).and_then(
-                m.localization.landmarks, m.localization.t_robot_ns
-            ),
+            recognised=before.and_then(m.localization.landmarks, m.localization.t_robot_ns),
+            credited=(h.credited if before.seen else 0.0) + counted,
         )
 
-    def _started(self, m: _Measured, T_nav_body: FloatArray, weight: float) -> Hypothesis:
+    def _started(self, m: _Measured, T_nav_body: FloatArray, weight: float, counted: float) -> Hypothesis:
         """A new hypothesis: the robot is where this measurement says."""
         unit = self._maps[m.map_index].unit
         return Hypothesis(
@@ -400,31 +403,44 @@ class CurrentPlaceEstimator:
             inliers=m.localization.num_inliers,
             number=next(self._numbers),
             recognised=NOTHING.and_then(m.localization.landmarks, m.localization.t_robot_ns),
+            credited=counted,
         )
 
     def _novelty(self, measured: list[_Measured], fits: list[list[Agreement]], share: FloatArray, says: float) -> float:
         """Weight 0..1 of an image as evidence: the share of the landmarks it recognises that are new to the hypothesis.
 
-        While all that was recognised together is small enough for furniture that comes twice: what the whole gains by
-        it, of what the image `says` by itself (log odds). Of several candidates those count that are probably true.
+        While all that was recognised together is small enough for furniture that comes twice, the whole has a budget:
+        what is as large as it is worth, of which the image may count what was not counted yet. `says`: what it is worth
+        by itself (log odds). Of several candidates those count that are probably true.
         """
         c = self.config
         surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike is as large: images err one by one
         weight, novelty = [], []
         for j, m in enumerate(measured):
             z, view = m.localization, self._maps[m.map_index]
-            by = [i for i, row in enumerate(fits) if row[j].squared < SAME_POSE]
-            h = self._hypotheses[max(by, key=lambda i: fits[i][j].density)] if by else None
-            before = (NOTHING if h is None else h.recognised).since(z.t_robot_ns - self._memory_ns)
-            p = view.place_map.navigation.landmarks.p_world
-            had = self._log_odds(before.extent(p) / view.unit)
-            new = before.share_of_new(z.landmarks)
-            if before.seen and says > 0 and had < surely:
-                together = before.and_then(z.landmarks, z.t_robot_ns).extent(p)
-                new = min(new, (self._log_odds(together / view.unit) - had) / says)
+            h = self._expects(fits, j)
+            before = self._recognised_before(h, m.map_index, z.t_robot_ns)
+            together = before.and_then(z.landmarks, z.t_robot_ns)
+            worth = self._log_odds(together.extent(view.place_map.navigation.landmarks.p_world) / view.unit)
+            new = max(before.share_of_new(z.landmarks), c.same_landmarks)
+            if h is not None and before.seen and says > 0 and worth < surely:
+                new = min(new, max(0.0, worth - h.credited) / says)
             novelty.append(new)
             weight.append(share[j] * (self._lost if h is None else h.weight))
-        return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), c.same_landmarks, 1.0))
+        return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
+
+    def _expects(self, fits: list[list[Agreement]], candidate: int) -> Hypothesis | None:
+        """The hypothesis that a candidate fits best."""
+        by = [i for i, row in enumerate(fits) if row[candidate].squared < SAME_POSE]
+        return self._hypotheses[max(by, key=lambda i: fits[i][candidate].density)] if by else None
+
+    def _recognised_before(self, h: Hypothesis | None, map_index: int, t_robot_ns: int) -> Recognised:
+        """By a hypothesis; for a candidate that none expects, by any: a look-alike's pose may scatter."""
+        seen = NOTHING
+        for other in self._hypotheses if h is None else (h,):
+            if other.map_index == map_index:
+                seen |= other.recognised
+        return seen.since(t_robot_ns - self._memory_ns)
 
     def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray, at_least: float) -> float:
         """Weight 0..1 of an image as evidence: `at_least` while it shows what the last one showed."""

@@ -25,8 +25,12 @@ class Recognised:
         return Recognised({landmark: t for landmark, t in self.seen.items() if t > t_robot_ns})
 
     def and_then(self, landmarks: IntArray, t_robot_ns: int) -> Recognised:
-        """With these (n,) too."""
-        return Recognised({**self.seen, **dict.fromkeys(landmarks.tolist(), t_robot_ns)})
+        """With these (n,) too; images may come late."""
+        return self | Recognised(dict.fromkeys(landmarks.tolist(), t_robot_ns))
+
+    def __or__(self, other: Recognised) -> Recognised:
+        both = {**self.seen, **other.seen}
+        return Recognised({k: max(t, self.seen.get(k, t)) for k, t in both.items()})
 
     def share_of_new(self, landmarks: IntArray) -> float:
         """Of landmarks (n,), those that are not among these; of none all."""
