@@ -14,8 +14,6 @@ from shared.geometry import FloatArray
 from station.slam.ukf import lie
 from station.slam.ukf.propagation import ImuSegment, integrate
 
-BIAS_STEP = 1e-5  # rad/s and m/s^2, for derivatives by central differences
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preintegration:
@@ -47,47 +45,63 @@ class Preintegration:
 
 
 def preintegrate(imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> Preintegration:
-    """Integrate a segment from identity, with derivatives by the bias and covariance."""
-    steps = np.concatenate([np.zeros((1, 6)), np.eye(6) * BIAS_STEP, -np.eye(6) * BIAS_STEP])
-    biases = bias + steps
-    zero = np.zeros((13, 3))
-    identity = np.broadcast_to(np.eye(3), (13, 3, 3))
-    Rs, vs, ps = integrate(identity, zero, zero, biases[:, :3], biases[:, 3:], imu, 0.0)
-    turn = lie.so3_log(Rs[-1, 0].T @ Rs[-1, 1:])
-    cov = _covariance(Rs[:, 0], imu, bias, noise)
+    """Integrate a segment from identity, with derivatives by the bias and covariance.
+
+    All sums over the steps at once: what step k does to the end follows from the poses after it and at the end
+    (Forster et al., eqs. 44, A.9 in closed form; products of a step's own turn with itself are left out).
+    """
+    zero = np.zeros((1, 3))
+    Rs, vs, ps = (
+        a[:, 0] for a in integrate(np.eye(3)[None], zero, zero, bias[None, :3], bias[None, 3:], imu, 0.0)
+    )  # (N + 1, ...)
+    turn = (imu.gyro - bias[:3]) * imu.dt_s[:, None]
+    force = imu.accel - bias[3:]
+    once, twice, right = *lie.gammas(turn, (1, 2)), lie.so3_left_jacobian(-turn)
+    dt = imu.dt_s[:, None, None]
+    R, force_x = Rs[:-1], lie.skew(force)
+
+    R_after_right = Rs[1:] @ right
+    by_gyro = -np.swapaxes(Rs, 1, 2) @ _sums(R_after_right * dt)  # (N + 1, 3, 3): each rotation's derivative
+    step_v = -R @ (lie.skew((once @ force[..., None])[..., 0]) @ by_gyro[:-1] - (0.5 * dt) * force_x)
+    v_by_bias = _sums(np.concatenate([step_v, -R @ once], axis=2) * dt)  # (N + 1, 3, 6)
+    step_p = -R @ (lie.skew((twice @ force[..., None])[..., 0]) @ by_gyro[:-1] - (dt / 6.0) * force_x)
+    p_by_bias = np.sum(v_by_bias[:-1] * dt + np.concatenate([step_p, -R @ twice], axis=2) * dt * dt, axis=0)
     return Preintegration(
         duration_s=float(imu.dt_s.sum()),
-        dR=Rs[-1, 0],
-        dv=vs[-1, 0],
-        dp=ps[-1, 0],
-        dR_by_bias=((turn[:3] - turn[6:9]) / (2.0 * BIAS_STEP)).T,
-        dv_by_bias=((vs[-1, 1:7] - vs[-1, 7:]) / (2.0 * BIAS_STEP)).T,
-        dp_by_bias=((ps[-1, 1:7] - ps[-1, 7:]) / (2.0 * BIAS_STEP)).T,
-        covariance=cov,
+        dR=Rs[-1],
+        dv=vs[-1],
+        dp=ps[-1],
+        dR_by_bias=by_gyro[-1],
+        dv_by_bias=v_by_bias[-1],
+        dp_by_bias=p_by_bias,
+        covariance=_covariance(Rs, vs, ps, R_after_right, imu, noise),
         bias=bias,
     )
 
 
-def _covariance(Rs: FloatArray, imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> FloatArray:
-    """(9, 9) of (phi on the right, v, p). Forster et al., eq. A.9."""
-    turn = (imu.gyro - bias[:3]) * imu.dt_s[:, None]
+def _sums(steps: FloatArray) -> FloatArray:
+    """Sums (N + 1, ...) of the first 0, 1, ... N steps."""
+    return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
+
+
+def _covariance(
+    Rs: FloatArray, vs: FloatArray, ps: FloatArray, R_after_right: FloatArray, imu: ImuSegment, noise: ImuNoise
+) -> FloatArray:
+    """(9, 9) of (phi on the right, v, p): what the white noise of every step does to the end."""
     dt = imu.dt_s[:, None, None]
-    A = np.broadcast_to(np.eye(9), (len(turn), 9, 9)).copy()
-    A[:, :3, :3] = np.swapaxes(lie.so3_exp(turn), 1, 2)
-    A[:, 3:6, :3] = -dt * (Rs[:-1] @ lie.skew(imu.accel - bias[3:]))
-    A[:, 6:, :3] = 0.5 * dt * A[:, 3:6, :3]
-    A[:, 6:, 3:6] = dt * np.eye(3)
-    B = np.zeros((len(turn), 9, 6))
-    B[:, :3, :3] = lie.so3_left_jacobian(-turn)
+    left = (imu.dt_s[::-1].cumsum()[::-1] - imu.dt_s)[:, None]  # from the end of the step to the end of the segment
+    B = np.zeros((len(imu.dt_s), 9, 6))
+    B[:, :3, :3] = Rs[-1].T @ R_after_right
+    B[:, 3:6, :3] = -lie.skew(vs[-1] - vs[1:]) @ R_after_right
+    B[:, 6:, :3] = -lie.skew(ps[-1] - ps[1:] - vs[1:] * left) @ R_after_right
     B[:, 3:6, 3:] = Rs[:-1]
-    B[:, 6:, 3:] = 0.5 * dt * Rs[:-1]
+    B[:, 6:, 3:] = (0.5 * dt + left[..., None]) * Rs[:-1]
     density = np.repeat(np.array([noise.gyro_density, noise.accel_density]) * imu.noise_scale, 3, axis=1)
-    Q = (B * (density**2 * imu.dt_s[:, None])[:, None, :]) @ np.swapaxes(B, 1, 2)
-    P = np.zeros((9, 9))
-    for step, added in zip(A, Q, strict=True):
-        P = step @ P @ step.T + added
+    B *= (density * np.sqrt(imu.dt_s)[:, None])[:, None, :]
+    flat = np.swapaxes(B, 0, 1).reshape(9, -1)
+    P = flat @ flat.T
     P[6:, 6:] += np.eye(3) * 1e-12
-    return P + np.eye(9) * 1e-14
+    return np.asarray(P + np.eye(9) * 1e-14)
 
 
 def chain(a: Preintegration, b: Preintegration) -> Preintegration:
