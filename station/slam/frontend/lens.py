@@ -24,25 +24,28 @@ class Lens:
 
     def __init__(self, camera: CameraCalibration) -> None:
         self.camera = camera
-        self._focal = np.array([camera.fx, camera.fy])
+        self.focal = np.array([camera.fx, camera.fy])
         self._centre = np.array([camera.cx, camera.cy])
         self._d = camera.distortion
 
     def project(self, xy: FloatArray) -> FloatArray:
         """Pixels (..., 2) of the normalised coordinates (..., 2)."""
-        return self._distort(xy)[0] * self._focal + self._centre
+        return self._distort(xy)[0] * self.focal + self._centre
 
     def project_with_jacobian(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (..., 2) and their derivative (..., 2, 2) by the normalised coordinates."""
         distorted, J = self._distort(xy)
-        return distorted * self._focal + self._centre, J * self._focal[:, None]
+        return distorted * self.focal + self._centre, J * self.focal[:, None]
 
-    def unproject(self, uv_px: FloatArray) -> FloatArray:
-        """Normalised coordinates (..., 2) of pixels (..., 2). Where the lens model ends, the nearest it can say."""
-        target = (np.asarray(uv_px, dtype=np.float64) - self._centre) / self._focal
+    def unproject(self, uv_px: FloatArray, near: FloatArray | None = None) -> FloatArray:
+        """Normalised coordinates (..., 2) of pixels (..., 2). Where the lens model ends, the nearest it can say.
+
+        near: (..., 2) about where they are, which saves steps.
+        """
+        target = (np.asarray(uv_px, dtype=np.float64) - self._centre) / self.focal
         if self.camera.model == "equidistant":
             return self._undistort_equidistant(target)
-        xy = target.copy()
+        xy = target.copy() if near is None else near
         for _ in range(NEWTON_STEPS):
             distorted, J = self._distort(xy)
             error = target - distorted
@@ -66,7 +69,7 @@ class Lens:
 
     def whitening(self, xy: FloatArray, sigma_px: float) -> FloatArray:
         """(..., 2, 2) that turns a small difference of normalised coordinates into pixels over sigma_px."""
-        return self._distort(xy)[1] * (self._focal[:, None] / sigma_px)
+        return self._distort(xy)[1] * (self.focal[:, None] / sigma_px)
 
     def is_inside(self, uv_px: FloatArray, margin_px: float = 0.0) -> BoolArray:
         """Whether pixels (..., 2) lie in the image, margin_px away from its border."""

@@ -133,7 +133,8 @@ class Tracker:
         good = found & found_back & (distance < config.forward_backward_px) & np.isfinite(uv).all(axis=1)
         good &= self.lens.is_inside(np.where(good[:, None], uv, -1e3), config.border_px)
         index = np.flatnonzero(good)
-        xy = self.lens.unproject(uv[index])
+        near = predicted_xy[index] + (uv[index] - predicted_uv[index]) / self.lens.focal
+        xy = self.lens.unproject(uv[index], near if in_front[index].all() else None)
         threshold_px = config.epipolar_px if is_bias_known else config.epipolar_unbiased_px
         inlier = epipolar_inliers(self._xy[index], xy, R_prev_cur, threshold_px / self.lens.camera.fx, rng)
         inlier &= self.lens.is_invertible(uv[index], xy)
