@@ -113,8 +113,8 @@ def purge_map(
         raise DataError(f"purging {map_id} cannot be undone; add --yes")
     from station.maps.checking import purge_versions
 
-    purge_versions(open_store(data, config), map_id)
-    print(f"the earlier versions of {map_id} are gone")
+    for sentence in purge_versions(open_store(data, config), map_id):
+        print(sentence)
 
 
 def verify_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:

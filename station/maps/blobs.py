@@ -9,6 +9,7 @@ from station.maps.address import address_of, heal, is_whole
 from station.maps.bucket import SCRATCH, Bucket
 
 FOLDER = "blobs"
+RENEWED_AFTER_S = 12 * 3600.0
 Tell = Callable[[str], None]
 
 
@@ -28,12 +29,17 @@ class Blobs:
         return self._bucket
 
     def put(self, contents: Iterable[bytes]) -> list[str]:
-        """Their addresses, in order. What is there already, whole, is not written again."""
+        """Their addresses, in order. What is there already, whole and young, is not written again.
+
+        What nobody needed for long may be tidied away at any moment: written again it is young.
+        """
         named = [(address_of(data), data) for data in contents]
         missing = {
             blob_name(address): data
             for address, data in dict(named).items()
-            if (there := self._bucket.get(blob_name(address))) is None or not is_whole(there, address)
+            if (there := self._bucket.get(blob_name(address))) is None
+            or not is_whole(there, address)
+            or self._age_s(address) > RENEWED_AFTER_S
         }
         self._bucket.put(missing)
         return [address for address, _ in named]
@@ -41,6 +47,17 @@ class Blobs:
     def get(self, address: str, what: str) -> bytes:
         """The bytes; `what` is what the sentence calls them. Raises Damaged when they are missing or wrong."""
         return read_checked(self._bucket, blob_name(address), address, what, self._tell)
+
+    def remove(self, address: str, older_than_s: float) -> bool:
+        """Unless it was written again meanwhile."""
+        if self._age_s(address) <= older_than_s:
+            return False
+        self._bucket.remove(blob_name(address))
+        return True
+
+    def _age_s(self, address: str) -> float:
+        name = blob_name(address)
+        return next((age_s for other, age_s in self._bucket.names(name.rpartition("/")[0]) if other == name), 0.0)
 
     def addresses(self) -> Iterator[tuple[str, float]]:
         """All that are there, with their age in seconds."""

@@ -195,6 +195,8 @@ class Database:
             if isinstance(exc, OperationalError):
                 raise DataError(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc
             raise IndexDamaged(f"{self.place} is damaged ({reason})") from exc
+        except UnicodeDecodeError as exc:  # sqlite3 quotes the damaged text in its own error, and cannot
+            raise IndexDamaged(f"{self.place} is damaged (it holds text that is none)") from exc
         except OSError as exc:
             raise cannot_write(self.place, exc) from exc
 

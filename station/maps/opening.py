@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shared.errors import DataError
 from station.maps import versions
-from station.maps.blobs import Damaged, read_checked
 from station.maps.bucket import Unwritable
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder
-from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
+from station.maps.record import FOLDER, MapRecord
+from station.maps.unclaimed import newer, read_all, without_row
 from station.maps.versions import VersionRow, row_of
 
 if TYPE_CHECKING:
@@ -62,65 +61,25 @@ def take_in_records(store: MapStore) -> list[VersionRow]:
         rows = versions.all_rows(connection)
     if any(not row.is_sealed for row in rows):
         raise IndexDamaged(f"{store.database.place} is damaged (a row's seal differs)")
-    if not _without_row(store, rows):
+    if not newer(without_row(store, rows), rows):
         return []
     with store.database.writing(FOLDER) as connection:
+        rows = versions.all_rows(connection)
         found: dict[tuple[str, int], tuple[MapRecord, VersionRow]] = {}
         there = {address for address, _ in store.blobs.addresses()}
-        for _, _, name, address in _without_row(store, versions.all_rows(connection)):
-            try:
-                data = read_checked(store.bucket, name, address, name, store.tell)
-                record = decode_record(data, name)
-            except Damaged as exc:
-                store.tell(str(exc))
+        for one in read_all(store, newer(without_row(store, rows), rows)):
+            if one.record is None:
+                store.tell(one.sentence)
                 continue
-            other = found.get((record.map_id, record.number))
+            key = one.file.map_id, one.file.number
             # Two of one number: the later one was committed, the other's writer was killed before.
-            if {ref.address for ref in record.files.values()} <= there and (
-                other is None or other[0].created_ms < record.created_ms
+            if {ref.address for ref in one.record.files.values()} <= there and (
+                key not in found or found[key][0].created_ms < one.record.created_ms
             ):
-                found[record.map_id, record.number] = record, row_of(record, data)
+                found[key] = one.record, row_of(one.record, one.data)
         taken = [row for _, row in found.values()]
         versions.add(connection, taken)
     return taken
-
-
-@dataclass(frozen=True, slots=True)
-class LostRecord:
-    """A record that no row names, that may be the newest of its map, and that cannot be put right."""
-
-    map_id: str
-    number: int  # of the version
-    name: str  # of its file
-    sentence: str
-
-
-def lost_records(store: MapStore) -> list[LostRecord]:
-    """What was lost together with the index, which would have told of it. SQLite only, as take_in_records."""
-    if not store.database.is_sqlite:
-        return []
-    with store.reading() as connection:
-        rows = versions.all_rows(connection)
-    lost = []
-    for map_id, number, name, address in _without_row(store, rows):
-        try:
-            decode_record(read_checked(store.bucket, name, address, name, store.tell), name)
-        except Damaged as exc:
-            lost.append(LostRecord(map_id, number, name, str(exc)))
-    return lost
-
-
-def _without_row(store: MapStore, rows: list[VersionRow]) -> list[tuple[str, int, str, str]]:
-    """(map id, version, file name, address) of the records that no row names and that may still count."""
-    newest: dict[str, int] = {}
-    for row in rows:
-        newest[row.map_id] = max(row.number, newest.get(row.map_id, 0))
-    found = []
-    for name, _ in store.bucket.names(FOLDER):
-        parsed = parse_record_name(name)
-        if parsed is not None and parsed[1] > newest.get(parsed[0], 0):
-            found.append((parsed[0], parsed[1], name, parsed[2]))
-    return found
 
 
 def _import_folders(store: MapStore) -> dict[str, str]:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from shared.errors import DataError
 from station.maps import versions
-from station.maps.record import FOLDER, parse_record_name
+from station.maps.record import FOLDER
 from station.maps.store import MapStore
-
-ASIDE = "damaged"  # the folder of records that are lost
+from station.maps.unclaimed import ASIDE, RecordFile, record_files
 
 
 def purge(store: MapStore, map_id: str) -> None:
@@ -25,18 +24,13 @@ def purge(store: MapStore, map_id: str) -> None:
             return
         if rows[0].kind != "deleted":
             raise DataError(f"map {map_id} is not deleted; delete it first")
-        names = _records(store, map_id)  # now, as no other writer can make one of a new map of this id
+        files = records_of(store, map_id)  # now, as no other writer can make one of a new map of this id
         versions.forget(connection, map_id, below=rows[0].number + 1)
-    for name in names:
-        store.bucket.remove(name)
+    for file in files:
+        store.bucket.remove(file.name)
 
 
-def _records(store: MapStore, map_id: str) -> list[str]:
+def records_of(store: MapStore, map_id: str) -> list[RecordFile]:
     """Every record of a map, the oldest first: also lost ones, which no row names."""
-    found = []
-    for folder in (FOLDER, ASIDE):
-        for name, _ in store.bucket.names(folder):
-            parsed = parse_record_name(f"{FOLDER}/{name.removeprefix(f'{folder}/')}")
-            if parsed is not None and parsed[0] == map_id:
-                found.append((parsed[1], name))
-    return [name for _, name in sorted(found)]
+    found = [file for folder in (FOLDER, ASIDE) for file in record_files(store, folder) if file.map_id == map_id]
+    return sorted(found, key=lambda file: file.number)

@@ -131,7 +131,7 @@ class MapStore:
             if not rows:
                 raise DataError(f"map {map_id} has no version {number}; `station map history` lists them")
         elif not rows or rows[0].kind == "deleted":
-            raise self._no_map(map_id)
+            raise self.no_map(map_id)
         failure: Damaged | None = None
         for row in rows:
             try:
@@ -174,7 +174,7 @@ class MapStore:
         """The versions of a map that can be read, the newest first. Raises DataError when there is none of this id."""
         rows = self._history(map_id)
         if not rows:
-            raise self._no_map(map_id)
+            raise self.no_map(map_id)
         records = []
         for row in rows:
             try:
@@ -215,7 +215,7 @@ class MapStore:
             rows = versions.history(connection, map_id)
             newest = self._readable(rows)
             if newest is None:
-                raise self._no_map(map_id)
+                raise self.no_map(map_id)
             if newest_is is not None and newest.number != newest_is:
                 raise DataError(
                     f"map {map_id} was changed since: it is at version {newest.number}, not {newest_is}; look again"
@@ -413,10 +413,11 @@ class MapStore:
     def _present(self, rows: Rows, map_id: str) -> MapRecord:
         record = self._readable(rows)
         if record is None or record.kind == "deleted":
-            raise self._no_map(map_id)
+            raise self.no_map(map_id)
         return record
 
-    def _no_map(self, map_id: str) -> DataError:
+    def no_map(self, map_id: str) -> DataError:
+        """What to raise where there is no map of this id."""
         known = ", ".join(sorted(summary.id for summary in self.list())) or "none"
         return DataError(f'{self.bucket.place} holds no map "{map_id}"; its maps: {known}')
 

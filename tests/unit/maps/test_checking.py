@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from station.maps.map import PlaceMap
 from station.maps.record import map_content_hash
 from station.maps.store import MapStore, StoreAddress
 from station.navigation_files import save_navigation
+from tests.store_support import blobs, cut, largest_blob, newest_record
 
 
 @pytest.fixture
@@ -39,22 +39,6 @@ def store(place_map: PlaceMap, address: StoreAddress, told: list[str]) -> MapSto
     for name in ("Sofa", "Couch"):
         store.rename_place(place_map.id, place_map.places[0].id, name)
     return store
-
-
-def blobs(store: MapStore) -> Iterator[Path]:
-    return (p for p in sorted((store.address.root / "blobs").rglob("*")) if p.is_file())
-
-
-def largest_blob(store: MapStore) -> Path:
-    return max(blobs(store), key=lambda path: path.stat().st_size)
-
-
-def newest_record(store: MapStore) -> Path:
-    return max((store.address.root / "records").iterdir())
-
-
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-100])
 
 
 @given(data=st.binary(min_size=1, max_size=300), position=st.floats(0, 1, exclude_max=True), second=st.booleans())
@@ -131,35 +115,6 @@ def test_a_broken_sqlite_file_is_set_aside_and_made_again(place_map: PlaceMap, t
         assert len(again.history(place_map.id)) == 2
         assert bool(told) == bool(content)  # an empty file is one that was never written
     assert len(list(tmp_path.glob("maps.db.damaged-*"))) == 2
-
-
-def test_the_newest_record_that_is_lost_with_the_index_is_told_until_it_is_set_aside(
-    place_map: PlaceMap, tmp_path: Path
-) -> None:
-    store = MapStore(StoreAddress(tmp_path / "maps"))
-    store.save(place_map)
-    store.delete(place_map.id)
-    store.undo(place_map.id)
-    store.close()
-    cut(newest_record(store))
-    cut(tmp_path / "maps" / "maps.db")
-    for _ in range(2):  # the index is made again by the first
-        again = MapStore(StoreAddress(tmp_path / "maps"))
-        assert [(damage.map_id, damage.number) for damage in verify(again)] == [(place_map.id, 3)]
-        again.close()
-    told = CliRunner().invoke(app, ["map", "verify", "--data", str(tmp_path)])
-    assert told.exit_code == 1 and "is damaged" in told.output and "as they were written" not in told.output
-    again = MapStore(StoreAddress(tmp_path / "maps"))
-    done = repair(again)
-    assert done.left == () and verify(again) == ()
-    assert any("version 3" in said and f"station map undo {place_map.id}" in said for said in done.done)
-    assert len(list((tmp_path / "maps" / "damaged").iterdir())) == 1
-    again.undo(place_map.id)
-    assert again.load(place_map.id).name == place_map.name
-    again.delete(place_map.id)
-    purge_versions(again, place_map.id)
-    left = [*(tmp_path / "maps" / "records").iterdir(), *(tmp_path / "maps" / "damaged").iterdir()]
-    assert left == [] and verify(again) == ()
 
 
 def test_a_record_whose_writer_was_killed_is_taken_in(place_map: PlaceMap, tmp_path: Path) -> None:
