@@ -14,6 +14,7 @@ from robot.config import RobotConfig
 from robot.pairing import CODE_LIFE_S, PairingDesk
 from shared.access import GuessLimit, Role
 from shared.certificates import open_identity
+from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError, LocalProtocolError
 from shared.listening import is_loopback
 from shared.messages import (
@@ -143,8 +144,11 @@ def open_gate(config: RobotConfig, bound: str = "") -> Gate | None:
         ) from exc
 
 
-def pairing_sentence(code: str) -> str:
-    """What a person at the robot is told."""
+def pairing_sentence(code: str, bound_to: str = "", port: int = DEFAULT_PORT) -> str:
+    """What a person at the robot is told, where the address is known that the robot listens at."""
     host, shown = f"{socket.gethostname() or 'ROBOT'}.local", show_code(code)
+    if bound_to and is_loopback(bound_to):
+        host = bound_to  # nobody reaches it by its name
+    host += "" if port == DEFAULT_PORT else f":{port}"
     minutes = CODE_LIFE_S / 60
     return f"pairing code {shown}, good for {minutes:.0f} minutes; on the PC: station pair {host} --code {shown}"

@@ -54,7 +54,7 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
         print(f"robot-server: {kind} devices on {host}:{port}", flush=True)
         if gate is not None and gate.is_unpaired:
             code = gate.desk.first_code(gate.now_s())
-            print(f"robot-server: no station is paired yet; {pairing_sentence(code)}", flush=True)
+            print(f"robot-server: no station is paired yet; {pairing_sentence(code, host, port)}", flush=True)
         try:
             with asyncio.Runner(loop_factory=_loop_factory()) as runner:
                 runner.run(serve_until_signal(server, listener))

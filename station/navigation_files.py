@@ -35,7 +35,7 @@ TRAJECTORY, LANDMARKS, REPORT, CALIBRATION = "trajectory.tum", "landmarks.ply", 
 IMAGES = "keyframes"
 OBSERVATIONS = f"{IMAGES}/observations.npz"
 PICTURES = "pictures.npz"
-OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES, PICTURES}
+OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES, PICTURES, f".{PICTURES}"}  # the last half-written
 PNG_MAGIC = b"\x89PNG"
 UPPER = np.triu_indices(3)
 COV_COLUMNS = [f"cov_{'xyz'[i]}{'xyz'[j]}" for i, j in zip(*UPPER, strict=True)]

@@ -69,7 +69,7 @@ def init(
         certificate = str(identity.certificate)
         print(json.dumps({"token": token, "fingerprint": identity.fingerprint.hex(), "certificate": certificate}))
         return
-    print(f"certificate {show_fingerprint(identity.fingerprint)}: {identity.certificate}")
+    print(f"certificate {identity.certificate}, fingerprint {show_fingerprint(identity.fingerprint)}")
     if token is not None:
         _show_token(token, FIRST, Role.ADMIN)
 

@@ -13,8 +13,9 @@ import typer
 
 from shared.errors import DataError
 from station.colmap_export import export_colmap
+from station.commands.map import open_map
+from station.commands.map_store import Config, Data
 from station.exporting import export_euroc, export_mcap, export_ply
-from station.maps.folder import load_map_folder
 from station.maps.map import PlaceMap
 from station.navigation_files import load_navigation, write_tum
 from station.places.changes import shown
@@ -37,9 +38,18 @@ def register(app: typer.Typer) -> None:
 
 
 def export(
-    source: Annotated[Path, typer.Argument(help="Folder of a navigation (station slam) or a map (station map build).")],
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAVIGATION|MAP",
+            help="Folder of a navigation (station slam, or a drive of the station) or of a map (station map build);"
+            " or id of a map the station keeps.",
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="File to write; a folder for euroc and colmap. Must not exist.")],
     file_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
+    data: Data = None,
+    config: Config = None,
 ) -> None:
     """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), a COLMAP model, or all for Foxglove (mcap)."""
     try:
@@ -49,13 +59,12 @@ def export(
     if is_taken:
         raise DataError(f"{out} exists already; give a new name with --out")
     place_map: PlaceMap | None = None
-    if (source / "navigation.json").is_file():
-        nav = load_navigation(source)
-    elif source.is_dir():
-        place_map = load_map_folder(source)
-        nav = place_map.navigation
+    folder = next((f for f in (Path(source), Path(source) / "navigation") if (f / "navigation.json").is_file()), None)
+    if folder is not None:
+        nav = load_navigation(folder)
     else:
-        raise DataError(f"{source} is no folder; give one written by station slam or station map build")
+        place_map = open_map(source, data, config)
+        nav = place_map.navigation
     if file_format is ExportFormat.GRAPHML:
         if place_map is None:
             raise DataError(f"{source} is a navigation and has no place graph; give a map for --format graphml")

@@ -122,8 +122,10 @@ def open_map(which: str, data: Path | None, config: Path | None) -> PlaceMap:
     Raises:
         DataError: there is none, or it is damaged.
     """
-    if Path(which).is_dir() or len(Path(which).parts) > 1:
+    if Path(which).is_dir():
         return load_map_folder(Path(which))
+    if len(Path(which).parts) > 1:
+        raise DataError(f"{which} is no folder; give one written by `station map build`, or the id of a map")
     return map_store.open_store(data, config).load(which)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from pathlib import Path
@@ -12,7 +13,9 @@ import typer
 
 from shared.errors import DataError
 from station.config import load_config
+from station.maps.blobs import REPAIR_OR_RESTORE
 from station.maps.store import MapStore, StoreAddress
+from station.maps.unclaimed import ASIDE, record_files
 
 Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
 Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file, where maps lie elsewhere.")]
@@ -42,6 +45,11 @@ def store_address(data: Path | None, config: Path | None) -> StoreAddress:
 def options(data: Path | None, config: Path | None) -> str:
     """What a command that we advise needs, to reach the same maps."""
     return "".join(f" {name} {path}" for name, path in (("--data", data), ("--config", config)) if path is not None)
+
+
+def hint(sentence: str, data: Path | None, config: Path | None) -> str:
+    """A sentence in which every command that it advises reaches the same maps."""
+    return re.sub(r"`(station map [^`]+)`", rf"`\1{options(data, config)}`", sentence)
 
 
 def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
@@ -122,14 +130,17 @@ def verify_maps(data: Data = None, config: Config = None, as_json: Json = False)
     from station.maps.checking import verify
 
     found: list[str] = []
-    damages = verify(open_store(data, config, found))
+    store = existing_store(data, config, found)
+    damages = verify(store)
     if as_json:
         print(json.dumps({"repaired": found, "damaged": [damage.sentence for damage in damages]}))
     else:
         for sentence in dict.fromkeys((*found, *(damage.sentence for damage in damages))):
-            print(sentence)
+            print(hint(sentence, data, config))
         if not damages:
-            print("all maps are as they were written")
+            print("all maps are as they were written" if store.list() else f"no maps in {store.bucket.place}")
+        for aside in record_files(store, ASIDE):
+            print(f"version {aside.number} of map {aside.map_id} was lost: {store.bucket.place}/{aside.name}")
     if damages:
         sys.exit(1)
 
@@ -148,11 +159,12 @@ def repair_maps(
     found: list[str] = []
     address = store_address(data, config)
     folders = [folder for folder in (address.root.parent / "navigations", *(copies or [])) if folder.is_dir()]
-    result = repair(MapStore(address, found.append), folders)
+    result = repair(existing_store(data, config, found), folders)
     for sentence in dict.fromkeys((*found, *result.done)):
-        print(sentence)
+        print(hint(sentence, data, config))
     for damage in result.left:
-        print(f"not repaired: {damage.sentence}")
+        advice = "name a folder that may hold a copy of it, or restore a backup"
+        print(f"not repaired: {damage.sentence.replace(REPAIR_OR_RESTORE, advice)}")
     if result.left:
         sys.exit(1)
     print("nothing is damaged any more" if result.done else "all maps are as they were written")
@@ -166,7 +178,7 @@ def backup(
     """All maps with their history in one file."""
     from station.maps.backup import write_backup
 
-    report = write_backup(open_store(data, config), out)
+    report = write_backup(existing_store(data, config), out)
     for sentence in report.damaged:
         print(f"not in the backup: {sentence}", file=sys.stderr)
     print(f"{report.maps} maps, {report.versions} versions, {report.bytes / 1e6:.1f} MB, written to {out}")
@@ -192,7 +204,17 @@ def restore(
         sys.exit(1)
 
 
+def existing_store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:
+    """Raises DataError where nobody ever kept anything: a mistyped folder must not look like a sound one."""
+    store = open_store(data, config, found)
+    if store.database.is_sqlite and not store.address.root.parent.is_dir():
+        raise DataError(f"{store.address.root.parent} is not there; name the station's data folder with --data")
+    return store
+
+
 def open_store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:
     """What it tells goes to stderr, unless it is to be found."""
     address = store_address(data, config)
-    return MapStore(address, found.append if found is not None else lambda sentence: print(sentence, file=sys.stderr))
+    if found is not None:
+        return MapStore(address, found.append)
+    return MapStore(address, lambda sentence: print(hint(sentence, data, config), file=sys.stderr))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from shared.errors import DataError
 from station.maps import versions
-from station.maps.address import ADDRESS, address_of, is_whole
+from station.maps.address import ADDRESS, address_of, heal, is_whole
 from station.maps.blobs import Damaged, blob_name
 from station.maps.bucket import flush
 from station.maps.record import MapRecord, decode_record, parse_record_name, record_name
@@ -33,7 +33,7 @@ class BackupReport:
 
 
 def write_backup(store: MapStore, path: Path) -> BackupReport:
-    """Every version that can be read, into a new file that appears when it is whole.
+    """Every version whose record can be read, into a new file that appears when it is whole.
 
     Raises:
         DataError: the file exists or cannot be written.
@@ -50,9 +50,10 @@ def write_backup(store: MapStore, path: Path) -> BackupReport:
             with os.fdopen(descriptor, "wb") as file, tarfile.open(fileobj=file, mode="w|") as archive:
                 _add(archive, "README.txt", README)
                 written: set[str] = set()
-                for record, data in records:
-                    if _add_blobs(store, archive, record, written, damaged):
-                        _add(archive, record_name(record, data), data)
+                for record, data in records:  # first: a file that is cut later still says what there was
+                    _add(archive, record_name(record, data), data)
+                for record, _ in records:
+                    _add_blobs(store, archive, record, written, damaged)
             flush(Path(scratch))
             os.replace(scratch, path)
             flush(path.parent)
@@ -81,12 +82,16 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
             for name, data in _members(archive):
                 parsed = parse_record_name(name)
                 address = parsed[2] if parsed else name.rpartition("/")[2]
-                if not is_whole(data, address):
+                whole = data if is_whole(data, address) else heal(data, address)
+                if whole is None:
                     damaged.append(f"{path}: {name} is damaged (its checksum differs); it is left out")
-                elif parsed:
-                    records.setdefault(parsed[0], []).append((decode_record(data, name), data))
+                    continue
+                if whole is not data:
+                    store.tell(f"{path}: {name} had one wrong bit; it is put right. Check the disk")
+                if parsed:
+                    records.setdefault(parsed[0], []).append((decode_record(whole, name), whole))
                 else:
-                    store.blobs.put([data])
+                    store.blobs.put([whole])
                     there.add(address)
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
@@ -96,14 +101,24 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         damaged.append(f"{path} ends early ({exc}); what came before was restored")
     count = 0
     for map_id, found in records.items():
-        whole = []
-        for record, data in found:
-            if {ref.address for ref in record.files.values()} <= there:
-                whole.append((record, data))
-            else:
-                damaged.append(f"{path}: version {record.number} of map {map_id} lacks files; it is left out")
-        count += _restore_map(store, map_id, sorted(whole, key=lambda pair: pair[0].number))
+        found.sort(key=lambda pair: pair[0].number)
+        whole_ones = [pair for pair in found if {ref.address for ref in pair[0].files.values()} <= there]
+        lacking = [pair for pair in found if pair not in whole_ones]
+        if lacking:
+            numbers = ", ".join(str(record.number) for record, _ in lacking)
+            damaged.append(f"{path}: map {map_id} lacks files of version {numbers}; {_keep_lacking(store, lacking)}")
+        count += _restore_map(store, map_id, whole_ones)
     return BackupReport(len(records), count, path.stat().st_size, tuple(damaged))
+
+
+def _keep_lacking(store: MapStore, found: list[tuple[MapRecord, bytes]]) -> str:
+    """Records whose files may turn up; what became of them, in words. Only in SQLite are records taken in later."""
+    with store.reading() as connection:
+        is_new = not versions.history(connection, found[0][0].map_id)
+    if not (is_new and store.database.is_sqlite):
+        return "left out"
+    store.bucket.put({record_name(record, data): data for record, data in found})
+    return "`station map repair FOLDER` brings it in when a folder has them"
 
 
 def _restore_map(store: MapStore, map_id: str, found: list[tuple[MapRecord, bytes]]) -> int:
@@ -136,21 +151,18 @@ def _readable(store: MapStore, damaged: list[str]) -> Iterator[tuple[MapRecord, 
 
 def _add_blobs(
     store: MapStore, archive: tarfile.TarFile, record: MapRecord, written: set[str], damaged: list[str]
-) -> bool:
-    """The version's files, once each; False when one of them is lost."""
-    is_whole_version = True
+) -> None:
+    """The version's files, once each; those that are lost are told."""
     for name, ref in record.files.items():
         if ref.address in written:
             continue
+        written.add(ref.address)
         try:
             data = store.blobs.get(ref.address, f"map {record.map_id}, version {record.number}: {name}")
         except Damaged as exc:
             damaged.append(str(exc))
-            is_whole_version = False
             continue
         _add(archive, blob_name(ref.address), data)
-        written.add(ref.address)
-    return is_whole_version
 
 
 def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:

@@ -9,6 +9,7 @@ from station.maps.address import address_of, heal, is_whole
 from station.maps.bucket import SCRATCH, Bucket
 
 FOLDER = "blobs"
+REPAIR_OR_RESTORE = "run `station map repair` or restore a backup"
 RENEWED_AFTER_S = 12 * 3600.0
 Tell = Callable[[str], None]
 
@@ -74,15 +75,12 @@ def read_checked(bucket: Bucket, name: str, address: str, what: str, tell: Tell)
     """A file of a bucket, checked; one wrong bit is put right, in the bucket too where it can be written."""
     data = bucket.get(name)
     if data is None:
-        raise Damaged(f"{what} ({bucket.place}/{name}) is missing; run `station map repair` or restore a backup")
+        raise Damaged(f"{what} ({bucket.place}/{name}) is missing; {REPAIR_OR_RESTORE}")
     if is_whole(data, address):
         return data
     healed = heal(data, address)
     if healed is None:
-        raise Damaged(
-            f"{what} ({bucket.place}/{name}) is damaged (its checksum differs); run `station map repair` or restore a"
-            " backup"
-        )
+        raise Damaged(f"{what} ({bucket.place}/{name}) is damaged (its checksum differs); {REPAIR_OR_RESTORE}")
     try:
         bucket.put({name: healed})
         tell(f"{what} ({bucket.place}/{name}) had one wrong bit; it is put right. Check the disk")

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from station.maps.bucket import flush
 from station.places.features import FeatureExtractor, Features, extract_encoded
 from station.shelf import Shelf
 
@@ -31,6 +32,8 @@ class Row(Generic[A]):
     size: int
 
 
+# What zipfile and numpy raise for damaged files; the last two where a bit says "encrypted" or another compression.
+DAMAGE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, RuntimeError, NotImplementedError)
 DIGEST = Row(np.dtype(np.uint8), hashlib.sha256().digest_size)
 UV = Row(np.dtype(np.float64), 2)
 DESCRIPTOR = Row(np.dtype(np.uint8), 128)
@@ -75,7 +78,7 @@ class DescribedPictures:
         counts = [len(f) for f in features]
         scratch = path.with_name(f".{path.name}")
         try:
-            with zipfile.ZipFile(scratch, "w") as archive:
+            with scratch.open("wb") as file, zipfile.ZipFile(file, "w") as archive:
                 described_by = np.array(DESCRIBED_BY)
                 _write_array(archive, "described_by", described_by.dtype, (), [described_by])
                 digests = (np.frombuffer(digest, np.uint8) for digest in self._known)
@@ -84,6 +87,7 @@ class DescribedPictures:
                 _write_array(archive, "uv_px", UV.dtype, (sum(counts), UV.size), (f.uv_px for f in features))
                 descriptors = (f.descriptors for f in features)
                 _write_array(archive, "descriptors", DESCRIPTOR.dtype, (sum(counts), DESCRIPTOR.size), descriptors)
+            flush(scratch)
             os.replace(scratch, path)
         finally:
             scratch.unlink(missing_ok=True)
@@ -100,7 +104,7 @@ class DescribedPictures:
                     return False
                 uv_px = self._read_parts(archive, "uv_px", UV, counts)
                 descriptors = self._read_parts(archive, "descriptors", DESCRIPTOR, counts)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        except DAMAGE:
             return False
         self._known |= dict(zip(digests, map(Features, uv_px, descriptors), strict=True))
         return True

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from shared.errors import DataError
 from station.main import app
 from station.maps.blobs import RENEWED_AFTER_S, blob_name
 from station.maps.checking import UNUSED_S, purge_versions, repair, verify
@@ -170,3 +171,54 @@ def test_text_in_the_index_that_is_none_is_a_damaged_index(root: Path, place_map
     store = MapStore(StoreAddress(root), told.append)
     assert store.load(place_map.id).places[0].name == "Couch"
     assert any("is damaged" in said for said in told)
+
+
+def run(*words: str, code: int = 0) -> str:
+    result = CliRunner().invoke(app, ["map", *words])
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def test_a_wrong_bit_in_a_backup_is_put_right_too(root: Path, place_map: PlaceMap, tmp_path: Path) -> None:
+    backup = tmp_path / "b.tar"
+    run("backup", str(backup), "--data", str(root.parent))
+    content = bytearray(backup.read_bytes())
+    largest = largest_blob(opened(root)).read_bytes()
+    content[bytes(content).index(largest) + len(largest) // 2] ^= 4
+    backup.write_bytes(content)
+    assert "had one wrong bit" in run("restore", str(backup), "--data", str(tmp_path / "other"))
+    restored = opened(tmp_path / "other" / "maps")
+    assert verify(restored) == () and restored.load(place_map.id).places[0].name == "Couch"
+
+
+def test_what_a_cut_backup_lacks_may_come_from_elsewhere(root: Path, place_map: PlaceMap, tmp_path: Path) -> None:
+    backup, data = tmp_path / "b.tar", tmp_path / "other"
+    run("backup", str(backup), "--data", str(root.parent))
+    backup.write_bytes(backup.read_bytes()[: backup.stat().st_size // 2])
+    told = run("restore", str(backup), "--data", str(data), code=1)
+    assert "ends early" in told and "`station map repair FOLDER` brings it in" in told
+    assert run("verify", "--data", str(data), code=1).count("is missing") >= 1
+    run("repair", str(root), "--data", str(data))
+    restored = opened(data / "maps")
+    assert verify(restored) == () and restored.load(place_map.id).places[0].name == "Couch"
+    assert len(restored.history(place_map.id)) == 3
+
+
+def test_a_mistyped_folder_is_no_sound_store(root: Path, tmp_path: Path) -> None:
+    for words in (["verify"], ["repair"], ["backup", str(tmp_path / "b.tar")]):
+        result = CliRunner().invoke(app, ["map", *words, "--data", str(tmp_path / "nowhere")])
+        assert isinstance(result.exception, DataError) and "--data" in str(result.exception)
+    (tmp_path / "new").mkdir()
+    assert "no maps in" in run("verify", "--data", str(tmp_path / "new"))
+
+
+def test_what_was_lost_is_listed_with_hints_that_reach_the_same_folder(root: Path, place_map: PlaceMap) -> None:
+    store = opened(root)
+    store.delete(place_map.id)
+    store.undo(place_map.id)
+    store.close()
+    cut(newest_record(store))
+    cut(root / "maps.db")
+    data = ("--data", str(root.parent))
+    assert f"`station map undo {place_map.id} --data {root.parent}`" in run("repair", *data)
+    assert f"version 5 of map {place_map.id} was lost" in run("verify", *data)
