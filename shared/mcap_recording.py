@@ -147,19 +147,25 @@ def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:
         if file.read(6) != b"\x89MCAP0":
             raise DataError(f"{path} is not an MCAP file; give a recording made by this station")
         file.seek(0)
-        wanted: dict[int, str] = {}
-        number = 0  # the recorder counts its messages from 1; 0: written by something that does not
+        known: dict[int, str] = {}
+        number = 0  # the recorder counts its messages from 1; 0: behind a hole that was recovered, or another's
+        frame: int | None = None  # the time of the frame whose record came last
         try:
             for record in StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records:
-                if isinstance(record, Channel) and record.topic in topics:
-                    wanted[record.id] = record.topic
+                if isinstance(record, Channel):
+                    known[record.id] = record.topic
                 elif isinstance(record, Message):
                     if number and record.sequence and record.sequence != (number + 1) & 0xFFFFFFFF:
                         # A chunk whose kind is damaged is passed over without a word, as one of a kind yet to come.
                         raise ValueError(f"messages {number + 1} to {record.sequence - 1} are missing")
                     number = record.sequence
-                    if record.channel_id in wanted:
-                        yield wanted[record.channel_id], record.data
+                    topic = known.get(record.channel_id, "")
+                    if topic == FRAME_TOPIC:
+                        frame = record.publish_time
+                    elif topic == IMAGE_TOPIC and frame != record.publish_time:
+                        continue  # its frame's record was lost in a hole: nobody knows when it was seen
+                    if topic in topics:
+                        yield topic, record.data
         except DAMAGE as exc:
             logger.warning("%s ends early (%s): read up to its last whole chunk", path, type(exc).__name__)
 

@@ -148,20 +148,26 @@ class DriveLibrary:
         """Where a drive's recording is, or would be."""
         return self.folder(drive_id) / "recording.mcap"
 
+    def _recorded(self, drive_id: str) -> Sequence[Path]:
+        """The recording, and what its recovery kept of a damaged one (recovery.py)."""
+        return sorted(self.folder(drive_id).glob("recording.mcap*"))
+
     def finished_recordings(self) -> Sequence[KeptRecording]:
         """The recordings of drives that are over."""
         kept = []
         for drive in self.list():
             if drive.state in ("ready", "failed"):
                 with contextlib.suppress(OSError):  # there is none, or somebody deletes it just now
-                    size = self.recording(drive.id).stat().st_size
-                    kept.append(KeptRecording(drive.id, drive.started_wall_s, size))
+                    if files := self._recorded(drive.id):
+                        size = sum(file.stat().st_size for file in files)
+                        kept.append(KeptRecording(drive.id, drive.started_wall_s, size))
         return kept
 
     def remove_recording(self, drive_id: str) -> None:
         """Delete a recording and keep its drive."""
         try:
-            self.recording(drive_id).unlink(missing_ok=True)
+            for file in self._recorded(drive_id):
+                file.unlink(missing_ok=True)
         except OSError as exc:
             raise DataError(
                 f"{self.recording(drive_id)} cannot be deleted ({exc.strerror}); delete it by hand"

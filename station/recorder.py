@@ -24,15 +24,16 @@ from shared.errors import DataError
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.events import LogLine
-from station.foxglove import IMAGE_SCHEMA_NAME, camera_calibration, encode_image, image_schema, time_of
+from station.foxglove import camera_calibration, encode_image, time_of
 from station.maps.bucket import flush
 from station.place_report import PlaceReport
+from station.recording_lock import hold
 from station.recording_topics import (
     ANSWER_TOPIC,
     CALIBRATION_TOPIC,
     COMMAND_TOPIC,
     GAP_TOPIC,
-    JSON_CHANNELS,
+    LIBRARY,
     LINK_TOPIC,
     LOG_TOPIC,
     NOTICE_TOPIC,
@@ -41,6 +42,7 @@ from station.recording_topics import (
     STATUS_TOPIC,
     log_line,
     place_answer,
+    register_channels,
     slam_pose,
     slam_state,
 )
@@ -270,8 +272,8 @@ class Recorder:
         if self._is_on_disk:
             flush(self.path.parent)  # its name too survives a power cut
         writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        writer.start(profile="", library="sentinel-robot")
-        channels = _register_channels(writer)
+        writer.start(profile="", library=LIBRARY)
+        channels = register_channels(writer)
         checked_ns = self._now_ns()
         while True:
             try:
@@ -338,7 +340,13 @@ def _create(path: Path, min_free_bytes: int) -> BinaryIO:
                 f"cannot record to {path}: {free // 2**20} MiB are left on the disk, {min_free_bytes // 2**20} MiB are"
                 " kept free; delete old recordings"
             )
-        return path.open("wb")
+        file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb")
+        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            if not hold(file):  # until it is finished: nobody recovers it meanwhile
+                file.close()
+                raise DataError(f"cannot record to {path}: it is being recorded already; choose another name")
+            file.truncate(0)
+        return file
     except OSError as exc:
         raise DataError(f"cannot record to {path} ({exc.strerror}); choose a folder that can be written") from exc
 
@@ -346,12 +354,3 @@ def _create(path: Path, min_free_bytes: int) -> BinaryIO:
 def _free_bytes(path: Path) -> int:
     disk = os.statvfs(path.parent)
     return disk.f_bavail * disk.f_frsize
-
-
-def _register_channels(writer: Writer) -> dict[str, int]:
-    schema = writer.register_schema(IMAGE_SCHEMA_NAME, "protobuf", image_schema())
-    channels = {IMAGE_TOPIC: writer.register_channel(IMAGE_TOPIC, "protobuf", schema)}
-    for topic, (name, json_schema) in JSON_CHANNELS.items():
-        schema = writer.register_schema(name, "jsonschema", msgspec.json.encode(json_schema))
-        channels[topic] = writer.register_channel(topic, "json", schema)
-    return channels

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+from mcap.writer import Writer
+
 from shared.geometry import quat_from_rotation
-from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMU_TOPIC
+from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from station.events import Level, LogLine
-from station.foxglove import CALIBRATION_SCHEMA_NAME, time_of
+from station.foxglove import CALIBRATION_SCHEMA_NAME, IMAGE_SCHEMA_NAME, image_schema, time_of
 from station.place_report import PlaceReport
 from station.places.answer import PlaceCandidate
 from station.slam.backend import SlamUpdate
 
+LIBRARY = "sentinel-robot"  # what a recording says of its writer
 CALIBRATION_TOPIC = "/camera/calibration"
 COMMAND_TOPIC = "/drive/command"
 STATUS_TOPIC = "/robot/status"
@@ -35,7 +39,7 @@ def _object(**properties: Any) -> dict[str, Any]:
 
 
 _PLACE = _object(id=_TEXT, name=_TEXT, probability=_NUMBER)
-# topic → (schema name, JSON schema)
+# topic → (schema name, JSON schema). Their order numbers the channels of the files on disk: new ones come last.
 JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
     HELLO_TOPIC: ("sentinel.Hello", _object(robot_id=_TEXT, name=_TEXT, session_id=_TEXT, msgpack_base64=_TEXT)),
     FRAME_TOPIC: (
@@ -78,6 +82,16 @@ JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     LOG_TOPIC: ("foxglove.Log", _object(timestamp=_TIME, level=_INTEGER, message=_TEXT, name=_TEXT)),
 }
+
+
+def register_channels(writer: Writer) -> dict[str, int]:
+    """Name the channels to a new file, the same numbers each time. Returns topic → number."""
+    schema = writer.register_schema(IMAGE_SCHEMA_NAME, "protobuf", image_schema())
+    channels = {IMAGE_TOPIC: writer.register_channel(IMAGE_TOPIC, "protobuf", schema)}
+    for topic, (name, json_schema) in JSON_CHANNELS.items():
+        schema = writer.register_schema(name, "jsonschema", msgspec.json.encode(json_schema))
+        channels[topic] = writer.register_channel(topic, "json", schema)
+    return channels
 
 
 def slam_state(update: SlamUpdate) -> dict[str, Any]:

@@ -1,102 +1,152 @@
-"""A recording whose writer was killed: what is whole in it becomes a proper file again, under its own name."""
+"""A recording that was cut or damaged: what is sound in it becomes a proper file again, under its own name."""
 
 from __future__ import annotations
 
+import itertools
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from mcap.reader import make_reader
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.writer import CompressionType, Writer
 
 from shared.errors import DataError
-from shared.mcap_recording import DAMAGE, MAX_RECORD_BYTES
-
-MAGIC = b"\x89MCAP0\r\n"  # at both ends of a finished file
+from shared.mcap_recording import DAMAGE
+from station.recording_check import check_file
+from station.recording_lock import hold
+from station.recording_parts import SoundChunk, Survey, parts_of
+from station.recording_topics import LIBRARY, register_channels
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What could be had of a cut file."""
+    """What could be had of a cut or damaged file."""
 
     path: Path
     messages: int
     seconds: float  # of recording
-    bytes_lost: int  # behind the last whole chunk
+    inside: str  # what was passed over before the end, in words; empty: nothing
+    bytes_cut: int  # a record that the file's end cut off
+    kept: Path | None  # the file as it was, when something was passed over
 
     def __str__(self) -> str:
-        lost = f"; {self.bytes_lost / 1000:.0f} kB at its end were cut off" if self.bytes_lost else ""
-        return f"{self.path}: {self.seconds:.1f} s of the recording were recovered ({self.messages} messages){lost}"
-
-
-def is_finished(path: Path) -> bool:
-    """Whether a recording has its end: index and footer."""
-    try:
-        with path.open("rb") as file:
-            if file.seek(0, os.SEEK_END) < 2 * len(MAGIC):
-                return False
-            file.seek(-len(MAGIC), os.SEEK_END)
-            if file.read() != MAGIC:
-                return False
-            file.seek(0)
-            return make_reader(file).get_summary() is not None
-    except DAMAGE:
-        return False
-    except OSError as exc:
-        raise DataError(f"{path} cannot be read ({exc.strerror}); check its permissions") from exc
+        said = f"{self.path}: {self.seconds:.1f} s of the recording were recovered ({self.messages} messages)"
+        if self.bytes_cut:
+            said += f"; {self.bytes_cut / 1000:.1f} kB at its end were cut off"
+        if self.inside:
+            said += f"; {self.inside} could not be read"
+        if self.kept is not None:
+            said += f"; the file as it was is kept as {self.kept}"
+        return said
 
 
 def recover_recording(path: Path) -> Recovery | None:
-    """Write a cut recording anew, with its end; it takes the old one's name when it is whole. None: it has its end.
+    """Write a cut or damaged recording anew; it takes the old one's name when it is whole. None: nothing is wrong.
+
+    The old file is kept beside it when more than a cut end was lost.
 
     Raises:
-        DataError: nothing in it can be used, or there is no space for the copy (the old file stays as it is).
+        DataError: it is being recorded, nothing in it can be used, the disk fails or has no space for the copy (the
+            old file stays as it is).
     """
-    if is_finished(path):
-        return None
     scratch = path.with_name(f".{path.name}.recovered")
     try:
-        with path.open("rb") as source, scratch.open("wb") as target:
-            messages, first_ns, last_ns, read_to = _copy(source, target)
-            target.flush()
-            os.fsync(target.fileno())
-        if not messages:
-            raise DataError(f"{path} holds nothing that can be recovered; delete it")
-        lost = max(0, path.stat().st_size - read_to)
-        os.replace(scratch, path)
+        with path.open("r+b") as source:  # nothing is written; some network disks lock no other file
+            if not hold(source):
+                raise DataError(f"{path} is being recorded; end that, then it needs no recovery")
+            if not check_file(path, source).damage:
+                return None
+            try:
+                with scratch.open("wb") as target:
+                    survey = _copy(source, target)
+                    target.flush()
+                    os.fsync(target.fileno())
+                if not survey.messages:
+                    raise DataError(f"{path} holds nothing that can be recovered; it stays as it is")
+                kept = _keep(path) if survey.num_damaged else None
+                os.replace(scratch, path)
+            finally:
+                scratch.unlink(missing_ok=True)
     except OSError as exc:
-        raise DataError(f"{path} cannot be recovered ({exc.strerror}); free space and start again") from exc
-    finally:
-        scratch.unlink(missing_ok=True)
-    return Recovery(path, messages, (last_ns - first_ns) * 1e-9, lost)
+        raise DataError(f"{path} cannot be recovered ({exc.strerror}); look at the disk and its free space") from exc
+    return Recovery(path, survey.messages, survey.seconds, survey.inside, survey.bytes_cut, kept)
 
 
-def _copy(source: BinaryIO, target: BinaryIO) -> tuple[int, int, int, int]:
-    """Messages copied, first and last log time, and the position behind the last chunk that was whole."""
+def _keep(path: Path) -> Path:
+    """Give the file a second name, which nothing has yet."""
+    for number in itertools.count(1):
+        kept = path.with_name(f"{path.name}.damaged" + (f".{number}" if number > 1 else ""))
+        try:
+            os.link(path, kept)
+        except FileExistsError:
+            continue
+        return kept
+    raise AssertionError("never comes here")
+
+
+def _copy(source: BinaryIO, target: BinaryIO) -> Survey:
+    """Write what is sound in one file into another."""
     writer = Writer(target, chunk_size=512 * 1024, compression=CompressionType.LZ4)
-    writer.start(profile="", library="sentinel-robot")
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
-    messages, first_ns, last_ns, read_to = 0, 0, 0, 0
-    try:
-        for record in StreamReader(source, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records:
-            if isinstance(record, Schema) and record.id not in schemas:
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-            elif isinstance(record, Channel) and record.id not in channels:
-                schema = schemas.get(record.schema_id, 0)
-                channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schema)
-            elif isinstance(record, Message) and record.channel_id in channels:
-                writer.add_message(
-                    channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
-                )
-                first_ns = record.log_time if not messages else min(first_ns, record.log_time)
-                last_ns = max(last_ns, record.log_time)
-                messages += 1
-                read_to = source.tell()
-    except DAMAGE:
-        pass  # the file ends here
+    library = _library(source)
+    writer.start(profile="", library=library)
+    copy = _Copy(writer, is_ours=library == LIBRARY)
+    survey = Survey()
+    for part in parts_of(source):
+        survey.add(part)
+        if isinstance(part, SoundChunk):
+            for record in part.records:
+                copy.take(record)
+        else:
+            copy.note_hole()
     writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
-    return messages, first_ns, last_ns, read_to
+    return survey
+
+
+def _library(source: BinaryIO) -> str:
+    """What wrote a recording; ours where that cannot be read."""
+    try:
+        source.seek(0)
+        return make_reader(source).get_header().library
+    except DAMAGE:
+        return LIBRARY
+
+
+class _Copy:
+    """Channels keep their numbers: those of our own files are the same in each, for when their first chunk is lost."""
+
+    def __init__(self, writer: Writer, *, is_ours: bool) -> None:
+        self._writer = writer
+        self._by_topic = register_channels(writer) if is_ours else {}
+        self._channels = {number: number for number in self._by_topic.values()}  # there → here
+        self._schemas: dict[int, Schema] = {}
+        self._is_behind_hole = False
+
+    def note_hole(self) -> None:
+        self._is_behind_hole = True
+
+    def take(self, record: McapRecord) -> None:
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self._take_channel(record)
+        elif isinstance(record, Message) and record.channel_id in self._channels:
+            self._writer.add_message(
+                self._channels[record.channel_id],
+                record.log_time,
+                record.data,
+                record.publish_time,
+                # The count begins anew behind a hole, or reading would end there (shared/mcap_recording.py).
+                0 if self._is_behind_hole else record.sequence,
+            )
+            self._is_behind_hole = False
+
+    def _take_channel(self, channel: Channel) -> None:
+        if channel.topic not in self._by_topic:
+            schema = self._schemas.get(channel.schema_id)
+            number = self._writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+            self._by_topic[channel.topic] = self._writer.register_channel(
+                channel.topic, channel.message_encoding, number
+            )
+        self._channels[channel.id] = self._by_topic[channel.topic]

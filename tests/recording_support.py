@@ -6,7 +6,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from mcap.reader import NonSeekingReader
 
+import station.recorder
 from shared.calibration import REFERENCE_ROBOT
 from shared.messages import (
     CameraFrame,
@@ -72,3 +74,19 @@ def record(path: Path, frames: int = 20) -> RecordingReport:
     recorder.on_notice(ErrorNotice(code="device", message="x"))
     recorder.on_disconnected("over")
     return recorder.close()
+
+
+def recorded_in_small_chunks(path: Path) -> bytes:
+    """A recording of some forty chunks, the first of which names all channels."""
+    chunk, station.recorder.CHUNK_BYTES = station.recorder.CHUNK_BYTES, 4096
+    try:
+        record(path, frames=40)
+    finally:
+        station.recorder.CHUNK_BYTES = chunk
+    return path.read_bytes()
+
+
+def messages_in(path: Path) -> list[tuple[str, int, int, bytes]]:
+    with path.open("rb") as file:
+        found = NonSeekingReader(file).iter_messages(log_time_order=False)
+        return [(channel.topic, m.log_time, m.publish_time, m.data) for _, channel, m in found]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,37 +26,54 @@ def register(app: typer.Typer) -> None:
 
 @recordings.command()
 def verify(files: Files = None, data: Data = None, config: Config = None, as_json: Json = False) -> None:
-    """Compare every chunk with its checksum. Exit code 1 when something is cut or damaged.
+    """Compare chunks and index with their checksums. Exit code 1 when something is cut, damaged or cannot be read.
 
-    A recording that a running station is writing has no end yet, and is called cut.
+    A recording that is being written has no end yet, which is no damage.
     """
+    from station.commands.progress import working
     from station.recording_check import check_recording
 
-    checks = [check_recording(path) for path in files or _all_recordings(data, config)]
+    paths = files or _all_recordings(data, config)
+    shown: list[dict[str, Any]] = []
+    is_damaged = False
+    for number, path in enumerate(paths, 1):
+        with working(f"{path} ({number} of {len(paths)})"):  # while it shows, it takes what is printed
+            check = check_recording(path)
+        is_damaged = is_damaged or bool(check.damage)
+        if not as_json:
+            print(check, flush=True)
+        shown.append(
+            {
+                "path": str(check.path),
+                "messages": check.messages,
+                "seconds": check.seconds,
+                "bytes": check.size,
+                "damage": check.damage,
+                "is_being_written": check.is_being_written,
+            }
+        )
     if as_json:
-        shown = [
-            {"path": str(c.path), "messages": c.messages, "seconds": c.seconds, "bytes": c.size, "damage": c.damage}
-            for c in checks
-        ]
         print(json.dumps({"recordings": shown}))
-    else:
-        for check in checks:
-            print(check)
-        if not checks:
-            print("there are no recordings")
-    if any(check.damage for check in checks):
+    elif not paths:
+        print("there are no recordings")
+    if is_damaged:
         sys.exit(1)
 
 
 @recordings.command()
-def recover(file: Annotated[Path, typer.Argument(help="A recording without its end.")]) -> None:
-    """Give a recording that was cut its end again; what is behind the cut is lost."""
+def recover(file: Annotated[Path, typer.Argument(help="A recording that is cut or damaged.")]) -> None:
+    """Make a cut or damaged recording a proper file of everything in it that is sound.
+
+    When more than a cut end was lost, the file as it was is kept beside it as FILE.damaged.
+    """
+    from station.commands.progress import working
     from station.recovery import recover_recording
 
     if not file.is_file():
         raise DataError(f"{file} is not there; `station recordings verify` lists the station's")
-    recovery = recover_recording(file)
-    print(f"{file} has its end; nothing was changed" if recovery is None else recovery)
+    with working(str(file)):
+        recovery = recover_recording(file)
+    print(f"{file} is whole; nothing was changed" if recovery is None else recovery)
 
 
 def _all_recordings(data: Path | None, config: Path | None) -> list[Path]:
