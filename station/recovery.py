@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,7 +59,7 @@ def recover_recording(path: Path) -> Recovery | None:
                 return None
             try:
                 with scratch.open("wb") as target:
-                    survey = _copy(source, target)
+                    survey = _copy(source, target, path)
                     target.flush()
                     os.fsync(target.fileno())
                 if not survey.messages:
@@ -76,22 +75,22 @@ def recover_recording(path: Path) -> Recovery | None:
 
 def _keep(path: Path) -> Path:
     """Give the file a second name, which nothing has yet."""
-    for number in itertools.count(1):
-        kept = path.with_name(f"{path.name}.damaged" + (f".{number}" if number > 1 else ""))
+    kept, number = path.with_name(f"{path.name}.damaged"), 1
+    while True:
         try:
             os.link(path, kept)
+            return kept
         except FileExistsError:
-            continue
-        return kept
-    raise AssertionError("never comes here")
+            number += 1
+            kept = path.with_name(f"{path.name}.damaged.{number}")
 
 
-def _copy(source: BinaryIO, target: BinaryIO) -> Survey:
-    """Write what is sound in one file into another."""
+def _copy(source: BinaryIO, target: BinaryIO, path: Path) -> Survey:
+    """Write what is sound in one file into another. Raises DataError."""
     writer = Writer(target, chunk_size=512 * 1024, compression=CompressionType.LZ4)
     library = _library(source)
     writer.start(profile="", library=library)
-    copy = _Copy(writer, is_ours=library == LIBRARY)
+    copy = _Copy(writer, path, is_ours=library == LIBRARY)
     survey = Survey()
     for part in parts_of(source):
         survey.add(part)
@@ -116,8 +115,8 @@ def _library(source: BinaryIO) -> str:
 class _Copy:
     """Channels keep their numbers: those of our own files are the same in each, for when their first chunk is lost."""
 
-    def __init__(self, writer: Writer, *, is_ours: bool) -> None:
-        self._writer = writer
+    def __init__(self, writer: Writer, path: Path, *, is_ours: bool) -> None:
+        self._writer, self._path = writer, path
         self._by_topic = register_channels(writer) if is_ours else {}
         self._channels = {number: number for number in self._by_topic.values()}  # there → here
         self._schemas: dict[int, Schema] = {}
@@ -131,7 +130,11 @@ class _Copy:
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
             self._take_channel(record)
-        elif isinstance(record, Message) and record.channel_id in self._channels:
+        elif isinstance(record, Message):
+            if record.channel_id not in self._channels:
+                raise DataError(
+                    f"{self._path} is another program's, and what names its channels is lost; it stays as it is"
+                )
             self._writer.add_message(
                 self._channels[record.channel_id],
                 record.log_time,

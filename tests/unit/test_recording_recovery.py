@@ -266,6 +266,16 @@ def test_the_cut_file_of_another_program_keeps_its_channels(tmp_path: Path) -> N
         assert [summary.schemas[c.schema_id].name for c in summary.channels.values()] == ["A", "B"]
 
 
+def test_channels_of_another_program_are_not_guessed(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "d.mcap", CompressionType.LZ4)
+    damaged = bytearray(path.read_bytes())
+    damaged[200] ^= 1  # in the first chunk
+    path.write_bytes(damaged)
+    with pytest.raises(DataError, match="what names its channels is lost; it stays as it is"):
+        recover_recording(path)
+    assert path.read_bytes() == damaged and list(tmp_path.iterdir()) == [path]
+
+
 def test_messages_outside_of_chunks_are_not_passed_over_in_silence(whole: bytes, tmp_path: Path) -> None:
     path = tmp_path / "d.mcap"
     stream = BytesIO()
