@@ -116,9 +116,8 @@ def test_a_hole_is_passed_over_and_the_file_as_it_was_is_kept(
     assert all(pictures[f.t_robot_ns] == f.encoded for f in frames) and frames[-1].encoded == frame(39).jpeg
     assert dataset.require_imu().t_robot_ns.max() == batch(390).samples[-1].t_robot_ns
     # Damaged again: what was kept stays
-    again = bytearray(path.read_bytes())
-    middle = int(len(again) * 0.5)
-    again[middle : middle + 20_000] = bytes(20_000)
+    again = bytearray(whole)
+    again[70_000:90_000] = bytes(20_000)
     path.write_bytes(again)
     recovery = recover_recording(path)
     assert recovery is not None and recovery.kept == tmp_path / "d.mcap.damaged.2"
