@@ -53,7 +53,7 @@ def chunks(whole: bytes) -> list[tuple[ChunkIndex, list[Told]]]:
     return found
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(position=st.floats(0, 0.99999), bit=st.integers(0, 7), length=st.just(1.0) | st.floats(0, 1))
 def test_one_flipped_bit_costs_no_sound_chunk(
     whole: bytes,
