@@ -14,8 +14,8 @@ from station.places.registration.refine import Refined, scale_of
 from station.places.registration.result import Gravity, Scale
 from station.places.registration.score import Contrast, Score, inverse_similarity
 
-# Logistic regression on the training seeds of benchmarks/bench_registration.py, all its sets:
-# `python -m benchmarks.fit_registration_verdict` prints these numbers.
+# Logistic regression on 258 training pairs of benchmarks/bench_registration.py, of all its sets (docs/registration.md
+# says which): `python -m benchmarks.fit_registration_verdict` prints these numbers.
 WEIGHTS = {
     "inlier ratio": 12.5,
     "coinciding landmarks": 6.5,
