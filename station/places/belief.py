@@ -78,6 +78,7 @@ class Hypothesis:
     number: int = 0  # stays when the hypothesis is moved, so that one can be told from another
     recognised: Recognised = NOTHING
     credited: float = 0.0  # log odds that were counted for what is recognised
+    look_alike: float = 1.0  # were the robot elsewhere: probability that a look-alike, not the way here, told of it
 
     def pose(self, T_nav_body: FloatArray) -> FloatArray:
         """T_map_body (4, 4) for an odometry pose in metres."""
@@ -106,6 +107,16 @@ def blurred(h: Hypothesis, seconds: float, c: BeliefConfig) -> Hypothesis:
     """The hypothesis after a time without odometry."""
     sigma_rad = min(h.sigma_rad + c.blind_turn_rad_s * seconds, np.pi)
     return replace(h, sigma_m=h.sigma_m + c.blind_speed_m_s * seconds, sigma_rad=sigma_rad)
+
+
+def begun_anew(h: Hypothesis, share: float) -> Hypothesis:
+    """The hypothesis with this share of its weight when the robot was picked up: put down again, it is recognised anew.
+
+    Where the robot was, no look-alike deceived; that one did is as probable as that the robot was not here.
+    """
+    return replace(
+        h, weight=h.weight * share, recognised=NOTHING, credited=0.0, look_alike=h.look_alike * (1 - h.weight)
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,14 +20,13 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse, so3_log
 from station.maps.map import Place, PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
-from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement, blurred, fused, grown, in_units
+from station.places.belief import BeliefConfig, Hypothesis, begun_anew, blurred, grown
 from station.places.map_view import MapView
-from station.places.recognised import NOTHING, Recognised
+from station.places.weighing import Measured, Weights, weighed
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
 SAMPLES = 200  # positions drawn per hypothesis
 TIE = 1.1  # centroids within 10 % of the nearest distance count as equally near
-SAME_POSE = 16.0  # squared Mahalanobis distance: 4 sigma
 ODOMETRY_GAP_S = 1.0  # after a longer silence, odometry is treated as absent
 
 
@@ -56,16 +55,6 @@ class Jump:
     is_other_map: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Measured:
-    """A localisation in the terms of this estimator."""
-
-    localization: Localization
-    map_index: int
-    T_map_body: FloatArray  # (4, 4) map units
-    sigma_m: float
-
-
 class CurrentPlaceEstimator:
     """Fed with events in any order of arrival; answers for a time. No clock, no I/O."""
 
@@ -91,7 +80,6 @@ class CurrentPlaceEstimator:
         self._t_ns: int | None = None  # up to which time the hypotheses were carried
         self._last_view: _OdometryPose | None = None  # of the last image that was evidence
         self._numbers = count(1)
-        self._memory_ns = round(self.config.landmark_memory_s * 1e9)
         self._believed: Hypothesis | None = None  # where the robot was known to be
         self._hijack_reason = ""
 
@@ -135,7 +123,10 @@ class CurrentPlaceEstimator:
         self._advance(t)
         T_nav_body = self._nav_body_at(t)
         freshness = self._freshness(t, T_nav_body, at_least=self.config.same_view)
-        self._weigh_candidates(ours, T_nav_body, freshness)
+        before = Weights(self._hypotheses, self._lost, self._unmapped)
+        after = weighed([self._measured(z) for z in ours], before, T_nav_body, freshness, self._numbers, self.config)
+        self._hypotheses, self._lost, self._unmapped = after.hypotheses, after.lost, after.unmapped
+        self._normalise()
         self._last_view = _OdometryPose(t, T_nav_body)
         return self._believe(T_nav_body)
 
@@ -165,9 +156,7 @@ class CurrentPlaceEstimator:
         c = self.config
         known = sum(h.weight for h in self._hypotheses) * confidence
         known += (self._lost + self._unmapped) * confidence
-        self._hypotheses = [  # put down where it was, the robot is recognised anew
-            replace(h, weight=h.weight * (1 - confidence), recognised=NOTHING, credited=0.0) for h in self._hypotheses
-        ]
+        self._hypotheses = [begun_anew(h, 1 - confidence) for h in self._hypotheses]
         self._lost = self._lost * (1 - confidence) + known * c.prior_lost
         self._unmapped = self._unmapped * (1 - confidence) + known * c.prior_unmapped
         self._normalise()
@@ -292,46 +281,6 @@ class CurrentPlaceEstimator:
         covered = float(view.covered(p, c).mean())
         return share, tied, covered
 
-    def _weigh_candidates(self, candidates: Sequence[Localization], T_nav_body: FloatArray, freshness: float) -> None:
-        """Bayes' rule for an image that was taken at one of several poses, or (`false`) at none of them.
-
-        Its likelihood at a pose is a mixture: the candidates' normal densities there; a uniform one; and, as what looks
-        alike deceives again and again, the candidates' densities at the pose of another hypothesis.
-        A candidate that no hypothesis expects becomes one, with its share of what was "lost".
-        """
-        c = self.config
-        odds = np.array([self._odds(z) for z in candidates])
-        false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
-        share = odds / odds.sum()
-        measured = [self._measured(z) for z in candidates]
-        fits = [[self._fit(h, m, T_nav_body) for m in measured] for h in self._hypotheses]
-        density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(measured)) * share
-        at = density.sum(axis=1)  # of the image, at each hypothesis
-        again = c.deceived_again if self._hypotheses else 0.0  # the first look-alike repeats none
-        says = float(np.log((1 - false) / (false * (again or 1.0))))  # log odds, for a hypothesis that it fits
-        freshness = min(freshness, self._novelty(measured, fits, share, says))
-        counted = freshness * max(0.0, says)
-        expected = [False] * len(candidates)
-        weighed = []
-        for i, h in enumerate(self._hypotheses):
-            elsewhere = float(np.delete(at, i).max(initial=0.0))
-            likelihood = (1 - false) * at[i] + false * (1 - again + again * elsewhere)
-            h = replace(h, weight=h.weight * float(likelihood) ** freshness)
-            best = int(np.argmax(density[i]))
-            if fits[i][best].squared < SAME_POSE:
-                expected[best] = True
-                h = self._corrected(h, measured[best], T_nav_body, counted)
-            weighed.append(h)
-        deceived = false * (1 - again + again * float(at.max(initial=0.0)))
-        believed = 1 - false**freshness  # of the weight of "lost" that turns to the candidates
-        for m, p, is_expected in zip(measured, share, expected, strict=True):
-            if not is_expected:
-                weighed.append(self._started(m, T_nav_body, self._lost * believed * float(p), counted))
-        self._lost *= deceived**freshness
-        self._unmapped *= deceived**freshness
-        self._hypotheses = weighed
-        self._normalise()
-
     def _believe(self, T_nav_body: FloatArray) -> Jump | None:
         """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere."""
         c = self.config
@@ -347,100 +296,10 @@ class CurrentPlaceEstimator:
         distance_m = distance / best.unit
         return Jump(distance_m, is_other_map=False) if distance_m > c.jump_m or turn > c.jump_rad else None
 
-    def _measured(self, z: Localization) -> _Measured:
+    def _measured(self, z: Localization) -> Measured:
         index = self._index[z.map_id]
         sigma_m = float(np.hypot(z.sigma_position / self._maps[index].unit, self.config.pose_floor_m))
-        return _Measured(z, index, z.T_map_cam @ self._T_cam_body, sigma_m)
-
-    def _odds(self, z: Localization) -> float:
-        """That a candidate is right, against that it is a look-alike."""
-        extent_m = z.extent / self._maps[self._index[z.map_id]].unit
-        return float((max(extent_m, 1e-3) / self.config.even_extent_m) ** self.config.extent_exponent)
-
-    def _log_odds(self, extent_m: float) -> float:
-        """Of what is as large as this; nothing is not less than a thing that is right as often as wrong."""
-        c = self.config
-        return max(0.0, c.extent_exponent * float(np.log(max(extent_m, 1e-3) / c.even_extent_m)))
-
-    def _fit(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray) -> Agreement:
-        """How well a measured pose fits a hypothesis; in another map not at all."""
-        if h.map_index != m.map_index:
-            return Agreement(np.inf, 0.0)
-        view = self._maps[h.map_index]
-        sigma_m = float(np.hypot(h.sigma_m, m.sigma_m))
-        sigma_rad = float(np.hypot(h.sigma_rad, self.config.pose_floor_rad))
-        return agreement(h.pose(T_nav_body), m.T_map_body, sigma_m, sigma_rad, view.area_m2, view.unit)
-
-    def _corrected(self, h: Hypothesis, m: _Measured, T_nav_body: FloatArray, counted: float) -> Hypothesis:
-        """The hypothesis after a measurement that it expected."""
-        gain = h.sigma_m**2 / (h.sigma_m**2 + m.sigma_m**2)
-        before = h.recognised.since(m.localization.t_robot_ns - self._memory_ns)
-        gain_heading = h.sigma_rad**2 / (h.sigma_rad**2 + self.config.pose_floor_rad**2)
-        T = fused(h.pose(T_nav_body), m.T_map_body, gain, gain_heading)
-        return replace(
-            h.moved_to(T, T_nav_body),
-            sigma_m=float(np.sqrt(max(1 - gain, 0.05))) * h.sigma_m,
-            sigma_rad=float(np.sqrt(max(1 - gain_heading, 0.05))) * h.sigma_rad,
-            evidence_t_robot_ns=m.localization.t_robot_ns,
-            evidence_keyframe=m.localization.keyframe_index,
-            inliers=m.localization.num_inliers,
-            recognised=before.and_then(m.localization.landmarks, m.localization.t_robot_ns),
-            credited=(h.credited if before.seen else 0.0) + counted,
-        )
-
-    def _started(self, m: _Measured, T_nav_body: FloatArray, weight: float, counted: float) -> Hypothesis:
-        """A new hypothesis: the robot is where this measurement says."""
-        unit = self._maps[m.map_index].unit
-        return Hypothesis(
-            map_index=m.map_index,
-            T_map_nav=m.T_map_body @ inverse(in_units(T_nav_body, unit)),
-            unit=unit,
-            sigma_m=m.sigma_m,
-            sigma_rad=self.config.pose_floor_rad,
-            weight=weight,
-            evidence_t_robot_ns=m.localization.t_robot_ns,
-            evidence_keyframe=m.localization.keyframe_index,
-            inliers=m.localization.num_inliers,
-            number=next(self._numbers),
-            recognised=NOTHING.and_then(m.localization.landmarks, m.localization.t_robot_ns),
-            credited=counted,
-        )
-
-    def _novelty(self, measured: list[_Measured], fits: list[list[Agreement]], share: FloatArray, says: float) -> float:
-        """Weight 0..1 of an image as evidence: the share of the landmarks it recognises that are new to the hypothesis.
-
-        While all that was recognised together is small enough for furniture that comes twice, the whole has a budget:
-        what is as large as it is worth, of which the image may count what was not counted yet. `says`: what it is worth
-        by itself (log odds). Of several candidates those count that are probably true.
-        """
-        c = self.config
-        surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike is as large: images err one by one
-        weight, novelty = [], []
-        for j, m in enumerate(measured):
-            z, view = m.localization, self._maps[m.map_index]
-            h = self._expects(fits, j)
-            before = self._recognised_before(h, m.map_index, z.t_robot_ns)
-            together = before.and_then(z.landmarks, z.t_robot_ns)
-            worth = self._log_odds(together.extent(view.place_map.navigation.landmarks.p_world) / view.unit)
-            new = max(before.share_of_new(z.landmarks), c.same_landmarks)
-            if h is not None and before.seen and says > 0 and worth < surely:
-                new = min(new, max(0.0, worth - h.credited) / says)
-            novelty.append(new)
-            weight.append(share[j] * (self._lost if h is None else h.weight))
-        return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
-
-    def _expects(self, fits: list[list[Agreement]], candidate: int) -> Hypothesis | None:
-        """The hypothesis that a candidate fits best."""
-        by = [i for i, row in enumerate(fits) if row[candidate].squared < SAME_POSE]
-        return self._hypotheses[max(by, key=lambda i: fits[i][candidate].density)] if by else None
-
-    def _recognised_before(self, h: Hypothesis | None, map_index: int, t_robot_ns: int) -> Recognised:
-        """By a hypothesis; for a candidate that none expects, by any: a look-alike's pose may scatter."""
-        seen = NOTHING
-        for other in self._hypotheses if h is None else (h,):
-            if other.map_index == map_index:
-                seen |= other.recognised
-        return seen.since(t_robot_ns - self._memory_ns)
+        return Measured(z, index, self._maps[index], z.T_map_cam @ self._T_cam_body, sigma_m)
 
     def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray, at_least: float) -> float:
         """Weight 0..1 of an image as evidence: `at_least` while it shows what the last one showed."""

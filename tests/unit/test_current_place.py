@@ -10,75 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from shared.calibration import Calibration, CameraCalibration
-from shared.geometry import FloatArray, se3, yaw_rotation
-from station.maps.map import Place, PlaceMap
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.places.answer import Localization
 from station.places.current import CurrentPlaceEstimator
 from station.places.map_view import MapView
-
-R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along body x
-SECOND = 1_000_000_000
-
-
-def pose(x: float, y: float, yaw: float = 0.0) -> FloatArray:
-    return se3(yaw_rotation(yaw), np.array([x, y, 0.0]))
-
-
-def make_map(map_id: str = "map", places: int = 3, more: FloatArray | None = None) -> PlaceMap:
-    """A drive along x from 0 to 6 m; places at x = 0, 3, 6, a landmark each; then `more` (n, 3) landmarks."""
-    camera = CameraCalibration(
-        width=640, height=480, fx=500, fy=500, cx=320, cy=240, T_body_cam=tuple(se3(R_BODY_CAM, np.zeros(3)).ravel())
-    )
-    xs = np.linspace(0, 6, 25)
-    T = np.stack([pose(x, 0.0) @ se3(R_BODY_CAM, np.zeros(3)) for x in xs])
-    t = np.arange(25) * SECOND
-    centroids = np.array([[3.0 * i, 0.0, 0.3] for i in range(places)]).reshape(-1, 3)
-    p_world = np.concatenate([centroids, np.zeros((0, 3)) if more is None else more])
-    landmarks = Landmarks(
-        p_world=p_world,
-        rgb=np.zeros((len(p_world), 3), dtype=np.uint8),
-        cov_world=np.zeros((len(p_world), 3, 3)),
-        observed_landmark=np.arange(places),
-        observed_keyframe=np.zeros(places, dtype=np.int64),
-        observed_uv_px=np.zeros((places, 2)),
-    )
-    report = NavigationReport("test", 25, 25, 1, 1, 1, places, 0, "metric", True, 0, {}, {})
-    navigation = Navigation(
-        id="nav",
-        calibration=Calibration(camera=camera, imu=None),
-        trajectory=Trajectory(t, T),
-        keyframes=Keyframes(np.arange(25), t, T, (b"",) * 25, np.zeros(25, dtype=np.int64)),
-        landmarks=landmarks,
-        report=report,
-    )
-    made = tuple(
-        Place(f"{map_id}-{i}", f"Place {i}", centroids[i], 0.3, np.array([i]), np.array([0]), 0, 1.0)
-        for i in range(places)
-    )
-    return PlaceMap(map_id, map_id, navigation, made, (), {})
-
-
-def seen(
-    t_s: float,
-    T_map_body: FloatArray,
-    inliers: int = 200,
-    map_id: str = "map",
-    landmarks: tuple[int, ...] = (),
-    extent: float = 0.4,
-) -> Localization:
-    return Localization(
-        t_robot_ns=int(t_s * SECOND),
-        T_map_cam=T_map_body @ se3(R_BODY_CAM, np.zeros(3)),
-        num_inliers=inliers,
-        inlier_ratio=0.6,
-        sigma_position=0.03,
-        keyframe_index=4,
-        map_id=map_id,
-        extent=extent,
-        landmarks=np.array(landmarks, dtype=np.int64),
-    )
+from tests.places_support import SECOND, make_map, pose, seen
 
 
 def test_before_any_image_the_robot_is_lost() -> None:
@@ -239,29 +173,6 @@ def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() ->
         jumps.append(estimator.on_localization(seen(k, pose(0.5, 0, 0.4 * (k - 8)))))
     told = [jump for jump in jumps if jump is not None]
     assert len(told) == 1 and told[0].distance_m == pytest.approx(4.75, abs=0.3)
-
-
-def deceived_by(things: FloatArray) -> CurrentPlaceEstimator:
-    """Tracked at x = 0 for three views of a wall, then eight views, each of the next 60 of these things at x = 6."""
-    wall = np.stack([np.zeros(60), np.linspace(-0.8, 0.8, 60), np.full(60, 0.5)], axis=1)
-    estimator = CurrentPlaceEstimator(make_map(more=np.concatenate([wall, things])))
-    estimator.on_odometry(0, pose(0, 0))
-    for k in range(11):
-        estimator.on_odometry(k * SECOND + 1, pose(0, 0, 0.3 * k))
-        at, first, extent_m = (0.0, 3, 0.4) if k < 3 else (6.0, 63 + 60 * (k - 3), 0.15)
-        shown = tuple(range(first, first + 60))
-        estimator.on_localization(seen(k, pose(at, 0.0, 0.3 * k), inliers=60, landmarks=shown, extent=extent_m))
-    return estimator
-
-
-def test_one_piece_of_furniture_deceives_once_but_many_things_convince() -> None:
-    rng = np.random.default_rng(0)
-    furniture = np.array([6.5, 0.0, 0.5]) + rng.uniform(-0.15, 0.15, (480, 3))  # comes into view bit by bit
-    one = deceived_by(furniture).answer(11 * SECOND)
-    assert one.place is None or one.place.id == "map-0"
-    many = furniture + np.repeat(np.stack([np.zeros(8), np.linspace(0, 3, 8), np.zeros(8)], axis=1), 60, axis=0)
-    convinced = deceived_by(many).answer(11 * SECOND)
-    assert convinced.place is not None and convinced.place.id == "map-2"
 
 
 def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:

@@ -15,7 +15,7 @@ from station.places.belief import BeliefConfig
 from station.places.coverage import Coverage
 from station.places.current import CurrentPlaceEstimator
 from station.places.map_view import MapView
-from tests.unit.test_current_place import R_BODY_CAM, make_map, seen
+from tests.places_support import R_BODY_CAM, make_map, seen
 
 WALL_X, DOOR = 4.0, (1.6, 2.4)  # between the room (x 0..4, y 0..4) and its neighbour (x 4..8)
 HALF_VIEW = np.arctan(320 / 1080)  # as narrow as the robot's camera
