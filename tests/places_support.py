@@ -42,7 +42,9 @@ def make_map(
         observed_keyframe=np.zeros(places, dtype=np.int64),
         observed_uv_px=np.zeros((places, 2)),
     )
-    report = NavigationReport("test", 25, 25, 1, 1, 1, places, 0, "metric" if scale is None else "arbitrary", True, 0, {}, {})
+    report = NavigationReport(
+        "test", 25, 25, 1, 1, 1, places, 0, "metric" if scale is None else "arbitrary", True, 0, {}, {}
+    )
     navigation = Navigation(
         id="nav",
         calibration=Calibration(camera=camera, imu=None),

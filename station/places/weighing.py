@@ -36,7 +36,7 @@ class Measured:
 class Weights:
     """What the robot may be, with weights: at a tracked pose, somewhere in a map, where no map knows."""
 
-    hypotheses: Sequence[Hypothesis]
+    hypotheses: list[Hypothesis]
     lost: float
     unmapped: float
 
@@ -152,9 +152,9 @@ def _novelty(
     says: float,
     c: BeliefConfig,
 ) -> float:
-    """Weight 0..1 of an image as evidence: the share of the landmarks it recognises that are new to the hypothesis.
+    """Weight 0..1 of an image as evidence: the share of the landmarks it recognises that no hypothesis did lately.
 
-    While all that was recognised together is small enough for furniture that comes twice, the whole has a budget: what
+    While all that a hypothesis recognised is small enough for furniture that comes twice, the whole has a budget: what
     is as large as it is worth, of which the image may count what was not counted yet. `says`: what it is worth by
     itself (log odds). Of several candidates those count that are probably true.
     """
@@ -163,10 +163,11 @@ def _novelty(
     for j, m in enumerate(measured):
         z = m.localization
         h = _expects(before.hypotheses, fits, j)
-        had = _recognised_before(before.hypotheses if h is None else (h,), m, c)
+        # What any of them recognised is no news to this one: a look-alike's pose may scatter.
+        new = max(_recognised_before(before.hypotheses, m, c).share_of_new(z.landmarks), c.same_landmarks)
+        had = NOTHING if h is None else _recognised_before((h,), m, c)
         together = had.and_then(z.landmarks, z.t_robot_ns)
         worth = _log_odds(together.extent(m.view.place_map.navigation.landmarks.p_world) / m.view.unit, c)
-        new = max(had.share_of_new(z.landmarks), c.same_landmarks)
         if h is not None and had.seen and says > 0 and worth < surely:
             new = min(new, max(0.0, worth - h.credited) / says)
         novelty.append(new)
@@ -181,7 +182,7 @@ def _expects(hypotheses: Sequence[Hypothesis], fits: list[list[Agreement]], cand
 
 
 def _recognised_before(hypotheses: Sequence[Hypothesis], m: Measured, c: BeliefConfig) -> Recognised:
-    """By a hypothesis; for a candidate that none expects, by any: a look-alike's pose may scatter."""
+    """By these hypotheses, of the measured one's map."""
     seen = NOTHING
     for h in hypotheses:
         if h.map_index == m.map_index:

@@ -1,4 +1,4 @@
-"""What an image counts beside others: furniture that comes twice deceives every image of it, an arrangement does not."""
+"""What an image counts beside others: furniture that comes twice deceives each image of it, an arrangement does not."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Robot:
         """Certain to be at Place 0."""
         for _ in range(views):
             self.shown(np.arange(3, 63), HERE)
-        assert self.here > 0.97
+        assert self.here > 0.95
         return self
 
     @property
@@ -104,7 +104,7 @@ def test_many_small_images_of_one_piece_say_no_more_than_one_of_the_whole(extent
     for bit in np.split(robot.things, images):
         robot.shown(bit, THERE, extent)
     whole = piece(60 * images)
-    assert robot.elsewhere <= after_one_image(whole, max(extent, extent_of(whole))).elsewhere
+    assert robot.elsewhere < after_one_image(whole, max(extent, extent_of(whole))).elsewhere + 0.01
     assert robot.elsewhere < 0.2 and robot.here > 0.75
 
 
@@ -162,14 +162,135 @@ def test_what_a_passing_view_recognised_is_no_news_either() -> None:
     assert robot.log_odds == pytest.approx(little, abs=0.3)
 
 
+@pytest.mark.parametrize("scatter_m", [0.2, 0.3, 0.6])
 @pytest.mark.parametrize("half_m", [0.15, 0.3, 0.6])
-def test_the_same_landmarks_at_poses_that_scatter_count_once(half_m: float) -> None:
+def test_the_same_landmarks_at_poses_that_scatter_count_once(half_m: float, scatter_m: float) -> None:
     robot = Robot(piece(60, half_m)).tracked()
     robot.shown(robot.things, THERE)
-    once = robot.elsewhere
-    for k in range(10):
-        robot.shown(robot.things, pose(6.0 - 0.6 * (k % 5), 0.5 * (k % 3 - 1)))
-    assert robot.elsewhere < once + 0.02
-    assert robot.here > 0.5 or half_m == 0.6
+    once = robot.log_odds
+    for k in range(20):
+        robot.shown(robot.things, pose(6.0 - scatter_m * (k % 5), scatter_m * (k % 3 - 1)))
+    assert robot.log_odds < once + 20 * 0.02 * np.log(49 / 0.5)  # in full each, it were fifty times as much
+    assert robot.here > 0.75 or half_m > 0.15
 
 
+def test_landmarks_are_news_again_when_the_memory_ends_and_not_before() -> None:
+    robot = Robot(piece(60)).tracked()
+    robot.shown(robot.things, THERE)
+    once = robot.log_odds
+    robot.shown(robot.things, THERE, after_s=14.9)
+    assert robot.log_odds == pytest.approx(once, abs=0.05)
+    robot.shown(robot.things, THERE, after_s=15.1)
+    assert robot.log_odds > once + 1.5
+
+
+def test_after_the_memory_s_end_the_budget_begins_anew() -> None:
+    robot = Robot(piece(240)).tracked()
+    bits = np.split(robot.things, 4)
+    gained = []
+    for first, second in ((bits[0], bits[1]), (bits[2], bits[3])):
+        robot.shown(first, THERE, 0.085)
+        before = robot.log_odds
+        robot.shown(second, THERE, 0.12)
+        gained.append(robot.log_odds - before)
+        robot.wait(15.1)
+    assert gained[0] > 0.5
+    assert gained[1] == pytest.approx(gained[0], abs=0.15)
+
+
+def test_a_late_image_does_not_make_a_landmark_older() -> None:
+    assert NOTHING.and_then(np.array([7]), 10).and_then(np.array([7]), 2).since(5).seen == {7: 10}
+    robot = Robot(piece(60)).tracked()
+    robot.wait(9.0)
+    robot.shown(robot.things, THERE)
+    robot.image(robot.t_s - 6.0, robot.things, THERE)
+    once = robot.log_odds
+    robot.shown(robot.things, THERE, after_s=12.0)  # 18 s after the late one
+    assert robot.log_odds == pytest.approx(once, abs=0.1)
+
+
+def test_put_back_where_it_was_the_robot_is_known_with_the_first_image() -> None:
+    robot = Robot(piece(60)).tracked(6)
+    for _ in range(2):
+        robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
+        assert robot.known is None and robot.here < 0.3
+        robot.shown(np.arange(3, 63), HERE)
+        assert robot.known == "map-0" and robot.here > 0.95
+
+
+def test_put_down_at_another_place_the_robot_is_known_there_with_the_first_image() -> None:
+    robot = Robot(piece(60, half_m=0.6)).tracked(6)
+    robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
+    robot.shown(robot.things, THERE)
+    assert robot.known == "map-2"
+
+
+def test_what_deceived_before_a_hijack_does_not_convince_after_it() -> None:
+    robot = Robot(piece(60)).tracked()
+    robot.shown(robot.things, THERE)
+    robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
+    for _ in range(5):
+        robot.shown(robot.things, THERE)
+        assert robot.known is None and robot.estimator.belief().place[2] < 0.5
+
+
+@pytest.mark.parametrize("scale", [0.1, 10.0])
+def test_the_unit_of_the_map_changes_nothing(scale: float) -> None:
+    beliefs: list[list[FloatArray]] = []
+    for s in (1.0, scale):
+        robot = Robot(piece(300), scale=s).tracked()
+        beliefs.append([])
+        for k, bit in enumerate(np.split(robot.things, 5)):
+            robot.shown(bit, THERE, 0.08 + 0.02 * k)
+            beliefs[-1].append(robot.estimator.belief().place)
+    np.testing.assert_allclose(beliefs[1], beliefs[0], rtol=1e-6)
+    assert beliefs[0][-1][0] > beliefs[0][-1][2] > beliefs[0][0][2]  # some of it counted, and not all
+
+
+def parts(q: FloatArray) -> dict[str, Callable[[np.random.Generator, int], IntArray]]:
+    """Ways to see `count` of a piece's landmarks q (n, 3) in its own frame, edges at -1 and 1."""
+    return {
+        "any": lambda rng, count: rng.choice(len(q), count, replace=False),
+        "side": lambda rng, count: np.argsort(np.abs(q - q[rng.integers(len(q))]).max(axis=1))[:count],
+        "rim": lambda rng, count: np.argsort(-np.abs(q).max(axis=1))[:count],
+        "middle": lambda rng, count: np.argsort(np.abs(q).max(axis=1))[:count],
+    }
+
+
+VIEWS = st.lists(
+    st.tuples(
+        st.sampled_from(sorted(parts(np.zeros((1, 3))))),
+        st.floats(0.1, 1.0),  # share of the landmarks
+        st.floats(0.3, 3.0),  # seconds since the last one
+    ),
+    min_size=4,
+    max_size=25,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    views=VIEWS,
+    half=st.tuples(*[st.sampled_from([0.15, 0.1, 0.03])] * 3),
+    is_hollow=st.booleans(),
+    scatter_m=st.sampled_from([0.0, 0.05, 0.3, 1.0]),
+    seed=st.integers(0, 10_000),
+)
+def test_however_one_piece_is_shown_a_certain_robot_never_goes_over_to_it(
+    views: list[tuple[str, float, float]],
+    half: tuple[float, float, float],
+    is_hollow: bool,
+    scatter_m: float,
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-1, 1, (200, 3))
+    if is_hollow:
+        q[np.arange(200), rng.integers(0, 3, 200)] = rng.choice([-1, 1], 200)
+    robot = Robot(MIDDLE + q * half).tracked()
+    for part, share, after_s in views:
+        shown = robot.things[parts(q)[part](rng, round(200 * share))]
+        robot.shown(
+            shown, pose(*([6.0, 0.0] + scatter_m * rng.normal(size=2)), scatter_m * rng.normal()), None, after_s
+        )
+        assert robot.known in (None, "map-0")
