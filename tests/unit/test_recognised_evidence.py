@@ -234,6 +234,15 @@ def test_what_deceived_before_a_hijack_does_not_convince_after_it() -> None:
         assert robot.known is None and robot.estimator.belief().place[2] < 0.5
 
 
+def test_after_a_hijack_what_speaks_for_the_old_pose_a_second_time_may_be_deceived_as_the_first_was() -> None:
+    robot = Robot(piece(120)).tracked(6)
+    robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
+    robot.shown(robot.things[:60], HERE, 0.07)  # more often wrong than right
+    assert robot.known is None and robot.here > 0.5
+    robot.shown(robot.things[60:], HERE, 0.08)
+    assert robot.known is None
+
+
 @pytest.mark.parametrize("scale", [0.1, 10.0])
 def test_the_unit_of_the_map_changes_nothing(scale: float) -> None:
     beliefs: list[list[FloatArray]] = []
