@@ -231,7 +231,7 @@ class Recording:
             self._drives.end(running.drive.id)
             await self._close_recorder(running)
             await running.slam.close(at_once=True)
-            message = "; ".join(filter(None, ("the station was stopped", _error_of(running))))
+            message = "; ".join(filter(None, (f"the station was stopped{AGAIN}", _error_of(running))))
             await self._drives.keep(replace(self._counted(running), state="failed", message=message))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
         tasks = tuple(self._tasks)
@@ -383,7 +383,7 @@ class Recording:
             self._events.say("navigation", f"{drive.name}: {drive.message}", level)
         finally:
             if drive.state == "finishing":
-                text = "the station was stopped before this navigation was finished"
+                text = f"the station was stopped before this navigation was finished{AGAIN}"
                 drive = replace(drive, state="failed", message=text)
             await running.slam.close(at_once=drive.state == "failed")
             self._finishing.pop(drive.id, None)
