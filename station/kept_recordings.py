@@ -24,7 +24,9 @@ async def recover_recordings(drives: Drives, interrupted: Iterable[DriveRecord],
             recovery = await asyncio.to_thread(recover_recording, path) if path.is_file() else None
             if recovery is None:
                 continue
-            message = f"interrupted; {recovery.seconds:.0f} s are recovered: run SLAM again to make a navigation of them"
+            message = (
+                f"interrupted; {recovery.seconds:.0f} s are recovered: run SLAM again to make a navigation of them"
+            )
             if drive in drives.library.list():  # nobody deleted or named it meanwhile
                 await drives.keep(replace(drive, message=message, duration_s=recovery.seconds))
             events.say("navigation", f"{drive.name}: {recovery}", "warning")

@@ -29,6 +29,7 @@ from station.slam_process import SlamProcess
 
 logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1
+AGAIN = "; the recording is kept, and SLAM can run over it again"
 CANCELLED = "SLAM was cancelled; the recording is kept, and SLAM can run over it again"
 OTHER_ROBOT = "another robot was connected; this navigation ended there"
 OTHER_RUN = "the robot was started anew, its clock with it; this navigation ended there"
