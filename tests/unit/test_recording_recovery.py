@@ -24,6 +24,7 @@ from station.drive_library import DriveLibrary, DriveRecord
 from station.main import app
 from station.recorder import Recorder
 from station.recording_check import check_recording
+from station.recording_lock import hold, is_being_written
 from station.recording_parts import SoundChunk, parts_of
 from station.recording_topics import LIBRARY, register_channels
 from station.recovery import recover_recording
@@ -142,6 +143,54 @@ def test_a_hole_and_a_cut_end_are_told_apart(
     assert messages_in(path) == [t for n, (_, held) in enumerate(chunks[:30]) if n not in (5, 6, 20) for t in held]
 
 
+@pytest.mark.parametrize("where", ["between two chunks", "before the end", "at a cut end"])
+def test_only_a_record_that_the_files_end_cuts_off_is_called_cut(
+    whole: bytes, chunks: list[tuple[ChunkIndex, list[Told]]], tmp_path: Path, where: str
+) -> None:
+    path = tmp_path / "d.mcap"
+    length = {"between two chunks": in_the_middle(chunks[30][0]), "before the end": len(whole)}
+    damaged = bytearray(whole[: length.get(where, chunks[30][0].chunk_start_offset)])
+    if where == "at a cut end":
+        damaged += b"\xff" * 100  # no kind of record
+    else:
+        index = chunks[20 if where == "between two chunks" else -1][0]
+        damaged[index.chunk_start_offset + index.chunk_length + 6] ^= 1  # the length of what follows a chunk
+    path.write_bytes(damaged)
+    recovery = recover_recording(path)
+    assert recovery is not None and recovery.inside and recovery.kept is not None
+
+
+@pytest.mark.parametrize("from_end", [1, 37])  # of the last mark; the kind of the last record
+def test_a_damaged_end_is_no_end(whole: bytes, tmp_path: Path, from_end: int) -> None:
+    path = tmp_path / "d.mcap"
+    damaged = bytearray(whole)
+    damaged[-from_end] ^= 0x80
+    path.write_bytes(damaged)
+    assert check_recording(path).damage.startswith("it has no end")
+
+
+def test_who_looks_whether_a_file_is_written_keeps_nobody_from_it(tmp_path: Path) -> None:
+    path = tmp_path / "d.mcap"
+    path.write_bytes(b"")
+    with path.open("rb") as reader, path.open("r+b") as writer:
+        assert not is_being_written(reader)
+        assert hold(writer) and is_being_written(reader)
+    with path.open("r+b") as writer:
+        assert hold(writer)  # nobody does any more
+
+
+def test_a_chunk_without_checksum_is_not_believed(tmp_path: Path) -> None:
+    path = tmp_path / "d.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4, enable_crcs=False)
+        writer.start(library=LIBRARY)
+        writer.add_message(register_channels(writer)[HELLO_TOPIC], 1, b"{}", 1)
+        writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(DataError, match="nothing that can be recovered"):
+        recover_recording(path)
+
+
 def test_without_its_first_chunk_every_message_keeps_its_topic(
     whole: bytes, chunks: list[tuple[ChunkIndex, list[Told]]], tmp_path: Path
 ) -> None:
@@ -197,6 +246,7 @@ def test_what_holds_nothing_stays_as_it_is(tmp_path: Path, content: bytes) -> No
 
 def test_what_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "d.mcap"
+    path.write_bytes(bytes(300_000))  # what had this name before is gone
     recorder = Recorder(path, min_free_bytes=0)
     recorder.on_connected(HELLO)
     recorder.on_imu(batch(0))
