@@ -59,7 +59,7 @@ def export(
     if is_taken:
         raise DataError(f"{out} exists already; give a new name with --out")
     place_map: PlaceMap | None = None
-    folder = next((f for f in (Path(source), Path(source) / "navigation") if (f / "navigation.json").is_file()), None)
+    folder = _navigation_folder(Path(source))
     if folder is not None:
         nav = load_navigation(folder)
     else:
@@ -79,6 +79,13 @@ def export(
         ExportFormat.COLMAP: lambda path: export_colmap(nav, path),
     }
     _whole_or_not(out, writers[file_format])
+
+
+def _navigation_folder(source: Path) -> Path | None:
+    """Where a navigation lies: in this folder, or in this drive of a station. A map's folder holds one too."""
+    if (source / "map.json").is_file():
+        return None
+    return next((folder for folder in (source, source / "navigation") if (folder / "navigation.json").is_file()), None)
 
 
 def _whole_or_not(out: Path, write: Callable[[Path], object]) -> None:

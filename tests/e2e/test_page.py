@@ -12,6 +12,7 @@ from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import LAPTOP, PHONE, Room
 from tests.link_support import until
+from tests.page_support import drive_by_key
 from tests.station_support import store_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
@@ -32,8 +33,7 @@ async def test_the_robot_moves_while_the_joystick_is_held_and_no_longer(room: Ro
 @pytest.mark.parametrize("key", ["w", "ArrowLeft"])
 async def test_keys_drive_while_they_are_held(room: Room, key: str) -> None:
     page = await room.open()
-    await page.keyboard.down(key)
-    await until(lambda: room.motors_run)
+    await drive_by_key(page, key, lambda: room.motors_run)
     _, linear, angular = room.bench.motors.history[-1]
     assert linear > 0 if key == "w" else angular > 0
     await page.keyboard.up(key)

@@ -17,6 +17,7 @@ from tests.access_support import Guarded, guarded_station
 from tests.e2e.conftest import LAPTOP
 from tests.e2e.test_page_for_everybody import violations
 from tests.link_support import Bench, running_robot, until
+from tests.page_support import drive_by_key
 from tests.station_support import Film
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
@@ -78,9 +79,7 @@ async def test_a_link_lets_one_browser_in_once(house: tuple[Guarded, Bench, Page
     await page.goto(link)
     await page.wait_for_selector("#video[data-seq]")
     assert "login" not in page.url
-    await page.wait_for_selector(".age:not(.bad)")
-    await page.keyboard.down("w")
-    await until(lambda: bench.motors.history and not bench.motors.are_off)
+    await drive_by_key(page, "w", lambda: bench.motors.history and not bench.motors.are_off)
     await page.keyboard.up("w")
     await page.get_by_role("button", name="Log out").click()
     await expect(page.get_by_label("Token")).to_be_visible()
