@@ -63,8 +63,8 @@ def weighed(
     density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(measured)) * share
     at = density.sum(axis=1)  # of the image, at each hypothesis
     repeats = at * np.array([h.look_alike for h in before.hypotheses])
-    again = c.deceived_again if before.hypotheses else 0.0  # the first look-alike repeats none
-    says = float(np.log((1 - false) / (false * (again or 1.0))))  # log odds, for a hypothesis that it fits
+    again = c.deceived_again
+    says = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
     freshness = min(freshness, _novelty(measured, before, fits, share, says, c))
     counted = freshness * max(0.0, says)
     expected = [False] * len(measured)
@@ -168,6 +168,7 @@ def _novelty(
         had = NOTHING if h is None else _recognised_before((h,), m, c)
         together = had.and_then(z.landmarks, z.t_robot_ns)
         worth = _log_odds(together.extent(m.view.place_map.navigation.landmarks.p_world) / m.view.unit, c)
+        worth -= float(np.log(c.deceived_again))  # as in what an image says: half of the look-alikes fit no hypothesis
         if h is not None and had.seen and says > 0 and worth < surely:
             new = min(new, max(0.0, worth - h.credited) / says)
         novelty.append(new)
