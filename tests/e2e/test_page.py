@@ -233,6 +233,7 @@ async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> Non
     await expect(page.locator(f"[data-place='{third.id}']")).to_have_count(0)
     await expect(page.locator(f"[data-place='{second.id}']")).to_have_count(1)
     assert third.id not in [p["id"] for p in (await room.desk.http.get("/places")).json()]
+    await expect(page.locator("#toast")).to_contain_text(third.name)  # not the one of the change before
     await page.locator("#toast").get_by_role("button", name="Undo").click()
     await expect(page.locator(f"[data-place='{third.id}']")).to_have_count(1)
     places = {p["id"]: p for p in (await room.desk.http.get("/places")).json()}
