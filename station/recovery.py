@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -99,7 +100,8 @@ def _copy(source: BinaryIO, target: BinaryIO, path: Path) -> Survey:
                 copy.take(record)
         else:
             copy.note_hole()
-    writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+    finish: Callable[[], None] = writer.finish  # mcap leaves it untyped
+    finish()
     return survey
 
 

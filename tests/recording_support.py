@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 from mcap.reader import NonSeekingReader
+from mcap.writer import Writer
 
 import station.recorder
 from shared.calibration import REFERENCE_ROBOT
@@ -90,3 +92,9 @@ def messages_in(path: Path) -> list[tuple[str, int, int, bytes]]:
     with path.open("rb") as file:
         found = NonSeekingReader(file).iter_messages(log_time_order=False)
         return [(channel.topic, m.log_time, m.publish_time, m.data) for _, channel, m in found]
+
+
+def finish(writer: Writer) -> None:
+    """Give a file its end."""
+    end: Callable[[], None] = writer.finish  # mcap leaves it untyped
+    end()

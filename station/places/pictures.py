@@ -33,7 +33,7 @@ class Row(Generic[A]):
 
 
 # What zipfile and numpy raise for damaged files; the last two where a bit says "encrypted" or another compression.
-DAMAGE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, RuntimeError, NotImplementedError)
+UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, RuntimeError, NotImplementedError)
 DIGEST = Row(np.dtype(np.uint8), hashlib.sha256().digest_size)
 UV = Row(np.dtype(np.float64), 2)
 DESCRIPTOR = Row(np.dtype(np.uint8), 128)
@@ -104,7 +104,7 @@ class DescribedPictures:
                     return False
                 uv_px = self._read_parts(archive, "uv_px", UV, counts)
                 descriptors = self._read_parts(archive, "descriptors", DESCRIPTOR, counts)
-        except DAMAGE:
+        except UNREADABLE:
             return False
         self._known |= dict(zip(digests, map(Features, uv_px, descriptors), strict=True))
         return True

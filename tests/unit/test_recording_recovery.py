@@ -28,7 +28,7 @@ from station.recording_lock import hold, is_being_written
 from station.recording_parts import SoundChunk, parts_of
 from station.recording_topics import LIBRARY, register_channels
 from station.recovery import recover_recording
-from tests.recording_support import HELLO, batch, frame, messages_in, record, recorded_in_small_chunks
+from tests.recording_support import HELLO, batch, finish, frame, messages_in, record, recorded_in_small_chunks
 
 Told = tuple[str, int, int, bytes]
 
@@ -185,7 +185,7 @@ def test_a_chunk_without_checksum_is_not_believed(tmp_path: Path) -> None:
         writer = Writer(file, compression=CompressionType.LZ4, enable_crcs=False)
         writer.start(library=LIBRARY)
         writer.add_message(register_channels(writer)[HELLO_TOPIC], 1, b"{}", 1)
-        writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+        finish(writer)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(DataError, match="nothing that can be recovered"):
         recover_recording(path)
@@ -355,7 +355,7 @@ def foreign(path: Path, compression: CompressionType, *, has_summary: bool = Tru
         ]
         for n in range(200):
             writer.add_message(ids[n % 2], n, b'{"n": %d}' % n, n)
-        writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+        finish(writer)
     return path
 
 
@@ -370,7 +370,7 @@ def test_a_picture_without_its_frames_record_is_left_out(tmp_path: Path) -> None
         channels = register_channels(writer)
         for topic, log_ns, sensor_ns, data in told:
             writer.add_message(channels[topic], log_ns, data, sensor_ns)
-        writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+        finish(writer)
     read = [(f.t_robot_ns, f.encoded) for f in open_dataset(path).frames()]
     assert read == [(frame(2).t_robot_ns, frame(2).jpeg)]
 
