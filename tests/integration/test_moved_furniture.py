@@ -34,4 +34,5 @@ def test_sides_that_disagree_are_no_reason_to_refuse_where_nothing_else_fits(tmp
 
 def test_an_answer_decimetres_beside_the_right_one_is_never_accepted(tmp_path: Path) -> None:
     found, off_m = align_second_day(6, tmp_path)
-    assert off_m < 0.05 or not found.accepted, found.reasons
+    assert off_m > 0.1 and not found.accepted  # one that is found right is no case for this test
+    assert any("can slide" in reason for reason in found.reasons), found.reasons
