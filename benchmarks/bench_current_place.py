@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy as np
 
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
-from robot.simulation.config import SimulationConfig
+from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.driver import RouteDriver
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.recording import simulated_calibration
@@ -50,6 +50,10 @@ MERGE_M = 0.06
 DOORWAY_M = 0.5
 
 
+def no_faults(_t_s: float) -> Faults:
+    return Faults()
+
+
 class Robot:
     """A simulated robot on a route; `sense` yields what it would send."""
 
@@ -64,7 +68,13 @@ class Robot:
         self._camera = SimulatedCamera(renderer, calibration.camera, self._config.camera, seed)
         self.history = MotionHistory()
 
-    def sense(self, seconds: float, frame_period_s: float, hijack: tuple[float, FloatArray] | None) -> Iterator[Any]:
+    def sense(
+        self,
+        seconds: float,
+        frame_period_s: float,
+        hijack: tuple[float, FloatArray] | None,
+        faults_at: Callable[[float], Faults] = no_faults,
+    ) -> Iterator[Any]:
         """Yields ImuBatch, DriveSample, ImageFrame, and ("hijack", t_ns) when hands take the robot."""
         driver = RouteDriver(self.route)
         state, ticks, next_frame_s, index = self.body.state(), 0, 0.2, 0
@@ -81,7 +91,7 @@ class Robot:
                 batch = []
             if state.t_s - next_frame_s > camera.line_delay_s * camera.height + 0.02:
                 carried = self.history.carried(next_frame_s)
-                exposure = self._camera.expose(self.history.pose, next_frame_s, self._config.faults, carried)
+                exposure = self._camera.expose(self.history.pose, next_frame_s, faults_at(next_frame_s), carried)
                 stamp = START_NS + round((next_frame_s - camera.time_shift_s) * 1e9)
                 yield ImageFrame(index, stamp, round(exposure.exposure_s * 1e9), exposure.jpeg)
                 index += 1
@@ -104,7 +114,7 @@ class Robot:
             ticks += 1
 
 
-def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: int, unmapped: str) -> PlaceMap:
+def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: int, unmapped: str | None) -> PlaceMap:
     """A map along the mapping route with the simulator's poses and depths, without keyframes in one room."""
     camera = calibration.camera
     assert camera is not None
@@ -122,7 +132,7 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
             continue
         middle = camera.line_delay_s * camera.height / 2
         T_body = robot.history.pose((item.t_robot_ns - START_NS) / 1e9 + camera.time_shift_s + middle)
-        if world.room_at(*T_body[:2, 3]) == unmapped:
+        if unmapped is not None and world.room_at(*T_body[:2, 3]) == unmapped:
             continue
         T = T_body @ T_body_cam
         if poses:
@@ -186,6 +196,12 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
     )
 
 
+def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
+    """Ids of the places nearest to the true position, ties within 10 %."""
+    distance = np.linalg.norm([p.centroid_map - T_world_body[:3, 3] for p in place_map.places], axis=1)
+    return {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
+
+
 def judge_drive(
     world: World, renderer: Renderer, calibration: Calibration, place_map: PlaceMap, localizer: Localizer,
     unmapped: str, seed: int,
@@ -200,9 +216,7 @@ def judge_drive(
     at_s = float(rng.uniform(12, 20))
     target = np.array([*spot, rng.uniform(-np.pi, np.pi)])
     tracker = PlaceTracker(place_map, calibration, localizer)
-    centroids = np.array([p.centroid_map for p in place_map.places])
     driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
-    ids = [p.id for p in place_map.places]
     rows, hijack_ns, noticed = [], None, None
     for item in robot.sense(at_s + 17.0, 0.4, (at_s, target)):
         if isinstance(item, ImuBatch):
@@ -214,8 +228,7 @@ def judge_drive(
             assert calibration.camera is not None
             t_ns = item.t_robot_ns + round(1e9 * calibration.camera.time_shift_s)  # the simulator's and the IMU's clock
             T = robot.history.pose((t_ns - START_NS) / 1e9)
-            distance = np.linalg.norm(centroids - T[:3, 3], axis=1)
-            right = {ids[i] for i in np.flatnonzero(distance <= 1.1 * distance.min())}
+            right = right_places(place_map, T)
             answer = tracker.answer(t_ns)
             since = None if hijack_ns is None else (t_ns - hijack_ns) / 1e9
             is_mapped = world.room_at(*T[:2, 3]) != unmapped

@@ -1,0 +1,112 @@
+"""False alarms: plain driving in simulated flats, all rooms mapped, also with a covered lens, other light, a person.
+
+    python -m benchmarks.bench_false_alarms [--flats 6] [--seed 250] [--drives 2] [--out FILE.json]
+
+Nobody touches the robot, so that every hijack event is a false alarm; what the current place says meanwhile is judged
+as in `bench_current_place` (its stand-in for a map, too). Conditions, each for whole drives: `plain`; `lens`, covered
+for 5 s of every 20; `light`, which goes to 40 %, 160 % and back every 7 s while exposure follows; `person`, who walks
+through the picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from benchmarks.bench_current_place import START_NS, Robot, map_flat, no_faults, right_places
+from robot.simulation.atlas import default_cache_dir
+from robot.simulation.config import Faults, SimulationConfig
+from robot.simulation.recording import simulated_calibration
+from robot.simulation.renderer import Renderer
+from robot.simulation.world import World
+from robot.simulation.worlds import make_world
+from shared.calibration import Calibration
+from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.maps.map import PlaceMap
+from station.places.localizer import Localizer
+from station.places.tracker import PlaceTracker
+
+LIGHTS = (1.0, 0.4, 1.0, 1.6)
+CONDITIONS: dict[str, Callable[[float], Faults]] = {
+    "plain": no_faults,
+    "lens": lambda t_s: Faults(covered_lens=t_s % 20 > 15),
+    "light": lambda t_s: Faults(light=LIGHTS[int(t_s / 7) % len(LIGHTS)]),
+    "person": lambda _t_s: Faults(person=True),
+}
+
+
+def undisturbed_drive(
+    world: World, renderer: Renderer, calibration: Calibration, place_map: PlaceMap, localizer: Localizer,
+    condition: str, seed: int,
+) -> dict[str, Any]:  # fmt: skip
+    """One drive to its end, at most 2 minutes; answers once per image."""
+    assert calibration.camera is not None
+    robot = Robot(world, renderer, calibration, "second" if seed % 2 else "tour", seed)
+    tracker = PlaceTracker(place_map, calibration, localizer)
+    states = {"known": 0, "unknown": 0, "lost": 0}
+    alarms, wrong, seconds = [], 0, 0.0
+    for item in robot.sense(120.0, 0.4, None, CONDITIONS[condition]):
+        if isinstance(item, ImuBatch):
+            tracker.on_imu(item)
+        elif isinstance(item, DriveSample):
+            tracker.on_drive(item)
+        elif isinstance(item, ImageFrame):
+            tracker.on_frame(item)
+            t_ns = item.t_robot_ns + round(1e9 * calibration.camera.time_shift_s)
+            seconds = (t_ns - START_NS) / 1e9
+            answer = tracker.answer(t_ns)
+            states[answer.state] += 1
+            if answer.state == "known" and answer.place is not None:
+                wrong += answer.place.id not in right_places(place_map, robot.history.pose(seconds))
+        alarms += [(round((e.t_robot_ns - START_NS) / 1e9, 1), e.cue, e.reason) for e in tracker.take_events()]
+    return {"flat": world.seed, "drive": seed, "condition": condition, "seconds": seconds, "alarms": alarms,
+            "states": states, "wrong_known": wrong}  # fmt: skip
+
+
+def summarise(drives: list[dict[str, Any]]) -> dict[str, Any]:
+    summary = {}
+    for condition in CONDITIONS:
+        mine = [d for d in drives if d["condition"] == condition]
+        known = sum(d["states"]["known"] for d in mine)
+        hours = sum(d["seconds"] for d in mine) / 3600
+        summary[condition] = {
+            "minutes": round(60 * hours, 1),
+            "alarms": sum(len(d["alarms"]) for d in mine),
+            "known": known / max(1, sum(sum(d["states"].values()) for d in mine)),
+            "right_when_known": 1 - sum(d["wrong_known"] for d in mine) / max(1, known),
+        }
+    return summary
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--flats", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=250)
+    parser.add_argument("--drives", type=int, default=2, help="of each condition in each flat")
+    parser.add_argument("--out", type=Path, default=None)
+    a = parser.parse_args()
+    cv2.setNumThreads(1)
+    calibration = simulated_calibration(SimulationConfig())
+    assert calibration.camera is not None
+    drives: list[dict[str, Any]] = []
+    for flat in range(a.seed, a.seed + a.flats):
+        world = make_world("small", flat)
+        renderer = Renderer(world, calibration.camera, default_cache_dir())
+        place_map = map_flat(world, renderer, calibration, flat, None)
+        localizer = Localizer(place_map)
+        for drive in range(1, a.drives + 1):
+            for condition in CONDITIONS:
+                drives.append(undisturbed_drive(world, renderer, calibration, place_map, localizer, condition, drive))
+                print(json.dumps(drives[-1]), flush=True)
+    print(json.dumps(summarise(drives), indent=1))
+    if a.out:
+        a.out.write_text(json.dumps({"summary": summarise(drives), "drives": drives}))
+
+
+if __name__ == "__main__":
+    main()
