@@ -266,6 +266,10 @@ class CurrentPlaceEstimator:
             return "the robot is between places, or its position has become too uncertain"
         if self._hijack_reason:
             return f"hijacked ({self._hijack_reason}) and not recognised again yet"
+        if sum(h.weight for h in self._hypotheses) > 0.5:
+            return "images fit several parts of the map that look alike"
+        if self._believed is not None:
+            return "images do not agree with where the robot was last recognised"
         return "no image has been recognised yet"
 
     # -- numbers --------------------------------------------------------------------------------------------------
@@ -288,6 +292,7 @@ class CurrentPlaceEstimator:
         if best is None or best.weight < c.believed_from:
             return None
         before, self._believed = self._believed, best
+        self._hijack_reason = ""  # found again
         if before is None or before.number == best.number:
             return None
         if before.map_index != best.map_index:

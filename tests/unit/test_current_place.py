@@ -127,6 +127,22 @@ def test_after_a_hijack_the_old_place_is_forgotten_and_the_new_one_found() -> No
     assert found.state == "known" and found.place is not None and found.place.id == "map-2"
 
 
+def test_a_robot_found_again_is_not_told_of_the_hijack_when_it_is_lost_later() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_hijack(0, "lifted")
+    estimator.on_localization(seen(1.0, pose(6.0, 0.0, 2.0)))
+    assert estimator.answer(SECOND).state == "known"
+    reasons = []
+    for k in range(2, 12):
+        estimator.on_odometry(k * SECOND, pose(0, 0, 0.3 * k))
+        estimator.on_localization(seen(k, pose(0.0, 0.0, 0.3 * k), inliers=30))
+        answer = estimator.answer(k * SECOND)
+        if answer.state == "lost":
+            reasons.append(answer.reason)
+    assert reasons and all("look alike" in reason or "last recognised" in reason for reason in reasons), reasons
+
+
 def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
     estimator = CurrentPlaceEstimator(make_map())
     for k in range(10):
