@@ -30,6 +30,7 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     time_shift_s: float = 0.0  # t_imu = t_cam + time_shift_s
     line_delay_s: float = 0.0  # rolling shutter: row v is exposed line_delay_s * v after row 0; 0 is a global shutter
     rate_hz: float = 20.0
+    is_measured: bool = True  # False: another camera's numbers, for want of its own
 
     def __post_init__(self) -> None:
         if not (0 < self.width <= 8192 and 0 < self.height <= 8192):

@@ -290,12 +290,18 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
         adapter.load_calibration(PiConfig(width=1280, height=720))
 
 
+def test_a_robot_without_a_calibration_says_that_its_cameras_numbers_are_anothers() -> None:
+    camera, reference = adapter.load_calibration(PiConfig()).camera, REFERENCE_ROBOT.camera
+    assert camera is not None and reference is not None and not camera.is_measured
+    assert camera.fx == reference.fx
+
+
 def test_a_camera_calibrated_alone_is_mounted_and_timed_as_the_reference_robots(tmp_path: Path) -> None:
     file = tmp_path / "camera.yaml"
     file.write_text("resolution: [640, 480]\nintrinsics: [1000.0, 1001.0, 320.0, 240.0]\n")
     config, reference = PiConfig(calibration=str(tmp_path)), REFERENCE_ROBOT.camera
     own = adapter.load_calibration(config).camera
-    assert own is not None and reference is not None and own.fx == 1000.0
+    assert own is not None and reference is not None and own.fx == 1000.0 and own.is_measured
     assert (own.T_body_cam, own.time_shift_s) == (reference.T_body_cam, reference.time_shift_s)
     file.write_text(file.read_text() + "T_BS: [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\ntime_shift_s: 0.0\n")
     own = adapter.load_calibration(config).camera

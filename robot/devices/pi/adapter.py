@@ -91,13 +91,14 @@ def open_line(path: str) -> SerialLine:
 
 
 def load_calibration(config: PiConfig) -> Calibration:
-    """The robot's own calibration, or the reference robot's; the picture size must fit."""
-    calibration = REFERENCE_ROBOT
+    """The robot's own calibration, or the reference robot's, which says so; the picture size must fit."""
+    assert REFERENCE_ROBOT.camera is not None
+    camera = msgspec.structs.replace(REFERENCE_ROBOT.camera, is_measured=False)
     if config.calibration:
         camera = _read_own_camera(Path(config.calibration) / "camera.yaml")
-        calibration = msgspec.structs.replace(calibration, camera=camera)
-    if calibration.camera is not None and config.camera:
-        size = (calibration.camera.width, calibration.camera.height)
+    calibration = msgspec.structs.replace(REFERENCE_ROBOT, camera=camera)
+    if config.camera:
+        size = (camera.width, camera.height)
         if size != (config.width, config.height):
             raise ConfigError(
                 f"pi.width, pi.height {config.width}x{config.height} differ from the calibration's {size[0]}x{size[1]};"
