@@ -66,7 +66,7 @@ class DriveConfig:
 class SlamConfig:
     """The backend that follows a navigation while it is recorded."""
 
-    backend: str = "sfm"  # or "auto": ukf for a robot on wheels with an IMU
+    backend: str = "auto"  # ukf for a calibrated robot on wheels with an IMU, else sfm
     seed: int = 1
     frame_backlog: int = 900  # frames that wait for a busy worker (60 MB); then the oldest is skipped, and counted
     live_frame_backlog: int = 20  # the same for backends that answer with a pose: that pose should be of now

@@ -31,11 +31,14 @@ def check_backend(name: str) -> None:
 
 
 def choose_backend(name: str, calibration: Calibration) -> str:
-    """The backend that is meant: "auto" is ukf for a robot on wheels with an IMU, else sfm, which needs images only."""
+    """The backend that is meant: "auto" is ukf for a robot on wheels with an IMU and a camera that was measured.
+
+    Any other is followed by sfm, which needs images only; the filter believes the camera's numbers.
+    """
     if name != AUTO:
         return name
-    has_imu = calibration.imu is not None and calibration.camera is not None
-    return "ukf" if has_imu and calibration.robot_kind == "sentinel" else "sfm"
+    is_measured = calibration.camera is not None and calibration.camera.is_measured
+    return "ukf" if is_measured and calibration.imu is not None and calibration.robot_kind == "sentinel" else "sfm"
 
 
 def make_backend(

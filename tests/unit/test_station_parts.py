@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import station.workers
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.commands.serve import _settings as serve_settings
@@ -331,6 +331,9 @@ def test_a_robot_on_wheels_with_an_imu_is_followed_by_the_filter_and_others_by_t
     assert choose_backend("auto", REFERENCE_ROBOT) == "ukf"
     assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, imu=None)) == "sfm"
     assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, robot_kind="generic")) == "sfm"
+    guessed = msgspec.structs.replace(REFERENCE_CAMERA, is_measured=False)
+    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, camera=guessed)) == "sfm"
+    assert choose_backend("ukf", msgspec.structs.replace(REFERENCE_ROBOT, camera=guessed)) == "ukf"
     assert choose_backend("sfm", REFERENCE_ROBOT) == "sfm"
 
 
