@@ -1,35 +1,43 @@
 """The thesis' experiments I, II and III on many simulated worlds, and the real kitchen, in both modes.
 
     python -m benchmarks.bench_experiments [--seeds 30] [--first-seed 0] [--only I II III kitchen kitchen-little]
-                                           [--hours 1.0] [--work FOLDER] [--data ../shared/data] [--summary]
+        [--modes default thesis] [--eps 0.5 1.5] [--hours 1.0] [--work FOLDER] [--data ../shared/data] [--summary]
 
-Can be ended at any moment and started again: every world's results are files in the work folder, and what is there is
-not made again. `--hours` begins no further world after that time. `--summary` only prints the table of what is there.
-Both modes see the same two navigations (structure from motion, one thread, the world's seed).
+Can be ended at any moment and started again: every world's navigations and results are files in the work folder, and
+what is there is not made again. `--hours` begins no further world after that time. `--summary` only prints the table
+of what is there. Both modes see the same two navigations (the preset's backend, one thread, the world's seed). What two
+drives share is made once: III's first drive is II's, and I's second is the beginning of its first. `--eps` also matches
+with the default mode's reach times these factors and counts the matches that change.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.places import changed_share
 from shared.errors import RobotSystemError
-from station.commands.experiment import make_drives, reconstruct
-from station.experiments.experiment import Story, results_dict, run_experiment
-from station.experiments.inputs import FrameRange, Input, is_navigation, open_input
+from station.commands.experiment import reconstruct, say
+from station.datasets import Dataset, Truth
+from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
+from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
 from station.experiments.output import write_experiment
-from station.experiments.presets import PRESETS, find_preset
+from station.experiments.presets import PRESETS, Preset, find_preset, make_dataset
+from station.frames import ImageFrame
 from station.navigation import Navigation
-from station.navigation_files import load_navigation
+from station.navigation_files import load_navigation, save_navigation
 from station.places.config import PlacesConfig, PlacesMode, ThesisConfig
+from station.slam.backends import make_backend
+from station.slam.run import Events, run_backend
 
 MODES: tuple[PlacesMode, ...] = ("default", "thesis")
 KITCHEN = {  # thesis numbers that gave clusters at all on this cloud, tried by hand (docs/results.md)
@@ -38,58 +46,137 @@ KITCHEN = {  # thesis numbers that gave clusters at all on this cloud, tried by 
 }
 KITCHEN_THESIS = ThesisConfig(eps=0.05, min_pts=20, inlier_ratio=0.6)
 SETS = (*PRESETS, *KITCHEN)
+SAME_FIRST_DRIVE = {"III": "II"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drives:
-    """Two drives of one world, before anything is reconstructed."""
+class World:
+    """Two reconstructed drives of one world."""
 
-    inputs: list[Input]
+    navigations: list[Navigation]
+    truths: tuple[Truth | None, Truth | None]
     thesis: ThesisConfig
     story: Story
+    seconds: dict[str, float]  # what making them took, where they were made now
 
 
-def open_drives(name: str, seed: int, data: Path, folder: Path) -> Drives:
-    """The recorded drives of a set; simulated ones are made first."""
-    if name in KITCHEN:
-        inputs = [open_input(data / "redkitchen", frames, None) for frames in KITCHEN[name]]
-        return Drives(inputs, KITCHEN_THESIS, Story(title=f"Kitchen, {name}"))
-    preset = find_preset(name, seed, data / "euroc_v1_02_imu" if name == "I" else None)
-    paths = make_drives(preset, folder / "data")
-    inputs = [open_input(path, frames, None) for path, frames in zip(paths, preset.frames, strict=True)]
-    return Drives(inputs, preset.thesis, preset.story)
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What to run on every world."""
+
+    modes: tuple[PlacesMode, ...]
+    eps_factors: tuple[float, ...]
+
+    def is_done(self, folder: Path) -> bool:
+        wanted = [f"{mode}.json" for mode in self.modes] + [f"eps_{factor:g}.json" for factor in self.eps_factors]
+        return (folder / "failed.json").exists() or all((folder / name).exists() for name in wanted)
 
 
-def navigations(drives: Drives, seed: int, folder: Path, seconds: dict[str, float]) -> list[Navigation]:
-    """Both navigations, from an earlier start where they were finished."""
-    kept = [folder / f"navigation{number}" for number in (1, 2)]
-    if all(is_navigation(path) for path in kept):
-        return [load_navigation(path) for path in kept]
-    return reconstruct(drives.inputs, "sfm", seed, 1, folder, seconds)
-
-
-def run_world(name: str, seed: int, data: Path, folder: Path) -> None:
-    """Both modes on one world: `<mode>.json` in its folder, or `failed.json` with the sentence why not."""
+def open_world(name: str, seed: int, data: Path, folder: Path) -> World:
+    """Both navigations and their truth, from an earlier start where they were finished."""
     seconds: dict[str, float] = {}
+    if name in KITCHEN:
+        thesis, story, backend = KITCHEN_THESIS, Story(title=f"Kitchen, {name}"), "sfm"
+        inputs = [open_input(data / "redkitchen", frames, None) for frames in KITCHEN[name]]
+        for number, opened in enumerate(inputs):
+            navigation = folder / f"navigation{number + 1}"
+            if is_navigation(navigation):
+                inputs[number] = replace(opened, source=load_navigation(navigation))
+    else:
+        preset = find_preset(name, seed, data / "euroc_v1_02_imu" if name == "I" else None)
+        thesis, story, backend = preset.thesis, preset.story, preset.backend
+        if name in SAME_FIRST_DRIVE:
+            _take_first_drive(folder.with_name(f"{SAME_FIRST_DRIVE[name]}_{seed}"), folder)
+        inputs = [_open_drive(preset, number, folder) for number in (0, 1)]
+        if preset.drives[0] == preset.drives[1] and isinstance(inputs[0].source, Dataset):
+            inputs = _reconstruct_with_prefix(inputs[0], inputs[1], preset, seed, folder, seconds)
+    navigations = reconstruct(inputs, backend, seed, 1, folder, seconds)
+    for path in folder.glob("drive*/mav0/cam0/data"):
+        shutil.rmtree(path)  # images, made again from the seed when wanted; the truth stays
+    return World(navigations, (inputs[0].truth, inputs[1].truth), thesis, story, seconds)
+
+
+def _open_drive(preset: Preset, number: int, folder: Path) -> Input:
+    """One drive of a preset: finished, or simulated now."""
+    same = preset.drives[0] == preset.drives[1]
+    path, navigation = folder / f"drive{1 if same else number + 1}", folder / f"navigation{number + 1}"
+    if is_navigation(navigation):
+        return Input(path, load_navigation(navigation), open_truth(path))
+    if not (path / "mav0" / "cam0" / "data").is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    return open_input(make_dataset(preset.drives[number], path, say), preset.frames[number], None)
+
+
+def _take_first_drive(other: Path, folder: Path) -> None:
+    """The same first drive of another world's folder, where it is there: linked, not copied."""
+    pairs = [(other / part, folder / part) for part in ("drive1", "navigation1")]
+    if is_navigation(other / "navigation1") and not any(mine.exists() for _, mine in pairs):
+        for theirs, mine in pairs:
+            shutil.copytree(theirs, mine, copy_function=os.link)
+
+
+def _reconstruct_with_prefix(
+    whole: Input, prefix: Input, preset: Preset, seed: int, folder: Path, seconds: dict[str, float]
+) -> list[Input]:
+    """Both navigations of one drive in one go: where the shorter ends, a copy of the process finishes it.
+
+    The backend has seen the same until then, so the result is that of a run of its own.
+    """
+    assert isinstance(whole.source, Dataset)
+    last = preset.frames[1].last
+    assert last is not None
+    data, start, is_copy = whole.source, time.perf_counter(), False
+
+    def events() -> Events:
+        nonlocal is_copy
+        has_branched = False
+        for event in data.events():
+            if not has_branched and isinstance(event, ImageFrame) and event.index > last:
+                child = os.fork()
+                if child == 0:
+                    is_copy = True
+                    return
+                os.waitpid(child, 0)  # waited for: what is put on the shelf is shared
+                has_branched = True
+            yield event
+
+    backend = make_backend(preset.backend, data.calibration, seed, 1, data.intrinsics_known)
+    made = run_backend(backend, events())
+    made = replace(made, id=f"{whole.path.name}-{made.id}")
+    save_navigation(made, folder / f"navigation{2 if is_copy else 1}")
+    if is_copy:
+        os._exit(0)
+    seconds["navigation1"] = time.perf_counter() - start
+    finished = [folder / f"navigation{number}" for number in (1, 2)]
+    return [replace(i, source=load_navigation(f)) for i, f in zip((whole, prefix), finished, strict=True)]
+
+
+def run_world(name: str, seed: int, data: Path, folder: Path, study: Study) -> None:
+    """Its result files, or `failed.json` with the sentence why not."""
     try:
-        drives = open_drives(name, seed, data, folder)
-        first, second = navigations(drives, seed, folder, seconds)
-        for mode in MODES:
-            done = run_experiment(
-                first,
-                second,
-                PlacesConfig(mode=mode, thesis=drives.thesis),
-                truths=(drives.inputs[0].truth, drives.inputs[1].truth),
-                seed=seed,
-                story=drives.story,
-            )
-            done.seconds.update(seconds)
+        world = open_world(name, seed, data, folder)
+        base: Experiment | None = None
+        for mode in study.modes:
+            if (folder / f"{mode}.json").exists():
+                continue
+            done = _match(world, PlacesConfig(mode=mode, thesis=world.thesis), seed)
+            base = done if mode == "default" else base
             if name in KITCHEN or seed == 0:
                 write_experiment(done, folder / f"report-{mode}")
             _write(folder / f"{mode}.json", results_dict(done))
+        for factor in study.eps_factors:
+            base = base or _match(world, PlacesConfig(), seed)
+            changed = changed_share(base, _match(world, PlacesConfig(eps_factor=factor), seed))
+            _write(folder / f"eps_{factor:g}.json", {"changed": changed, "of": len(base.result.matches)})
     except RobotSystemError as exc:
         _write(folder / "failed.json", {"error": str(exc)})
-    shutil.rmtree(folder / "data", ignore_errors=True)  # images, made again from the seed when wanted
+
+
+def _match(world: World, config: PlacesConfig, seed: int) -> Experiment:
+    first, second = world.navigations
+    done = run_experiment(first, second, config, truths=world.truths, seed=seed, story=world.story)
+    done.seconds.update(world.seconds)
+    return done
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
@@ -97,10 +184,6 @@ def _write(path: Path, content: dict[str, Any]) -> None:
     scratch = path.with_suffix(".new")
     scratch.write_text(json.dumps(content, indent=1, default=str) + "\n")
     scratch.rename(path)
-
-
-def is_done(folder: Path) -> bool:
-    return (folder / "failed.json").exists() or all((folder / f"{mode}.json").exists() for mode in MODES)
 
 
 def summarise(results: dict[int, dict[str, Any]]) -> dict[str, Any]:
@@ -143,6 +226,11 @@ def print_summary(work: Path) -> None:
                 print("|" + " --- |" * (len(header) + 2))
             cells = (f"{v:.3f}" if isinstance(v, float) else "–" if v is None else str(v) for v in row.values())
             print(f"| {name} | {mode} | " + " | ".join(cells) + " |")
+    for name in SETS:
+        for factor in sorted({path.stem.removeprefix("eps_") for path in work.glob(f"{name}_*/eps_*.json")}):
+            rows = [json.loads(path.read_text()) for path in sorted(work.glob(f"{name}_*/eps_{factor}.json"))]
+            changed = sum((row["changed"] or 0.0) * row["of"] for row in rows)
+            print(f"{name}: reach times {factor} changes {changed:.0f} of {sum(row['of'] for row in rows)} matches")
     for path in sorted(work.glob("*/failed.json")):
         print(f"failed: {path.parent.name}: {json.loads(path.read_text())['error']}")
 
@@ -156,22 +244,25 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", default=list(SETS), choices=SETS)
+    parser.add_argument("--modes", nargs="*", default=list(MODES), choices=MODES)
+    parser.add_argument("--eps", nargs="*", type=float, default=[], help="factors on the default mode's reach")
     parser.add_argument("--hours", type=float, default=float("inf"))
     parser.add_argument("--work", type=Path, default=Path("benchmarks/results/experiments"))
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--summary", action="store_true")
     a = parser.parse_args()
+    study = Study(tuple(mode for mode in MODES if mode in a.modes), tuple(a.eps))
     begun = time.monotonic()
     # Seed by seed through all sets, so that an early end leaves some worlds of each.
     worlds = [(name, seed) for seed in range(a.first_seed, a.first_seed + a.seeds) for name in a.only]
     for name, seed in () if a.summary else worlds:
         folder = a.work / f"{name}_{seed}"
-        if is_done(folder) or (name in KITCHEN and seed > a.first_seed):  # the kitchen is one world
+        if study.is_done(folder) or (name in KITCHEN and seed > a.first_seed):  # the kitchen is one world
             continue
         if time.monotonic() - begun > 3600 * a.hours:
             break
         start = time.monotonic()
-        run_world(name, seed, a.data, folder)
+        run_world(name, seed, a.data, folder, study)
         print(f"{name} {seed}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
     print_summary(a.work)
 

@@ -13,6 +13,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -36,6 +37,15 @@ VARIANTS = {
     "thesis eps 0.3 m, MinPts 11": PlacesConfig(mode="thesis", thesis=ThesisConfig()),
     "thesis eps 0.15 m, MinPts 11": PlacesConfig(mode="thesis", thesis=ThesisConfig(eps=0.15)),
 }
+
+
+class Matched(Protocol):
+    """A map and what was matched with it."""
+
+    @property
+    def place_map(self) -> PlaceMap: ...
+    @property
+    def result(self) -> MatchResult: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +86,7 @@ def run(pair: tuple[tuple[Navigation, Truth], tuple[Navigation, Truth]], config:
     return Outcome(place_map, result, judge_matches(place_map, truth1, second, truth2, result), seconds)
 
 
-def changed_share(base: Outcome, other: Outcome) -> float | None:
+def changed_share(base: Matched, other: Matched) -> float | None:
     """Share of the base's matches that the other does not have: same place and same location by their landmarks."""
     if not base.result.matches:
         return None
@@ -88,7 +98,7 @@ def changed_share(base: Outcome, other: Outcome) -> float | None:
     return 1 - kept / len(base.result.matches)
 
 
-def _clusters(outcome: Outcome, place_id: str, location_id: str) -> tuple[Place, Place]:
+def _clusters(outcome: Matched, place_id: str, location_id: str) -> tuple[Place, Place]:
     place = next(p for p in outcome.place_map.places if p.id == place_id)
     return place, next(p for p in outcome.result.locations if p.id == location_id)
 

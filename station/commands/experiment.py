@@ -44,7 +44,9 @@ def experiment(
         str | None, typer.Option(help="I, II or III: the thesis' experiments; --seed chooses the world.")
     ] = None,
     euroc: Annotated[Path | None, typer.Option(help="EuRoC V1_02 folder: path and IMU of preset I.")] = None,
-    backend: Annotated[str, typer.Option("--backend", help="SLAM backend for datasets: sfm, ukf.")] = "sfm",
+    backend: Annotated[
+        str | None, typer.Option("--backend", help="SLAM backend for datasets: sfm, ukf [the preset's; else sfm].")
+    ] = None,
     mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
     eps: Annotated[float | None, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised [0.3].")] = None,
     min_pts: Annotated[int | None, typer.Option(help="Thesis mode: DBSCAN's MinPts [11].")] = None,
@@ -65,6 +67,7 @@ def experiment(
             raise ConfigError("--preset makes its own navigations; leave --navigation1 and --navigation2 out")
         chosen = find_preset(preset, seed, euroc)
         story, thesis, ranges = chosen.story, chosen.thesis, chosen.frames
+        backend = backend or chosen.backend
     elif navigation1 is None or navigation2 is None:
         raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders; or --preset")
     config = PlacesConfig(
@@ -87,7 +90,7 @@ def experiment(
     if (truth1 or truth2) and not all(opened.truth for opened in inputs):
         raise ConfigError("judging needs the true poses of both drives; give --truth1 and --truth2, or neither")
     seconds: dict[str, float] = {}
-    first, second = reconstruct(inputs, backend, seed, threads, out, seconds)
+    first, second = reconstruct(inputs, backend or "sfm", seed, threads, out, seconds)
     with working("clustering Navigation1 into places") as say_step:
         done = run_experiment(
             first,

@@ -21,6 +21,7 @@ PRESETS = ("I", "II", "III")
 V1_02_START_S = 5.4  # the published set-up starts at image 109 of 20 Hz
 NAVIGATION1_FRAMES = 600  # thesis 5.2
 NAVIGATION2_FRAMES = 400
+ROOM_FPS = 10  # pictures a second of a robot that does 0.4 m/s; keyframes are 0.5 s apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,7 @@ class Preset:
 
     drives: tuple[tuple[str, ...], tuple[str, ...]]  # arguments of robot-sim, without --out
     frames: tuple[FrameRange, FrameRange]
+    backend: str  # what stands for the thesis' source of landmarks
     thesis: ThesisConfig  # the hand-set numbers of this experiment in the thesis
     story: Story
 
@@ -81,6 +83,7 @@ def _first(seed: int, euroc: Path | None) -> Preset:
     return Preset(
         drives=((*drive, "--duration", f"{NAVIGATION1_FRAMES / 20 + 0.5}"),) * 2,
         frames=(FrameRange(0, NAVIGATION1_FRAMES - 1), FrameRange(0, NAVIGATION2_FRAMES - 1)),
+        backend="ukf",
         thesis=ThesisConfig(eps=0.3, min_pts=11, inlier_ratio=0.75),
         story=Story(
             title=f"Experiment I: EuRoC V1_02, first 600 against first 400 frames (world {seed})",
@@ -88,7 +91,8 @@ def _first(seed: int, euroc: Path | None) -> Preset:
                 "Thesis 5.2: Navigation2 is the first 400 of Navigation1's 600 frames of EuRoC V1_02, landmarks from "
                 "the Lie-group UKF.",
                 "Here the path and the IMU are the recorded ones; the images are rendered along the true path in a "
-                f"made-up Vicon room (world seed {seed}), since the recording's images are not part of the data used.",
+                f"made-up Vicon room (world seed {seed}), since the recording's images are not part of the data used. "
+                "Landmarks come from the Lie-group UKF here, too; it starts by itself in the air.",
                 "True poses are the recording's own. A prefix of the same data shares its landmarks almost point by "
                 "point: a wrong match here would be a fault of the method itself.",
             ),
@@ -107,12 +111,16 @@ def _rooms(name: str, seed: int) -> Preset:
     same = name == "II"
     routes = ("triangle_a", "triangle_b" if same else "triangle_c")
     drives = tuple(
-        ("dataset", "--world", "room", "--seed", str(seed), "--route", route, "--drive-seed", str(1000 * seed + number))
+        (
+            "dataset", "--world", "room", "--seed", str(seed), "--route", route,
+            "--drive-seed", str(1000 * seed + number), "--fps", str(ROOM_FPS),
+        )
         for number, route in enumerate(routes, start=1)
-    )
+    )  # fmt: skip
     return Preset(
         drives=(drives[0], drives[1]),
         frames=(FrameRange(), FrameRange()),
+        backend="sfm",
         thesis=ThesisConfig(eps=0.015, min_pts=200, inlier_ratio=0.8)
         if same
         else ThesisConfig(eps=0.025, min_pts=250, inlier_ratio=0.45),

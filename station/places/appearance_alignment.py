@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ MIN_AGREEING = 4  # independent images that must tell the same story
 MIN_AGREEING_SHARE = 0.6  # of those that were found at all
 MAX_POSITION_SHARE = 0.1  # of the viewing distance: agreement in position
 MAX_ANGLE_RAD = 0.1  # agreement in rotation
+MAX_SIGHTINGS = 3  # of a landmark by keyframes that are described: each costs some 50 ms
+MIN_NEWS = 0.2  # share of a keyframe's landmarks without so many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +84,13 @@ def _localize(place_map: PlaceMap, navigation: Navigation) -> tuple[FloatArray, 
     mapped = any(place_map.navigation.keyframes.encoded)
     if not usable or not mapped or navigation.calibration.camera is None or not len(place_map.navigation.landmarks):
         return np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), 0
-    localizer = Localizer(place_map)
+    described = keyframes_with_news(place_map.navigation)
+    pictures = place_map.navigation.keyframes.encoded
+    thinned = replace(
+        place_map.navigation.keyframes,
+        encoded=tuple(picture if news else b"" for picture, news in zip(pictures, described, strict=True)),
+    )
+    localizer = Localizer(replace(place_map, navigation=replace(place_map.navigation, keyframes=thinned)))
     chosen = np.unique(np.linspace(0, len(usable) - 1, min(MAX_QUERIES, len(usable))).round().astype(int))
     in_map, in_nav = [], []
     for k in (usable[i] for i in chosen):
@@ -95,6 +103,24 @@ def _localize(place_map: PlaceMap, navigation: Navigation) -> tuple[FloatArray, 
             in_map.append(found.T_map_cam)
             in_nav.append(keyframes.T_world_cam[k])
     return np.array(in_map).reshape(-1, 4, 4), np.array(in_nav).reshape(-1, 4, 4), len(chosen)
+
+
+def keyframes_with_news(navigation: Navigation) -> list[bool]:
+    """(F,) which keyframes show enough landmarks that those before them leave open.
+
+    A camera in the air makes a keyframe every 0.05 s, and each shows what its neighbours show: half of them will do. Of
+    a map of rooms that somebody drove through nearly all are needed.
+    """
+    landmarks = navigation.landmarks
+    order = np.argsort(landmarks.observed_keyframe, kind="stable")
+    begin = np.searchsorted(landmarks.observed_keyframe[order], np.arange(len(navigation.keyframes) + 1))
+    sightings = np.zeros(len(landmarks), dtype=np.int64)
+    has_news = []
+    for k in range(len(navigation.keyframes)):
+        seen = landmarks.observed_landmark[order[begin[k] : begin[k + 1]]]
+        has_news.append(bool(len(seen)) and float((sightings[seen] < MAX_SIGHTINGS).mean()) >= MIN_NEWS)
+        sightings[seen] += has_news[-1]
+    return has_news
 
 
 def _fit(T_map_cam: FloatArray, T_nav_cam: FloatArray, fixed_scale: bool) -> FloatArray:
