@@ -18,6 +18,7 @@ import os
 import shutil
 import sys
 import time
+import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -141,11 +142,17 @@ def _reconstruct_with_prefix(
             yield event
 
     backend = make_backend(preset.backend, data.calibration, seed, 1, data.intrinsics_known)
-    made = run_backend(backend, events())
-    made = replace(made, id=f"{whole.path.name}-{made.id}")
-    save_navigation(made, folder / f"navigation{2 if is_copy else 1}")
-    if is_copy:
-        os._exit(0)
+    try:
+        made = run_backend(backend, events())
+        made = replace(made, id=f"{whole.path.name}-{made.id}")
+        save_navigation(made, folder / f"navigation{2 if is_copy else 1}")
+    except Exception:
+        if not is_copy:
+            raise
+        traceback.print_exc()
+    finally:
+        if is_copy:
+            os._exit(0)  # the rest of the program is the parent's, who misses the navigation if there is none
     seconds["navigation1"] = time.perf_counter() - start
     finished = [folder / f"navigation{number}" for number in (1, 2)]
     return [replace(i, source=load_navigation(f)) for i, f in zip((whole, prefix), finished, strict=True)]

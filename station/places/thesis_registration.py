@@ -15,6 +15,7 @@ from station.places.registration.result import Registration, refused
 MAX_ROUNDS = 30
 MIN_POINTS = 12  # GICP needs as many neighbours for a point's covariance
 CONVERGED = 1e-5  # of the cloud's size: the pose no longer moves
+COINCIDE = 1 / 3000  # of the cloud's size: the library's grid, made for the reach, counts no farther than such a cloud
 
 
 def register_as_thesis(
@@ -40,7 +41,7 @@ def register_as_thesis(
         distance = tree.query(transform(T, B))[0]
         reach = float(np.quantile(distance, config.inlier_ratio))
         kept = distance <= reach
-        if reach < 1e-9 * size or np.count_nonzero(kept) < MIN_POINTS:
+        if reach < COINCIDE * size or np.count_nonzero(kept) < MIN_POINTS:
             break
         try:
             T_next = align_gicp(A, B[kept], T, reach=reach, backend="small_gicp")

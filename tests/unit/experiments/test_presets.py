@@ -23,6 +23,7 @@ def test_the_first_uses_the_prefix_of_one_drive(tmp_path: Path) -> None:
     first = find_preset("I", 0, tmp_path)
     assert first.drives[0] == first.drives[1]
     assert first.frames == (FrameRange(0, 599), FrameRange(0, 399))
+    assert (first.backend, find_preset("II", 0, None).backend) == ("ukf", "sfm")
     assert any("stand" in s or "rendered" in s for s in first.story.setting)
     with pytest.raises(ConfigError, match="needs --euroc"):
         find_preset("I", 0, tmp_path / "nowhere")

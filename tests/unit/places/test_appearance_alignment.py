@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, inverse, se3, so3_exp, yaw_rotation
-from station.places.appearance_alignment import agree_on_motion
+from station.places.appearance_alignment import MAX_SIGHTINGS, agree_on_motion, keyframes_with_news
+from tests.synthetic_home import drive, furnished_room, navigate
 
 
 def cameras(seed: int, count: int, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -40,3 +41,24 @@ def test_right_positions_with_wrong_headings_do_not_agree() -> None:
     T_map_cam[4:, :3, :3] = T_map_cam[4:, :3, :3] @ so3_exp(np.array([0.0, 0.5, 0.0]))
     found = agree_on_motion(T_map_cam, T_nav_cam, tolerance=0.2, fixed_scale=True)
     assert found is None  # four of eight are no majority
+
+
+def test_of_keyframes_that_show_the_same_only_a_few_have_news() -> None:
+    home = furnished_room(4)
+    there = drive(home, 4, frames=12)
+    stays = np.repeat(there[:1], 30, axis=0)
+    navigation = navigate(home, np.concatenate([stays, there]), seed=4, images=False, seen_share=1.0)
+    has_news = keyframes_with_news(navigation)
+    assert all(has_news[:MAX_SIGHTINGS])
+    assert sum(has_news[:30]) <= 2 * MAX_SIGHTINGS  # each frame of this drive sees four fifths of what is in view
+    landmarks = navigation.landmarks
+    described = np.flatnonzero(has_news)
+    shown = landmarks.observed_landmark[np.isin(landmarks.observed_keyframe, described)]
+    assert len(np.unique(shown)) >= 0.95 * len(landmarks)
+
+
+def test_a_drive_through_a_room_is_described_as_a_whole() -> None:
+    home = furnished_room(5)
+    navigation = navigate(home, drive(home, 5, frames=24, turns=1.0), seed=5, images=False)
+    assert len(navigation.landmarks) > 50
+    assert sum(keyframes_with_news(navigation)) >= 22
