@@ -73,11 +73,7 @@ def experiment(
     config = PlacesConfig(
         mode=places_mode(mode),
         align_by=align_by_mode(align_by),
-        thesis=ThesisConfig(
-            eps=thesis.eps if eps is None else eps,
-            min_pts=thesis.min_pts if min_pts is None else min_pts,
-            inlier_ratio=thesis.inlier_ratio if inlier_ratio is None else inlier_ratio,
-        ),
+        thesis=with_options(thesis, eps, min_pts, inlier_ratio),
     )
 
     if preset is not None:
@@ -158,6 +154,18 @@ def finish(done: Experiment, out: Path, as_json: bool) -> None:
     if results["recall"] is not None:
         print(f"recall {results['recall']:.3f} of {len(results['co_visible'])} co-visible places")
     print(f"written to {out / 'report.html'}")
+
+
+def with_options(
+    thesis: ThesisConfig, eps: float | None, min_pts: int | None, inlier_ratio: float | None
+) -> ThesisConfig:
+    """The numbers that were given on the command line, in place of a preset's. Raises ConfigError for a wrong one."""
+    return replace(
+        thesis,
+        eps=thesis.eps if eps is None else eps,
+        min_pts=thesis.min_pts if min_pts is None else min_pts,
+        inlier_ratio=thesis.inlier_ratio if inlier_ratio is None else inlier_ratio,
+    )
 
 
 def places_config(mode: str, eps: float, min_pts: int, inlier_ratio: float, align_by: str = "both") -> PlacesConfig:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from shared.errors import ConfigError, DataError
+from station.commands.experiment import with_options
 from station.experiments.inputs import FrameRange
 from station.experiments.presets import find_preset, make_dataset
 
@@ -27,6 +28,13 @@ def test_the_first_uses_the_prefix_of_one_drive(tmp_path: Path) -> None:
     assert any("stand" in s or "rendered" in s for s in first.story.setting)
     with pytest.raises(ConfigError, match="needs --euroc"):
         find_preset("I", 0, tmp_path / "nowhere")
+
+
+def test_an_option_replaces_one_of_the_numbers_set_by_hand() -> None:
+    by_hand = find_preset("II", 0, None).thesis
+    assert with_options(by_hand, None, None, None) == by_hand
+    changed = with_options(by_hand, 0.1, None, None)
+    assert (changed.eps, changed.min_pts, changed.normalise) == (0.1, by_hand.min_pts, True)
 
 
 def test_a_failed_simulation_is_one_sentence_and_leaves_nothing(tmp_path: Path) -> None:
