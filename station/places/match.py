@@ -19,7 +19,8 @@ from station.places.territory import Territory
 
 MAX_DISTANCE_SHARE = 0.8  # of the place's half extent: a farther centroid is another place, or a part of this one
 MIN_SUPPORT = 0.5  # share of a location's landmarks that lie in the place
-MIN_PART = 0.2  # of a location's landmarks in one place: less is its blurred edge
+MIN_PART = 0.2  # of a location's landmarks in one place: less is its blurred edge,
+MIN_SEEN = 0.5  # unless they are so many as the place has: a small place beside a large one, seen as a whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +129,7 @@ def _regroup(place_map: PlaceMap, navigation: Navigation, clusters: Clusters, T_
     if not place_map.places or not clusters.count:
         return clusters
     territory = Territory(place_map)
+    sizes = np.array([len(place.landmark_index) for place in place_map.places])
     p_map = transform(T_map_nav, navigation.landmarks.p_world)
     label = np.full(len(clusters.label), NOISE, dtype=np.int64)
     quality: list[float] = []
@@ -136,7 +138,8 @@ def _regroup(place_map: PlaceMap, navigation: Navigation, clusters: Clusters, T_
         members = clusters.members(k)
         place = territory.place_of(p_map[members])
         counts = np.bincount(place[place >= 0], minlength=len(place_map.places))
-        parts = np.flatnonzero((counts >= MIN_LANDMARKS) & (counts >= MIN_PART * len(members)))
+        enough = (counts >= MIN_PART * len(members)) | (counts >= MIN_SEEN * sizes)
+        parts = np.flatnonzero((counts >= MIN_LANDMARKS) & enough)
         if not len(parts) or counts[parts].sum() < MIN_SUPPORT * len(members):
             label[members] = len(quality)
             quality.append(float(clusters.quality[k]))
