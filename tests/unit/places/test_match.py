@@ -8,7 +8,9 @@ from station.datasets import Truth
 from station.evaluation.matches import judge_matches, true_landmarks
 from station.maps.map import PlaceMap
 from station.navigation import Navigation
+from station.places import match
 from station.places.build import build_map
+from station.places.clusters import Clusters
 from station.places.config import PlacesConfig, ThesisConfig
 from station.places.match import match_navigation
 from tests.synthetic_home import drive, furnished_room, navigate, with_points
@@ -48,6 +50,23 @@ def test_a_second_drive_finds_the_places_again(
     assert judgement.recall is not None and judgement.recall >= 0.8
     assert judgement.registration_error is not None and judgement.registration_error < 0.05
     np.testing.assert_allclose(result.position_map, true_poses[:, :3, 3], atol=0.1)
+
+
+def test_small_places_are_found_in_a_location_as_large_as_the_room(
+    first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place_map, poses = first
+    navigation, true_poses = second
+
+    def one_cluster(navigation: Navigation, *_: object, **__: object) -> Clusters:
+        return Clusters(np.zeros(len(navigation.landmarks), dtype=np.int64), np.ones(1), {})
+
+    monkeypatch.setattr(match, "cluster_landmarks", one_cluster)
+    result = match_navigation(place_map, navigation)
+    judgement = judge_matches(place_map, truth_of(poses), navigation, truth_of(true_poses), result)
+    assert len(place_map.places) > 5  # so that each is less than a fifth of the room
+    assert judgement.precision == 1.0
+    assert judgement.recall is not None and judgement.recall >= 0.8
 
 
 def test_another_room_gives_no_matches(first: tuple[PlaceMap, FloatArray]) -> None:
