@@ -18,6 +18,7 @@ DIRECTIONS = 8
 TURNS_DEG = (-5.0, -2.5, 0.0, 2.5, 5.0)
 SCALES = (0.965, 1.0, 1.035)  # where the scale is free
 STARTS = 6  # the best of them are refined
+FIRST_PART = 6  # of the points: the first look at them is by that share
 START_GAP = 0.5  # voxels between two of them
 REACHES = (1.0, 1.0, 0.75, 0.75, 0.75, 0.75, 0.5, 0.5)  # voxels
 
@@ -43,9 +44,8 @@ def alignments_beside(
         voxel: of the global search, target units.
     """
     starts = _starts(source.points[few], T, R_up, voxel, SCALES if free_scale else (1.0,))
-    fit = surface_fit(target, source.points[few], starts, voxel)
     chosen: list[FloatArray] = []
-    for k in np.argsort(-fit, kind="stable"):
+    for k in best_fits(target, source.points[few], starts, voxel, keep=(len(starts) // 3, len(starts) // 3)):
         X = starts[k]
         if all(landed_apart(X, other, source) > START_GAP * voxel for other in [T, *chosen]):
             chosen.append(X)
@@ -85,15 +85,40 @@ def _starts(
     return out
 
 
+def best_fits(
+    target: PreparedCloud, points: FloatArray, alignments: list[FloatArray], voxel: float, keep: tuple[int, ...]
+) -> IntArray:
+    """The order (n,) of alignments (4, 4) by how near the points (k, 3) come to the target's surfaces, best first.
+
+    In as many looks as `keep` has numbers, each by more of the points; only the best `keep` of one are looked at in the
+    next, the others follow them as they are: a sixth of the points tells the better third from the rest.
+    """
+    mixed = np.argsort(np.arange(len(points)) % FIRST_PART, kind="stable")  # any piece of it is of the whole cloud
+    left, total, seen = np.arange(len(alignments)), np.zeros(len(alignments)), 0
+    aside: list[IntArray] = []
+    for look, count in enumerate(keep):
+        last = look == len(keep) - 1
+        until = len(points) if last else -(-len(points) * 2**look // FIRST_PART)
+        part = points[mixed[seen:until]]
+        total[left] += len(part) * surface_fit(target, part, [alignments[k] for k in left], voxel)
+        order, seen = left[np.argsort(-total[left], kind="stable")], until
+        left = order[:count]
+        aside.insert(0, order[count:])
+    return np.concatenate([left, *aside])
+
+
 def surface_fit(target: PreparedCloud, points: FloatArray, alignments: list[FloatArray], voxel: float) -> FloatArray:
     """(n,) how near the points (k, 3) come to the target's surfaces under each alignment (4, 4), 0..1.
 
     As wide as a third of a voxel: the alignments are steps on a grid, not optima.
     """
-    moved = np.concatenate([points @ X[:3, :3].T + X[:3, 3] for X in alignments])
+    X = np.stack(alignments)
+    # One point under all alignments, then the next: neighbours in the list are neighbours in the tree.
+    moved = (np.einsum("aij,kj->kai", X[:, :3, :3], points) + X[:, :3, 3]).reshape(-1, 3)
     distance, index = target.tree.query(moved, distance_upper_bound=1.5 * voxel, workers=2)
-    near = np.isfinite(distance)
-    index = np.where(near, index, 0)
-    along = np.einsum("ni,ni->n", moved - target.points[index], target.normals[index])
-    fit = np.exp(-0.5 * (along / (0.3 * voxel)) ** 2 - 0.5 * (np.where(near, distance, 0.0) / (0.8 * voxel)) ** 2)
-    return np.asarray(np.where(near, fit, 0.0).reshape(len(alignments), -1).mean(axis=1), dtype=np.float64)
+    near = np.flatnonzero(np.isfinite(distance))
+    index, distance = index[near], distance[near]
+    along = np.einsum("ni,ni->n", moved[near] - target.points[index], target.normals[index])
+    fit = np.zeros(len(moved))
+    fit[near] = np.exp(-0.5 * (along / (0.3 * voxel)) ** 2 - 0.5 * (distance / (0.8 * voxel)) ** 2)
+    return np.asarray(fit.reshape(len(points), -1).mean(axis=0), dtype=np.float64)

@@ -41,12 +41,21 @@ def clean_points(points: FloatArray, name: str) -> FloatArray:
     finite = np.isfinite(p).all(axis=1)
     if len(p) and not finite.any():
         raise DegenerateGeometry(f"the {name} cloud holds no finite point")
-    p = p[finite]
+    given, p = np.count_nonzero(finite), _distinct(p[finite])
+    if len(p) == 1 < given:
+        raise DegenerateGeometry(f"all points of the {name} cloud coincide")
     if len(p) < MIN_POINTS:
         raise DegenerateGeometry(f"the {name} cloud has {len(p)} usable points, needs at least {MIN_POINTS}")
     # Percentiles instead of extremes: a few far outliers must not hide that the rest lies on a plane.
     _check_spread(p, name)
     return p
+
+
+def _distinct(points: FloatArray) -> FloatArray:
+    """Every point once, in their order: many of one point would hide the others from every median."""
+    rows = np.ascontiguousarray(points).view(np.dtype((np.void, 24)))[:, 0]
+    first = np.unique(rows, return_index=True)[1]
+    return points if len(first) == len(points) else points[np.sort(first)]
 
 
 def _check_spread(p: FloatArray, name: str) -> None:
@@ -74,16 +83,17 @@ def prepare_cloud(points: FloatArray, rng: np.random.Generator) -> PreparedCloud
     weight = np.ones((len(points), k))
     for _ in range(2):
         total = weight.sum(axis=1)[:, None]
-        mean = (weight[..., None] * neighbours).sum(axis=1) / total
+        mean = np.matmul(weight[:, None], neighbours)[:, 0] / total  # batched products: einsum takes five times as long
         offset = neighbours - mean[:, None]
-        cov = np.einsum("nk,nki,nkj->nij", weight, offset, offset) / total[..., None]
+        cov = np.matmul((weight[..., None] * offset).transpose(0, 2, 1), offset) / total[..., None]
         values, vectors = np.linalg.eigh(cov)
-        normals = vectors[:, :, 0]
-        residual = np.abs(np.einsum("nki,ni->nk", offset, normals))
+        normals = np.ascontiguousarray(vectors[:, :, 0])
+        residual = np.abs(np.matmul(offset, normals[..., None])[..., 0])
         sigma = 1.5 * np.median(residual, axis=1)[:, None] + 1e-12
         weight = 1.0 / (1.0 + (residual / sigma) ** 2)
     flatness = np.clip((values[:, 1] - values[:, 0]) / np.maximum(values[:, 1], 1e-18), 0, 1)
     centred = points[:, :2] - np.median(points[:, :2], axis=0)
+    squared = (centred**2).sum(axis=1)
     return PreparedCloud(
         points=points,
         normals=normals,
@@ -91,7 +101,7 @@ def prepare_cloud(points: FloatArray, rng: np.random.Generator) -> PreparedCloud
         tree=tree,
         spacing=float(np.median(distance[:, min(4, k - 1)])),
         noise=float(np.median(residual[:, 0])),
-        radius=float(np.sqrt(np.median((centred**2).sum(axis=1)))),
+        radius=float(np.sqrt(np.median(squared) or squared.mean())),
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
-from station.places.registration.beside import surface_fit
+from station.places.registration.beside import best_fits
 from station.places.registration.cloud import PreparedCloud
 
 SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # voxels
@@ -40,5 +40,4 @@ def nudge(
             for dy in SHIFTS:
                 shift = R_up.T @ np.array([dx * voxel, dy * voxel, 0.0])
                 candidates.append(se3(R, landed + shift - R @ centre))
-    score = surface_fit(target, p, candidates, voxel)
-    return candidates[int(np.argmax(score))]
+    return candidates[int(best_fits(target, p, candidates, voxel, keep=(60, 20, 1))[0])]

@@ -13,6 +13,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray, se3, skew, so3_exp
 from station.places.registration.cloud import PreparedCloud
+from station.places.registration.nearest import NearestTracker
 
 TILT_SIGMA_RAD = np.radians(1.0)  # gravity from a minute of IMU is good to about half a degree, times two clouds
 REACH_PER_SIGMA = 5.0  # of the robust weights: residuals beyond a fifth of the search radius fade
@@ -86,29 +87,33 @@ def refine(
     H = np.zeros((7, 7))
     pivot = T[:3, 3]
     rms = float("inf")
+    tracker = NearestTracker(target, len(points))
     for reach in reaches:
-        found = measure_residuals(target, points, normals, T, reach)
-        use = np.isfinite(found.along_normal)
-        if np.count_nonzero(use) < 12:
+        moved = points @ T[:3, :3].T + T[:3, 3]
+        nearest, near = tracker.find(moved, reach)
+        use = np.flatnonzero(near)
+        if len(use) < 12:
             break
-        moved = points[use] @ T[:3, :3].T + T[:3, 3]
-        nearest = found.target_index[use]
+        moved, nearest = moved[use], nearest[use]
         normal = target.normals[nearest]
-        along = found.along_normal[use]
+        gap = target.points[nearest] - moved
+        along = -np.einsum("ni,ni->n", gap, normal)
+        turned = normals[use] @ (T[:3, :3] / scale_of(T)).T
         sigma = max(reach / REACH_PER_SIGMA, target.noise)
         w = 1.0 / (1.0 + (along / sigma) ** 2) ** 2  # Geman-McClure: outliers vanish
-        w *= np.clip(found.agreement[use], 0, 1) ** 2 * (0.2 + target.flatness[nearest] * weight_flat[use])
+        agreement = np.einsum("ni,ni->n", normal, turned) ** 2
+        w *= np.minimum(agreement, 1.0) * (0.2 + target.flatness[nearest] * weight_flat[use])
         # Beside the plane, a weak pull to the nearest landmark: the same texture seen twice is the same point.
-        gap = target.points[nearest] - moved
         w_point = POINT_WEIGHT * w / (1.0 + (np.einsum("ni,ni->n", gap, gap)) / (2 * sigma) ** 2) ** 2
         pivot = moved.mean(axis=0)
         arm = moved - pivot
         J = np.empty((len(arm), 7))
-        J[:, :3] = np.cross(arm, normal)
+        J[:, :3] = cross(arm, normal)
         J[:, 3:6] = normal
         J[:, 6] = np.einsum("ni,ni->n", arm, normal)
-        H = (J * w[:, None]).T @ J / sigma**2
-        g = -(J * (w * along)[:, None]).sum(axis=0) / sigma**2
+        weighted = J * w[:, None]
+        H = weighted.T @ J / sigma**2
+        g = -(along @ weighted) / sigma**2
         H_point, g_point = _point_terms(arm, gap, w_point / sigma**2)
         H, g = H + H_point, g + g_point
         rms = float(np.sqrt((w * along**2).sum() / max(w.sum(), 1e-12)))
@@ -131,7 +136,7 @@ def _point_terms(arm: FloatArray, gap: FloatArray, w: FloatArray) -> tuple[Float
     """Normal equations of the point-to-point terms: gap = omega x arm + v + s * arm."""
     H, g = np.zeros((7, 7)), np.zeros(7)
     total = w.sum()
-    mean = (w[:, None] * arm).sum(axis=0)
+    mean = w @ arm
     outer = (w[:, None] * arm).T @ arm
     H[:3, :3] = np.trace(outer) * np.eye(3) - outer
     H[:3, 3:6] = skew(mean)
@@ -139,10 +144,19 @@ def _point_terms(arm: FloatArray, gap: FloatArray, w: FloatArray) -> tuple[Float
     H[3:6, 3:6] = total * np.eye(3)
     H[3:6, 6] = H[6, 3:6] = mean
     H[6, 6] = np.trace(outer)
-    g[:3] = (w[:, None] * np.cross(arm, gap)).sum(axis=0)
-    g[3:6] = (w[:, None] * gap).sum(axis=0)
-    g[6] = (w * np.einsum("ni,ni->n", arm, gap)).sum()
+    g[:3] = w @ cross(arm, gap)
+    g[3:6] = w @ gap
+    g[6] = w @ np.einsum("ni,ni->n", arm, gap)
     return H, g
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products of rows (n, 3); several times faster than np.cross."""
+    out = np.empty_like(a)
+    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return out
 
 
 def _add_tilt_prior(A: FloatArray, b: FloatArray, T: FloatArray) -> None:

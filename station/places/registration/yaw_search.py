@@ -9,17 +9,23 @@ candidates are refined and judged afterwards.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft as scipy_fft
 from scipy.ndimage import gaussian_filter
 
-from shared.geometry import FloatArray, se3, yaw_rotation
+from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
 
 Float32Array = npt.NDArray[np.float32]
+T = TypeVar("T")
+
+MAX_ROOM = 3.0  # target's extents in a grid: for a source far larger than the target the voxels grow, not the grid
+ROOTS = np.sqrt(np.arange(7, dtype=np.float32))  # of a voxel's points; more than six count as six
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,25 +59,30 @@ class _Turn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    origin: FloatArray  # (3,) corner of the first voxel, target frame
+    origin: FloatArray  # (3,) x, y, z: corner of the first voxel, target frame
     voxel: float
-    shape: tuple[int, int, int]
+    shape: tuple[int, int, int]  # z, y, x: the transform halves the last axis, which should not be the short one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    """Both clouds at one voxel size."""
+    """Both clouds at one voxel size and one scale."""
 
     grid: _Grid
     spectrum: npt.NDArray[np.complex64]  # of the target's field
-    centred: FloatArray  # (M, 3) source about its centre
-    centre: FloatArray  # (3,)
+    centre: FloatArray  # (3,) of the source
+    scale: float
     step: float  # of the yaw: moves a point at the source's radius by one voxel
+    xy_voxels: Float32Array  # (2, M) scaled source about its centre
+    z_flat: IntArray  # (M,) where their z leads to in the flat grid
+    wrap_y: IntArray  # where a y and x lead to, from -`wrap` voxels on; negatives wrap
+    wrap_x: IntArray
+    wrap: int
 
-    def turns(self, scales: FloatArray) -> list[_Turn]:
-        """Every yaw and scale, evenly."""
+    def turns(self) -> list[_Turn]:
+        """Every yaw, evenly."""
         yaws = np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / self.step)), endpoint=False)
-        return [_Turn(float(yaw), float(scale), self.step) for scale in scales for yaw in yaws]
+        return [_Turn(float(yaw), self.scale, self.step) for yaw in yaws]
 
 
 def search_yaw(
@@ -91,73 +102,134 @@ def search_yaw(
         keep: how many candidates, of different yaw, scale or translation.
     """
     config = config or SearchConfig()
-    coarse = _make_search(target, source, float(scales.max()), config.coarse_cells)
-    fine = _make_search(target, source, float(scales.max()), config.cells)
+    coarse = _make_searches(target, source, scales, config.coarse_cells)
+    fine = _make_searches(target, source, scales, config.cells)
     with ThreadPoolExecutor(config.workers) as pool:
-        turns = coarse.turns(scales)
-        best = [found[0].score for found in pool.map(lambda turn: _correlate(coarse, turn, 1), turns, chunksize=8)]
+        turns = [turn for search in coarse.values() for turn in search.turns()]
+        best = _in_slices(pool, config.workers, lambda turn: _best_score(coarse[turn.scale], turn), turns)
         count = max(config.least_promising, round(config.promising * len(turns)))
         promising = [turns[k] for k in np.argsort(best)[::-1][:count]]
-        again = [turn for turn in fine.turns(scales) if any(_beside(turn, other) for other in promising)]
-        batches = pool.map(lambda turn: _correlate(fine, turn, config.peaks_per_grid), again, chunksize=8)
-        found = [candidate for batch in batches for candidate in batch]
-    return _distinct(found, keep, fine.centre, 2.5 * fine.step, 2 * fine.grid.voxel)
+        again = [turn for search in fine.values() for turn in _beside(search.turns(), promising)]
+        batches = _in_slices(
+            pool, config.workers, lambda turn: _peaks(fine[turn.scale], turn, config.peaks_per_grid), again
+        )
+    found = [candidate for batch in batches for candidate in batch]
+    largest = fine[float(scales.max())]
+    return _distinct(found, keep, largest.centre, 2.5 * largest.step, 2 * largest.grid.voxel)
 
 
-def _make_search(target: FloatArray, source: FloatArray, largest: float, cells: int) -> _Search:
-    low, high = np.percentile(target, 1, axis=0), np.percentile(target, 99, axis=0)
-    voxel = float(np.max((high - low)[:2])) / cells
+def _in_slices(pool: ThreadPoolExecutor, workers: int, work: Callable[[_Turn], T], turns: list[_Turn]) -> list[T]:
+    """work(turn) of every turn, in order; one task a thread, as a task costs a tenth of a turn."""
+    slices = list(pool.map(lambda first: [work(turn) for turn in turns[first::workers]], range(workers)))
+    return [slices[k % workers][k // workers] for k in range(len(turns))]
+
+
+def _make_searches(target: FloatArray, source: FloatArray, scales: FloatArray, cells: int) -> dict[float, _Search]:
+    """A search for every scale: a smaller source needs less room to slide, and fewer turns."""
+    low, high = np.percentile(target, [1, 99], axis=0)
     centre = np.median(source, axis=0)
     centred = source - centre
     reach = np.percentile(np.linalg.norm(centred[:, :2], axis=1), 98)
+    extent = float(np.max((high - low)[:2]))
+    voxel = max(extent, (extent + reach * float(scales.max())) / MAX_ROOM) / cells
     tallness = np.percentile(np.abs(centred[:, 2]), 99)
-    # The source slides until half of it hangs over the target's edge: circular wrap-around then costs nothing.
-    margin = np.array([reach, reach, tallness]) * largest
-    shape = tuple(int(scipy_fft.next_fast_len(int(n), real=True)) for n in np.ceil((high - low + margin) / voxel) + 4)
-    grid = _Grid(low - 2 * voxel, voxel, (shape[0], shape[1], shape[2]))
-    step = voxel / max(float(np.sqrt(np.mean(centred[:, :2] ** 2) * 2)) * largest, voxel)
-    return _Search(grid, scipy_fft.rfftn(_target_field(target, grid)), centred, centre, step)
+    radius = float(np.sqrt(np.mean(centred[:, :2] ** 2) * 2))
+
+    def grid_at(scale: float) -> _Grid:
+        # The source slides until half of it hangs over the target's edge: circular wrap-around then costs nothing.
+        margin = np.array([reach, reach, tallness]) * scale
+        cells_needed = np.ceil((high - low + margin) / voxel) + 4
+        nx, ny, nz = (int(scipy_fft.next_fast_len(int(n), real=True)) for n in cells_needed)
+        return _Grid(low - 2 * voxel, voxel, (nz, ny, nx))
+
+    field = _target_field(target, grid_at(float(scales.max())))
+    out = {}
+    for scale in map(float, scales):
+        grid = grid_at(scale)
+        nz, ny, nx = grid.shape
+        spectrum = scipy_fft.rfftn(field[:nz, :ny, :nx])
+        in_voxels = centred * (scale / voxel)
+        # A point farther out than the grid is wide could only land by wrapping around.
+        wrap = max(nx, ny) + 1
+        inside = (np.linalg.norm(in_voxels[:, :2], axis=1) < wrap - 1) & (np.abs(in_voxels[:, 2]) < nz)
+        in_voxels = in_voxels[inside]
+        around = np.arange(-wrap, wrap + 1)
+        out[scale] = _Search(
+            grid=grid,
+            spectrum=spectrum,
+            centre=centre,
+            scale=scale,
+            step=voxel / max(radius * scale, voxel),
+            xy_voxels=np.ascontiguousarray(in_voxels[:, :2].T, dtype=np.float32),
+            z_flat=np.floor(in_voxels[:, 2]).astype(np.int64) % nz * (ny * nx),
+            wrap_y=around % ny * nx,
+            wrap_x=around % nx,
+            wrap=wrap,
+        )
+    return out
 
 
-def _beside(turn: _Turn, other: _Turn) -> bool:
-    """Whether a fine turn falls to this coarse one: half a step of each."""
-    apart = abs((turn.yaw - other.yaw + np.pi) % (2 * np.pi) - np.pi)
-    return turn.scale == other.scale and apart <= (turn.step + other.step) / 2
+def _beside(turns: list[_Turn], promising: list[_Turn]) -> list[_Turn]:
+    """The fine turns of one scale that fall to promising coarse ones: half a step of each."""
+    others = [other for other in promising if turns and other.scale == turns[0].scale]
+    if not others:
+        return []
+    yaws, other_yaws = np.array([turn.yaw for turn in turns]), np.array([other.yaw for other in others])
+    apart = np.abs((yaws[:, None] - other_yaws + np.pi) % (2 * np.pi) - np.pi)
+    near = (apart <= (turns[0].step + others[0].step) / 2).any(axis=1)
+    return [turns[k] for k in np.flatnonzero(near)]
 
 
 def _target_field(points: FloatArray, grid: _Grid) -> Float32Array:
     """Smoothed occupancy, less its wide average: large blobs must not attract everything."""
-    occupancy = _rasterise(points, grid)
+    index = np.floor((points - grid.origin) / grid.voxel).astype(np.int64)[:, ::-1] % np.array(grid.shape)
+    occupancy = _occupancy(np.ravel_multi_index((index[:, 0], index[:, 1], index[:, 2]), grid.shape), grid.shape)
     sharp = gaussian_filter(occupancy, 0.7, mode="constant")
     wide = gaussian_filter(occupancy, 2.5, mode="constant")
     return (sharp - wide).astype(np.float32)
 
 
-def _rasterise(points: FloatArray, grid: _Grid) -> Float32Array:
-    """Occupancy, compressed: a poster with a hundred landmarks must not outweigh a wall with ten."""
-    index = np.floor((points - grid.origin) / grid.voxel).astype(np.int64)
-    index %= np.array(grid.shape)
-    flat = np.ravel_multi_index((index[:, 0], index[:, 1], index[:, 2]), grid.shape)
-    count = np.bincount(flat, minlength=int(np.prod(grid.shape))).astype(np.float32)
-    return np.sqrt(np.minimum(count, 6.0)).reshape(grid.shape)
+def _occupancy(flat: IntArray, shape: tuple[int, int, int]) -> Float32Array:
+    """Points per voxel, compressed: a poster with a hundred landmarks must not outweigh a wall with ten."""
+    out = np.zeros(shape[0] * shape[1] * shape[2], dtype=np.float32)
+    count = np.bincount(flat, minlength=len(out))[flat]
+    out[flat] = ROOTS[np.minimum(count, len(ROOTS) - 1)]
+    return out.reshape(shape)
 
 
-def _correlate(search: _Search, turn: _Turn, peaks: int) -> list[Candidate]:
+def _correlate(search: _Search, turn: _Turn) -> tuple[Float32Array, float]:
+    """The score of every translation of the source turned so (z, y, x), times the norm, which is returned, too."""
+    cosine, sine = np.float32(np.cos(turn.yaw)), np.float32(np.sin(turn.yaw))
+    x, y = search.xy_voxels
+    # Drawn around the grid's corner, so that shift (k, j, i) puts its centre there. All are positive: this floors.
+    index_x = (cosine * x - sine * y + np.float32(search.wrap)).astype(np.int64)
+    index_y = (sine * x + cosine * y + np.float32(search.wrap)).astype(np.int64)
+    occupancy = _occupancy(search.z_flat + search.wrap_y[index_y] + search.wrap_x[index_x], search.grid.shape)
+    norm = float(np.linalg.norm(occupancy))
+    product = scipy_fft.rfftn(occupancy, overwrite_x=True)
+    np.conj(product, out=product)
+    product *= search.spectrum
+    return scipy_fft.irfftn(product, s=search.grid.shape, overwrite_x=True), norm
+
+
+def _best_score(search: _Search, turn: _Turn) -> float:
+    score, norm = _correlate(search, turn)
+    return float(score.max()) / norm
+
+
+def _peaks(search: _Search, turn: _Turn, count: int) -> list[Candidate]:
     """The best translations of the source turned so, best first."""
     grid = search.grid
     R = turn.scale * yaw_rotation(turn.yaw)
-    # The source is drawn around the grid's corner, so that shift (i, j, k) puts its centre there; negatives wrap.
-    occupancy = _rasterise(search.centred @ R.T + grid.origin, grid)
-    norm = float(np.linalg.norm(occupancy))
-    score = scipy_fft.irfftn(search.spectrum * np.conj(scipy_fft.rfftn(occupancy)), s=grid.shape)
+    score, norm = _correlate(search, turn)
     out = []
-    for _ in range(peaks):
+    for _ in range(count):
         best = int(np.argmax(score))
-        i, j, k = (int(n) for n in np.unravel_index(best, grid.shape))
-        value = float(score[i, j, k])
+        k, j, i = (int(n) for n in np.unravel_index(best, grid.shape))
+        value = float(score[k, j, i])
         offset = np.array([i, j, k]) * grid.voxel + grid.origin  # where the source's centre lands
         out.append(Candidate(se3(R, offset - R @ search.centre), value / norm))
-        score[max(0, i - 2) : i + 3, max(0, j - 2) : j + 3, max(0, k - 2) : k + 3] = -np.inf
+        score[max(0, k - 2) : k + 3, max(0, j - 2) : j + 3, max(0, i - 2) : i + 3] = -np.inf
     return out
 
 
