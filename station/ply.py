@@ -93,9 +93,14 @@ def decode_ply(content: bytes, path: Path) -> Columns:
 
 def read_points(path: Path) -> FloatArray:
     """The points (N, 3) of a PLY file; ones that are not finite are left out. Raises DataError as read_ply does."""
-    columns = read_ply(path)
-    points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
+    points = read_rows(path)
     return points[np.isfinite(points).all(axis=1)]
+
+
+def read_rows(path: Path) -> FloatArray:
+    """x, y, z of every vertex (N, 3) of a PLY file, finite or not. Raises DataError as read_ply does."""
+    columns = read_ply(path)
+    return np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
 
 
 def _parse_header(path: Path, content: bytes) -> tuple[str, list[tuple[str, int, list[tuple[str, str]]]], bytes]:

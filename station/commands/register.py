@@ -29,9 +29,9 @@ def register_files(
 ) -> None:
     """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
     from station.places.registration import register_clouds
-    from station.ply import read_points
+    from station.ply import read_rows
 
-    p_target, p_source = read_points(target), read_points(source)
+    p_target, p_source = read_rows(target), read_rows(source)  # registration says what is wrong with them
     print(f"registering {len(p_source)} points of {source} to {len(p_target)} of {target} ...", file=sys.stderr)
     start = time.perf_counter()
     with working("registering"):

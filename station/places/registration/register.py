@@ -26,6 +26,8 @@ from station.places.registration.yaw_search import Candidate, SearchConfig, sear
 FREE_SCALE_RANGE = (0.78, 1.28)  # clouds in one unit: the scale drift of visual SLAM, and a margin
 ARBITRARY_SCALE_RANGE = (0.55, 1.8)  # about the ratio of the sizes, when a gauge is arbitrary
 MAX_SIZE_RATIO = 4.0  # parts of one flat in one unit differ less in size
+UNIT_RATIO = 30.0  # from here on sizes in one unit are not even searched; an inch is a 39th of a metre
+ODD_RATIO = 2.0  # from here on a refusal mentions the sizes: a foot is a third of a metre
 SCALE_STEP = 1.07  # the refinement's basin in scale is about +-4 %
 MANY_CELLS = 36  # of the search where scales or axes multiply it: half the time, one rank worse at most
 NUM_CANDIDATES = 8  # refined; the right one was among the first two in 40 of 40 training pairs
@@ -84,6 +86,7 @@ def register_clouds(
         ranges = _scale_range(p_target, p_source, scale, scale_range)
     except DegenerateGeometry as exc:
         return refused(str(exc), backend)
+    odd_sizes = _odd_sizes(p_target, p_source, scale)
     rng = np.random.default_rng(seed)
     A, B = prepare_cloud(p_target, rng), prepare_cloud(p_source, rng)
     voxel = float(np.max(np.ptp(np.percentile(A.points, [1, 99], axis=0), axis=0)[:2])) / SearchConfig().cells
@@ -91,7 +94,7 @@ def register_clouds(
     candidates += [Candidate(T, 0.0) for T in start]
     ranked = _refine_and_rank(A, B, candidates, gravity, scale, voxel, rng)
     if not ranked:
-        return refused("no alignment has enough points in common", backend)
+        return refused("; ".join(("no alignment has enough points in common", *odd_sizes)), backend)
     tolerance = _tolerance(A, B)
     subsets = _subsets(A, B, rng, SCORE_SUBSET)
     judged = _contrasts(A, B, ranked, voxel, tolerance, rng)
@@ -138,7 +141,7 @@ def register_clouds(
     verdict = judge(evidence, rng)
     return Registration(
         accepted=verdict.accepted,
-        reasons=verdict.reasons,
+        reasons=verdict.reasons if verdict.accepted else (*verdict.reasons, *odd_sizes),
         T_target_source=best.T_target_source,
         scale=scale_of(best.T_target_source),
         rmse=score.rmse,
@@ -161,10 +164,9 @@ def _scale_range(
     ratio = _size(target) / _size(source)
     odd = not 1 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO
     if scale == "known":
-        if odd and not 1 / 50 < ratio < 50:
+        if not 1 / UNIT_RATIO < ratio < UNIT_RATIO:
             raise DegenerateGeometry(
-                f"the target is {ratio:.3g} times the source's size: the clouds seem to be in different units; "
-                "convert one, or use scale free"
+                f"{_larger(ratio)}: the clouds seem to be in different units; convert one, or use scale free"
             )
         return (1.0, 1.0)
     if given is not None:
@@ -173,6 +175,21 @@ def _scale_range(
         return given
     low, high = ARBITRARY_SCALE_RANGE if odd else FREE_SCALE_RANGE
     return (ratio * low, ratio * high) if odd else (low, high)
+
+
+def _larger(ratio: float) -> str:
+    """Which cloud is how much larger; `ratio` is the target's size by the source's."""
+    if ratio >= 1:
+        return f"the target is {ratio:.3g} times the source's size"
+    return f"the source is {1 / ratio:.3g} times the target's size"
+
+
+def _odd_sizes(target: FloatArray, source: FloatArray, scale: Scale) -> tuple[str, ...]:
+    """What else a refusal may come from: a unit, where the scale was said to be known and the sizes differ."""
+    ratio = _size(target) / _size(source)
+    if scale == "free" or 1 / ODD_RATIO < ratio < ODD_RATIO:
+        return ()
+    return (f"{_larger(ratio)}: if they are in different units, convert one, or use scale free",)
 
 
 def _size(points: FloatArray) -> float:
