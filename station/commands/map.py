@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from shared.errors import DataError
@@ -78,7 +79,17 @@ def build(
         return
     for place in place_map.places:
         print(f"{place.name}: {len(place.landmark_index)} landmarks, quality {place.quality:.2f}")
+    if not place_map.places:
+        print(f"no place: {_why_no_place(place_map)}")
     print(f"{len(place_map.places)} places, {len(place_map.edges)} edges, written to {out}")
+
+
+def _why_no_place(place_map: PlaceMap) -> str:
+    p = place_map.navigation.landmarks.p_world
+    finite = int(np.count_nonzero(np.isfinite(p).all(axis=1)))
+    if finite < len(p):
+        return f"{finite} of {len(p)} landmarks are finite"
+    return f"its landmarks ({len(p)}) form no group" if len(p) else "the navigation has no landmarks"
 
 
 def _navigations(
@@ -141,6 +152,8 @@ def show(
         print(json.dumps(to_json_dict(place_map)))
         return
     print(f"{place_map.name} ({place_map.id})")
+    if not place_map.places:
+        print(f"  no place: {_why_no_place(place_map)}")
     for place in place_map.places:
         print(f"  {place.name}: {len(place.landmark_index)} landmarks, {len(place.keyframe_index)} images")
     name = {place.id: place.name for place in place_map.places}

@@ -37,7 +37,7 @@ def align_navigation(
         )
     units = viewing_distance(target), viewing_distance(source)
     if units[0] is None or units[1] is None:
-        return refused("a cloud without a finite landmark cannot be registered", "small_gicp")
+        return refused(_why_no_length(target if units[0] is None else source), "small_gicp")
     clouds = _Clouds(target, source, (units[0], units[1]))
     if config.align_by != "geometry":
         found = align_by_appearance(
@@ -48,6 +48,15 @@ def align_navigation(
         if config.align_by == "appearance":
             return refused("too few of the navigation's images were found in the map, or they disagree", "appearance")
     return clouds.register(seed)
+
+
+def _why_no_length(navigation: Navigation) -> str:
+    """Why a navigation has no viewing distance: it holds no cloud that could be registered."""
+    p = navigation.landmarks.p_world
+    finite = int(np.count_nonzero(np.isfinite(p).all(axis=1)))
+    if finite:
+        return f"the {finite} landmarks of {navigation.id} lie on one point and cannot be registered"
+    return f"{navigation.id} has no finite landmark (of {len(p)}) and cannot be registered"
 
 
 def _check_by_geometry(found: AppearanceAlignment, clouds: _Clouds, seed: int) -> Registration:

@@ -17,7 +17,7 @@ from station.maps.folder import load_map_folder, save_map_folder
 from station.navigation_files import load_navigation, save_navigation
 from station.places.build import build_map
 from station.places.changes import with_place_hidden
-from tests.synthetic_home import drive, furnished_room, navigate
+from tests.synthetic_home import drive, furnished_room, navigate, with_points
 
 
 def write_asl_truth(poses: FloatArray, folder: Path) -> None:
@@ -90,6 +90,20 @@ def test_an_experiment_writes_results_report_and_figures(data: Path, tmp_path: P
     assert page.count('src="data:image/png;base64,') == len(figures)
     assert not re.search(r'(src|href)="(?!data:)', page), "the page must be one file"
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("p", "why"),
+    [
+        (np.zeros((0, 3)), "the navigation has no landmarks"),
+        (np.full((60, 3), np.nan), "0 of 60 landmarks are finite"),
+        (np.ones((1, 3)), "its landmarks (1) form no group"),
+    ],
+    ids=["empty", "all NaN", "one point"],
+)
+def test_a_map_without_places_says_why(data: Path, tmp_path: Path, p: FloatArray, why: str) -> None:
+    save_map_folder(build_map(with_points(load_navigation(data / "nav1"), p)), tmp_path / "map")
+    assert f"no place: {why}" in run("map", "show", tmp_path / "map")
 
 
 def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:

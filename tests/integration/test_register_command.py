@@ -43,6 +43,14 @@ def test_too_few_points_are_refused_with_a_reason_and_no_transform(tmp_path: Pat
     assert f"{count} usable points" in answer["reasons"][0]
 
 
+def test_a_cloud_without_a_finite_point_is_refused_as_such(tmp_path: Path) -> None:
+    pair = make_pair(9101, points=(3000, 3500))
+    a, b = save(tmp_path / "a.ply", pair.target), save(tmp_path / "b.ply", np.full((300, 3), np.nan))
+    result = CliRunner().invoke(app, ["register", str(a), str(b)])
+    assert result.exit_code == 2
+    assert "refused: the source cloud holds no finite point" in result.stdout
+
+
 def test_a_missing_file_is_one_sentence(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["register", str(tmp_path / "no.ply"), str(tmp_path / "no.ply")])
     assert result.exit_code != 0

@@ -9,9 +9,10 @@ from benchmarks.registration_clouds import make_pair
 from shared.errors import DataError
 from shared.geometry import FloatArray, inverse, se3, so3_log, yaw_rotation
 from station.places.registration import register_clouds
-from station.places.registration.beside import alignments_beside
+from station.places.registration.beside import alignments_beside, best_fits, surface_fit
 from station.places.registration.cloud import prepare_cloud
 from station.places.registration.score import inverse_similarity
+from station.places.registration.yaw_search import make_searches
 
 
 def errors(T: FloatArray, T_true: FloatArray, at: FloatArray) -> tuple[float, float, float]:
@@ -119,11 +120,49 @@ def test_clouds_in_different_units_are_named_as_such() -> None:
     assert "units" in result.reasons[0]
 
 
+@pytest.mark.parametrize("factor", [3.28, 0.1, 39.37])
+def test_a_refusal_of_clouds_that_may_be_in_feet_or_inches_mentions_units(factor: float) -> None:
+    pair = make_pair(9007, points=(3000, 3500))
+    result = register_clouds(pair.target, pair.source * factor)
+    assert not result.accepted
+    assert "units" in result.reasons[-1] and "times the" in result.reasons[-1]
+
+
+def test_a_source_far_larger_than_the_target_does_not_make_the_search_large() -> None:
+    pair = make_pair(9007, points=(3000, 3500))
+    for factor in (0.2, 1.0, 5.0, 25.0, 1000.0):
+        [search] = make_searches(pair.target, pair.source * factor, np.ones(1), 20).values()
+        assert np.prod(search.grid.shape) < 80**3
+        assert len(search.turns()) < 2 * np.pi * 3 * 20
+
+
+def test_points_given_many_times_over_count_once() -> None:
+    pair = make_pair(9008, overlap=(0.9, 1.0), points=(3000, 3500))
+    many = np.concatenate([pair.source, np.tile(pair.source[:1], (2 * len(pair.source), 1))])
+    for target, source in ((pair.target, many), (many, pair.target)):
+        assert register_clouds(target, source).accepted
+
+
 def test_a_free_scale_bridges_different_units() -> None:
     pair = make_pair(9007, overlap=(0.9, 1.0), points=(3000, 3500))
     result = register_clouds(pair.target, pair.source * 1000, scale="free")
     assert result.accepted, result.reasons
     assert result.scale == pytest.approx(1e-3, rel=0.01)
+
+
+def test_the_alignment_nearest_to_the_surfaces_is_found_in_few_looks() -> None:
+    pair = make_pair(9008, overlap=(0.9, 1.0), points=(3000, 3500))
+    assert pair.T_target_source is not None
+    rng = np.random.default_rng(0)
+    target = prepare_cloud(pair.target, rng)
+    alignments = [se3(np.eye(3), rng.normal(0, 0.4, 3)) @ pair.T_target_source for _ in range(90)]
+    alignments.insert(37, pair.T_target_source)
+    points = pair.source[:: len(pair.source) // 240]
+    in_looks = best_fits(target, points, alignments, 0.2, keep=(30, 10, 1))
+    assert in_looks[0] == 37 and sorted(in_looks) == list(range(91))
+    fit = surface_fit(target, points, alignments, 0.2)
+    at_once = best_fits(target, points, alignments, 0.2, keep=(91,))
+    np.testing.assert_allclose(fit[at_once], np.sort(fit)[::-1], rtol=1e-9)
 
 
 def test_not_a_number_rows_do_not_spoil_a_good_cloud() -> None:

@@ -102,8 +102,8 @@ def search_yaw(
         keep: how many candidates, of different yaw, scale or translation.
     """
     config = config or SearchConfig()
-    coarse = _make_searches(target, source, scales, config.coarse_cells)
-    fine = _make_searches(target, source, scales, config.cells)
+    coarse = make_searches(target, source, scales, config.coarse_cells)
+    fine = make_searches(target, source, scales, config.cells)
     with ThreadPoolExecutor(config.workers) as pool:
         turns = [turn for search in coarse.values() for turn in search.turns()]
         best = _in_slices(pool, config.workers, lambda turn: _best_score(coarse[turn.scale], turn), turns)
@@ -124,7 +124,7 @@ def _in_slices(pool: ThreadPoolExecutor, workers: int, work: Callable[[_Turn], T
     return [slices[k % workers][k // workers] for k in range(len(turns))]
 
 
-def _make_searches(target: FloatArray, source: FloatArray, scales: FloatArray, cells: int) -> dict[float, _Search]:
+def make_searches(target: FloatArray, source: FloatArray, scales: FloatArray, cells: int) -> dict[float, _Search]:
     """A search for every scale: a smaller source needs less room to slide, and fewer turns."""
     low, high = np.percentile(target, [1, 99], axis=0)
     centre = np.median(source, axis=0)

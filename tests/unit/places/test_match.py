@@ -108,6 +108,15 @@ def test_a_hopeless_navigation_is_answered_without_matches(
     assert ("judge by eye" in "; ".join(result.registration.reasons)) == judged_by_eye
 
 
+def test_a_refusal_names_the_drive_without_a_cloud(
+    first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray]
+) -> None:
+    nothing = with_points(second[0], np.zeros((0, 3)))
+    for place_map, navigation in ((first[0], nothing), (build_map(nothing), first[0].navigation)):
+        [reason] = match_navigation(place_map, navigation).registration.reasons
+        assert reason == f"{nothing.id} has no finite landmark (of 0) and cannot be registered"
+
+
 def test_a_navigation_in_other_units_than_it_says_is_named_as_such(
     first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray]
 ) -> None:
