@@ -119,7 +119,6 @@ def observe(
     alive = np.zeros(len(points), dtype=bool)
     ids = np.full(len(points), -1, dtype=np.int64)
     next_id, frames = 0, []
-    previous_uv = np.zeros((len(points), 2))
     for k in range(len(truth.t_ns)):
         p_cam = ((points - truth.x_world[k]) @ truth.R_world_body[k] - T[:3, 3]) @ T[:3, :3]
         z = p_cam[:, 2]
@@ -131,7 +130,6 @@ def observe(
         before = int(alive.sum())
         alive &= visible & (rng.uniform(size=len(points)) > loss)
         tracked = int(alive.sum())
-        flow = float(np.median(np.linalg.norm(uv[alive] - previous_uv[alive], axis=1))) if tracked else 0.0
         fresh = np.flatnonzero(visible & ~alive)
         fresh = rng.permutation(fresh)[: max(0, num_features - tracked)]
         ids[fresh] = np.arange(next_id, next_id + len(fresh))
@@ -142,7 +140,6 @@ def observe(
         measured = uv[index] + rng.normal(0, sigma_px, (len(index), 2))
         wrong = rng.uniform(size=len(index)) < outliers
         measured[wrong] += rng.normal(0, 15.0, (int(wrong.sum()), 2))
-        previous_uv = uv
         frames.append(
             TrackedFrame(
                 ids=ids[index].copy(),
@@ -151,9 +148,6 @@ def observe(
                 num_tracked=tracked,
                 num_previous=before,
                 num_vanished=0,
-                flow_px=flow,
-                parallax_px=flow,
-                brightness=128.0,
             )
         )
     return tuple(frames)

@@ -24,7 +24,7 @@ def result(observed: int, passed: int, tried: int, used: int, misfits: int = 0) 
 
 def view(num_tracked: int, num_vanished: int = 0) -> TrackedFrame:
     nothing = np.zeros((0, 2))
-    return TrackedFrame(np.zeros(0, np.int64), nothing, nothing, num_tracked, 100, num_vanished, 1.0, 1.0, 100.0)
+    return TrackedFrame(np.zeros(0, np.int64), nothing, nothing, num_tracked, 100, num_vanished)
 
 
 def resting() -> FilterState:

@@ -32,11 +32,6 @@ class Lens:
         """Pixels (..., 2) of the normalised coordinates (..., 2)."""
         return self._distort(xy)[0] * self.focal + self._centre
 
-    def project_with_jacobian(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pixels (..., 2) and their derivative (..., 2, 2) by the normalised coordinates."""
-        distorted, J = self._distort(xy)
-        return distorted * self.focal + self._centre, J * self.focal[:, None]
-
     def unproject(self, uv_px: FloatArray, near: FloatArray | None = None) -> FloatArray:
         """Normalised coordinates (..., 2) of pixels (..., 2). Where the lens model ends, the nearest it can say.
 

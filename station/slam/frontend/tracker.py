@@ -45,9 +45,6 @@ class TrackedFrame:
     num_tracked: int  # of the previous frame's features, how many were found again
     num_previous: int  # features the previous frame had
     num_vanished: int  # of those not found again: how many the camera's rotation left well inside the picture
-    flow_px: float  # median motion of the found ones; 0 without any
-    parallax_px: float  # median motion left after the predicted rotation
-    brightness: float  # mean grey value
 
 
 class Tracker:
@@ -85,9 +82,9 @@ class Tracker:
         rng = np.random.default_rng([self._seed, self._num_frames])
         self._num_frames += 1
         num_previous = len(self._ids)
-        flow, parallax, num_vanished = 0.0, 0.0, 0
+        num_vanished = 0
         if self._previous is not None and num_previous:
-            flow, parallax, num_vanished = self._follow(self._previous, grey, R_prev_cur, is_bias_known, rng)
+            num_vanished = self._follow(self._previous, grey, R_prev_cur, is_bias_known, rng)
         num_tracked = len(self._ids)
         if num_tracked < self.config.redetect_below * self.config.num_features:
             self._add_corners(grey)
@@ -99,9 +96,6 @@ class Tracker:
             num_tracked=num_tracked,
             num_previous=num_previous,
             num_vanished=num_vanished,
-            flow_px=flow,
-            parallax_px=parallax,
-            brightness=float(cv2.mean(grey)[0]),
         )
 
     def _follow(
@@ -111,8 +105,8 @@ class Tracker:
         R_prev_cur: FloatArray,
         is_bias_known: bool,
         rng: np.random.Generator,
-    ) -> tuple[float, float, int]:
-        """Move every track into the new image or end it; returns median flow, parallax (px) and how many vanished."""
+    ) -> int:
+        """Move every track into the new image or end it; returns how many vanished."""
         config = self.config
         predicted_xy, in_front = self._rotate(self._xy, R_prev_cur.T)
         predicted_uv = np.where(in_front[:, None], self.lens.project(predicted_xy), self._uv)
@@ -139,13 +133,10 @@ class Tracker:
         inlier = epipolar_inliers(self._xy[index], xy, R_prev_cur, threshold_px / self.lens.camera.fx, rng)
         inlier &= self.lens.is_invertible(uv[index], xy)
         index, xy = index[inlier], xy[inlier]
-        flow = float(np.median(np.linalg.norm(uv[index] - self._uv[index], axis=1))) if len(index) else 0.0
-        left = np.linalg.norm(uv[index] - predicted_uv[index], axis=1)
-        parallax = float(np.median(left)) if len(index) else 0.0
         stays = in_front & self.lens.is_inside(predicted_uv, VANISHING_BORDER * self.lens.camera.width)
         num_vanished = int(np.count_nonzero(stays)) - int(np.count_nonzero(stays[index]))
         self._ids, self._uv, self._xy = self._ids[index], uv[index], xy
-        return flow, parallax, num_vanished
+        return num_vanished
 
     def _rotate(self, xy: FloatArray, R: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Normalised coordinates after a rotation, and which of them stay well in front of the camera."""

@@ -44,8 +44,6 @@ class InertialAlignment:
     scale: ScaleEstimate
     gravity_world: FloatArray  # (3,) m/s^2, pointing down, in the reconstruction's world
     accel_bias: FloatArray  # (3,) m/s^2
-    velocity_world: FloatArray  # (N, 3) m/s at the keyframes
-    num_intervals: int
 
 
 def align_to_imu(
@@ -139,8 +137,6 @@ def align_to_imu(
         scale=ScaleEstimate(scale, float(np.hypot(sigma / scale, INERTIAL_SYSTEMATIC)), "imu"),
         gravity_world=solution[gravity_at:],
         accel_bias=solution[bias_at : bias_at + 3],
-        velocity_world=solution[: 3 * n].reshape(n, 3),
-        num_intervals=len(usable),
     )
 
 

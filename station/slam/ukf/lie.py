@@ -66,11 +66,6 @@ def so3_left_jacobian(phi: FloatArray) -> FloatArray:
     return gammas(phi, (1,))[0]
 
 
-def gamma2(phi: FloatArray) -> FloatArray:
-    """Gamma_2 (..., 3, 3): position after unit time under a turning unit acceleration."""
-    return gammas(phi, (2,))[0]
-
-
 def so3_log(R: FloatArray) -> FloatArray:
     """Rotation vectors (..., 3), length at most pi, of rotations (..., 3, 3). Thesis eq. B.4 away from pi."""
     vee = 0.5 * np.stack(
@@ -131,40 +126,3 @@ def compose(R_a: FloatArray, X_a: FloatArray, R_b: FloatArray, X_b: FloatArray) 
 def inverse(R: FloatArray, X: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Inverse element."""
     return np.swapaxes(R, -1, -2), -(X @ R)
-
-
-def left_jacobian(phi: FloatArray, xi: FloatArray) -> FloatArray:
-    """J (3 + 3k, 3 + 3k) with exp(z + d) = exp(J d) exp(z), z = (phi, xi) unbatched.
-
-    Diagonal blocks are J of SO(3); the blocks that couple phi into xi_i are Q_i. Source: Barfoot, State Estimation for
-    Robotics, eqs. 7.85-7.86, each column of X being one translation.
-    """
-    k = len(xi)
-    J = so3_left_jacobian(phi)
-    out = np.zeros((3 + 3 * k, 3 + 3 * k))
-    out[:3, :3] = J
-    for i in range(k):
-        rows = slice(3 + 3 * i, 6 + 3 * i)
-        out[rows, rows] = J
-        out[rows, :3] = _coupling(phi, xi[i])
-    return out
-
-
-def _coupling(phi: FloatArray, rho: FloatArray) -> FloatArray:
-    """Q (3, 3) of Barfoot eq. 7.86."""
-    theta = float(np.linalg.norm(phi))
-    P, V = skew(phi), skew(rho)
-    if theta < 1e-2:
-        c1, c2, c3 = 1.0 / 6.0 - theta**2 / 120.0, 1.0 / 24.0 - theta**2 / 720.0, 1.0 / 120.0 - theta**2 / 2520.0
-    else:
-        c1 = (theta - np.sin(theta)) / theta**3
-        c2 = (0.5 * theta**2 + np.cos(theta) - 1.0) / theta**4
-        c3 = (theta - np.sin(theta) - theta**3 / 6.0) / theta**5
-        c3 = 0.5 * (c2 + 3.0 * c3)
-    PV, VP, PVP = P @ V, V @ P, P @ V @ P
-    return (
-        0.5 * V
-        + c1 * (PV + VP + PVP)
-        + c2 * (P @ PV + VP @ P - 3.0 * PVP)
-        + c3 * (PVP @ P + P @ PVP)
-    )  # fmt: skip

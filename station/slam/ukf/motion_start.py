@@ -70,7 +70,6 @@ class MotionStart:
     tracks: WindowTracks
     frame_index: IntArray  # (K,)
     t_imu_ns: IntArray  # (K,)
-    scale_sigma: float
 
 
 def collect_tracks(frames: list[TrackedFrame], min_views: int) -> WindowTracks:
@@ -144,7 +143,7 @@ def start_in_motion(
         return f"needs motion and features that agree: they differ by {solution.rms * camera.sigma_px:.1f} px"
     if scale_sigma > config.max_scale_sigma:
         return f"needs more acceleration: the scale is known to {100 * min(scale_sigma, 9.99):.0f} % only"
-    return MotionStart(solution, tracks, np.array([frame_index[i] for i in pick]), times, scale_sigma)
+    return MotionStart(solution, tracks, np.array([frame_index[i] for i in pick]), times)
 
 
 def estimate_gyro_bias(links: list[Preintegration], tracks: WindowTracks, R_body_cam: FloatArray) -> FloatArray:
