@@ -36,11 +36,11 @@ from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse
+from station.features import FeatureExtractor, to_floats
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.places.build import build_map
-from station.places.features import FeatureExtractor, to_floats
 from station.places.localizer import Localizer
 from station.places.tracker import PlaceTracker
 

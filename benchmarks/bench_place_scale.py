@@ -32,11 +32,11 @@ from robot.simulation.renderer import Renderer
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
+from station.features import DescriptorArray, FeatureExtractor, Features, extract_encoded
 from station.frames import ImageFrame
 from station.maps.map import Place, PlaceMap
 from station.navigation import Keyframes, Landmarks
 from station.places.current import CurrentPlaceEstimator
-from station.places.features import DescriptorArray, FeatureExtractor, Features, extract_encoded
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.localizer import Localizer
 

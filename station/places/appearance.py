@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from shared.geometry import FloatArray, IntArray
-from station.places.features import DescriptorArray, Float32Array, to_floats
+from station.features import DescriptorArray, Float32Array, to_floats
 
 DESCRIPTORS_PER_WORD = 12
 MAX_WORDS = 1 << 18

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 from shared.geometry import FloatArray
+from station.features import Features, to_floats
 from station.frames import DriveSample, ImuBatch
-from station.places.features import Features, to_floats
 
 HijackCue = Literal["imu", "vision", "position"]
 

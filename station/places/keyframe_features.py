@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
+from station.features import DescriptorArray, Features, to_rays
 from station.maps.map import PlaceMap
-from station.places.features import DescriptorArray, Features, to_rays
 
 ON_LANDMARK_PX = 2.0  # two detectors agree on a corner to about a pixel
 NEAR_LANDMARK_PX = 30.0  # a surface is smooth that far, or its landmarks disagree in depth

@@ -15,12 +15,12 @@ from scipy.spatial import cKDTree
 from shared.calibration import Calibration, CameraCalibration
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, IntArray, inverse
+from station.features import FeatureExtractor, Features, extract_encoded, to_floats, to_rays
 from station.frames import ImageFrame
 from station.maps.map import PlaceMap
 from station.places.answer import Localization
 from station.places.appearance import AppearanceIndex
 from station.places.camera_pose import CameraPose, solve_pose, solve_pose_from
-from station.places.features import FeatureExtractor, Features, extract_encoded, to_floats, to_rays
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.map_index import MapIndex
 from station.places.recognised import extent_of

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from station.features import FeatureExtractor, Features, extract_encoded
 from station.maps.bucket import flush
-from station.places.features import FeatureExtractor, Features, extract_encoded
 from station.shelf import Shelf
 
 A = TypeVar("A", bound=np.generic)
@@ -37,7 +37,7 @@ UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, Runti
 DIGEST = Row(np.dtype(np.uint8), hashlib.sha256().digest_size)
 UV = Row(np.dtype(np.float64), 2)
 DESCRIPTOR = Row(np.dtype(np.uint8), 128)
-VERSION = 2  # of how pictures are described: count it up when that changes
+VERSION = 3  # of how pictures are described: count it up when that changes
 DESCRIBED_BY = f"{VERSION} cv2 {cv2.__version__} numpy {np.__version__}"
 
 
@@ -59,9 +59,17 @@ class DescribedPictures:
         """The picture's features, none where it cannot be decoded; kept for the next who asks."""
         digest = _digest(encoded)
         if digest not in self._known:
-            found = extract_encoded(encoded, self._extractor)
-            self._known[digest] = Features(self._shelf.put(found.uv_px), self._shelf.put(found.descriptors))
+            self._keep(digest, extract_encoded(encoded, self._extractor))
         return self._known[digest]
+
+    def take(self, encoded: bytes, features: Features) -> None:
+        """What a FeatureExtractor of somebody else's found in the picture."""
+        digest = _digest(encoded)
+        if digest not in self._known:
+            self._keep(digest, features)
+
+    def _keep(self, digest: bytes, features: Features) -> None:
+        self._known[digest] = Features(self._shelf.put(features.uv_px), self._shelf.put(features.descriptors))
 
     def keep_only(self, pictures: Iterable[bytes]) -> None:
         """Forget all others."""

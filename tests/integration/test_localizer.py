@@ -12,6 +12,7 @@ import pytest
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, inverse, se3, so3_exp
+from station.features import FeatureExtractor
 from station.frames import ImageArray, ImageFrame
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
@@ -20,7 +21,6 @@ from station.place_report import HijackNotice, MapReading, PlaceReport
 from station.place_servant import PlaceServant
 from station.places.appearance import AppearanceIndex
 from station.places.build import build_map
-from station.places.features import FeatureExtractor
 from station.places.localizer import Localizer
 from tests.unit.test_hijack import imu, lift, seconds
 

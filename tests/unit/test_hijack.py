@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, yaw_rotation
+from station.features import Features, to_bytes
 from station.frames import DriveSample, ImuBatch
 from station.places.dead_reckoning import DeadReckoning
-from station.places.features import Features, to_bytes
 from station.places.hijack import HijackDetector, HijackEvent
 
 RATE = 225.0

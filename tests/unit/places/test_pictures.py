@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.places.features import FeatureExtractor, extract_encoded
+from station.features import FeatureExtractor, extract_encoded
 from station.places.pictures import DescribedPictures
 from tests.integration.test_localizer import camera_at, picture
 
