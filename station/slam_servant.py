@@ -74,16 +74,30 @@ class SlamServant:
         if self._looked_at == len(pictures):
             return False
         self._looked_at += 1
+        features = backend.keyframe_features(self._looked_at - 1)
+        if features is not None:
+            return True  # taken at the end, with all others
         try:
             self._pictures.describe(pictures[self._looked_at - 1])
         except Exception:  # whoever needs it describes it again; SLAM's own work that waits must not end with it
             logger.exception("a picture could not be described")
         return True
 
+    def _take_described(self) -> None:
+        """What the backend found in its keyframes while it made the map."""
+        if self._backend is None:
+            return
+        pictures = self._backend.keyframe_pictures()
+        for number in range(len(pictures)):
+            features = self._backend.keyframe_features(number)
+            if features is not None:
+                self._pictures.take(pictures[number], features)
+
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""
         navigation = self.complete(navigation_id)
         save_navigation(navigation, folder)
+        self._take_described()
         self._pictures.keep_only(navigation.keyframes.encoded)
         try:
             self._pictures.write(folder / PICTURES)

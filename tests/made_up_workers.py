@@ -11,6 +11,7 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
+from station.features import Features
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
@@ -48,6 +49,9 @@ class StraightSlam:
 
     def keyframe_pictures(self) -> list[bytes]:
         return []
+
+    def keyframe_features(self, number: int) -> Features | None:
+        return None
 
     def finish(self) -> Navigation:
         if len(self.frames) < 3:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from shared.geometry import FloatArray
+from station.features import Features
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.navigation import Navigation
 
@@ -45,6 +46,10 @@ class SlamBackend(Protocol):
 
     def keyframe_pictures(self) -> Sequence[bytes]:
         """Encoded images that are going to be keyframes, as far as is known by now; a shorter list is a new one."""
+        ...
+
+    def keyframe_features(self, number: int) -> Features | None:
+        """What `FeatureExtractor` finds in keyframe_pictures()[number]; None where the backend did not use it."""
         ...
 
     def finish(self) -> Navigation:

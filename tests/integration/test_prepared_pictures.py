@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from shared.calibration import Calibration
+from station.features import Features
 from station.frames import ImageFrame
 from station.job_servant import JobServant
 from station.kept_index import FOLDER, SUFFIX
@@ -46,10 +47,17 @@ class WallSlam(StraightSlam):
         return wall().navigation
 
 
-def follow(folder: Path, frames: int) -> None:
+class DescribingSlam(WallSlam):
+    """Has described each of its keyframes itself."""
+
+    def keyframe_features(self, number: int) -> Features:
+        return Features(np.array([[float(number), 1.0]]), np.full((1, 128), number, dtype=np.uint8))
+
+
+def follow(folder: Path, frames: int, backend: str = BACKEND) -> None:
     """Drive along the wall, with time to spare after each frame; the last one is held until the drive ends."""
     servant = SlamServant(lambda update: None)
-    servant.begin(BACKEND, Calibration(camera=CALIBRATION.camera, imu=None), 0)
+    servant.begin(backend, Calibration(camera=CALIBRATION.camera, imu=None), 0)
     for number, encoded in enumerate(wall().navigation.keyframes.encoded[:frames]):
         servant.add_frame(ImageFrame(number, number * 1_000_000_000, 0, encoded))
         while servant.catch_up():
@@ -69,6 +77,15 @@ def test_a_thinned_drive_is_described_to_its_end(tmp_path: Path) -> None:
     pictures = DescribedPictures()
     assert pictures.add(tmp_path / "navigation" / PICTURES)
     assert {0, 2, 4} <= {k for k, e in enumerate(wall().navigation.keyframes.encoded) if pictures.knows(e)}
+
+
+def test_what_the_backend_has_described_is_not_described_again(tmp_path: Path) -> None:
+    follow(tmp_path / "navigation", 5, "tests.integration.test_prepared_pictures:DescribingSlam")
+    pictures = DescribedPictures()
+    assert pictures.add(tmp_path / "navigation" / PICTURES)
+    assert len(pictures) == 5  # the last one, too, which came when the drive ended
+    for number, encoded in enumerate(wall().navigation.keyframes.encoded[:5]):
+        assert pictures.describe(encoded).uv_px.tolist() == [[float(number), 1.0]]
 
 
 def test_what_was_described_ahead_gives_the_same_index_bit_for_bit() -> None:

@@ -29,7 +29,7 @@ def loops_of(shift_m: float, drift: Drift) -> int:
     rng = np.random.default_rng(3)
     chair = np.array([8.0, 0.0, 0.3]) + rng.uniform(-0.5, 0.5, (40, 3))
     sift = rng.integers(0, 256, (40, 128), dtype=np.uint8)
-    nothing = Features(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.uint8))
+    nothing = Features(np.empty((0, 2)), np.empty((0, 128), np.uint8))
     x = np.concatenate([[0.0, 0.3], np.linspace(0.5, 6.0, MIN_APART), np.linspace(5.0, 0.0, MIN_APART)])
     n = len(x)
     p_body = np.column_stack([x, np.zeros(n), np.zeros(n)])
@@ -41,7 +41,7 @@ def loops_of(shift_m: float, drift: Drift) -> int:
         moved = chair + ([0.0, shift_m, 0.0] if k == n - 1 else [0.0, 0.0, 0.0])
         rays[k] = seen_from(moved, p_body[k])
         uv = FOCAL_PX * rays[k]
-        features[k] = Features(uv, uv, sift)
+        features[k] = Features(uv, sift)
     tracks = Tracks(np.repeat([0, 1], 40), np.tile(np.arange(40), 2), np.tile(np.arange(40), 2), 40)
     state = BundleState(R, p_body, chair, 1.0, np.zeros(3))
     found = find_loops(features, rays, state, tracks, se3(R_BODY_CAM, np.zeros(3)), FOCAL_PX, drift, MatchConfig())

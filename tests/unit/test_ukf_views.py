@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from shared.calibration import REFERENCE_ROBOT
 from shared.geometry import FloatArray, se3
+from station.features import FeatureExtractor, extract_encoded
 from station.frames import ImageFrame
 from station.navigation import Keyframes, Landmarks
 from station.slam.frontend.tracker import TrackedFrame
@@ -84,6 +89,22 @@ def test_views_are_the_same_whenever_there_was_time_to_describe_them(every: int)
     assert [(a, b) for a, b, _ in pairs] == [(a, b) for a, b, _ in pairs_later]
     assert all(np.array_equal(x[2], y[2]) for x, y in zip(pairs, pairs_later, strict=True))
     assert not later.describe_next()
+
+
+def test_a_view_is_described_as_localisation_describes_its_picture() -> None:
+    views = MapViews(MODEL.lens, ViewConfig(), 0)
+    views.add(keyframe(0, 0.0))
+    view = views.describe_all()[0][0]
+    direct = extract_encoded(PICTURE, FeatureExtractor())
+    assert np.array_equal(views.seen(0).uv_px, direct.uv_px)
+    assert np.array_equal(views.seen(0).descriptors, direct.descriptors)
+    assert views.pictures() == [PICTURE]
+    assert {tuple(uv) for uv in direct.uv_px.tolist()} <= {tuple(uv) for uv in view.features.uv_px.tolist()}
+
+
+def test_the_filter_maps_without_pycolmap() -> None:
+    missing = "import sys; sys.modules['pycolmap'] = None; import station.slam.ukf.backend"
+    subprocess.run([sys.executable, "-c", missing], check=True, cwd=Path(__file__).parents[2])
 
 
 def test_relative_motions_chain_to_the_filters_poses() -> None:

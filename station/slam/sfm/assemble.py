@@ -1,23 +1,20 @@
-"""What COLMAP made → keyframes, poses and landmarks as plain arrays, weak landmarks dropped."""
+"""What mapping made → keyframes, poses and landmarks as plain arrays, weak landmarks dropped."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, IntArray, inverse
+from shared.geometry import FloatArray, IntArray
 from station.frames import ImageFrame
 from station.navigation import Keyframes, Landmarks
-from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.config import SfmConfig
-from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
+from station.slam.sfm.features import Features
 from station.slam.sfm.odometry_mapping import OdometryMap
-from station.slam.sfm.visual import CAMERA_ID
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,28 +27,6 @@ class Reconstructed:
     is_drive_metric: bool = False  # its unit is the metre of the drive commands
 
 
-def read_model(
-    model: pycolmap.Reconstruction,
-    frames: Sequence[ImageFrame],
-    features: Sequence[Features],
-    camera: CameraCalibration,
-    config: SfmConfig,
-    refined: bool,
-) -> Reconstructed:
-    """Keyframes in time order and the landmarks worth keeping, with their observations and colours."""
-    registered = sorted(number - 1 for number in model.reg_image_ids())
-    index_of = {k: i for i, k in enumerate(registered)}
-    T_world_cam = np.stack([_pose(model, k) for k in registered])
-    keyframes = _keyframes([frames[k] for k in registered], T_world_cam)
-    points, owner, seen_from, feature = _observations(model, index_of, config)
-    uv = np.array(
-        [features[registered[k]].uv_px[f] for k, f in zip(seen_from.tolist(), feature.tolist(), strict=True)]
-    ).reshape(-1, 2)
-    keep = good_landmarks(points, owner, seen_from, T_world_cam[:, :3, 3], config)
-    landmarks = _landmarks(keyframes, keep, points, np.zeros((len(points), 3, 3)), owner, seen_from, uv)
-    return Reconstructed(keyframes, landmarks, _calibrated(model, camera) if refined else camera)
-
-
 def read_odometry_map(
     made: OdometryMap,
     frames: Sequence[ImageFrame],
@@ -59,22 +34,22 @@ def read_odometry_map(
     camera: CameraCalibration,
     config: SfmConfig,
 ) -> Reconstructed:
-    """The same of a map made with odometry: every keyframe has a pose there."""
+    """Of a map made with odometry: every keyframe has a pose there."""
     T_world_body = np.zeros((len(frames), 4, 4))
     T_world_body[:, :3, :3] = made.state.R_world_body
     T_world_body[:, :3, 3] = made.state.p_world_body
     T_world_body[:, 3, 3] = 1.0
-    keyframes = _keyframes(frames, T_world_body @ camera.T_body_cam_matrix)
+    keyframes = make_keyframes(frames, T_world_body @ camera.T_body_cam_matrix)
     tracks = made.tracks
     offset = np.concatenate([[0], np.cumsum([len(f) for f in features])])
     uv = np.vstack([f.uv_px for f in features])[offset[tracks.keyframe] + tracks.feature]
     centres = keyframes.T_world_cam[:, :3, 3]
     keep = good_landmarks(made.state.points, tracks.point, tracks.keyframe, centres, config)
-    landmarks = _landmarks(keyframes, keep, made.state.points, made.cov_world, tracks.point, tracks.keyframe, uv)
+    landmarks = make_landmarks(keyframes, keep, made.state.points, made.cov_world, tracks.point, tracks.keyframe, uv)
     return Reconstructed(keyframes, landmarks, camera, is_drive_metric=True)
 
 
-def _keyframes(frames: Sequence[ImageFrame], T_world_cam: FloatArray) -> Keyframes:
+def make_keyframes(frames: Sequence[ImageFrame], T_world_cam: FloatArray) -> Keyframes:
     return Keyframes(
         frame_index=np.array([frame.index for frame in frames], dtype=np.int64),
         t_robot_ns=np.array([frame.t_robot_ns for frame in frames], dtype=np.int64),
@@ -84,7 +59,7 @@ def _keyframes(frames: Sequence[ImageFrame], T_world_cam: FloatArray) -> Keyfram
     )
 
 
-def _landmarks(
+def make_landmarks(
     keyframes: Keyframes,
     keep: npt.NDArray[np.bool_],
     points: FloatArray,
@@ -99,34 +74,6 @@ def _landmarks(
     owner, seen_from, uv = number[owner[rows]].astype(np.int64), seen_from[rows], uv[rows]
     rgb = sample_colours(keyframes.encoded, owner, seen_from, uv, int(keep.sum()))
     return Landmarks(points[keep], rgb, cov_world[keep], owner, seen_from, uv)
-
-
-def _pose(model: pycolmap.Reconstruction, k: int) -> FloatArray:
-    T_cam_world = np.eye(4)
-    T_cam_world[:3] = model.image(k + 1).cam_from_world().matrix()
-    return inverse(T_cam_world)
-
-
-def _observations(
-    model: pycolmap.Reconstruction, index_of: dict[int, int], config: SfmConfig
-) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-    """Points (M, 3) and of each observation: point, keyframe, feature."""
-    points: list[FloatArray] = []
-    owner: list[int] = []
-    seen_from: list[int] = []
-    feature: list[int] = []
-    model.update_point_3d_errors()
-    for _, point in sorted(model.points3D.items()):
-        if point.error > config.max_reprojection_error_px:
-            continue
-        elements = sorted((index_of[e.image_id - 1], e.point2D_idx) for e in point.track.elements)
-        for k, f in elements:
-            owner.append(len(points))
-            seen_from.append(k)
-            feature.append(f)
-        points.append(point.xyz)
-    as_index = [np.array(column, dtype=np.int64) for column in (owner, seen_from, feature)]
-    return np.array(points, dtype=np.float64).reshape(-1, 3), *as_index  # type: ignore[return-value]
 
 
 def good_landmarks(
@@ -162,22 +109,3 @@ def sample_colours(
         np.add.at(total, owner[rows], image[v, u, ::-1].astype(np.float64))
         np.add.at(count, owner[rows], 1.0)
     return np.round(total / np.maximum(count, 1.0)[:, None]).astype(np.uint8)
-
-
-def _calibrated(model: pycolmap.Reconstruction, camera: CameraCalibration) -> CameraCalibration:
-    """The camera with COLMAP's refined numbers (model RADIAL: f, cx, cy, k1, k2; or OPENCV)."""
-    params = [float(p) for p in model.camera(CAMERA_ID).params]
-    if model.camera(CAMERA_ID).model_name == "OPENCV":
-        fx, fy, cx, cy, *distortion = params
-    else:
-        f, cx, cy, k1, k2 = params
-        fx, fy, distortion = f, f, [k1, k2, 0.0, 0.0]
-    return msgspec.structs.replace(
-        camera,
-        fx=fx,
-        fy=fy,
-        cx=cx - COLMAP_PIXEL_CENTRE,
-        cy=cy - COLMAP_PIXEL_CENTRE,
-        model="radtan",
-        distortion=tuple(distortion),
-    )

@@ -19,16 +19,18 @@ from station.navigation import Keyframes, Navigation, NavigationReport
 from station.shelf import Shelf, ShelvedFiles
 from station.slam.backend import SlamUpdate
 from station.slam.frontend.lens import Lens
-from station.slam.sfm.assemble import Reconstructed, read_model, read_odometry_map
+from station.slam.sfm.assemble import Reconstructed, read_odometry_map
 from station.slam.sfm.colmap import pycolmap
+from station.slam.sfm.colmap_model import read_model
 from station.slam.sfm.config import SfmConfig
-from station.slam.sfm.features import Features, SiftExtractor
 from station.slam.sfm.inertial import concatenate_imu
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.sfm.matching import Match, Shortlist, match_descriptors, verify
+from station.slam.sfm.matching import Shortlist, match_descriptors
 from station.slam.sfm.odometry import dead_reckon
 from station.slam.sfm.odometry_mapping import map_with_odometry
+from station.slam.sfm.sift import PinholeFeatures, SiftExtractor
 from station.slam.sfm.tracks import Pairs
+from station.slam.sfm.two_view import Match, verify
 from station.slam.sfm.visual import colmap_camera, map_incrementally
 from station.slam.sfm.world import place_in_world
 
@@ -61,7 +63,7 @@ class SfmBackend:
         self._shelf = Shelf()
         self._frames: list[ImageFrame] = []  # keyframes, without their files
         self._encoded = ShelvedFiles(self._shelf)  # these
-        self._features: list[Features] = []
+        self._features: list[PinholeFeatures] = []
         self._pairs: list[Pairs] = []  # feature pairs, unverified
         self._matches: list[Match] = []  # verified
         self._frame_times: list[int] = []
@@ -104,7 +106,7 @@ class SfmBackend:
         """Whether gyroscope and drive commands tell how the robot moves."""
         return bool(self._drive) and bool(self._imu) and self._calibration.imu is not None
 
-    def _add_keyframe(self, frame: ImageFrame, features: Features) -> None:
+    def _add_keyframe(self, frame: ImageFrame, features: PinholeFeatures) -> None:
         config = self._config.matching
         b = len(self._frames)
         previous = config.num_previous_with_odometry if self._has_odometry else config.num_previous
@@ -115,7 +117,7 @@ class SfmBackend:
         self._frames.append(replace(frame, encoded=b""))
         self._encoded.append(frame.encoded)
         put = self._shelf.put
-        self._features.append(Features(put(features.uv_px), put(features.uv_ideal_px), put(features.sift)))
+        self._features.append(PinholeFeatures(put(features.uv_px), put(features.sift), put(features.uv_ideal_px)))
         for a in older:
             pairs = match_descriptors(self._features[a].descriptors, features.descriptors, config.max_ratio)
             self._pairs.append((a, b, put(pairs)))
@@ -136,6 +138,9 @@ class SfmBackend:
 
     def keyframe_pictures(self) -> Sequence[bytes]:
         return self._encoded
+
+    def keyframe_features(self, number: int) -> None:
+        """Its own are other ones."""
 
     def finish(self) -> Navigation:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""

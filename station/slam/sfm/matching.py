@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-
 import numpy as np
 import numpy.typing as npt
 
 from shared.geometry import IntArray
-from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.config import MatchConfig
-from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
+from station.slam.sfm.features import Features
 
 Descriptors = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Match:
-    """Keyframes a < b that see the same, with the features they share."""
-
-    a: int
-    b: int
-    pairs: IntArray  # (M, 2) feature of a, feature of b
-    geometry: pycolmap.TwoViewGeometry = field(repr=False)
 
 
 def match_descriptors(a: Descriptors, b: Descriptors, max_ratio: float) -> IntArray:
@@ -86,35 +72,3 @@ class Shortlist:
             if all(abs(k - other) > 1 for other in chosen):
                 chosen.append(k)
         return chosen
-
-
-def verify(
-    a: int,
-    b: int,
-    pairs: IntArray,
-    features: Sequence[Features],
-    camera: pycolmap.Camera,
-    config: MatchConfig,
-    seed: int,
-) -> Match | None:
-    """The pairs of two keyframes that agree on one motion; None where they are too few."""
-    if len(pairs) < config.min_inliers:
-        return None
-    options = pycolmap.TwoViewGeometryOptions()
-    options.min_num_inliers = config.min_inliers
-    options.ransac.max_error = config.max_error_px
-    options.ransac.random_seed = seed
-    options.ransac.max_num_trials = 2000
-    options.detect_watermark = False
-    geometry = pycolmap.estimate_calibrated_two_view_geometry(
-        camera,
-        features[a].uv_ideal_px + COLMAP_PIXEL_CENTRE,
-        camera,
-        features[b].uv_ideal_px + COLMAP_PIXEL_CENTRE,
-        pairs.astype(np.uint32),
-        options,
-    )
-    inliers = np.asarray(geometry.inlier_matches, dtype=np.int64).reshape(-1, 2)
-    if len(inliers) < config.min_inliers:
-        return None
-    return Match(a, b, inliers, geometry)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from shared.calibration import CameraCalibration
-from station.slam.sfm.colmap import pycolmap
+from station.slam.sfm.colmap import COLMAP_PIXEL_CENTRE, pycolmap
 from station.slam.sfm.config import SfmConfig
-from station.slam.sfm.features import COLMAP_PIXEL_CENTRE, Features
-from station.slam.sfm.matching import Match
+from station.slam.sfm.sift import PinholeFeatures
+from station.slam.sfm.two_view import Match
 
 CAMERA_ID = 1
 
@@ -35,7 +35,7 @@ def colmap_camera(camera: CameraCalibration, refine: bool) -> pycolmap.Camera:
 
 
 def fill_database(
-    database: pycolmap.Database, camera: pycolmap.Camera, features: Sequence[Features], matches: Iterable[Match]
+    database: pycolmap.Database, camera: pycolmap.Camera, features: Sequence[PinholeFeatures], matches: Iterable[Match]
 ) -> None:
     """Everything the mapper asks for: camera, rig, frames, keypoints, verified matches."""
     database.write_camera(camera, use_camera_id=True)
@@ -57,7 +57,11 @@ def fill_database(
 
 
 def map_incrementally(
-    camera: pycolmap.Camera, features: Sequence[Features], matches: Sequence[Match], config: SfmConfig, refine: bool
+    camera: pycolmap.Camera,
+    features: Sequence[PinholeFeatures],
+    matches: Sequence[Match],
+    config: SfmConfig,
+    refine: bool,
 ) -> list[pycolmap.Reconstruction]:
     """Run COLMAP's incremental mapper; the models it could not connect come apart, largest first."""
     with tempfile.TemporaryDirectory(prefix="sfm-") as folder:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -16,6 +15,7 @@ from threadpoolctl import ThreadpoolController
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
 from shared.geometry import FloatArray
+from station.features import Features
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.navigation import Navigation
 from station.slam.backend import SlamUpdate, TrackingState
@@ -37,9 +37,7 @@ from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingF
 from station.slam.ukf.state import FilterState
 from station.slam.ukf.stillness import Standstill, StillnessDetector
 from station.slam.ukf.update import is_finite
-
-if TYPE_CHECKING:
-    from station.slam.ukf.views import MapViews
+from station.slam.ukf.views import MapViews
 
 IMU_REACH_S = 0.05  # the IMU may end that long before the frame: its last reading is held
 
@@ -245,6 +243,9 @@ class UkfBackend:
         """The views; of a map from tracks it is not known before the end."""
         return [] if self._memory.views is None else self._memory.views.pictures()
 
+    def keyframe_features(self, number: int) -> Features | None:
+        return None if self._memory.views is None else self._memory.views.seen(number)
+
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         with self._blas.limit(limits=1):
@@ -272,13 +273,6 @@ class UkfBackend:
         config = self._config
         wanted = config.map == "views" or (config.map == "auto" and self._calibration.robot_kind == "sentinel")
         if not wanted or config.landmarks == "thesis":
-            return None
-        try:
-            from station.slam.ukf.views import MapViews
-        except ImportError as exc:
-            if config.map == "views":
-                raise ConfigError(f"a map from views needs {exc.name}, which is not installed here") from exc
-            self._messages.append(f"{exc.name} is not installed: loops are not closed, landmarks are fewer")
             return None
         return MapViews(self._camera.lens, config.views, self._seed)
 

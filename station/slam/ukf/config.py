@@ -59,7 +59,7 @@ class UkfConfig:
     quality: LandmarkQuality = field(default_factory=LandmarkQuality)
     landmarks: Literal["default", "thesis"] = "default"  # thesis: each landmark as it first entered the filter
     # views: loops are closed and landmarks come from SIFT features; it costs about as much as the filter does.
-    # auto: views for a robot with wheels, which comes back to where it was; tracks else, or where pycolmap is missing.
+    # auto: views for a robot with wheels, which comes back to where it was; tracks else.
     map: Literal["auto", "tracks", "views"] = "auto"
     views: ViewConfig = field(default_factory=ViewConfig)
     # Visual-inertial least squares over the keyframes when the drive ends. Not on wheels, where the filter knows more:

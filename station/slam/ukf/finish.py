@@ -22,6 +22,7 @@ from station.slam.ukf.landmark_map import Observations, assemble, make_landmarks
 from station.slam.ukf.measurement import CameraModel
 from station.slam.ukf.memory import DriveMemory
 from station.slam.ukf.refine import refine_segment
+from station.slam.ukf.view_map import map_views
 
 
 def make_navigation(
@@ -58,8 +59,6 @@ def _from_views(memory: DriveMemory, camera: CameraModel, calibration: Calibrati
     """Loops closed and everything refined; None where there are no views, or they share too little."""
     if memory.views is None:
         return None
-    from station.slam.ukf.view_map import map_views  # needs pycolmap, which is here when there are views
-
     assert calibration.camera is not None and calibration.imu is not None
     made = map_views(memory.views, memory.poses, camera, calibration.camera, calibration.imu)
     if made is None:

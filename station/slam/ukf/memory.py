@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +23,7 @@ from station.slam.ukf.preintegration import Preintegration, chain, preintegrate
 from station.slam.ukf.propagation import ImuSegment
 from station.slam.ukf.state import FilterState
 from station.slam.ukf.update import is_finite
-
-if TYPE_CHECKING:  # needs pycolmap, which not every machine has
-    from station.slam.ukf.views import MapViews
+from station.slam.ukf.views import MapViews
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
 WAITING_NS = 4 * 10**9  # frames older than that no longer wait for a start

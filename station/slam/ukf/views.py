@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from station import features as local
 from station.slam.frontend.lens import Lens
 from station.slam.sfm.config import SfmConfig
-from station.slam.sfm.features import Features, SiftExtractor
+from station.slam.sfm.features import Features
 from station.slam.sfm.matching import match_descriptors
 from station.slam.sfm.tracks import Pairs
 from station.slam.ukf.config import ViewConfig
@@ -26,6 +27,7 @@ class View:
     segment: int
     keyframe: Keyframe
     features: Features
+    seen: local.Features  # what localisation sees in it
 
 
 class MapViews:
@@ -38,7 +40,7 @@ class MapViews:
     def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
         self._lens, self._config = lens, config
         self.sfm = SfmConfig(seed=seed, threads=1)
-        self._extractor = SiftExtractor(self.sfm.features)
+        self._extractor = local.DetailExtractor()
         self._spacing = 1.0
         self._chosen: deque[Keyframe] = deque()  # that wait to be described
         self._newest: Keyframe | None = None
@@ -60,13 +62,15 @@ class MapViews:
         if not self._chosen:
             return False
         keyframe = self._chosen.popleft()
-        features = self._extractor.extract(keyframe.image.grey(), self._lens)
+        found = self._extractor.extract(keyframe.image.grey())
+        features = Features(found.uv_px, found.descriptors)
+        descriptors = features.descriptors
         b = len(self._items)
-        self._items.append(View(keyframe.image.index, keyframe.segment, keyframe, features))
+        self._items.append(View(keyframe.image.index, keyframe.segment, keyframe, features, found.features))
         for a in range(max(0, b - self._config.num_previous), b):
             if self._items[a].segment == keyframe.segment:
-                before = self._items[a].features
-                pairs = match_descriptors(before.descriptors, features.descriptors, self.sfm.matching.max_ratio)
+                before = self._items[a].features.descriptors
+                pairs = match_descriptors(before, descriptors, self.sfm.matching.max_ratio)
                 self._pairs.append((a, b, pairs))
         return True
 
@@ -79,6 +83,10 @@ class MapViews:
     def pictures(self) -> list[bytes]:
         """Of the views described so far, as they were encoded."""
         return [view.keyframe.image.encoded for view in self._items]
+
+    def seen(self, number: int) -> local.Features:
+        """What pictures()[number] shows."""
+        return self._items[number].seen
 
     def _is_new(self, keyframe: Keyframe) -> bool:
         if self._newest is None or self._newest.segment != keyframe.segment:
