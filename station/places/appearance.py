@@ -31,6 +31,12 @@ class Vocabulary:
     coarse: Float32Array  # (c, 128)
     fine: Float32Array  # (w, 128) grouped by coarse cell
     first: IntArray  # (c + 1,) where each coarse cell's words begin
+    half_norm: Float32Array  # (w,) of the fine ones: at each question it would cost as much as the answer
+
+    @classmethod
+    def of(cls, coarse: Float32Array, fine: Float32Array, first: IntArray) -> Vocabulary:
+        """From its centres."""
+        return cls(coarse, fine, first, _half_norm(fine))
 
     @property
     def num_words(self) -> int:
@@ -49,7 +55,8 @@ class Vocabulary:
         cells, begin = np.unique(cell[order], return_index=True)
         out = np.zeros(len(x), dtype=np.int64)
         for c, mine in zip(cells.tolist(), np.split(order, begin[1:]), strict=True):
-            out[mine] = self.first[c] + _nearest(x[mine], self.fine[self.first[c] : self.first[c + 1]])
+            words = slice(self.first[c], self.first[c + 1])
+            out[mine] = self.first[c] + _nearest(x[mine], self.fine[words], self.half_norm[words])
         return out
 
 
@@ -69,12 +76,20 @@ def train_vocabulary(descriptors: DescriptorArray, seed: int = 0) -> Vocabulary:
         centres = _cluster(mine, count, rng) if len(mine) else coarse[c : c + 1]
         fine.append(centres)
         first.append(first[-1] + len(centres))
-    return Vocabulary(coarse, np.concatenate(fine), np.array(first, dtype=np.int64))
+    return Vocabulary.of(coarse, np.concatenate(fine), np.array(first, dtype=np.int64))
 
 
-def _nearest(x: Float32Array, centres: Float32Array) -> IntArray:
+def _half_norm(centres: Float32Array) -> Float32Array:
+    """(k,) half the squared length of each centre (k, 128)."""
+    out = np.empty(len(centres), dtype=np.float32)
+    for start in range(0, len(centres), 8192):
+        out[start : start + 8192] = 0.5 * (centres[start : start + 8192] ** 2).sum(axis=1)
+    return out
+
+
+def _nearest(x: Float32Array, centres: Float32Array, half_norm: Float32Array | None = None) -> IntArray:
     """Index of the nearest centre (k, 128) to each row of x (n, 128)."""
-    half_norm = 0.5 * (centres**2).sum(axis=1)
+    half_norm = _half_norm(centres) if half_norm is None else half_norm
     out = np.empty(len(x), dtype=np.int64)
     for start in range(0, len(x), 8192):
         out[start : start + 8192] = np.argmax(x[start : start + 8192] @ centres.T - half_norm, axis=1)
@@ -144,7 +159,7 @@ class AppearanceIndex:
         index.num_images = num_images
         if "words" in arrays:
             coarse, fine = (arrays[name].astype(np.float32, copy=False) for name in ("coarse_words", "words"))
-            index._vocabulary = Vocabulary(coarse, fine, arrays["first_word"].astype(np.int64, copy=False))
+            index._vocabulary = Vocabulary.of(coarse, fine, arrays["first_word"].astype(np.int64, copy=False))
             index._posting_image = arrays["posting_image"].astype(np.int64, copy=False)
             index._posting_weight = arrays["posting_weight"].astype(np.float64, copy=False)
             index._begin = arrays["first_posting"].astype(np.int64, copy=False)
@@ -161,7 +176,16 @@ class AppearanceIndex:
         v = self._vocabulary
         if v is None:
             return 0
-        arrays = (v.coarse, v.fine, v.first, self._posting_image, self._posting_weight, self._begin, self._idf)
+        arrays = (
+            v.coarse,
+            v.fine,
+            v.half_norm,
+            v.first,
+            self._posting_image,
+            self._posting_weight,
+            self._begin,
+            self._idf,
+        )
         return sum(a.nbytes for a in arrays)
 
     def query(self, descriptors: DescriptorArray, count: int) -> tuple[IntArray, FloatArray]:
