@@ -17,7 +17,7 @@ from itertools import count
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, inverse, so3_log
+from shared.geometry import FloatArray, IntArray, inverse, so3_log
 from station.maps.map import Place, PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
 from station.places.belief import BeliefConfig, Hypothesis, begun_anew, blurred, grown
@@ -198,7 +198,7 @@ class CurrentPlaceEstimator:
         self._advance(t_robot_ns)
         t_robot_ns = max(t_robot_ns, self._t_ns or t_robot_ns)
         belief = self.belief()
-        order = np.argsort(-belief.place, kind="stable")[:4]
+        order = largest(belief.place, 4)
         candidates = [self._candidate(int(i), float(belief.place[i])) for i in order]
         best = max(self._hypotheses, key=lambda h: h.weight, default=None)
         p_body = None if best is None else best.pose(self._nav_body_at(t_robot_ns))[:3, 3]
@@ -385,6 +385,16 @@ class CurrentPlaceEstimator:
         total = self._lost + self._unmapped + sum(h.weight for h in kept)
         self._hypotheses = [replace(h, weight=h.weight / total) for h in kept]
         self._lost, self._unmapped = self._lost / total, self._unmapped / total
+
+
+def largest(values: FloatArray, how_many: int) -> IntArray:
+    """Numbers of the largest values, largest first, of equals the first one. Sorting all costs a large map 1 ms."""
+    left = values.copy()
+    found: list[int] = []
+    while len(found) < min(how_many, len(values)):
+        found.append(int(np.argmax(left)))
+        left[found[-1]] = -np.inf
+    return np.array(found, dtype=np.int64)
 
 
 def _motion(T_before: FloatArray, T_after: FloatArray) -> tuple[float, float]:

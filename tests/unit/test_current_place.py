@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from station.places.current import CurrentPlaceEstimator
+from station.places.current import CurrentPlaceEstimator, largest
 from station.places.map_view import MapView
 from tests.places_support import SECOND, make_map, pose, seen
 
@@ -256,6 +256,12 @@ def test_shares_of_the_nearest_place_are_those_of_all_distances(seed: int, place
     assert (tied >= nearest).all()
     assert (tied >= (distance <= (tie - 1e-9) * least).mean(axis=0)).all()
     assert (tied <= (distance <= (tie + 1e-9) * least).mean(axis=0)).all()
+
+
+@given(values=st.lists(st.sampled_from([0.0, 0.1, 0.2, 0.7, 1.0]), max_size=30), how_many=st.integers(1, 5))
+def test_the_largest_of_many_are_those_a_sort_puts_first(values: list[float], how_many: int) -> None:
+    expected = np.argsort(-np.array(values), kind="stable")[:how_many]
+    assert largest(np.array(values), how_many).tolist() == expected.tolist()
 
 
 def test_without_odometry_certainty_fades() -> None:
