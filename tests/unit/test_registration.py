@@ -128,6 +128,13 @@ def test_a_refusal_of_clouds_that_may_be_in_feet_or_inches_mentions_units(factor
     assert "units" in result.reasons[-1] and "times the" in result.reasons[-1]
 
 
+def test_a_free_scale_that_cannot_reach_feet_says_which_scales_were_tried() -> None:
+    pair = make_pair(9007, points=(3000, 3500))
+    result = register_clouds(pair.target, pair.source * 3.28, scale="free")
+    assert not result.accepted
+    assert "units" in result.reasons[-1] and "0.78 to 1.28" in result.reasons[-1]
+
+
 def test_a_source_far_larger_than_the_target_does_not_make_the_search_large() -> None:
     pair = make_pair(9007, points=(3000, 3500))
     for factor in (0.2, 1.0, 5.0, 25.0, 1000.0):

@@ -86,7 +86,7 @@ def register_clouds(
         ranges = _scale_range(p_target, p_source, scale, scale_range)
     except DegenerateGeometry as exc:
         return refused(str(exc), backend)
-    odd_sizes = _odd_sizes(p_target, p_source, scale)
+    odd_sizes = _odd_sizes(p_target, p_source, scale, ranges)
     rng = np.random.default_rng(seed)
     A, B = prepare_cloud(p_target, rng), prepare_cloud(p_source, rng)
     voxel = float(np.max(np.ptp(np.percentile(A.points, [1, 99], axis=0), axis=0)[:2])) / SearchConfig().cells
@@ -184,12 +184,13 @@ def _larger(ratio: float) -> str:
     return f"the source is {1 / ratio:.3g} times the target's size"
 
 
-def _odd_sizes(target: FloatArray, source: FloatArray, scale: Scale) -> tuple[str, ...]:
-    """What else a refusal may come from: a unit, where the scale was said to be known and the sizes differ."""
+def _odd_sizes(target: FloatArray, source: FloatArray, scale: Scale, scales: tuple[float, float]) -> tuple[str, ...]:
+    """What else a refusal may come from: a unit, where sizes differ by more than the scales that were tried."""
     ratio = _size(target) / _size(source)
-    if scale == "free" or 1 / ODD_RATIO < ratio < ODD_RATIO:
+    if 1 / ODD_RATIO < ratio < ODD_RATIO or scales[0] <= ratio <= scales[1]:
         return ()
-    return (f"{_larger(ratio)}: if they are in different units, convert one, or use scale free",)
+    remedy = "or use scale free" if scale == "known" else f"as scales of {scales[0]:.3g} to {scales[1]:.3g} were tried"
+    return (f"{_larger(ratio)}: if they are in different units, convert one, {remedy}",)
 
 
 def _size(points: FloatArray) -> float:
