@@ -120,6 +120,7 @@ def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCali
             time_shift_s=number(content, "time_shift_s", 0.0, path),
             line_delay_s=number(content, "line_delay_s", 0.0, path),
             rate_hz=number(content, "rate_hz", 30.0, path),
+            is_measured=not content.get("approximate", False),
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc

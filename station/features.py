@@ -64,7 +64,7 @@ class DetailExtractor:
     """The same for a map: one look gives what localisation sees in an image, and what else landmarks come from."""
 
     def __init__(self) -> None:
-        self._sift = _detector(0, DETAIL_CONTRAST)
+        self._sift = _detector(2 * MAX_DETAILS, DETAIL_CONTRAST)  # some are found twice
 
     def extract(self, grey: ImageArray) -> Details:
         """Of an image (H, W)."""
@@ -75,9 +75,8 @@ class DetailExtractor:
         # A corner that was described twice, turned two ways, would become two landmarks.
         _, first = np.unique(found.uv_px, axis=0, return_index=True)
         rows = np.sort(first)[:MAX_DETAILS]
-        return Details(
-            Features(found.uv_px[:count], found.descriptors[:count]), found.uv_px[rows], found.descriptors[rows]
-        )
+        seen = Features(found.uv_px[:count].copy(), found.descriptors[:count].copy())  # not the whole, kept alive
+        return Details(seen, found.uv_px[rows], found.descriptors[rows])
 
 
 def _detector(max_features: int, contrast: float) -> cv2.SIFT:

@@ -87,9 +87,9 @@ def build(
 def _why_no_place(place_map: PlaceMap) -> str:
     p = place_map.navigation.landmarks.p_world
     finite = int(np.count_nonzero(np.isfinite(p).all(axis=1)))
-    if finite < len(p):
-        return f"{finite} of {len(p)} landmarks are finite"
-    return f"its landmarks ({len(p)}) form no group" if len(p) else "the navigation has no landmarks"
+    if not len(p):
+        return "the navigation has no landmarks"
+    return f"its landmarks ({finite}) form no group" if finite else f"none of its {len(p)} landmarks is finite"
 
 
 def _navigations(

@@ -15,7 +15,7 @@ from station.places.registration.result import Registration, refused
 MAX_ROUNDS = 30
 MIN_POINTS = 12  # GICP needs as many neighbours for a point's covariance
 CONVERGED = 1e-5  # of the cloud's size: the pose no longer moves
-COINCIDE = 1 / 3000  # of the cloud's size: the library's grid, made for the reach, counts no farther than such a cloud
+COINCIDE = 1e-9  # of the cloud's size: nothing is left to move
 
 
 def register_as_thesis(

@@ -96,7 +96,7 @@ def test_an_experiment_writes_results_report_and_figures(data: Path, tmp_path: P
     ("p", "why"),
     [
         (np.zeros((0, 3)), "the navigation has no landmarks"),
-        (np.full((60, 3), np.nan), "0 of 60 landmarks are finite"),
+        (np.full((60, 3), np.nan), "none of its 60 landmarks is finite"),
         (np.ones((1, 3)), "its landmarks (1) form no group"),
     ],
     ids=["empty", "all NaN", "one point"],

@@ -50,6 +50,19 @@ def test_details_hold_the_features_bit_for_bit(contrast: float, rich: bool) -> N
         assert rich or len(details.uv_px) > 1.2 * len(direct)
 
 
+def test_threads_do_not_change_what_is_found() -> None:
+    picture = patches(4, 14.0)
+    found, before = [], cv2.getNumThreads()
+    for threads in (1, 2):
+        cv2.setNumThreads(threads)
+        found.append((FeatureExtractor().extract(picture), DetailExtractor().extract(picture)))
+    cv2.setNumThreads(before)
+    (one, one_details), (two, two_details) = found
+    assert np.array_equal(one.uv_px, two.uv_px) and np.array_equal(one.descriptors, two.descriptors)
+    assert np.array_equal(one_details.uv_px, two_details.uv_px)
+    assert np.array_equal(one_details.descriptors, two_details.descriptors)
+
+
 def test_a_blank_picture_has_no_details() -> None:
     details = DetailExtractor().extract(np.full((480, 640), 90, dtype=np.uint8))
     assert len(details.features) == 0 and len(details.uv_px) == 0 and len(details.descriptors) == 0

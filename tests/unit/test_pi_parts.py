@@ -306,6 +306,9 @@ def test_a_camera_calibrated_alone_is_mounted_and_timed_as_the_reference_robots(
     file.write_text(file.read_text() + "T_BS: [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\ntime_shift_s: 0.0\n")
     own = adapter.load_calibration(config).camera
     assert own is not None and own.T_body_cam[3] == 0.1 and own.time_shift_s == 0.0
+    file.write_text(file.read_text() + "approximate: true\n")
+    own = adapter.load_calibration(config).camera
+    assert own is not None and not own.is_measured
 
 
 def test_a_missing_serial_port_is_named_with_its_remedy() -> None:

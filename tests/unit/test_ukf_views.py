@@ -102,7 +102,7 @@ def test_a_view_is_described_as_localisation_describes_its_picture() -> None:
     assert {tuple(uv) for uv in direct.uv_px.tolist()} <= {tuple(uv) for uv in view.features.uv_px.tolist()}
 
 
-def test_the_filter_maps_without_pycolmap() -> None:
+def test_the_filter_can_be_imported_where_pycolmap_is_missing() -> None:
     missing = "import sys; sys.modules['pycolmap'] = None; import station.slam.ukf.backend"
     subprocess.run([sys.executable, "-c", missing], check=True, cwd=Path(__file__).parents[2])
 

@@ -58,8 +58,9 @@ def align_gicp(
 def _small_gicp(target: FloatArray, source: FloatArray, reach: float) -> FloatArray:
     import small_gicp
 
-    # Raw arrays would be downsampled to 0.25 silently: prepare them with a voxel that keeps every point.
-    tiny = 1e-3
+    # Raw arrays would be downsampled to 0.25 silently: prepare them with a voxel that keeps every point. The library
+    # counts a million voxels to each side of the origin; beyond, it lumps points together.
+    tiny = max(1e-3, 1e-6 * float(max(np.abs(target).max(), np.abs(source).max())))
     A, tree = small_gicp.preprocess_points(target, downsampling_resolution=tiny, num_neighbors=NEIGHBOURS)
     B, _ = small_gicp.preprocess_points(source, downsampling_resolution=tiny, num_neighbors=NEIGHBOURS)
     result = small_gicp.align(

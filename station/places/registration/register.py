@@ -83,7 +83,7 @@ def register_clouds(
     require_backend(backend)
     try:
         p_target, p_source = clean_points(target, "target"), clean_points(source, "source")
-        ranges = _scale_range(p_target, p_source, scale, scale_range)
+        ranges = _scale_range(p_target, p_source, scale, scale_range, search=search)
     except DegenerateGeometry as exc:
         return refused(str(exc), backend)
     odd_sizes = _odd_sizes(p_target, p_source, scale, ranges)
@@ -158,13 +158,16 @@ def register_clouds(
 
 
 def _scale_range(
-    target: FloatArray, source: FloatArray, scale: Scale, given: tuple[float, float] | None
+    target: FloatArray, source: FloatArray, scale: Scale, given: tuple[float, float] | None, *, search: bool
 ) -> tuple[float, float]:
-    """Smallest and largest scale to consider. Raises DegenerateGeometry when known scales cannot be right."""
+    """Smallest and largest scale to consider. Raises DegenerateGeometry when known scales cannot be right.
+
+    Without a search something else vouches for them: a room may be a small part of a large map.
+    """
     ratio = _size(target) / _size(source)
     odd = not 1 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO
     if scale == "known":
-        if not 1 / UNIT_RATIO < ratio < UNIT_RATIO:
+        if search and not 1 / UNIT_RATIO < ratio < UNIT_RATIO:
             raise DegenerateGeometry(
                 f"{_larger(ratio)}: the clouds seem to be in different units; convert one, or use scale free"
             )

@@ -19,7 +19,7 @@ def test_a_cloud_lies_on_itself_and_the_library_has_nothing_to_warn_of(capfd: py
 
 
 def test_a_small_motion_is_found_and_a_normalised_one_too() -> None:
-    p = furnished_room(3, density=200).p
+    p = np.concatenate([furnished_room(3, density=200).p, [[800.0, -600.0, 5.0]]])  # and a landmark gone far astray
     T = se3(so3_exp(np.array([0.0, 0.0, 0.05])), np.array([0.05, -0.03, 0.0]))
     found = register_as_thesis(transform(T, p), p, ThesisConfig(), normalise=False)
     assert found.T_target_source is not None
