@@ -105,6 +105,7 @@ class CurrentPlaceEstimator:
         if seconds > ODOMETRY_GAP_S:
             self._hypotheses = [blurred(h, seconds, self.config) for h in self._hypotheses]
         self._hypotheses = [grown(h, distance, turn, seconds, self.config) for h in self._hypotheses]
+        self._wander(distance)
         self._carry(t_robot_ns)
 
     def on_localization(self, localization: Localization, t_robot_ns: int | None = None) -> Jump | None:
@@ -329,6 +330,14 @@ class CurrentPlaceEstimator:
                 self._hypotheses = [blurred(h, after - before, self.config) for h in self._hypotheses]
         self._carry(t_robot_ns)
 
+    def _wander(self, distance_m: float) -> None:
+        """A robot of which nobody knows where it is may drive out of the map, or into it."""
+        c = self.config
+        left = 1 - float(np.exp(-c.other_room_per_m * distance_m))
+        in_either = self._lost + self._unmapped
+        self._lost += left * (c.prior_lost * in_either - self._lost)
+        self._unmapped += left * (c.prior_unmapped * in_either - self._unmapped)
+
     def _carry(self, t_robot_ns: int) -> None:
         """Let time pass for the weights: the robot may have been moved without anyone noticing."""
         if self._t_ns is None:
@@ -344,11 +353,6 @@ class CurrentPlaceEstimator:
         self._hypotheses = [replace(h, weight=h.weight * stay) for h in self._hypotheses]
         self._lost += moved * c.prior_lost
         self._unmapped += moved * c.prior_unmapped
-        # A robot in unmapped space may drive into a mapped one.
-        self._lost, self._unmapped = (
-            self._lost + self._unmapped * (1 - stay),
-            self._unmapped * stay,
-        )
 
     def _change_frame(self, t_robot_ns: int, previous: _OdometryPose | None, T_nav_body: FloatArray) -> None:
         """Odometry starts, or starts again, in another frame: poses stay where they were, blurred by the gap."""

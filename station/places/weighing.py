@@ -18,7 +18,7 @@ from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement
 from station.places.map_view import MapView
 from station.places.recognised import NOTHING, Recognised
 
-SAME_POSE = 16.0  # squared Mahalanobis distance: 4 sigma
+SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,14 +51,15 @@ def weighed(
 ) -> Weights:
     """The weights, not normalised, after an image that was taken at one of several poses, or (`false`) at none of them.
 
-    Its likelihood at a pose is a mixture: the candidates' normal densities there; a uniform one; and, as what looks
-    alike deceives again and again, the candidates' densities at the pose of another hypothesis, as far as that one is
-    a look-alike's. A candidate that no hypothesis expects becomes one, with its share of what was "lost" and the next
-    of the `numbers`. `freshness`: 0..1, how far the view is another one than the last image's.
+    Its likelihood at a pose is a mixture: the candidates' densities (Student's t) there; a uniform one; and, as what
+    looks alike deceives again and again, the candidates' densities at the pose of another hypothesis, as far as that
+    one is a look-alike's. What was "lost" goes to the candidates by their shares: to the hypothesis that expects one,
+    else to a new one with the next of the `numbers`. Where no map knows, a first candidate is as likely as strays are
+    there. `freshness`: 0..1, how far the view is another one than the last image's.
     """
     odds = np.array([_odds(m, c) for m in measured])
     false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
-    share = odds / odds.sum()
+    share = _shares(measured, c)
     fits = [[_fit(h, m, T_nav_body, c) for m in measured] for h in before.hypotheses]
     density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(measured)) * share
     at = density.sum(axis=1)  # of the image, at each hypothesis
@@ -67,7 +68,9 @@ def weighed(
     says = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
     freshness = min(freshness, _novelty(measured, before, fits, share, says, c))
     counted = freshness * max(0.0, says)
-    expected = [False] * len(measured)
+    believed = 1 - false**freshness  # of the weight of "lost" that turns to the candidates
+    found = before.lost * believed * share  # weight (candidates,): it was lost, and is there
+    expected = [_expects(fits, j) for j in range(len(measured))]
     hypotheses = []
     for i, h in enumerate(before.hypotheses):
         elsewhere = float(np.delete(repeats, i).max(initial=0.0))
@@ -75,22 +78,40 @@ def weighed(
         h = replace(h, weight=h.weight * float(likelihood) ** freshness)
         best = int(np.argmax(density[i]))
         if fits[i][best].squared < SAME_POSE:
-            expected[best] = True
-            h = _corrected(h, measured[best], T_nav_body, counted, c)
-        hypotheses.append(h)
-    deceived = false * (1 - again + again * float(repeats.max(initial=0.0)))
-    believed = 1 - false**freshness  # of the weight of "lost" that turns to the candidates
-    for m, p, is_expected in zip(measured, share, expected, strict=True):
-        if not is_expected:
-            started = _started(m, T_nav_body, before.lost * believed * float(p), counted, c)
+            h = _corrected(h, measured[best], fits[i][best], T_nav_body, counted, c)
+        hypotheses.append(replace(h, weight=h.weight + float(found[[e == i for e in expected]].sum())))
+    repeated = 1 - again + again * float(repeats.max(initial=0.0))
+    likeliest = int(np.argmax(share))
+    strayed = _strayed(measured[likeliest], c) if expected[likeliest] is None else false
+    for m, weight, expecting in zip(measured, found, expected, strict=True):
+        if expecting is None:
+            started = _started(m, T_nav_body, float(weight), counted, c)
             hypotheses.append(replace(started, number=next(numbers)))
-    return Weights(hypotheses, before.lost * deceived**freshness, before.unmapped * deceived**freshness)
+    lost, unmapped = before.lost * (false * repeated) ** freshness, before.unmapped * (strayed * repeated) ** freshness
+    return Weights(hypotheses, lost, unmapped)
 
 
 def _odds(m: Measured, c: BeliefConfig) -> float:
     """That a candidate is right, against that it is a look-alike."""
     extent_m = m.localization.extent / m.view.unit
     return float((max(extent_m, 1e-3) / c.even_extent_m) ** c.extent_exponent)
+
+
+def _strayed(m: Measured, c: BeliefConfig) -> float:
+    """How much rarer such a candidate is where no map knows than, at the right pose, in a map: 1 says nothing."""
+    extent_m, inliers = max(m.localization.extent / m.view.unit, 1e-3), max(m.localization.num_inliers, 1)
+    rarer = (inliers / c.stray_inliers) ** -c.stray_inliers_exponent
+    rarer *= (extent_m / c.stray_extent_m) ** -c.stray_extent_exponent
+    return float(np.clip(rarer, c.false_localization_floor, 1.0))
+
+
+def _shares(measured: Sequence[Measured], c: BeliefConfig) -> FloatArray:
+    """Which candidate is right (n,), if one of them is: of two poses of an image, the one that explains more of it."""
+    extents = np.array([max(m.localization.extent / m.view.unit, 1e-3) for m in measured])
+    inliers = np.array([max(m.localization.num_inliers, 1) for m in measured], np.float64)
+    log_odds = c.rival_extent_exponent * np.log(extents) + c.rival_inliers_exponent * np.log(inliers)
+    odds = np.exp(log_odds - log_odds.max())
+    return np.asarray(odds / odds.sum())
 
 
 def _log_odds(extent_m: float, c: BeliefConfig) -> float:
@@ -107,10 +128,12 @@ def _fit(h: Hypothesis, m: Measured, T_nav_body: FloatArray, c: BeliefConfig) ->
     return agreement(h.pose(T_nav_body), m.T_map_body, sigma_m, sigma_rad, m.view.area_m2, m.view.unit)
 
 
-def _corrected(h: Hypothesis, m: Measured, T_nav_body: FloatArray, counted: float, c: BeliefConfig) -> Hypothesis:
+def _corrected(
+    h: Hypothesis, m: Measured, fit: Agreement, T_nav_body: FloatArray, counted: float, c: BeliefConfig
+) -> Hypothesis:
     """The hypothesis after a measurement that it expected."""
-    gain = h.sigma_m**2 / (h.sigma_m**2 + m.sigma_m**2)
-    gain_heading = h.sigma_rad**2 / (h.sigma_rad**2 + c.pose_floor_rad**2)
+    gain = h.sigma_m**2 / (h.sigma_m**2 + fit.doubt * m.sigma_m**2)
+    gain_heading = h.sigma_rad**2 / (h.sigma_rad**2 + fit.doubt * c.pose_floor_rad**2)
     z = m.localization
     before = h.recognised.since(_forgotten(z, c))
     return replace(
@@ -162,7 +185,8 @@ def _novelty(
     weight, novelty = [], []
     for j, m in enumerate(measured):
         z = m.localization
-        h = _expects(before.hypotheses, fits, j)
+        expecting = _expects(fits, j)
+        h = None if expecting is None else before.hypotheses[expecting]
         # What any of them recognised is no news to this one: a look-alike's pose may scatter.
         new = max(_recognised_before(before.hypotheses, m, c).share_of_new(z.landmarks), c.same_landmarks)
         had = NOTHING if h is None else _recognised_before((h,), m, c)
@@ -176,10 +200,10 @@ def _novelty(
     return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
 
 
-def _expects(hypotheses: Sequence[Hypothesis], fits: list[list[Agreement]], candidate: int) -> Hypothesis | None:
-    """The hypothesis that a candidate fits best."""
+def _expects(fits: list[list[Agreement]], candidate: int) -> int | None:
+    """The index of the hypothesis that a candidate fits best."""
     by = [i for i, row in enumerate(fits) if row[candidate].squared < SAME_POSE]
-    return hypotheses[max(by, key=lambda i: fits[i][candidate].density)] if by else None
+    return max(by, key=lambda i: fits[i][candidate].density) if by else None
 
 
 def _recognised_before(hypotheses: Sequence[Hypothesis], m: Measured, c: BeliefConfig) -> Recognised:

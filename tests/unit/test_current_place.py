@@ -127,6 +127,49 @@ def test_after_a_hijack_the_old_place_is_forgotten_and_the_new_one_found() -> No
     assert found.state == "known" and found.place is not None and found.place.id == "map-2"
 
 
+@pytest.mark.parametrize(("inliers", "state"), [(30, "lost"), (200, "known")])
+def test_a_first_image_of_few_landmarks_may_be_of_a_room_that_no_map_knows(inliers: int, state: str) -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0), inliers=inliers, extent=0.3))
+    assert estimator.answer(0).state == state
+
+
+def test_what_was_lost_is_found_also_where_the_robot_was_before_the_hijack() -> None:
+    def weight(before: bool) -> float:
+        estimator = CurrentPlaceEstimator(make_map())
+        estimator.on_odometry(0, pose(0, 0))
+        if before:
+            estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
+        estimator.on_hijack(SECOND, "lifted")
+        estimator.on_localization(seen(2.0, pose(0.0, 0.0), inliers=100, extent=0.2))
+        return float(estimator.belief().place[0])
+
+    assert weight(before=True) >= weight(before=False) > 0.5
+
+
+def test_a_pose_that_errs_by_more_than_it_should_is_still_the_tracked_robots() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    for k in range(4):
+        estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.3 * k))
+        estimator.on_localization(seen(k, pose(0.05 * k, 0, 0.3 * k)))
+    before = estimator.answer(3 * SECOND).position_map
+    estimator.on_odometry(4 * SECOND, pose(0.2, 0, 1.2))
+    estimator.on_localization(seen(4.0, pose(0.2, 0.28, 1.2)))
+    answer = estimator.answer(4 * SECOND)
+    assert answer.state == "known" and answer.position_map is not None and before is not None
+    assert answer.position_map[1] < 0.1  # and does not drag it along
+
+
+def test_of_two_poses_in_one_image_the_larger_one_with_more_landmarks_is_believed_at_once() -> None:
+    estimator = CurrentPlaceEstimator(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    larger = seen(0.0, pose(0.0, 0.0), inliers=270, extent=0.47)
+    estimator.on_candidates([larger, seen(0.0, pose(6.0, 0.0, 1.0), inliers=74, extent=0.3)])
+    answer = estimator.answer(0)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+
+
 def test_a_robot_found_again_is_not_told_of_the_hijack_when_it_is_lost_later() -> None:
     estimator = CurrentPlaceEstimator(make_map())
     estimator.on_odometry(0, pose(0, 0))

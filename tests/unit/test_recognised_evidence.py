@@ -15,7 +15,8 @@ from station.places.current import CurrentPlaceEstimator
 from station.places.recognised import NOTHING, extent_of
 from tests.places_support import SECOND, make_map, pose, seen
 
-WALL = np.stack([np.zeros(60), np.linspace(-0.8, 0.8, 60), np.full(60, 0.5)], axis=1)
+SEEN = 200  # landmarks of a wall
+WALL = np.stack([np.zeros(SEEN), np.linspace(-0.8, 0.8, SEEN), np.full(SEEN, 0.5)], axis=1)
 MIDDLE = np.array([6.5, 0.0, 0.5])  # of what deceives, half a metre before the pose at x = 6 where it would be right
 HERE, THERE = pose(0.0, 0.0), pose(6.0, 0.0)
 
@@ -26,7 +27,7 @@ class Robot:
     def __init__(self, things: FloatArray, scale: float | None = None) -> None:
         self.estimator = CurrentPlaceEstimator(make_map(more=np.concatenate([WALL, things]), scale=scale))
         self.p = np.concatenate([make_map().navigation.landmarks.p_world, WALL, things])
-        self.things = np.arange(63, 63 + len(things))
+        self.things = np.arange(3 + SEEN, 3 + SEEN + len(things))
         self.scale = 1.0 if scale is None else scale
         self.yaw = 0.0
         self.t_s = 0.0
@@ -62,7 +63,7 @@ class Robot:
     def tracked(self, views: int = 3) -> Robot:
         """Certain to be at Place 0."""
         for _ in range(views):
-            self.shown(np.arange(3, 63), HERE)
+            self.shown(np.arange(3, 3 + SEEN), HERE)
         assert self.here > 0.95
         return self
 
@@ -214,7 +215,7 @@ def test_put_back_where_it_was_the_robot_is_known_with_the_first_image() -> None
     for _ in range(2):
         robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
         assert robot.known is None and robot.here < 0.3
-        robot.shown(np.arange(3, 63), HERE)
+        robot.shown(np.arange(3, 3 + SEEN), HERE)
         assert robot.known == "map-0" and robot.here > 0.95
 
 
