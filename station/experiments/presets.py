@@ -18,6 +18,7 @@ from station.experiments.inputs import FrameRange
 from station.places.config import ThesisConfig
 
 PRESETS = ("I", "II", "III")
+MADE_WITH = "robot-sim.txt"  # in a dataset: what it was made with
 V1_02_START_S = 5.4  # the published set-up starts at image 109 of 20 Hz
 NAVIGATION1_FRAMES = 600  # thesis 5.2
 NAVIGATION2_FRAMES = 400
@@ -56,9 +57,15 @@ def find_preset(name: str, seed: int, euroc: Path | None) -> Preset:
 
 
 def make_dataset(arguments: tuple[str, ...], folder: Path, say: Callable[[str], None]) -> Path:
-    """Run robot-sim into `folder`, unless it was made there before. Raises DataError with its last words."""
-    if (folder / "mav0").is_dir():
-        return folder
+    """Run robot-sim into `folder`, unless just this was made there before.
+
+    Raises DataError: robot-sim's last words, or the folder holds something else.
+    """
+    wanted = "\n".join(arguments) + "\n"
+    if folder.exists():
+        if _made_with(folder) == wanted:
+            return folder
+        raise DataError(f"{folder} holds another drive (of another seed or version); remove it, or give another --out")
     say(f"simulating {folder.name}")
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = folder.with_name(f".{folder.name}.new")
@@ -74,10 +81,17 @@ def make_dataset(arguments: tuple[str, ...], folder: Path, say: Callable[[str], 
         if done.returncode != 0:
             words = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
             raise DataError(f"robot-sim could not make {folder.name}: {words}")
+        (scratch / MADE_WITH).write_text(wanted)
         scratch.rename(folder)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     return folder
+
+
+def _made_with(folder: Path) -> str:
+    """The arguments of robot-sim that made a dataset, a line each; empty where nobody noted them."""
+    note = folder / MADE_WITH
+    return note.read_text() if note.is_file() else ""
 
 
 def _first(seed: int, euroc: Path | None) -> Preset:

@@ -43,6 +43,16 @@ def test_a_failed_simulation_is_one_sentence_and_leaves_nothing(tmp_path: Path) 
     assert list((tmp_path / "data").iterdir()) == []
 
 
+def test_a_drive_is_used_again_only_where_just_that_one_was_made(tmp_path: Path) -> None:
+    short = ("dataset", "--world", "room", "--route", "tour", "--max-duration", "1")
+    made = make_dataset((*short, "--seed", "1"), tmp_path / "drive1", lambda _: None)
+    said: list[str] = []
+    assert make_dataset((*short, "--seed", "1"), made, said.append) == made and not said
+    with pytest.raises(DataError, match="another drive"):
+        make_dataset((*short, "--seed", "2"), made, said.append)
+    assert (made / "mav0").is_dir()  # and it is left as it was
+
+
 @pytest.mark.parametrize(("text", "expected"), [("0-398", (0, 398)), ("7-", (7, None)), ("-9", (None, 9))])
 def test_frame_ranges_are_read(text: str, expected: tuple[int | None, int | None]) -> None:
     frames = FrameRange.parse(text, "--frames1")
