@@ -11,6 +11,8 @@ from typing import Annotated
 
 import typer
 
+from station.slam.backends import check_backend
+
 
 def register(app: typer.Typer) -> None:
     app.command()(demo)
@@ -23,7 +25,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 def demo(
     once: Annotated[bool, typer.Option("--once", help="End by itself; exit code 0 when the place was right.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Which flat.")] = 1,
-    port: Annotated[int, typer.Option(help="Port of the page and the API.")] = 8080,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page and the API.")] = 8080,
     world: Annotated[str, typer.Option(help="Simulated world.")] = "small",
     backend: Annotated[str | None, typer.Option(help="SLAM: auto, ukf or sfm; without it the station's own.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for results.json, logs and data.")] = Path("demo"),
@@ -31,6 +33,8 @@ def demo(
     """Simulated robot, robot-server and station: map, hijack, drive again, and name the place."""
     from station.demo.demo import DemoOptions, run_demo
 
+    if backend is not None:
+        check_backend(backend)
     begin = time.monotonic()
 
     def say(text: str) -> None:

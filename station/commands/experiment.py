@@ -45,7 +45,8 @@ def experiment(
     ] = None,
     euroc: Annotated[Path | None, typer.Option(help="EuRoC V1_02 folder: path and IMU of preset I.")] = None,
     backend: Annotated[
-        str | None, typer.Option("--backend", help="SLAM backend for datasets: sfm, ukf [the preset's; else sfm].")
+        str | None,
+        typer.Option("--backend", help="SLAM backend for datasets: auto, ukf, sfm; without it the preset's, else sfm."),
     ] = None,
     mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
     eps: Annotated[float | None, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised [0.3].")] = None,

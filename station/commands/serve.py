@@ -38,7 +38,10 @@ def serve(
         typer.Option(help="Address to serve on; 0.0.0.0 lets the network in.", show_default=ApiConfig().host),
     ] = None,
     port: Annotated[
-        int | None, typer.Option(help="Port to serve on; 0 takes a free one.", show_default=str(ApiConfig().port))
+        int | None,
+        typer.Option(
+            min=0, max=65535, help="Port to serve on; 0 takes a free one.", show_default=str(ApiConfig().port)
+        ),
     ] = None,
     data: Annotated[
         Path | None, typer.Option(help="Folder for navigations and maps.", show_default=str(DEFAULT_DATA_DIR))

@@ -76,12 +76,14 @@ def run_demo(options: DemoOptions, say: Say) -> bool:
 
 
 def run_in(options: DemoOptions, data: Path, timings: Timings, say: Say) -> bool:
-    """Run the demo in its folder; a failure is said in `results.json` too."""
+    """Run the demo in its folder; a failure is said in `results.json` too, beside the verdict where there is one."""
     try:
         with Programs(options.out / "logs") as programs:
             return run_steps(options, programs, data, timings, say)
     except RobotSystemError as exc:
-        write_json(options.out / "results.json", {"passed": False, "seed": options.seed, "error": str(exc)})
+        results = options.out / "results.json"
+        so_far = json.loads(results.read_text()) if results.exists() else {"passed": False, "seed": options.seed}
+        write_json(results, so_far | {"error": str(exc)})
         raise
 
 
@@ -116,7 +118,7 @@ def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Tim
 
 def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
     """robot-server with simulated devices, and the station; wait until pictures arrive."""
-    say(f"simulated robot in {options.world} number {options.seed}; logs in {options.out / 'logs'}")
+    say(f"simulated robot in world {options.world}, flat {options.seed}; logs in {options.out / 'logs'}")
     robot_port, sim_port, port = free_port(), free_port(), options.port or free_port()
     programs.start(
         "robot-server",
@@ -257,7 +259,10 @@ def serve_until_interrupted(demo: Demo) -> None:
     try:
         while True:
             demo.programs.check(may_end="driver")
-            _, told = ask(demo, told)
+            try:
+                _, told = ask(demo, told)
+            except RobotSystemError as exc:  # a busy computer; what has ended is told by the check
+                demo.say(f"    no answer: {exc}")
             time.sleep(ASK_EVERY_S)
     except KeyboardInterrupt:
         demo.say("ending: motors off, then the station finishes what it writes (some seconds)")
@@ -313,5 +318,5 @@ def describe(verdict: Verdict) -> str:
         f"judged by the simulator's truth: {verdict.right} of {known} known answers right, "
         f"{verdict.not_known} not known, "
         f"first known {when}; map error {verdict.map_error_m:.2f} m, scale {verdict.map_scale:.3f}: "
-        + ("PASSED" if verdict.passed else "FAILED")
+        + (f"FAILED: {verdict.shortfall}" if verdict.shortfall else "PASSED")
     )

@@ -57,8 +57,16 @@ class Verdict:
     @property
     def passed(self) -> bool:
         """The last answer is known and right, and at least nine in ten of the known answers are."""
-        known = self.right + self.wrong
-        return self.final_known_right and self.right >= 0.9 * known
+        return not self.shortfall
+
+    @property
+    def shortfall(self) -> str:
+        """What was not reached, in words; empty when all was."""
+        if self.right < 0.9 * (self.right + self.wrong):
+            return "more than one in ten of the known answers is wrong"
+        if self.final_known_right:
+            return ""
+        return f"the last answer is {'wrong' if self.answers[-1].right is False else 'not known'}"
 
 
 def positions_at(log: TruthLog, t_robot_ns: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 import socket
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from shared.errors import ConfigError, RobotSystemError
+from station.demo import demo
 from station.demo.demo import Demo, DemoOptions, wait_for_slam
 from station.demo.folder import alone_in, fresh_folder, require_free
 from station.demo.processes import Programs
@@ -108,6 +110,23 @@ def test_a_port_in_use_is_said_before_anything_starts() -> None:
         other.listen()
         with pytest.raises(ConfigError, match=r"port \d+ is in use.*--port"):
             require_free(other.getsockname()[1])
+
+
+@pytest.mark.parametrize("verdict", ['{"passed": true, "right": 30}', None])
+def test_what_fails_later_leaves_the_verdict_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: str | None
+) -> None:
+    def fail(options: DemoOptions, *_: object) -> bool:
+        if verdict is not None:
+            (options.out / "results.json").write_text(verdict)
+        raise RobotSystemError("the station has ended")
+
+    monkeypatch.setattr(demo, "run_steps", fail)
+    options = DemoOptions(1, once=False, port=0, world="small", backend=None, out=tmp_path)
+    with pytest.raises(RobotSystemError):
+        demo.run_in(options, tmp_path / "data", demo.Timings(), print)
+    said = json.loads((tmp_path / "results.json").read_text())
+    assert said["error"] == "the station has ended" and said["passed"] is (verdict is not None)
 
 
 def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:

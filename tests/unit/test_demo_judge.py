@@ -47,19 +47,20 @@ def test_right_answers_after_the_hijack_pass(log: TruthLog) -> None:
 def test_a_wrong_last_answer_fails(log: TruthLog) -> None:
     samples = [Sample((47 + i) * RATE_NS, "known", "kitchen", 0.9) for i in range(8)]
     assert verdict(log, samples).passed
-    assert not verdict(log, [*samples, Sample(55 * RATE_NS, "known", "hall", 0.9)]).passed
+    wrong = verdict(log, [*samples, *samples, *samples, Sample(55 * RATE_NS, "known", "hall", 0.9)])
+    assert not wrong.passed and wrong.shortfall == "the last answer is wrong"
 
 
 def test_unknown_at_the_end_fails(log: TruthLog) -> None:
     samples = [Sample(50 * RATE_NS, "known", "kitchen", 0.9), Sample(55 * RATE_NS, "unknown", None, 0.5)]
-    assert not verdict(log, samples).passed
+    assert not verdict(log, samples).passed and verdict(log, samples).shortfall == "the last answer is not known"
 
 
 def test_one_wrong_answer_in_five_fails(log: TruthLog) -> None:
     samples = [Sample((47 + i) * RATE_NS, "known", "hall" if i == 0 else "kitchen", 0.9) for i in range(5)]
     result = verdict(log, samples)
     assert (result.right, result.wrong) == (4, 1)
-    assert not result.passed
+    assert not result.passed and "one in ten" in result.shortfall
 
 
 def test_answers_before_the_hijack_do_not_count(log: TruthLog) -> None:
