@@ -24,8 +24,9 @@ NAVIGATION1_FRAMES = 600  # thesis 5.2
 NAVIGATION2_FRAMES = 400
 ROOM_FPS = 10  # pictures a second of a robot that does 0.4 m/s; keyframes are 0.5 s apart
 # Thesis mode's numbers, set by hand for each experiment as the thesis did, by pictures and counts on worlds 100 and
-# 101: about ten places, most of the cloud in them and nowhere a quarter of it. The thesis' own, told by the stories below, belong
-# to its own clouds: here those of I make 39 places and those of II and III none, as its clouds were far denser.
+# 101: about ten places, most of the cloud in them and nowhere a quarter of it. The thesis' own, told by the stories
+# below, belong to its own clouds: here those of I make 39 places and those of II and III none, as its clouds were far
+# denser.
 BY_HAND = {
     "I": ThesisConfig(eps=0.5, min_pts=20, inlier_ratio=0.75),
     "II": ThesisConfig(eps=0.05, min_pts=60, inlier_ratio=0.8, normalise=True),
