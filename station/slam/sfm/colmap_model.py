@@ -63,8 +63,8 @@ def _observations(
             seen_from.append(k)
             feature.append(f)
         points.append(point.xyz)
-    as_index = [np.array(column, dtype=np.int64) for column in (owner, seen_from, feature)]
-    return np.array(points, dtype=np.float64).reshape(-1, 3), *as_index  # type: ignore[return-value]
+    p_world = np.array(points, dtype=np.float64).reshape(-1, 3)
+    return p_world, np.array(owner, np.int64), np.array(seen_from, np.int64), np.array(feature, np.int64)
 
 
 def _calibrated(model: pycolmap.Reconstruction, camera: CameraCalibration) -> CameraCalibration:
