@@ -196,6 +196,22 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
     )
 
 
+def unmapped_room(world: World) -> str:
+    """The room that the mapping drive leaves out."""
+    return world.rooms[world.seed % len(world.rooms)].name
+
+
+def flat_to_drive(
+    name: str, flat: int, calibration: Calibration, *, whole: bool
+) -> tuple[World, Renderer, PlaceMap, Localizer]:
+    """A flat, its renderer, a map of it (`whole`, or without its unmapped room), and the localiser of that map."""
+    assert calibration.camera is not None
+    world = make_world(name, flat)
+    renderer = Renderer(world, calibration.camera, default_cache_dir())
+    place_map = map_flat(world, renderer, calibration, flat, None if whole else unmapped_room(world))
+    return world, renderer, place_map, Localizer(place_map)
+
+
 def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
     """Ids of the places nearest to the true position, ties within 10 %."""
     distance = np.linalg.norm([p.centroid_map - T_world_body[:3, 3] for p in place_map.places], axis=1)
@@ -303,11 +319,8 @@ def main() -> None:
     assert calibration.camera is not None
     drives: list[dict[str, Any]] = []
     for flat in range(a.seed, a.seed + a.flats):
-        world = make_world(a.world, flat)
-        renderer = Renderer(world, calibration.camera, default_cache_dir())
-        unmapped = world.rooms[flat % len(world.rooms)].name
-        place_map = map_flat(world, renderer, calibration, flat, unmapped)
-        localizer = Localizer(place_map)
+        world, renderer, place_map, localizer = flat_to_drive(a.world, flat, calibration, whole=False)
+        unmapped = unmapped_room(world)
         print(f"flat {flat}: {len(place_map.navigation.keyframes)} keyframes, {len(place_map.places)} places, "
               f"{len(place_map.navigation.landmarks)} landmarks, without the {unmapped}", flush=True)  # fmt: skip
         for drive in range(1, a.drives + 1):

@@ -18,13 +18,11 @@ from typing import Any
 
 import cv2
 
-from benchmarks.bench_current_place import START_NS, Robot, map_flat, no_faults, right_places
-from robot.simulation.atlas import default_cache_dir
+from benchmarks.bench_current_place import START_NS, Robot, flat_to_drive, no_faults, right_places
 from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
 from robot.simulation.world import World
-from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.maps.map import PlaceMap
@@ -92,13 +90,9 @@ def main() -> None:
     a = parser.parse_args()
     cv2.setNumThreads(1)
     calibration = simulated_calibration(SimulationConfig())
-    assert calibration.camera is not None
     drives: list[dict[str, Any]] = []
     for flat in range(a.seed, a.seed + a.flats):
-        world = make_world("small", flat)
-        renderer = Renderer(world, calibration.camera, default_cache_dir())
-        place_map = map_flat(world, renderer, calibration, flat, None)
-        localizer = Localizer(place_map)
+        world, renderer, place_map, localizer = flat_to_drive("small", flat, calibration, whole=True)
         for drive in range(1, a.drives + 1):
             for condition in CONDITIONS:
                 drives.append(undisturbed_drive(world, renderer, calibration, place_map, localizer, condition, drive))
