@@ -1,6 +1,10 @@
 """The current place in simulated flats: drives with a hijack in the middle, one room left unmapped.
 
     python -m benchmarks.bench_current_place [--world small] [--flats 3] [--drives 5] [--seed 0] [--out FILE.json]
+        [--figure FILE.png] [--from FILE.json …]
+
+`--figure` draws the calibration curve of the drives; `--from` takes them from what earlier runs left by `--out`, and
+drives nothing.
 
 Stand-in: the map's keyframe poses and landmark depths are the simulator's (depths with 1 % noise), so that the
 figures are those of localisation and of the estimator, not of a SLAM backend. Drives, images, IMU, slip and hijacks are
@@ -22,6 +26,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.calibration_curve import calibration_bins, draw_calibration
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
 from robot.simulation.config import Faults, SimulationConfig
@@ -306,6 +311,35 @@ def summarise(drives: list[dict[str, Any]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def draw(drives: list[dict[str, Any]], path: Path) -> None:
+    """The calibration curve: of answers "known" in mapped rooms, which the error in the summary is made of, and of all.
+
+    In a doorway to the unmapped room an answer is judged like in a mapped one; beyond it every "known" is wrong.
+    """
+    known = [r for d in drives for r in d["rows"] if r[0] == "known"]
+    mapped = calibration_bins((r[2], r[1]) for r in known if r[3])
+    anywhere = calibration_bins((r[2], r[1] and (r[3] or r[4])) for r in known)
+    draw_calibration([("mapped rooms", mapped), ("unmapped room included", anywhere)], path)
+
+
+def drive_flats(name: str, flats: range, num_drives: int) -> list[dict[str, Any]]:
+    """All drives through these flats, judged; each is told as it ends."""
+    cv2.setNumThreads(1)
+    calibration = simulated_calibration(SimulationConfig())
+    assert calibration.camera is not None
+    drives: list[dict[str, Any]] = []
+    for flat in flats:
+        world, renderer, place_map, localizer = flat_to_drive(name, flat, calibration, whole=False)
+        unmapped = unmapped_room(world)
+        print(f"flat {flat}: {len(place_map.navigation.keyframes)} keyframes, {len(place_map.places)} places, "
+              f"{len(place_map.navigation.landmarks)} landmarks, without the {unmapped}", flush=True)  # fmt: skip
+        for drive in range(1, num_drives + 1):
+            result = judge_drive(world, renderer, calibration, place_map, localizer, unmapped, drive)
+            drives.append(result)
+            print(json.dumps({k: v for k, v in result.items() if k != "rows"}), flush=True)
+    return drives
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--world", default="small")
@@ -313,24 +347,21 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=None)
+    parser.add_argument("--figure", type=Path, default=None, help="draw the calibration curve into this file")
+    parser.add_argument(
+        "--from", dest="earlier", nargs="+", type=Path, help="draw and count earlier runs, drive nothing"
+    )
     a = parser.parse_args()
-    cv2.setNumThreads(1)
-    calibration = simulated_calibration(SimulationConfig())
-    assert calibration.camera is not None
-    drives: list[dict[str, Any]] = []
-    for flat in range(a.seed, a.seed + a.flats):
-        world, renderer, place_map, localizer = flat_to_drive(a.world, flat, calibration, whole=False)
-        unmapped = unmapped_room(world)
-        print(f"flat {flat}: {len(place_map.navigation.keyframes)} keyframes, {len(place_map.places)} places, "
-              f"{len(place_map.navigation.landmarks)} landmarks, without the {unmapped}", flush=True)  # fmt: skip
-        for drive in range(1, a.drives + 1):
-            result = judge_drive(world, renderer, calibration, place_map, localizer, unmapped, drive)
-            drives.append(result)
-            print(json.dumps({k: v for k, v in result.items() if k != "rows"}), flush=True)
+    if a.earlier:
+        drives = [drive for path in a.earlier for drive in json.loads(path.read_text())["drives"]]
+    else:
+        drives = drive_flats(a.world, range(a.seed, a.seed + a.flats), a.drives)
     summary = summarise(drives)
     print(json.dumps(summary, indent=1))
     if a.out:
         a.out.write_text(json.dumps({"summary": summary, "drives": drives}))
+    if a.figure:
+        draw(drives, a.figure)
 
 
 if __name__ == "__main__":
