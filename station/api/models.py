@@ -167,6 +167,16 @@ class GraphModel(Model):
     edges: list[EdgeModel]
 
 
+class RouteModel(Model):
+    """The shortest way along the graph's edges."""
+
+    map: str
+    metric: bool = Field(description="distances are metres; false: of unknown scale")
+    places: list[PlaceName] = Field(description="from start to goal")
+    legs: list[EdgeModel] = Field(description="from each place to the next one")
+    length: float = Field(description="of all legs, map units", examples=[4.9])
+
+
 # Maps, navigations, jobs
 
 

@@ -16,15 +16,16 @@ from station.api.models import (
     PlaceMerge,
     PlaceModel,
     PlacesChangeModel,
+    RouteModel,
     UndoOrder,
     VisitModel,
 )
 from station.api.problems import responses
-from station.api.views import change_model, current_place, edge_model, place_model, visit_model
+from station.api.views import change_model, current_place, edge_model, place_model, route_model, visit_model
 from station.map_library import keyframe_image, mean_image
 from station.places.changes import shown
-from station.places.graph import to_graphml
-from station.refusals import Unknown
+from station.places.graph import places_called, shortest_route, to_graphml
+from station.refusals import Conflict, Unknown
 
 router = APIRouter(tags=["places"])
 of_robot = APIRouter(tags=["places"])
@@ -129,3 +130,19 @@ async def graph(
         nodes=[place_model(active, place) for place in active.visible_places],
         edges=[edge_model(edge) for edge in active.place_map.edges],
     )
+
+
+Called = Annotated[str, Query(min_length=1, max_length=80, description="id or name of a place", examples=["Kitchen"])]
+
+
+@router.get("/graph/route", summary="The shortest way between two places", responses=responses(404, 409))
+async def route(start: Called, goal: Called, station: StationDep) -> RouteModel:
+    """Along the edges of the graph, with the bearing of each leg; by names, in which upper and lower case are one."""
+    place_map = shown(station.maps.require_active().place_map)
+    for word in (start, goal):
+        if not places_called(place_map, word):
+            raise Unknown(f"the graph has no place {word!r}; GET /graph lists them")
+    found = shortest_route(place_map, start, goal)
+    if found is None:
+        raise Conflict(f"no edges lead from {start} to {goal}")
+    return route_model(place_map, found)

@@ -69,6 +69,7 @@ ROLES: dict[str, Role | None] = {
     "GET /places/{place_id}": WATCH,
     "GET /places/{place_id}/images/{kind}": WATCH,
     "GET /graph": WATCH,
+    "GET /graph/route": WATCH,
     "GET /places/changes": WATCH,
     "POST /places/undo": DRIVE,
     "PATCH /places/{place_id}": DRIVE,

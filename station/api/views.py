@@ -29,6 +29,7 @@ from station.api.models import (
     ReplayModel,
     RobotEntry,
     RobotModel,
+    RouteModel,
     SlamModel,
     VisitModel,
 )
@@ -40,9 +41,10 @@ from station.jobs import Job
 from station.live import NO_PLACE
 from station.locating import Visit
 from station.map_library import ActiveMap, PlacesChange
-from station.maps.map import Place, PlaceEdge
+from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapSummary
 from station.navigation import Navigation
+from station.places.graph import Route
 from station.places.names import has_own_name
 from station.robot_session import RobotSession
 
@@ -222,6 +224,16 @@ def change_model(change: PlacesChange) -> PlacesChangeModel:
 
 def edge_model(edge: PlaceEdge) -> EdgeModel:
     return EdgeModel(a=edge.a, b=edge.b, bearing_rad=edge.bearing_rad, distance=edge.distance, kind=edge.kind)
+
+
+def route_model(place_map: PlaceMap, route: Route) -> RouteModel:
+    return RouteModel(
+        map=place_map.id,
+        metric=place_map.navigation.is_metric,
+        places=[PlaceName(id=i, name=name) for i, name in zip(route.place_ids, route.names, strict=True)],
+        legs=[edge_model(edge) for edge in route.legs],
+        length=route.length,
+    )
 
 
 def map_model(summary: MapSummary, active: ActiveMap | None) -> MapModel:

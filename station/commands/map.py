@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -20,9 +22,10 @@ from station.executors.opening import check_executor, open_executor
 from station.executors.port import Executor
 from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 from station.maps.folder import load_map_folder, save_map_folder
-from station.maps.map import PlaceMap
+from station.maps.map import PlaceEdge, PlaceMap
 from station.navigation import Navigation
 from station.navigation_files import load_navigation
+from station.places.changes import shown
 from station.places.graph import shortest_route, to_graphml, to_json_dict
 from station.places.growing import keep_places
 from station.slam.backends import check_backend
@@ -155,10 +158,17 @@ def show(
     if not place_map.places:
         print(f"  no place: {_why_no_place(place_map)}")
     for place in place_map.places:
-        print(f"  {place.name}: {len(place.landmark_index)} landmarks, {len(place.keyframe_index)} images")
+        seen = f"{len(place.landmark_index)} landmarks, {len(place.keyframe_index)} images"
+        print(f"  {place.name}: {seen}, quality {place.quality:.2f}{', hidden' if place.hidden else ''}")
     name = {place.id: place.name for place in place_map.places}
     for edge in place_map.edges:
-        print(f"  {name[edge.a]} - {name[edge.b]}: {edge.distance:.2f}, {edge.kind}")
+        print(f"  {name[edge.a]} - {name[edge.b]}: {_leg(edge, place_map)}, {edge.kind}")
+
+
+def _leg(edge: PlaceEdge, place_map: PlaceMap) -> str:
+    """Distance and bearing, for a person."""
+    unit = " m" if place_map.navigation.is_metric else ""
+    return f"{edge.distance:.2f}{unit} at {math.degrees(edge.bearing_rad):.0f} degrees"
 
 
 def route(
@@ -167,9 +177,17 @@ def route(
     goal: Annotated[str, typer.Argument(help="Name or id of a place.")],
     data: map_store.Data = None,
     config: map_store.Config = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the route as JSON on stdout.")] = False,
 ) -> None:
-    """The shortest way between two places."""
-    found = shortest_route(open_map(which, data, config), start, goal)
+    """The shortest way between two places, and each leg's bearing: in the ground plane, from +x towards +y."""
+    place_map = shown(open_map(which, data, config))
+    found = shortest_route(place_map, start, goal)
     if found is None:
         raise DataError(f"no edges lead from {start} to {goal}")
-    print(f"{' > '.join(found.names)} ({found.length:.2f})")
+    if as_json:
+        legs = [asdict(leg) for leg in found.legs]
+        print(json.dumps({"places": found.place_ids, "names": found.names, "legs": legs, "length": found.length}))
+        return
+    print(f"{' > '.join(found.names)} ({found.length:.2f}{' m' if place_map.navigation.is_metric else ''})")
+    for name, leg in zip(found.names[1:], found.legs, strict=True):
+        print(f"  to {name}: {_leg(leg, place_map)}")

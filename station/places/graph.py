@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import networkx as nx
 import numpy as np
@@ -27,6 +27,7 @@ class Route:
     place_ids: tuple[str, ...]
     names: tuple[str, ...]
     length: float  # map units, between centroids
+    legs: tuple[PlaceEdge, ...]  # from each place to the next one, bearings likewise
 
 
 def place_edges(navigation: Navigation, places: Sequence[Place]) -> tuple[PlaceEdge, ...]:
@@ -110,14 +111,32 @@ def shortest_route(place_map: PlaceMap, start: str, goal: str) -> Route | None:
         length, path = nx.single_source_dijkstra(graph, ids[0], ids[1], weight="distance")
     except nx.NetworkXNoPath:
         return None
-    return Route(tuple(path), tuple(graph.nodes[node]["name"] for node in path), float(length))
+    edges = {frozenset((edge.a, edge.b)): edge for edge in place_map.edges}
+    legs = tuple(_leaving(edges[frozenset(pair)], pair[0]) for pair in itertools.pairwise(path))
+    return Route(tuple(path), tuple(graph.nodes[node]["name"] for node in path), float(length), legs)
+
+
+def _leaving(edge: PlaceEdge, start: str) -> PlaceEdge:
+    """The edge as seen from this end of it: the way back points the other way."""
+    if edge.a == start:
+        return edge
+    return replace(edge, a=edge.b, b=edge.a, bearing_rad=math.remainder(edge.bearing_rad + math.pi, math.tau))
+
+
+def places_called(place_map: PlaceMap, word: str) -> list[Place]:
+    """The place with this id, or those with this name (upper and lower case are one)."""
+    return [p for p in place_map.places if p.id == word] or [
+        p for p in place_map.places if p.name.casefold() == word.casefold()
+    ]
 
 
 def find_place(place_map: PlaceMap, word: str) -> Place:
-    """The place with this id or name (upper and lower case are one)."""
-    found = [p for p in place_map.places if p.id == word] or [
-        p for p in place_map.places if p.name.casefold() == word.casefold()
-    ]
+    """The one place with this id or name.
+
+    Raises:
+        DataError: a name that no place, or more than one, has.
+    """
+    found = places_called(place_map, word)
     if len(found) == 1:
         return found[0]
     if found:

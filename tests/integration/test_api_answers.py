@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,24 @@ async def test_undoing_a_change_of_places_leaves_the_maps_name(tmp_path: Path) -
             assert [m["name"] for m in (await desk.http.get("/maps")).json()] == ["Upstairs"]
         assert is_problem(await desk.http.post("/places/undo"), 409)
     assert MapStore(tmp_path / "maps").load(place_map.id).name == "Upstairs"
+
+
+async def test_the_way_from_one_place_to_another_is_told_by_name(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    first, *_, last = place_map.places
+    async with running_station(1, tmp_path) as desk:
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        await desk.http.patch(f"/places/{last.id}", json={"name": "Sofa"})
+        route = (await desk.http.get("/graph/route", params={"start": first.id, "goal": "sofa"})).json()
+        assert route["places"][0] == {"id": first.id, "name": first.name}
+        assert route["places"][-1] == {"id": last.id, "name": "Sofa"}
+        ends = [place["id"] for place in route["places"]]
+        assert [(leg["a"], leg["b"]) for leg in route["legs"]] == list(itertools.pairwise(ends))
+        assert route["length"] == pytest.approx(sum(leg["distance"] for leg in route["legs"])) and route["metric"]
+        for query in ({"start": first.id}, {"start": "", "goal": last.id}):
+            assert is_problem(await desk.http.get("/graph/route", params=query), 422)
+        nowhere = await desk.http.get("/graph/route", params={"start": first.id, "goal": "Garage"})
+        assert is_problem(nowhere, 404) and "Garage" in nowhere.json()["detail"]
 
 
 async def test_a_merge_leaves_the_other_places_their_colours(tmp_path: Path) -> None:

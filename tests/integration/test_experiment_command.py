@@ -114,7 +114,13 @@ def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
     assert (tmp_path / "map" / "graph.graphml").read_text().startswith("<?xml") or "<graphml" in (
         tmp_path / "map" / "graph.graphml"
     ).read_text()
-    assert names[0] in run("map", "route", tmp_path / "map", names[0], names[-1])
+    way = run("map", "route", tmp_path / "map", names[0], names[-1])
+    assert way.startswith(f"{names[0]} > ") and re.search(rf"to {names[-1]}: [\d.]+ m at -?\d+ degrees", way)
+    route = json.loads(run("map", "route", tmp_path / "map", names[0], names[-1], "--json"))
+    assert route["names"][0] == names[0] and len(route["legs"]) == len(route["names"]) - 1
+    shown = run("map", "show", tmp_path / "map")
+    assert len(re.findall(r"images, quality [01]\.\d\d\n", shown)) == len(names)
+    assert len(re.findall(r"[\d.]+ m at -?\d+ degrees, (?:seen|driven|nearest)", shown)) == len(graph["edges"])
     run("map", "build", data / "nav1", "--out", tmp_path / "map", "--names-from", tmp_path / "map")
     assert [n["name"] for n in json.loads(run("map", "show", tmp_path / "map", "--json"))["nodes"]] == names
     run("match", tmp_path / "map", data / "nav2", "--out", tmp_path / "match")

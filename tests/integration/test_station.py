@@ -33,6 +33,7 @@ async def test_every_error_is_a_problem_document(tmp_path: Path) -> None:
         assert is_problem(await http.get("/camera/stream.mjpg"), 503)
         assert is_problem(await http.get("/places"), 409)
         assert is_problem(await http.get("/graph"), 409)
+        assert is_problem(await http.get("/graph/route?start=a&goal=b"), 409)
         assert is_problem(await http.put("/maps/active", json={"id": "none"}), 404)
         assert is_problem(await http.delete("/maps/none"), 404)
         assert is_problem(await http.post("/maps", json={"navigations": ["none"]}), 404)
@@ -66,9 +67,9 @@ async def test_documents_name_no_other_host_and_show_every_call(tmp_path: Path) 
     calls = {f"{method.upper()} {path}" for path, methods in document["paths"].items() for method in methods}
     assert {
         "GET /place/current", "GET /places", "GET /places/{place_id}", "PATCH /places/{place_id}",
-        "GET /places/{place_id}/images/{kind}", "GET /graph", "GET /maps", "POST /maps", "PUT /maps/active",
-        "DELETE /maps/{map_id}", "POST /navigations", "POST /navigations/{navigation_id}/stop", "GET /navigations",
-        "GET /pose", "GET /trajectory", "GET /landmarks", "GET /robot", "POST /drive", "POST /stop", "POST /pan-tilt",
+        "GET /places/{place_id}/images/{kind}", "GET /graph", "GET /graph/route", "GET /maps", "POST /maps",
+        "PUT /maps/active", "DELETE /maps/{map_id}", "POST /navigations", "POST /navigations/{navigation_id}/stop",
+        "GET /navigations", "GET /pose", "GET /trajectory", "GET /landmarks", "GET /robot", "POST /drive", "POST /stop", "POST /pan-tilt",
         "GET /camera/frame.jpg", "GET /camera/stream.mjpg", "GET /healthz", "GET /metrics",
     } <= calls  # fmt: skip
     assert "Problem" in document["components"]["schemas"]
@@ -186,6 +187,7 @@ async def test_places_are_hidden_shown_and_merged_and_that_outlives_the_station(
         assert first.id not in {node["id"] for node in graph["nodes"]}
         assert first.id not in (await http.get("/graph?format=graphml")).text
         assert {p["id"]: p["hidden"] for p in (await http.get("/places")).json()}[first.id]
+        assert is_problem(await http.get(f"/graph/route?start={second.id}&goal=Sofa"), 404)  # nobody is led there
         merged = (await http.post("/places/merge", json={"places": [second.id, third.id]})).json()
         assert (merged["id"], merged["name"]) == (second.id, second.name)
         assert merged["landmarks"] == len(second.landmark_index) + len(third.landmark_index)

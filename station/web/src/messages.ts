@@ -478,6 +478,19 @@ export interface RobotModel {
   faults: string[];
 }
 
+/** The shortest way along the graph's edges. */
+export interface RouteModel {
+  map: string;
+  /** distances are metres; false: of unknown scale */
+  metric: boolean;
+  /** from start to goal */
+  places: PlaceName[];
+  /** from each place to the next one */
+  legs: EdgeModel[];
+  /** of all legs, map units */
+  length: number;
+}
+
 /** Who asks. */
 export interface SessionModel {
   /** false: everybody who reaches this station is admin */

@@ -1,5 +1,7 @@
 """Clusters become a named, connected map; hopeless clouds become an empty one."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,21 @@ def test_bearings_point_from_a_to_b(navigation: Navigation) -> None:
         dx, dy, _ = centroid[edge.b] - centroid[edge.a]
         assert np.hypot(dx, dy) * np.cos(edge.bearing_rad) == pytest.approx(dx)
         assert np.hypot(dx, dy) * np.sin(edge.bearing_rad) == pytest.approx(dy)
+
+
+def test_the_legs_of_a_route_lead_from_place_to_place_in_the_direction_of_travel(navigation: Navigation) -> None:
+    place_map = build_map(navigation)
+    centroid = {place.id: place.centroid_map for place in place_map.places}
+    for start, goal in itertools.permutations(centroid, 2):
+        route = shortest_route(place_map, start, goal)
+        assert route is not None
+        assert [(leg.a, leg.b) for leg in route.legs] == list(itertools.pairwise(route.place_ids))
+        assert sum(leg.distance for leg in route.legs) == pytest.approx(route.length)
+        for leg in route.legs:
+            dx, dy, _ = centroid[leg.b] - centroid[leg.a]
+            assert np.hypot(dx, dy) * np.cos(leg.bearing_rad) == pytest.approx(dx)
+            assert np.hypot(dx, dy) * np.sin(leg.bearing_rad) == pytest.approx(dy)
+    assert (stay := shortest_route(place_map, start, start)) is not None and stay.legs == () and stay.length == 0
 
 
 def test_unknown_place_name_is_answered_with_the_names_there_are(navigation: Navigation) -> None:
