@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,7 +29,7 @@ def register_files(
     as_json: Annotated[bool, typer.Option("--json", help="End with one JSON object on stdout.")] = False,
 ) -> None:
     """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
-    from station.places.registration import register_clouds
+    from station.places.registration import register_clouds, uncertainty_of
     from station.ply import read_rows
 
     p_target, p_source = read_rows(target), read_rows(source)  # registration says what is wrong with them
@@ -37,6 +38,7 @@ def register_files(
     with working("registering"):
         result = register_clouds(p_target, p_source, scale=scale, gravity=gravity, backend=backend, seed=seed)
     seconds = time.perf_counter() - start
+    uncertainty = uncertainty_of(result)
     verdict = "accepted" if result.accepted else "refused"
     if not as_json:
         print(f"{verdict}: {'; '.join(result.reasons)}")
@@ -44,6 +46,10 @@ def register_files(
             for row in result.T_target_source.tolist():
                 print("  " + " ".join(f"{value: .6f}" for value in row))
             print(f"scale {result.scale:.4f}, overlap {result.overlap:.0%}, rmse {result.rmse:.4f}, {seconds:.2f} s")
+            if uncertainty is not None:
+                turn = math.degrees(uncertainty.rotation_rad)
+                loose = f", {uncertainty.scale:.2%} of scale" if scale == "free" else ""
+                print(f"one standard deviation: {turn:.3f} degrees, {uncertainty.position:.4f}{loose}")
     else:
         print(f"{verdict}: {'; '.join(result.reasons)}", file=sys.stderr)
         print(
@@ -61,6 +67,7 @@ def register_files(
                     "score": result.score,
                     "confidence": _number(result.confidence),
                     "evidence": result.evidence,
+                    "uncertainty": None if uncertainty is None else asdict(uncertainty),
                     "covariance": None if result.covariance is None else result.covariance.tolist(),
                     "eigenvalues": None if result.eigenvalues is None else result.eigenvalues.tolist(),
                     "alternatives": [

@@ -77,7 +77,7 @@ def _check_by_geometry(found: AppearanceAlignment, clouds: _Clouds, seed: int) -
         reasons=(told,) if accepted else (told, reason),
         T_target_source=found.T_map_nav,
         scale=float(np.cbrt(np.linalg.det(found.T_map_nav[:3, :3]))),
-        covariance=None,
+        covariance=found.covariance,
         backend="appearance + small_gicp",
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.errors import RobotSystemError
-from shared.geometry import FloatArray, IntArray, orthonormal
+from shared.geometry import FloatArray, IntArray, orthonormal, so3_log
 from station.frames import ImageFrame
 from station.maps.map import PlaceMap
 from station.navigation import Navigation
@@ -31,6 +31,7 @@ class AppearanceAlignment:
     found: int  # keyframes found in the map
     asked: int
     agreeing: int  # of those found, how many fit T_map_nav
+    covariance: FloatArray | None  # (7, 7) as in Registration, from how the agreeing ones scatter
 
 
 def align_by_appearance(
@@ -47,7 +48,8 @@ def align_by_appearance(
     if found is None:
         return None
     T, agreeing = found
-    return AppearanceAlignment(T, len(T_map_cam), asked, len(agreeing))
+    covariance = covariance_of_motion(T_map_cam[agreeing], T_nav_cam[agreeing], fixed_scale=fixed_scale)
+    return AppearanceAlignment(T, len(T_map_cam), asked, len(agreeing), covariance)
 
 
 def agree_on_motion(
@@ -136,6 +138,31 @@ def _fit(T_map_cam: FloatArray, T_nav_cam: FloatArray, fixed_scale: bool) -> Flo
     T[:3, :3] = scale * R
     T[:3, 3] = c_map.mean(axis=0) - scale * R @ c_nav.mean(axis=0)
     return T
+
+
+def covariance_of_motion(T_map_cam: FloatArray, T_nav_cam: FloatArray, *, fixed_scale: bool) -> FloatArray | None:
+    """(7, 7) of rotation, translation of the cameras' middle and log scale; None for fewer than three cameras.
+
+    From what each camera (n, 4, 4) changes when it is left out. Cameras are taken to err each by itself; what bends
+    the map or the navigation as a whole is not in it.
+    Source: jackknife, Efron and Stein, Annals of Statistics 9(3), 1981.
+    """
+    count = len(T_map_cam)
+    if count < 3:
+        return None
+    T = _fit(T_map_cam, T_nav_cam, fixed_scale)
+    scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
+    middle = T_nav_cam[:, :3, 3].mean(axis=0)
+    changes = np.zeros((count, 7))
+    for k in range(count):
+        others = np.arange(count) != k
+        T_k = _fit(T_map_cam[others], T_nav_cam[others], fixed_scale)
+        scale_k = max(float(np.cbrt(np.linalg.det(T_k[:3, :3]))), 1e-9)
+        changes[k, :3] = so3_log(T_k[:3, :3] @ T[:3, :3].T / (scale_k * scale))
+        changes[k, 3:6] = (T_k - T)[:3, :3] @ middle + (T_k - T)[:3, 3]
+        changes[k, 6] = 0.0 if fixed_scale else np.log(scale_k / scale)
+    changes -= changes.mean(axis=0)
+    return (count - 1) / count * changes.T @ changes
 
 
 def _agreeing(T: FloatArray, T_map_cam: FloatArray, T_nav_cam: FloatArray, tolerance: float) -> IntArray:

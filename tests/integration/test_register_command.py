@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,10 @@ def test_an_accepted_registration_ends_with_its_json(tmp_path: Path) -> None:
     assert answer["accepted"] is True and answer["backend"] == "small_gicp"
     assert np.allclose(answer["T_target_source"], pair.T_target_source, atol=0.05)
     assert {"scale", "rmse", "inlier_ratio", "overlap", "seconds", "reasons"} <= answer.keys()
+    assert 0 < answer["uncertainty"]["position"] < 0.05 and answer["uncertainty"]["scale"] == 0
+    assert np.shape(answer["covariance"]) == (7, 7) and len(answer["eigenvalues"]) == 6
+    told = CliRunner().invoke(app, ["register", *arguments[:2]]).stdout
+    assert re.search(r"one standard deviation: 0\.\d{3} degrees, 0\.\d{4}\n", told), told
 
 
 @pytest.mark.parametrize("count", [0, 1, 10])
@@ -39,7 +44,7 @@ def test_too_few_points_are_refused_with_a_reason_and_no_transform(tmp_path: Pat
     result = CliRunner().invoke(app, ["register", str(a), str(b), "--json"])
     assert result.exit_code == 2
     answer = json.loads(result.stdout.splitlines()[-1])
-    assert answer["accepted"] is False and answer["T_target_source"] is None
+    assert answer["accepted"] is False and answer["T_target_source"] is None and answer["uncertainty"] is None
     assert f"{count} usable points" in answer["reasons"][0]
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from shared.geometry import FloatArray
 
 Scale = Literal["known", "free"]
@@ -33,11 +35,30 @@ class Registration:
     confidence: float  # probability that the alignment is right, as learned from synthetic pairs
     evidence: dict[str, float]  # what that is made from
     overlap: float  # share of points with a neighbour in the other cloud, the smaller of both directions
-    covariance: FloatArray | None  # (7, 7) of (rotation rad, translation, log scale), target frame; fixed ones are 0
+    # (7, 7) of (rotation rad, translation of the shared points' middle, log scale), target frame; fixed ones are 0.
+    covariance: FloatArray | None
     eigenvalues: FloatArray | None  # of the normal equations per inlier, ascending: a small one is a free direction
     backend: str
     score: float  # what candidates are ranked by: share of points that fit here and not beside it
     alternatives: tuple[Alternative, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """One standard deviation each, along the least certain direction."""
+
+    rotation_rad: float
+    position: float  # target units
+    scale: float  # relative
+
+
+def uncertainty_of(registration: Registration) -> Uncertainty | None:
+    """How far the alignment may be off, if it is the right one; None where that is not known."""
+    C = registration.covariance
+    if C is None or not np.isfinite(C).all():
+        return None
+    largest = [float(np.linalg.eigvalsh(block)[-1]) for block in (C[:3, :3], C[3:6, 3:6], C[6:, 6:])]
+    return Uncertainty(*(float(np.sqrt(max(value, 0.0))) for value in largest))
 
 
 def refused(reason: str, backend: str) -> Registration:

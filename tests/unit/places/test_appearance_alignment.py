@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from shared.geometry import FloatArray, inverse, se3, so3_exp, yaw_rotation
-from station.places.appearance_alignment import MAX_SIGHTINGS, agree_on_motion, keyframes_with_news
+from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, yaw_rotation
+from station.places.appearance_alignment import (
+    MAX_SIGHTINGS,
+    agree_on_motion,
+    covariance_of_motion,
+    keyframes_with_news,
+)
 from tests.synthetic_home import drive, furnished_room, navigate
 
 
@@ -41,6 +46,31 @@ def test_right_positions_with_wrong_headings_do_not_agree() -> None:
     T_map_cam[4:, :3, :3] = T_map_cam[4:, :3, :3] @ so3_exp(np.array([0.0, 0.5, 0.0]))
     found = agree_on_motion(T_map_cam, T_nav_cam, tolerance=0.2, fixed_scale=True)
     assert found is None  # four of eight are no majority
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_the_uncertainty_of_the_motion_is_how_much_it_scatters(scale: float) -> None:
+    rng = np.random.default_rng(5)
+    T_map_cam, T_nav_cam, T_map_nav = cameras(4, 10, scale)
+    middle = T_nav_cam[:, :3, 3].mean(axis=0)
+    errors, told = [], []
+    for _ in range(300):
+        seen = T_map_cam.copy()
+        seen[:, :3, 3] += rng.normal(0, 0.03, (10, 3))
+        seen[:, :3, :3] = np.stack([so3_exp(turn) for turn in rng.normal(0, 0.01, (10, 3))]) @ seen[:, :3, :3]
+        found = agree_on_motion(seen, T_nav_cam, tolerance=1.0, fixed_scale=scale == 1.0)
+        covariance = covariance_of_motion(seen, T_nav_cam, fixed_scale=scale == 1.0)
+        assert found is not None and len(found[1]) == 10 and covariance is not None
+        told.append(covariance)
+        ratio = np.cbrt(np.linalg.det(found[0][:3, :3])) / scale
+        turn = so3_log(found[0][:3, :3] @ T_map_nav[:3, :3].T / (ratio * scale**2))
+        shift = (found[0] - T_map_nav)[:3, :3] @ middle + (found[0] - T_map_nav)[:3, 3]
+        errors.append([*turn, *shift, np.log(ratio)])
+    sigma = np.sqrt(np.mean(told, axis=0).diagonal())
+    free = slice(0, 6) if scale == 1.0 else slice(0, 7)
+    np.testing.assert_allclose(sigma[free], np.std(errors, axis=0)[free], rtol=0.25)
+    assert (sigma[6] == 0) == (scale == 1.0)
+    assert covariance_of_motion(T_map_cam[:2], T_nav_cam[:2], fixed_scale=True) is None
 
 
 def test_of_keyframes_that_show_the_same_only_a_few_have_news() -> None:
