@@ -99,7 +99,7 @@ class PlaceModel(Model):
     radius: float = Field(description="RMS distance of its landmarks from the centroid, map units")
     landmarks: int
     images: int = Field(description="keyframes that saw it")
-    quality: float = Field(description="0..1, how repeatable the place is expected to be")
+    quality: float = Field(description="0..1, how clearly it stands out, and of how many landmarks")
     representative_image: str | None
     mean_image: str | None
     colour: int = Field(

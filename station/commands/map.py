@@ -28,6 +28,7 @@ from station.navigation_files import load_navigation
 from station.places.changes import shown
 from station.places.graph import shortest_route, to_graphml, to_json_dict
 from station.places.growing import keep_places
+from station.places.repeatability import repeatability
 from station.slam.backends import check_backend
 
 
@@ -147,19 +148,29 @@ def show(
     which: MapArgument,
     data: map_store.Data = None,
     config: map_store.Config = None,
+    with_repeatability: Annotated[
+        bool,
+        typer.Option("--repeatability", help="Measure how surely each place would be found again: groups them anew."),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
 ) -> None:
     """List a map's places and edges."""
     place_map = open_map(which, data, config)
+    measured: dict[str, float] = {}
+    if with_repeatability:
+        with working("grouping the landmarks anew"):
+            shares = repeatability(place_map).tolist()
+        measured = {place.id: share for place, share in zip(place_map.places, shares, strict=True)}
     if as_json:
-        print(json.dumps(to_json_dict(place_map)))
+        print(json.dumps(to_json_dict(place_map, measured)))
         return
     print(f"{place_map.name} ({place_map.id})")
     if not place_map.places:
         print(f"  no place: {_why_no_place(place_map)}")
     for place in place_map.places:
         seen = f"{len(place.landmark_index)} landmarks, {len(place.keyframe_index)} images"
-        print(f"  {place.name}: {seen}, quality {place.quality:.2f}{', hidden' if place.hidden else ''}")
+        again = f", repeatability {measured[place.id]:.2f}" if place.id in measured else ""
+        print(f"  {place.name}: {seen}, quality {place.quality:.2f}{again}{', hidden' if place.hidden else ''}")
     name = {place.id: place.name for place in place_map.places}
     for edge in place_map.edges:
         print(f"  {name[edge.a]} - {name[edge.b]}: {_leg(edge, place_map)}, {edge.kind}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from station.navigation import Navigation
 from station.places.build import build_map
 from station.places.config import PlacesConfig
 from station.places.match import MatchResult, match_navigation
+from station.places.registration import uncertainty_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,12 @@ class Experiment:
     seed: int
     seconds: dict[str, float]
     not_judged: str = ""  # why there is no judgement, where there is none
+
+    def found_again(self, place_id: str) -> bool | None:
+        """Whether a match was accepted for this place; None where nothing could be matched at all."""
+        if not self.result.registration.accepted:
+            return None
+        return any(match.place_id == place_id for match in self.result.matches)
 
 
 def run_experiment(
@@ -87,6 +94,7 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
     place_name = {p.id: p.name for p in place_map.places}
     location_name = {p.id: p.name for p in result.locations}
     registration = result.registration
+    uncertainty = uncertainty_of(registration)
     return {
         "places": len(place_map.places),
         "locations": len(result.locations),
@@ -99,6 +107,8 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
             "inlier_ratio": registration.inlier_ratio,
             "overlap": registration.overlap,
             "backend": registration.backend,
+            "uncertainty": None if uncertainty is None else asdict(uncertainty),
+            "covariance": None if registration.covariance is None else registration.covariance.tolist(),
             "error_m": None if judgement is None else judgement.registration_error,
         },
         "matches": [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from typing import Any
 import jinja2
 
 from station.experiments.experiment import Experiment, results_dict
+from station.places.registration import uncertainty_of
+from station.places.repeatability import repeatability
 
 FIGURES = (
     ("clouds_before", "Point clouds before registration",
@@ -51,7 +54,13 @@ def _content(experiment: Experiment, figures: Mapping[str, Path]) -> dict[str, A
             {**match, "image": evidence.get(f"match_{number:02d}")}
             for number, match in enumerate(results["matches"], start=1)
         ],
-        "places": experiment.place_map.places,
+        "places": [
+            {"place": place, "repeatability": share, "found_again": experiment.found_again(place.id)}
+            for place, share in zip(
+                experiment.place_map.places, repeatability(experiment.place_map).tolist(), strict=True
+            )
+        ],
+        "uncertainty": _uncertainty(experiment),
         "edges": len(experiment.place_map.edges),
         "comparison": _comparison(experiment, results),
         "config": json.dumps(results["config"], indent=2, default=str),
@@ -104,6 +113,15 @@ def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> list[tupl
         "matches": str(len(results["matches"])) + ("" if right is None else f", of them right by truth: {right}"),
     }
     return [(what, thesis.get(what, "–"), here.get(what, "–")) for what in here]
+
+
+def _uncertainty(experiment: Experiment) -> str:
+    """One standard deviation of the motion, for a person."""
+    known = uncertainty_of(experiment.result.registration)
+    if known is None:
+        return "–"
+    unit = "m" if experiment.place_map.navigation.is_metric else "map units"
+    return f"{math.degrees(known.rotation_rad):.2g}°, {known.position:.2g} {unit}, {known.scale:.2g} of scale"
 
 
 def _number(value: Any, digits: int = 3) -> str:

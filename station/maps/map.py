@@ -20,7 +20,7 @@ class Place:
     landmark_index: IntArray  # (n,) into map.navigation.landmarks
     keyframe_index: IntArray  # (k,) keyframes that saw its landmarks, most observations first
     representative_keyframe: int  # eq. 4.2: the image nearest to the mean image; -1 without images
-    quality: float  # 0..1, how repeatable the place is expected to be
+    quality: float  # 0..1, how clearly its hill stands out, times how many landmarks it has
     hidden: bool = False  # by a person: never answered, not in the graph; its name is kept
 
 

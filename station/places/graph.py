@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import networkx as nx
@@ -88,12 +88,16 @@ def to_graphml(place_map: PlaceMap) -> str:
     return "\n".join(nx.generate_graphml(to_networkx(place_map))) + "\n"
 
 
-def to_json_dict(place_map: PlaceMap) -> dict[str, object]:
-    """`{"nodes": [...], "edges": [...]}` of plain values."""
+def to_json_dict(place_map: PlaceMap, repeatability: Mapping[str, float] | None = None) -> dict[str, object]:
+    """`{"nodes": [...], "edges": [...]}` of plain values; with the repeatability of places, by id, where measured."""
+    measured = repeatability or {}
     graph = to_networkx(place_map)
     return {
         "map": place_map.id,
-        "nodes": [{"id": node, **values} for node, values in graph.nodes(data=True)],
+        "nodes": [
+            {"id": node, **values, **({"repeatability": measured[node]} if node in measured else {})}
+            for node, values in graph.nodes(data=True)
+        ],
         "edges": [{"a": edge.a, "b": edge.b, "bearing_rad": edge.bearing_rad, "distance": edge.distance,
                    "kind": edge.kind} for edge in place_map.edges],
     }  # fmt: skip

@@ -74,6 +74,7 @@ def test_an_experiment_writes_results_report_and_figures(data: Path, tmp_path: P
     assert {"places", "locations", "registration", "matches", "precision", "recall", "truth"} <= results.keys()
     assert results["truth"] == "groundtruth" and results["registration"]["accepted"]
     assert results["precision"] == 1.0 and results["recall"] >= 0.7
+    assert 0 < results["registration"]["uncertainty"]["position"] < 0.1
     for match in results["matches"]:
         assert {"place", "location", "distance", "correct"} <= match.keys()
     figures = {path.stem for path in (out / "figures").glob("*.png")}
@@ -89,6 +90,8 @@ def test_an_experiment_writes_results_report_and_figures(data: Path, tmp_path: P
     page = (out / "report.html").read_text()
     assert page.count('src="data:image/png;base64,') == len(figures)
     assert not re.search(r'(src|href)="(?!data:)', page), "the page must be one file"
+    row = r"<td>[01](?:\.\d+)?</td><td>(?:yes|no)</td></tr>"  # repeatability, found again
+    assert len(re.findall(row, page)) == results["places"] and re.search(r"[\d.]+°, [\d.]+ m, 0 of scale", page)
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
 
 
@@ -118,6 +121,10 @@ def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
     assert way.startswith(f"{names[0]} > ") and re.search(rf"to {names[-1]}: [\d.]+ m at -?\d+ degrees", way)
     route = json.loads(run("map", "route", tmp_path / "map", names[0], names[-1], "--json"))
     assert route["names"][0] == names[0] and len(route["legs"]) == len(route["names"]) - 1
+    measured = run("map", "show", tmp_path / "map", "--repeatability")
+    assert len(re.findall(r"quality [01]\.\d\d, repeatability [01]\.\d\d\n", measured)) == len(names)
+    nodes = json.loads(run("map", "show", tmp_path / "map", "--repeatability", "--json"))["nodes"]
+    assert all(0 <= node["repeatability"] <= 1 for node in nodes)
     shown = run("map", "show", tmp_path / "map")
     assert len(re.findall(r"images, quality [01]\.\d\d\n", shown)) == len(names)
     assert len(re.findall(r"[\d.]+ m at -?\d+ degrees, (?:seen|driven|nearest)", shown)) == len(graph["edges"])

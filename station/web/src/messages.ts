@@ -359,7 +359,7 @@ export interface PlaceModel {
   landmarks: number;
   /** keyframes that saw it */
   images: number;
-  /** 0..1, how repeatable the place is expected to be */
+  /** 0..1, how clearly it stands out, and of how many landmarks */
   quality: number;
   representative_image: string | null;
   mean_image: string | null;
