@@ -146,6 +146,8 @@ def finish(done: Experiment, out: Path, as_json: bool) -> None:
         print(json.dumps(results, default=str))
         return
     print(f"{results['places']} places, {results['locations']} locations, {len(results['matches'])} matches")
+    if not results["places"]:
+        print("the map holds no place, so there was nothing to match with")
     if not results["registration"]["accepted"]:
         print(f"registration refused: {'; '.join(results['registration']['reasons'])}")
     if done.not_judged:

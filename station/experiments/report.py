@@ -73,6 +73,8 @@ def _verdict(results: Mapping[str, Any]) -> tuple[str, str]:
     n = len(results["matches"])
     if not results["registration"]["accepted"]:
         return "neutral", "The clouds could not be registered with certainty, so no place was matched."
+    if not results["places"]:
+        return "neutral", "The map holds no place, so there was nothing to match with."
     if not n:
         return "neutral", "The clouds were registered, but no location was matched with a place."
     if results["truth"] == "none":

@@ -109,6 +109,15 @@ def test_a_map_without_places_says_why(data: Path, tmp_path: Path, p: FloatArray
     assert f"no place: {why}" in run("map", "show", tmp_path / "map")
 
 
+def test_a_map_without_places_is_matched_with_nothing_and_says_so(data: Path, tmp_path: Path) -> None:
+    whole = load_map_folder(data / "map1")
+    save_map_folder(replace(whole, places=(), edges=()), tmp_path / "map")
+    told = run("match", tmp_path / "map", data / "nav2", "--out", tmp_path / "out")
+    assert "0 places" in told and "the map holds no place" in told
+    assert "The map holds no place" in (tmp_path / "out" / "report.html").read_text()
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["matches"] == []
+
+
 def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
     printed = run("map", "build", data / "nav1", "--out", tmp_path / "map", "--name", "Flat")
     assert "places" in printed
