@@ -28,11 +28,12 @@ from station.maps.record import MapRecord, says_same_of_places
 from station.maps.store import MapStore, MapSummary, StoreAddress
 from station.places.changes import with_place_hidden, with_places_merged
 from station.places.colours import number_places
-from station.places.evidence import gather_evidence
+from station.places.evidence import evidence_of_place
 from station.refusals import Conflict, Unknown
 
 logger = logging.getLogger(__name__)
 MAX_WHY = 200
+WHITE_DEVIATION = 100.0  # grey levels, as in the reports: images of one place seldom differ by more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,10 +258,19 @@ class Maps:
 
 def mean_image(place_map: PlaceMap, place: Place) -> bytes:
     """A place's mean image as JPEG (eq. 4.2). Raises Unknown when it has no images."""
-    evidence = gather_evidence(place_map.navigation.keyframes, {place.id: place.keyframe_index[:64]})[place.id]
-    if evidence.mean_bgr.size == 0:
+    return _as_jpeg(evidence_of_place(place_map, place).mean_bgr, place)
+
+
+def deviation_image(place_map: PlaceMap, place: Place) -> bytes:
+    """How much the brightness of a place's images differs, as JPEG. Raises Unknown when it has no images."""
+    deviation = evidence_of_place(place_map, place).deviation
+    return _as_jpeg(np.clip(deviation * (255.0 / WHITE_DEVIATION), 0, 255).astype(np.uint8), place)
+
+
+def _as_jpeg(pixels: npt.NDArray[np.uint8], place: Place) -> bytes:
+    if pixels.size == 0:
         raise Unknown(f"{place.name} has no readable images")
-    ok, encoded = cv2.imencode(".jpg", evidence.mean_bgr)
+    ok, encoded = cv2.imencode(".jpg", pixels)
     if not ok:
         raise Unknown(f"{place.name} has no readable images")
     return encoded.tobytes()

@@ -102,6 +102,7 @@ class PlaceModel(Model):
     quality: float = Field(description="0..1, how clearly it stands out, and of how many landmarks")
     representative_image: str | None
     mean_image: str | None
+    deviation_image: str | None = Field(description="how much the brightness of its pictures differs")
     colour: int = Field(
         description="its number in GET /maps/{id}/landmarks; neighbours differ in the remainder by 12", examples=[5]
     )

@@ -22,7 +22,7 @@ from station.api.models import (
 )
 from station.api.problems import responses
 from station.api.views import change_model, current_place, edge_model, place_model, route_model, visit_model
-from station.map_library import keyframe_image, mean_image
+from station.map_library import deviation_image, keyframe_image, mean_image
 from station.places.changes import shown
 from station.places.graph import places_called, shortest_route, to_graphml
 from station.refusals import Conflict, Unknown
@@ -100,16 +100,17 @@ async def change(place_id: str, change: PlaceChange, station: StationDep) -> Pla
 
 @router.get(
     "/places/{place_id}/images/{kind}",
-    summary="The representative picture, or the mean one",
+    summary="The representative picture, the mean one, or how much their brightness differs (white: 100 grey levels)",
     response_class=Response,
     responses={200: IMAGE, **responses(404, 409)},
 )
-async def image(place_id: str, kind: Literal["representative", "mean"], station: StationDep) -> Response:
+async def image(place_id: str, kind: Literal["representative", "mean", "deviation"], station: StationDep) -> Response:
     active = station.maps.require_active()
     found = active.place(place_id)
     if kind == "representative":
         return image_response(keyframe_image(active.place_map, found.representative_keyframe))
-    return image_response(await asyncio.to_thread(mean_image, active.place_map, found))
+    made = mean_image if kind == "mean" else deviation_image
+    return image_response(await asyncio.to_thread(made, active.place_map, found))
 
 
 @router.get(

@@ -212,6 +212,7 @@ def place_model(active: ActiveMap, place: Place) -> PlaceModel:
         quality=place.quality,
         representative_image=f"/places/{place.id}/images/representative" if has_images else None,
         mean_image=f"/places/{place.id}/images/mean" if has_images else None,
+        deviation_image=f"/places/{place.id}/images/deviation" if has_images else None,
         colour=active.numbers.get(place.id, NO_PLACE),
         hidden=place.hidden,
         named=has_own_name(place.name),

@@ -9,8 +9,7 @@ import numpy as np
 
 from shared.errors import DataError
 from station.maps.map import Place, PlaceMap
-from station.navigation import Navigation
-from station.places.evidence import MAX_IMAGES, gather_evidence, observing_keyframes
+from station.places.evidence import evidence_of_place, observing_keyframes
 from station.places.graph import place_edges
 
 
@@ -39,7 +38,7 @@ def with_places_merged(place_map: PlaceMap, place_ids: Sequence[str]) -> PlaceMa
     found = _find(place_map, place_ids)
     if len({place.id for place in found}) < 2:
         raise DataError("two different places are needed to merge them; GET /places lists them")
-    merged = _joined(place_map.navigation, found)
+    merged = _joined(place_map, found)
     gone = {place.id for place in found[1:]}
     places = tuple(
         merged if place.id == merged.id else place for place in place_map.places if place.id not in gone
@@ -47,25 +46,24 @@ def with_places_merged(place_map: PlaceMap, place_ids: Sequence[str]) -> PlaceMa
     return regrouped(place_map, places)
 
 
-def _joined(navigation: Navigation, parts: Sequence[Place]) -> Place:
+def _joined(place_map: PlaceMap, parts: Sequence[Place]) -> Place:
     """One place that holds the landmarks of all."""
+    landmarks = place_map.navigation.landmarks
     members = np.unique(np.concatenate([place.landmark_index for place in parts]))
-    p = navigation.landmarks.p_world[members]
+    p = landmarks.p_world[members]
     centroid = p.mean(axis=0)
-    keyframe_index, _ = observing_keyframes(navigation.landmarks, members)
-    chosen = {parts[0].id: np.sort(keyframe_index[:MAX_IMAGES])}
-    evidence = gather_evidence(navigation.keyframes, chosen)[parts[0].id]
+    keyframe_index, _ = observing_keyframes(landmarks, members)
     weights = [max(len(place.landmark_index), 1) for place in parts]
-    return replace(
+    joined = replace(
         parts[0],
         centroid_map=centroid,
         radius=float(np.sqrt(((p - centroid) ** 2).sum(axis=1).mean())),
         landmark_index=members,
         keyframe_index=keyframe_index,
-        representative_keyframe=evidence.representative_keyframe,
         quality=float(np.average([place.quality for place in parts], weights=weights)),
         hidden=all(place.hidden for place in parts),
     )
+    return replace(joined, representative_keyframe=evidence_of_place(place_map, joined).representative_keyframe)
 
 
 def regrouped(place_map: PlaceMap, places: tuple[Place, ...]) -> PlaceMap:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.geometry import FloatArray, IntArray
+from station.maps.map import Place, PlaceMap
 from station.navigation import Keyframes, Landmarks
 
 EVIDENCE_WIDTH = 160  # px; mean and deviation are blurred by nature, and memory is (places x pixels)
@@ -54,6 +55,14 @@ def evidence_keyframes(landmarks: Landmarks, members: IntArray, *, thesis: bool)
     if len(chosen) > MAX_IMAGES:
         chosen = chosen[np.linspace(0, len(chosen) - 1, MAX_IMAGES).round().astype(np.int64)]
     return chosen
+
+
+def evidence_of_place(place_map: PlaceMap, place: Place) -> PlaceEvidence:
+    """Of one place: from the same images that its representative one was chosen among."""
+    navigation = place_map.navigation
+    thesis = place_map.config.get("mode") == "thesis"
+    chosen = evidence_keyframes(navigation.landmarks, place.landmark_index, thesis=thesis)
+    return gather_evidence(navigation.keyframes, {place.id: chosen})[place.id]
 
 
 def gather_evidence(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> dict[str, PlaceEvidence]:

@@ -157,7 +157,7 @@ async def test_record_build_ask_and_rename(tmp_path: Path) -> None:
         assert answer["probability"] == 0.9 and answer["distance_m"] == 0.5 and answer["age_s"] >= 0
         for path in (answer["evidence"]["query_image"], answer["evidence"]["map_image"]):
             assert (await http.get(path)).content[:2] == b"\xff\xd8"
-        for kind in ("representative", "mean"):
+        for kind in ("representative", "mean", "deviation"):
             assert (await http.get(f"/places/{places[0]['id']}/images/{kind}")).content[:2] == b"\xff\xd8"
         assert len((await http.get(f"/maps/{entry['id']}/landmarks")).content) == 16 + 16 * ready["landmarks"]
         graph = (await http.get("/graph")).json()

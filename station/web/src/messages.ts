@@ -363,6 +363,8 @@ export interface PlaceModel {
   quality: number;
   representative_image: string | null;
   mean_image: string | null;
+  /** how much the brightness of its pictures differs */
+  deviation_image: string | null;
   /** its number in GET /maps/{id}/landmarks; neighbours differ in the remainder by 12 */
   colour: number;
   /** by a person: never the current place, and not in the graph */

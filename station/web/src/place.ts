@@ -73,7 +73,11 @@ export class PlaceView {
     select.addEventListener("change", () => (merge.disabled = !select.value));
     dialog.replaceChildren(...present(
       make("h2", {}, place.name),
-      make("div", { class: "evidence" }, picture(place.representative_image, "representative"), picture(place.mean_image, "mean")),
+      make("div", { class: "evidence three" },
+        picture(place.representative_image, "representative"),
+        picture(place.mean_image, "mean"),
+        picture(place.deviation_image, "deviation"),
+      ),
       make("p", { class: "note" }, `${count(place.landmarks, "landmark")} · seen in ${count(place.images, "picture")} · quality ${percent(place.quality)}`),
       others.length > 0 && make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, merge),
       make("div", { class: "row end" }, button("Close", async () => {}, "quiet apart"), button("Hide", hide), button("Rename", rename, "primary")),

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from shared.errors import DataError
+from station.map_library import deviation_image
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore
 from station.places.build import build_map, carry_names
 from station.places.changes import shown, with_place_hidden, with_places_merged
+from station.places.config import PlacesMode
 from station.places.current import CurrentPlaceEstimator
+from station.places.evidence import evidence_of_place
 from tests.synthetic_home import drive, furnished_room, navigate
 
 
@@ -36,6 +40,20 @@ def test_a_merged_place_holds_all_landmarks_and_the_first_name(place_map: PlaceM
     assert min(first.quality, second.quality) <= place.quality <= max(first.quality, second.quality)
     assert [p.id for p in merged.places[1:]] == [p.id for p in others]
     assert {end for edge in merged.edges for end in (edge.a, edge.b)} <= {p.id for p in merged.places}
+
+
+@pytest.mark.parametrize("mode", ["default", "thesis"])
+def test_the_representative_image_is_nearest_to_the_mean_image_that_is_shown(mode: PlacesMode) -> None:
+    home = furnished_room(2)
+    place_map = build_map(navigate(home, drive(home, 2, frames=40, turns=1.0), seed=2), mode=mode)
+    assert len(place_map.places) > 2
+    merged = with_places_merged(place_map, [place.id for place in place_map.places[:2]])
+    for place in (*place_map.places, merged.places[0]):
+        evidence = evidence_of_place(place_map, place)
+        assert evidence.representative_keyframe == place.representative_keyframe >= 0
+        white = cv2.imdecode(np.frombuffer(deviation_image(place_map, place), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert white is not None and white.shape == evidence.deviation.shape
+        assert white.mean() == pytest.approx(np.minimum(2.55 * evidence.deviation, 255).mean(), abs=2)
 
 
 def test_merging_is_the_same_in_any_grouping(place_map: PlaceMap) -> None:
