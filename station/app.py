@@ -173,6 +173,16 @@ class Station:
 
         return self.jobs.start("build map", title, work)
 
+    def measure_places(self) -> Job:
+        """How surely each place of the active map would be found again, in the background. Raises Conflict."""
+        place_map = self.maps.require_active().place_map
+
+        async def work(worker: Worker) -> dict[str, Any]:
+            shares: dict[str, float] = await worker.call("measure_places", self.maps.address, place_map.id)
+            return shares
+
+        return self.jobs.start("measure places", f"repeatability of the places of {place_map.name}", work)
+
     def compare(self, first_id: str, second_id: str) -> Job:
         """Find the places of one drive in another, in the background. Raises Unknown, Conflict."""
         first, second = self._ready(first_id), self._ready(second_id)

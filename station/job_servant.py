@@ -22,6 +22,7 @@ from station.places.config import PlacesConfig, PlacesMode
 from station.places.growing import keep_places
 from station.places.merge import merge_navigations
 from station.places.pictures import DescribedPictures
+from station.places.repeatability import repeatability
 from station.slam.backend import SlamUpdate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
@@ -79,6 +80,14 @@ class JobServant:
             self._emit((0.85, "indexing what its pictures look like"))
             waiting = (0.85, "another map is indexed; this one is next")
             index_of(address.root, self._built, _nothing, lambda: self._emit(waiting), pictures)
+
+    def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:
+        """The repeatability of each place of a map, by its id."""
+        self._emit((0.1, "reading the map"))
+        place_map = MapStore(address).load(map_id)
+        self._emit((0.3, f"grouping {_count(len(place_map.navigation.landmarks), 'landmark')} anew"))
+        shares = repeatability(place_map).tolist()
+        return {place.id: share for place, share in zip(place_map.places, shares, strict=True)}
 
     def _map_of(self, navigations: list[Navigation], config: PlacesConfig, name: str, executor: str) -> PlaceMap:
         if executor:

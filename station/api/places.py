@@ -12,6 +12,7 @@ from station.api.maps import image_response
 from station.api.models import (
     CurrentPlace,
     GraphModel,
+    JobModel,
     PlaceChange,
     PlaceMerge,
     PlaceModel,
@@ -21,7 +22,7 @@ from station.api.models import (
     VisitModel,
 )
 from station.api.problems import responses
-from station.api.views import change_model, current_place, edge_model, place_model, route_model, visit_model
+from station.api.views import change_model, current_place, edge_model, job_model, place_model, route_model, visit_model
 from station.map_library import deviation_image, keyframe_image, mean_image
 from station.places.changes import shown
 from station.places.graph import places_called, shortest_route, to_graphml
@@ -84,6 +85,17 @@ async def merge(order: PlaceMerge, station: StationDep) -> PlaceModel:
 async def undo(station: StationDep, order: UndoOrder | None = None) -> PlacesChangeModel:
     """A new name, hiding or a merge. Answers what was taken back; 409 when another change came after `version`."""
     return change_model(await station.undo_places(order.version if order else None))
+
+
+@router.post(
+    "/places/repeatability",
+    summary="Measure how surely each place would be found again",
+    status_code=202,
+    responses=responses(409),
+)
+async def measure(station: StationDep) -> JobModel:
+    """Runs in the background: follow GET /jobs/{id}, whose result has 0..1 for each place's id; from 0.75 on stable."""
+    return job_model(station.measure_places())
 
 
 @router.patch("/places/{place_id}", summary="Rename, hide or show a place", responses=responses(404, 409))

@@ -74,6 +74,7 @@ ROLES: dict[str, Role | None] = {
     "POST /places/undo": DRIVE,
     "PATCH /places/{place_id}": DRIVE,
     "POST /places/merge": DRIVE,
+    "POST /places/repeatability": DRIVE,
     # Maps and drives
     "GET /maps": WATCH,
     "GET /maps/{map_id}/landmarks": WATCH,

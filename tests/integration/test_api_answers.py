@@ -11,6 +11,7 @@ import pytest
 import websockets
 
 from station.maps.store import MapStore
+from station.places.repeatability import repeatability
 from tests.integration.test_station_drives import keep_drive
 from tests.station_at_work import at_work, is_problem, wait_for
 from tests.station_support import running_station, store_map
@@ -131,6 +132,20 @@ async def test_the_way_from_one_place_to_another_is_told_by_name(tmp_path: Path)
             assert is_problem(await desk.http.get("/graph/route", params=query), 422)
         nowhere = await desk.http.get("/graph/route", params={"start": first.id, "goal": "Garage"})
         assert is_problem(nowhere, 404) and "Garage" in nowhere.json()["detail"]
+
+
+async def test_how_surely_places_would_be_found_again_is_measured_in_the_background(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with running_station(1, tmp_path) as desk:
+        assert is_problem(await desk.http.post("/places/repeatability"), 409)  # no map is in use
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        begun = await desk.http.post("/places/repeatability")
+        assert begun.status_code == 202
+        job = await wait_for(desk, f"/jobs/{begun.json()['id']}", lambda job: job["state"] != "running")
+        assert job["state"] == "done", job
+        assert job["result"] == pytest.approx(
+            dict(zip((p.id for p in place_map.places), repeatability(place_map).tolist(), strict=True))
+        )
 
 
 async def test_a_merge_leaves_the_other_places_their_colours(tmp_path: Path) -> None:
