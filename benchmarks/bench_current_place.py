@@ -20,6 +20,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -223,23 +224,37 @@ def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
     return {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedHijack:
+    """When and where hands will put the robot down."""
+
+    at_s: float
+    target: FloatArray  # (3,) x, y, yaw in the world
+    to_unmapped: bool
+
+
+def planned_hijack(world: World, robot: Robot, unmapped: str, seed: int) -> PlannedHijack:
+    """Somewhere on its route, at any yaw; every fourth drive ends in the unmapped room, where its route enters it."""
+    rng = np.random.default_rng([world.seed, seed, 5])
+    spots = robot.route.points
+    in_unmapped = np.array([world.room_at(*p) == unmapped for p in spots])
+    to_unmapped = bool(seed % 4 == 3 and in_unmapped.any())
+    spot = spots[rng.choice(np.flatnonzero(in_unmapped if to_unmapped else ~in_unmapped))]
+    at_s = float(rng.uniform(12, 20))
+    return PlannedHijack(at_s, np.array([*spot, rng.uniform(-np.pi, np.pi)]), to_unmapped)
+
+
 def judge_drive(
     world: World, renderer: Renderer, calibration: Calibration, place_map: PlaceMap, localizer: Localizer,
     unmapped: str, seed: int,
 ) -> dict[str, Any]:  # fmt: skip
     """One drive with a hijack; answers once per image."""
-    rng = np.random.default_rng([world.seed, seed, 5])
     robot = Robot(world, renderer, calibration, "second", seed)
-    spots = robot.route.points
-    in_unmapped = np.array([world.room_at(*p) == unmapped for p in spots])
-    wants_unmapped = seed % 4 == 3 and in_unmapped.any()
-    spot = spots[rng.choice(np.flatnonzero(in_unmapped if wants_unmapped else ~in_unmapped))]
-    at_s = float(rng.uniform(12, 20))
-    target = np.array([*spot, rng.uniform(-np.pi, np.pi)])
+    hijack = planned_hijack(world, robot, unmapped, seed)
     tracker = PlaceTracker(place_map, calibration, localizer)
     driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
     rows, hijack_ns, noticed = [], None, None
-    for item in robot.sense(at_s + 17.0, 0.4, (at_s, target)):
+    for item in robot.sense(hijack.at_s + 17.0, 0.4, (hijack.at_s, hijack.target)):
         if isinstance(item, ImuBatch):
             tracker.on_imu(item)
         elif isinstance(item, DriveSample):
@@ -270,7 +285,7 @@ def judge_drive(
     return {
         "flat": world.seed,
         "drive": seed,
-        "target": "unmapped" if wants_unmapped else "mapped",
+        "target": "unmapped" if hijack.to_unmapped else "mapped",
         "noticed_s": None if noticed is None or hijack_ns is None else (noticed[0] - hijack_ns) / 1e9,
         "cue": None if noticed is None else noticed[1],
         "right_after_s": first_right,

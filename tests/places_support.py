@@ -67,6 +67,7 @@ def seen(
     map_id: str = "map",
     landmarks: tuple[int, ...] = (),
     extent: float = 0.4,
+    num_features: int = 500,
 ) -> Localization:
     return Localization(
         t_robot_ns=int(t_s * SECOND),
@@ -77,5 +78,6 @@ def seen(
         keyframe_index=4,
         map_id=map_id,
         extent=extent,
+        num_features=num_features,
         landmarks=np.array(landmarks, dtype=np.int64),
     )

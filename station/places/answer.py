@@ -24,6 +24,7 @@ class Localization:
     keyframe_index: int  # the map's keyframe with the most inliers: the evidence image
     map_id: str
     extent: float  # map units: median distance of the recognised landmarks from their middle
+    num_features: int  # of the image
     landmarks: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (i,) of the map, recognised
 
 

@@ -7,6 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log
+from station.places.likelihoods import (
+    FAILS_AT_POSE,
+    FAILS_IN_MAP,
+    FAILS_UNMAPPED,
+    RIGHT,
+    UNMAPPED,
+    Failing,
+    Recognising,
+)
 from station.places.recognised import NOTHING, Recognised
 
 
@@ -20,30 +29,17 @@ class BeliefConfig:
     prior_lost: float = 0.6
     other_room_per_m: float = 0.25  # rooms are some 4 m wide
     unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
-    # What was recognised is told from its look-alikes by its size: furniture comes twice, an arrangement of it seldom.
-    # In 940 images (17 second drives through flats full of look-alikes, worlds 101 to 112) the best candidate was wrong
-    # in 59 % where its landmarks lay within a median 0.1 m of their middle, 27 % to 0.15 m, 8 % to 0.3 m, 1 % beyond:
-    # odds of (extent / 0.082 m)^2.65 by logistic regression. Beside it the number of inliers tells nothing more.
-    even_extent_m: float = 0.082  # a candidate of this extent is right as often as wrong
-    extent_exponent: float = 2.65
-    # Two candidates of one image, one of them right: 167 such pairs (19 drives, flats 0, 2, 101 to 104, five of each
-    # drive counted) by logistic regression, shrunk as pairs of one drive are alike. The larger one is right in 96 %.
-    rival_extent_exponent: float = 4.2
-    rival_inliers_exponent: float = 1.5
-    # In rooms that no map knows every candidate is wrong. 124 of those in 965 images, against 1020 right ones in 1577
-    # images of mapped rooms (23 and 34 drives, flats 0, 2, 101 to 107, 200, 203, 204), by logistic regression: there
-    # few inliers say nothing (at 25 as frequent as right ones), and the extent says little beside them.
-    stray_inliers: float = 25.0
-    stray_inliers_exponent: float = 1.36
-    stray_extent_m: float = 0.2
-    stray_extent_exponent: float = 0.39
+    # What tells a right pose from a look-alike, and how much rarer an image that shows this is in a room that no map
+    # knows. Measured, as is how often nothing is recognised: docs/localisation.md, `station/places/likelihoods.py`.
+    right: Recognising = RIGHT
+    unmapped: Recognising = UNMAPPED
     false_localization_floor: float = 0.02
     deceived_again: float = 0.5  # of the wrong images: deceived by what deceived an earlier one, at a pose that fits it
     landmark_memory_s: float = 15.0  # landmarks seen again within this time are no new evidence
-    fail_known_view: float = 0.35  # no localisation although a keyframe looks this way from here
-    fail_other_view: float = 0.9  # ... where the map has no such view
-    fail_lost: float = 0.6  # ... somewhere in the map
-    fail_unmapped: float = 0.995
+    fails_at_pose: Failing = FAILS_AT_POSE
+    fails_in_map: Failing = FAILS_IN_MAP  # at a pose that nobody knows
+    fails_unmapped: Failing = FAILS_UNMAPPED
+    uncertain_m: float = 1.0  # at a pose as uncertain as this, nobody knows what is in view
     informative_features: int = 60  # an image with fewer says nothing about where it was taken
     new_view_rad: float = 0.2  # turning or driving this far makes an image independent of the last one
     new_view_m: float = 0.3

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
 from station.maps.map import PlaceMap
 
@@ -18,6 +19,7 @@ LANDMARK_ZOOM = 2.0
 LANDMARK_REACH = 2.5  # m around a position in which keyframes are asked what they saw
 HIDDEN_M = 0.5  # behind other landmarks of one direction: not to be seen from here
 HIDDEN_RAD = np.radians(10.0)
+NEAREST_M = 0.05  # in front of the camera
 HEADINGS = 24
 FULL_VIEW = 0.3  # of what a keyframe sees: enough in a view to be recognised surely
 THINNED_VIEW = 60  # landmarks of a keyframe that are looked at
@@ -46,18 +48,36 @@ class Coverage:
             some = self._position[:: max(1, len(poses) // TYPICAL_OF)]
             self._typical = float(np.median([self._share_of_headings(p) for p in some]))
 
+    @property
+    def knows_views(self) -> bool:
+        """Whether the map says what its keyframes saw, so that what should be in view can be counted."""
+        return self._seen.is_enough
+
     def distance(self, p_map: FloatArray) -> FloatArray:
         """(n,) m from points (n, 3) to the nearest camera position of the mapping drive; inf without keyframes."""
         if self._tree is None:
             return np.full(len(p_map), np.inf)
         return np.asarray(self._tree.query(p_map)[0], dtype=np.float64) / self._unit
 
-    def sees_known_view(self, T_map_cam: FloatArray) -> bool:
-        """Whether a keyframe stands near this camera pose and looks the same way."""
+    def in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> float:
+        """How many landmarks a camera should recognise at this pose (4, 4), in those that a usual keyframe saw.
+
+        Where the map's keyframes saw next to nothing: whether one of them stands near and looks the same way, 0 or 1.
+        """
         if self._tree is None:
-            return False
-        near = self._tree.query_ball_point(T_map_cam[:3, 3], VIEW_DISTANCE * self._unit)
-        return bool(near) and bool(np.any(self._forward[near] @ T_map_cam[:3, 2] > np.cos(VIEW_ANGLE_RAD)))
+            return 0.0
+        near = np.array(self._tree.query_ball_point(T_map_cam[:3, 3], LANDMARK_REACH * self._unit), dtype=np.int64)
+        if not len(near):
+            return 0.0
+        if not self._seen.is_enough:
+            is_near = np.linalg.norm(self._position[near] - T_map_cam[:3, 3], axis=1) < VIEW_DISTANCE * self._unit
+            return float(np.any(self._forward[near[is_near]] @ T_map_cam[:3, 2] > np.cos(VIEW_ANGLE_RAD)))
+        p_cam = self._known_from(T_map_cam[:3, 3], near) @ T_map_cam[:3, :3]
+        p_cam = p_cam[p_cam[:, 2] > NEAREST_M * self._unit]
+        right = camera.fx * p_cam[:, 0] / p_cam[:, 2] + camera.cx
+        down = camera.fy * p_cam[:, 1] / p_cam[:, 2] + camera.cy
+        inside = (right >= 0) & (right < camera.width) & (down >= 0) & (down < camera.height)
+        return float(np.count_nonzero(inside) / self._seen.per_keyframe)
 
     def views(self, p_map: FloatArray) -> FloatArray:
         """(n,) how much of what is around the points (n, 3) the map could recognise, against where its drive went.
@@ -71,6 +91,10 @@ class Coverage:
         cells, of = np.unique(np.floor(p_map / (CELL_M * self._unit)).astype(np.int64), axis=0, return_inverse=True)
         shares = np.array([self._remembered((int(c[0]), int(c[1]), int(c[2]))) for c in cells])
         return np.asarray(np.minimum(shares / self._typical, 1.0)[of.reshape(-1)], dtype=np.float64)
+
+    def in_usual_views(self, landmarks: int) -> float:
+        """A number of landmarks in those that a usual keyframe saw."""
+        return landmarks / self._seen.usual
 
     def _remembered(self, cell: tuple[int, int, int]) -> float:
         share = self._shares.get(cell)
@@ -87,7 +111,15 @@ class Coverage:
         near = np.array(self._tree.query_ball_point(p_map, LANDMARK_REACH * self._unit), dtype=np.int64)
         if not len(near):
             return 0.0
-        eye = np.array([p_map[0], p_map[1], self._position[near, 2].mean()])
+        known = self._known_from(np.array([p_map[0], p_map[1], self._position[near, 2].mean()]), near)
+        azimuth = np.arctan2(known[:, 1], known[:, 0])
+        heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
+        off = np.abs((azimuth[None, :] - heading[:, None] + np.pi) % (2 * np.pi) - np.pi)
+        count = np.count_nonzero(off < self._half_view, axis=1)
+        return float(np.minimum(count / (FULL_VIEW * self._seen.per_keyframe), 1.0).mean())
+
+    def _known_from(self, eye: FloatArray, near: IntArray) -> FloatArray:
+        """(n, 3) from a position (3,) to the landmarks that these keyframes (k,) saw and that look alike from there."""
         landmark, keyframe = self._seen.by(near)
         then = self._seen.p_map[landmark] - self._position[keyframe]
         now = self._seen.p_map[landmark] - eye
@@ -96,12 +128,7 @@ class Coverage:
         alike &= (far_now < LANDMARK_ZOOM * far_then) & (far_then < LANDMARK_ZOOM * far_now)
         alike &= ~_hidden(landmark, now, far_now, HIDDEN_M * self._unit)
         _, once = np.unique(landmark[alike], return_index=True)
-        known = now[alike][once]
-        azimuth = np.arctan2(known[:, 1], known[:, 0])
-        heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
-        off = np.abs((azimuth[None, :] - heading[:, None] + np.pi) % (2 * np.pi) - np.pi)
-        count = np.count_nonzero(off < self._half_view, axis=1)
-        return float(np.minimum(count / (FULL_VIEW * self._seen.per_keyframe), 1.0).mean())
+        return np.asarray(now[alike][once])
 
 
 def _hidden(landmark: IntArray, d: FloatArray, far: FloatArray, margin: float) -> npt.NDArray[np.bool_]:
@@ -130,6 +157,7 @@ class _Seen:
         self._landmark = landmarks.observed_landmark[kept]
         self._first = np.searchsorted(landmarks.observed_keyframe[kept], np.arange(count + 1))
         self.per_keyframe = float(np.median(np.diff(self._first))) if count else 0.0
+        self.usual = max(1.0, self.per_keyframe * every)  # landmarks in a keyframe, those that were left out included
 
     @property
     def is_enough(self) -> bool:

@@ -21,12 +21,15 @@ from shared.geometry import FloatArray, IntArray, inverse, so3_log
 from station.maps.map import Place, PlaceMap
 from station.places.answer import Localization, PlaceAnswer, PlaceCandidate
 from station.places.belief import BeliefConfig, Hypothesis, begun_anew, blurred, grown
+from station.places.coverage import Coverage
+from station.places.likelihoods import USUAL_SUPPORT, Shown, support
 from station.places.map_view import MapView
-from station.places.weighing import Measured, Weights, weighed
+from station.places.weighing import Measured, Weights, weighed, weighed_failure
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
 SAMPLES = 200  # positions drawn per hypothesis
 TIE = 1.1  # centroids within 10 % of the nearest distance count as equally near
+NO_IMAGE_BEFORE = 0.5  # that it failed is as good as that it did not
 ODOMETRY_GAP_S = 1.0  # after a longer silence, odometry is treated as absent
 
 
@@ -70,8 +73,8 @@ class CurrentPlaceEstimator:
         self.config = config or BeliefConfig()
         self._maps = tuple(MapView.of(m) for m in given)
         self._index = {m.id: i for i, m in enumerate(given)}
-        camera = (calibration or given[0].navigation.calibration).camera if given else None
-        self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
+        self._camera = (calibration or given[0].navigation.calibration).camera if given else None
+        self._T_cam_body = self._camera.T_cam_body_matrix if self._camera else np.eye(4)
         self._draws = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
         self._hypotheses: list[Hypothesis] = []
         self._lost, self._unmapped = self.config.prior_lost, self.config.prior_unmapped
@@ -79,6 +82,7 @@ class CurrentPlaceEstimator:
         self._segment = 0
         self._t_ns: int | None = None  # up to which time the hypotheses were carried
         self._last_view: _OdometryPose | None = None  # of the last image that was evidence
+        self._failed_before = NO_IMAGE_BEFORE
         self._numbers = count(1)
         self._believed: Hypothesis | None = None  # where the robot was known to be
         self._hijack_reason = ""
@@ -129,6 +133,7 @@ class CurrentPlaceEstimator:
         self._hypotheses, self._lost, self._unmapped = after.hypotheses, after.lost, after.unmapped
         self._normalise()
         self._last_view = _OdometryPose(t, T_nav_body)
+        self._failed_before = 0.0
         return self._believe(T_nav_body)
 
     def on_failure(self, t_robot_ns: int, num_features: int | None = None) -> None:
@@ -137,19 +142,16 @@ class CurrentPlaceEstimator:
         self._advance(t_robot_ns)
         if num_features is not None and num_features < c.informative_features:
             return
+        features = c.informative_features if num_features is None else num_features
         T_nav_body = self._nav_body_at(t_robot_ns)
         freshness = self._freshness(t_robot_ns, T_nav_body, at_least=0.0)  # not found again in the same view: no news
-        weighed = []
-        for h in self._hypotheses:
-            T_map_cam = h.pose(T_nav_body) @ inverse(self._T_cam_body)
-            expected = self._maps[h.map_index].coverage.sees_known_view(T_map_cam) and h.sigma_m < 1.0
-            fail = c.fail_known_view if expected else c.fail_other_view
-            weighed.append(replace(h, weight=h.weight * fail**freshness))
-        self._hypotheses = weighed
-        self._lost *= c.fail_lost**freshness
-        self._unmapped *= c.fail_unmapped**freshness
+        before = Weights(self._hypotheses, self._lost, self._unmapped)
+        in_view = [self._in_view(h, T_nav_body) for h in self._hypotheses]
+        after = weighed_failure(before, in_view, features, self._failed_before, freshness, c)
+        self._hypotheses, self._lost, self._unmapped = after.hypotheses, after.lost, after.unmapped
         self._normalise()
         self._last_view = _OdometryPose(t_robot_ns, T_nav_body)
+        self._failed_before = 1.0
 
     def on_hijack(self, t_robot_ns: int, reason: str, confidence: float = 0.98) -> None:
         """The robot was picked up: what was known of its position counts `1 - confidence`."""
@@ -161,7 +163,7 @@ class CurrentPlaceEstimator:
         self._lost = self._lost * (1 - confidence) + known * c.prior_lost
         self._unmapped = self._unmapped * (1 - confidence) + known * c.prior_unmapped
         self._normalise()
-        self._last_view = None
+        self._last_view, self._failed_before = None, NO_IMAGE_BEFORE
         self._believed = None
         self._hijack_reason = reason
 
@@ -304,8 +306,23 @@ class CurrentPlaceEstimator:
 
     def _measured(self, z: Localization) -> Measured:
         index = self._index[z.map_id]
-        sigma_m = float(np.hypot(z.sigma_position / self._maps[index].unit, self.config.pose_floor_m))
-        return Measured(z, index, self._maps[index], z.T_map_cam @ self._T_cam_body, sigma_m)
+        view = self._maps[index]
+        sigma_m = float(np.hypot(z.sigma_position / view.unit, self.config.pose_floor_m))
+        shown = Shown(z.extent / view.unit, z.num_inliers, self._support(z, view.coverage), z.num_features)
+        return Measured(z, index, view, z.T_map_cam @ self._T_cam_body, sigma_m, shown)
+
+    def _support(self, z: Localization, coverage: Coverage) -> float:
+        """The share of the landmarks that should be in view at a measured pose that were recognised there."""
+        if self._camera is None or not coverage.knows_views:
+            return USUAL_SUPPORT
+        return support(coverage.in_usual_views(len(z.landmarks)), coverage.in_view(z.T_map_cam, self._camera))
+
+    def _in_view(self, h: Hypothesis, T_nav_body: FloatArray) -> float | None:
+        """How many landmarks should be in view, were a hypothesis true (`Coverage.in_view`); None: nobody knows."""
+        if self._camera is None or h.sigma_m > self.config.uncertain_m:
+            return None
+        T_map_cam = h.pose(T_nav_body) @ self._camera.T_body_cam_matrix
+        return self._maps[h.map_index].coverage.in_view(T_map_cam, self._camera)
 
     def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray, at_least: float) -> float:
         """Weight 0..1 of an image as evidence: `at_least` while it shows what the last one showed."""
@@ -366,7 +383,7 @@ class CurrentPlaceEstimator:
         last = self._odometry[-1]
         self._odometry.clear()
         self._odometry.append(last)
-        self._last_view = None
+        self._last_view, self._failed_before = None, NO_IMAGE_BEFORE
         self._carry(t_robot_ns)
 
     def _nav_body_at(self, t_robot_ns: int) -> FloatArray:

@@ -135,7 +135,7 @@ class Localizer:
         best_inliers = poses[0].pose.num_inliers
         objections = [self._objection(pose, features, camera) for pose in poses]
         verified = [pose for pose, objection in zip(poses, objections, strict=True) if objection is None]
-        candidates = tuple(self._answer(pose, t_robot_ns) for pose in verified)
+        candidates = tuple(self._answer(pose, n, t_robot_ns) for pose in verified)
         if not candidates:
             return Attempt(None, (), objections[0] or "", n, best_inliers, best_similarity, features)
         rival = self._rival(verified[0], poses)
@@ -266,7 +266,7 @@ class Localizer:
         in_view = ahead & (np.abs(xy) < 0.95 * half).all(axis=1)
         return len(np.unique(found.landmark)) / max(1, int(np.count_nonzero(in_view)))
 
-    def _answer(self, found: _FoundPose, t_robot_ns: int) -> Localization:
+    def _answer(self, found: _FoundPose, num_features: int, t_robot_ns: int) -> Localization:
         evidence = int(np.argmax(np.bincount(self._views[found.map_index].of(found.landmark))))
         return Localization(
             t_robot_ns=t_robot_ns,
@@ -277,6 +277,7 @@ class Localizer:
             keyframe_index=self._keyframes[evidence].keyframe_index,
             map_id=self.maps[found.map_index].id,
             extent=found.extent,
+            num_features=num_features,
             landmarks=np.unique(found.landmark),
         )
 

@@ -15,6 +15,7 @@ import numpy as np
 from shared.geometry import FloatArray, inverse
 from station.places.answer import Localization
 from station.places.belief import Agreement, BeliefConfig, Hypothesis, agreement, fused, in_units
+from station.places.likelihoods import Shown
 from station.places.map_view import MapView
 from station.places.recognised import NOTHING, Recognised
 
@@ -30,6 +31,7 @@ class Measured:
     view: MapView  # of that map
     T_map_body: FloatArray  # (4, 4) map units
     sigma_m: float
+    shown: Shown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,9 +59,9 @@ def weighed(
     else to a new one with the next of the `numbers`. Where no map knows, a first candidate is as likely as strays are
     there. `freshness`: 0..1, how far the view is another one than the last image's.
     """
-    odds = np.array([_odds(m, c) for m in measured])
+    odds = np.exp([c.right.log_odds(m.shown) for m in measured])
     false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
-    share = _shares(measured, c)
+    share = odds / odds.sum()
     fits = [[_fit(h, m, T_nav_body, c) for m in measured] for h in before.hypotheses]
     density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(measured)) * share
     at = density.sum(axis=1)  # of the image, at each hypothesis
@@ -82,7 +84,7 @@ def weighed(
         hypotheses.append(replace(h, weight=h.weight + float(found[[e == i for e in expected]].sum())))
     repeated = 1 - again + again * float(repeats.max(initial=0.0))
     likeliest = int(np.argmax(share))
-    strayed = _strayed(measured[likeliest], c) if expected[likeliest] is None else false
+    strayed = _rarer(measured[likeliest], c) if expected[likeliest] is None else false
     for m, weight, expecting in zip(measured, found, expected, strict=True):
         if expecting is None:
             started = _started(m, T_nav_body, float(weight), counted, c)
@@ -91,32 +93,30 @@ def weighed(
     return Weights(hypotheses, lost, unmapped)
 
 
-def _odds(m: Measured, c: BeliefConfig) -> float:
-    """That a candidate is right, against that it is a look-alike."""
-    extent_m = m.localization.extent / m.view.unit
-    return float((max(extent_m, 1e-3) / c.even_extent_m) ** c.extent_exponent)
+def weighed_failure(
+    before: Weights,
+    in_view: Sequence[float | None],
+    num_features: int,
+    failed_before: float,
+    freshness: float,
+    c: BeliefConfig,
+) -> Weights:
+    """The weights, not normalised, after an image that was not recognised.
+
+    `in_view`: how many landmarks should be in view at each hypothesis (`Coverage.in_view`), None where nobody knows.
+    """
+    somewhere = c.fails_in_map.probability(num_features, failed_before)
+    hypotheses = []
+    for h, count in zip(before.hypotheses, in_view, strict=True):
+        at = somewhere if count is None else c.fails_at_pose.probability(num_features, failed_before, count)
+        hypotheses.append(replace(h, weight=h.weight * at**freshness))
+    nowhere = c.fails_unmapped.probability(num_features, failed_before)
+    return Weights(hypotheses, before.lost * somewhere**freshness, before.unmapped * nowhere**freshness)
 
 
-def _strayed(m: Measured, c: BeliefConfig) -> float:
-    """How much rarer such a candidate is where no map knows than, at the right pose, in a map: 1 says nothing."""
-    extent_m, inliers = max(m.localization.extent / m.view.unit, 1e-3), max(m.localization.num_inliers, 1)
-    rarer = (inliers / c.stray_inliers) ** -c.stray_inliers_exponent
-    rarer *= (extent_m / c.stray_extent_m) ** -c.stray_extent_exponent
-    return float(np.clip(rarer, c.false_localization_floor, 1.0))
-
-
-def _shares(measured: Sequence[Measured], c: BeliefConfig) -> FloatArray:
-    """Which candidate is right (n,), if one of them is: of two poses of an image, the one that explains more of it."""
-    extents = np.array([max(m.localization.extent / m.view.unit, 1e-3) for m in measured])
-    inliers = np.array([max(m.localization.num_inliers, 1) for m in measured], np.float64)
-    log_odds = c.rival_extent_exponent * np.log(extents) + c.rival_inliers_exponent * np.log(inliers)
-    odds = np.exp(log_odds - log_odds.max())
-    return np.asarray(odds / odds.sum())
-
-
-def _log_odds(extent_m: float, c: BeliefConfig) -> float:
-    """Of what is as large as this; nothing is not less than a thing that is right as often as wrong."""
-    return max(0.0, c.extent_exponent * float(np.log(max(extent_m, 1e-3) / c.even_extent_m)))
+def _rarer(m: Measured, c: BeliefConfig) -> float:
+    """How much rarer an image with such a best candidate is where no map knows than somewhere in a map."""
+    return float(np.clip(np.exp(c.unmapped.log_odds(m.shown)), c.false_localization_floor, 1.0))
 
 
 def _fit(h: Hypothesis, m: Measured, T_nav_body: FloatArray, c: BeliefConfig) -> Agreement:
@@ -191,7 +191,8 @@ def _novelty(
         new = max(_recognised_before(before.hypotheses, m, c).share_of_new(z.landmarks), c.same_landmarks)
         had = NOTHING if h is None else _recognised_before((h,), m, c)
         together = had.and_then(z.landmarks, z.t_robot_ns)
-        worth = _log_odds(together.extent(m.view.place_map.navigation.landmarks.p_world) / m.view.unit, c)
+        extent_m = together.extent(m.view.place_map.navigation.landmarks.p_world) / m.view.unit
+        worth = max(0.0, c.right.log_odds(replace(m.shown, extent_m=extent_m)))
         worth -= float(np.log(c.deceived_again))  # as in what an image says: half of the look-alikes fit no hypothesis
         if h is not None and had.seen and says > 0 and worth < surely:
             new = min(new, max(0.0, worth - h.credited) / says)
