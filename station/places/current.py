@@ -265,7 +265,7 @@ class CurrentPlaceEstimator:
             if best is not None and best.weight > 0.5:
                 return "the robot is farther from where the mapping drive went than the map is sure to reach"
             return f"images match nothing in the map ({belief.unmapped:.0%} that this place is not in it)"
-        if best is not None and best.weight > 0.5:
+        if best is not None and best.weight > 0.5 and belief.tie.max() < self.config.known_from * best.weight:
             return "the robot is between places, or its position has become too uncertain"
         if self._hijack_reason:
             return f"hijacked ({self._hijack_reason}) and not recognised again yet"
