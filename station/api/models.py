@@ -66,7 +66,10 @@ class CurrentPlace(Model):
 
     state: Literal["known", "unknown", "lost"]
     place: PlaceName | None
-    probability: float = Field(description="of `place`; of the likeliest one while none is known", examples=[0.97])
+    probability: float = Field(
+        description="that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known",
+        examples=[0.97],
+    )
     distance_m: float | None = Field(description="robot to the place's centroid; null without a metric map")
     position_map: list[float] | None = Field(description="x, y, z of the robot in the map", examples=[[1.2, 0.4, 0.1]])
     age_s: float | None = Field(description="since the picture the answer is about was taken", examples=[0.2])

@@ -30,7 +30,10 @@ class Localization:
 
 @dataclass(frozen=True, slots=True)
 class PlaceCandidate:
-    """One place and how probable it is that the robot is nearest to it."""
+    """One place and how probable it is that the robot is nearest to it, ties within 10 % of the distance included.
+
+    Near the border of two places both are right, so that the probabilities of several may sum to more than one.
+    """
 
     id: str
     name: str

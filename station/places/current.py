@@ -202,10 +202,12 @@ class CurrentPlaceEstimator:
         t_robot_ns = max(t_robot_ns, self._t_ns or t_robot_ns)
         belief = self.belief()
         order = largest(belief.place, 4)
-        candidates = [self._candidate(int(i), float(belief.place[i])) for i in order]
+        candidates = [self._candidate(int(i), float(belief.tie[i])) for i in order]
         best = max(self._hypotheses, key=lambda h: h.weight, default=None)
         p_body = None if best is None else best.pose(self._nav_body_at(t_robot_ns))[:3, 3]
-        is_known = best is not None and bool(len(order)) and belief.tie[order[0]] >= self.config.known_from
+        # In a map of one place a robot that is lost in it is there, too: but nobody recognised it.
+        is_recognised = sum(h.weight for h in self._hypotheses) > 0.5
+        is_known = is_recognised and bool(len(order)) and belief.tie[order[0]] >= self.config.known_from
         if is_known and best is not None and p_body is not None:
             centroid = self._place(int(order[0])).centroid_map
             age_s = max(0.0, (t_robot_ns - best.evidence_t_robot_ns) / 1e9)

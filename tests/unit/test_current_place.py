@@ -65,7 +65,9 @@ def test_a_piece_of_furniture_is_less_evidence_than_an_arrangement() -> None:
 def test_of_two_poses_the_one_that_explains_more_space_is_believed_not_the_one_with_more_landmarks() -> None:
     estimator = CurrentPlaceEstimator(make_map())
     piece, arrangement = pose(0.2, 0.0), pose(5.9, 0.0)
-    estimator.on_candidates([seen(1.0, piece, inliers=300, extent=0.1), seen(1.0, arrangement, inliers=160, extent=0.6)])
+    estimator.on_candidates(
+        [seen(1.0, piece, inliers=300, extent=0.1), seen(1.0, arrangement, inliers=160, extent=0.6)]
+    )
     answer = estimator.answer(SECOND)
     assert answer.place is not None and answer.place.id == "map-2"
 
@@ -260,7 +262,7 @@ def test_halfway_between_two_places_both_count_as_right() -> None:
     answer = estimator.answer(0)
     assert answer.state == "known" and answer.place is not None
     assert {answer.place.id, answer.alternatives[0].id} == {"map-0", "map-1"}
-    assert answer.place.probability < 0.7
+    assert answer.place.probability > 0.9 and answer.alternatives[0].probability > 0.9  # of being right: both are
 
 
 def test_a_map_without_places_never_answers_known() -> None:

@@ -110,11 +110,12 @@ def test_where_views_cannot_be_told_distance_decides(place_map: PlaceMap) -> Non
 
 def test_a_robot_behind_the_door_is_told_that_it_is_not_in_the_map() -> None:
     estimator = CurrentPlaceEstimator(room_with_a_door())
+    many = tuple(range(400))
     for k in range(6):  # looks back through the door and knows exactly where it is
-        estimator.on_localization(seen(k, se3(yaw_rotation(np.pi), np.array([4.9, 2.0, 0.0]))))
+        estimator.on_localization(seen(k, se3(yaw_rotation(np.pi), np.array([4.9, 2.0, 0.0])), landmarks=many))
     answer = estimator.answer(6 * 10**9)
     assert answer.state == "unknown" and answer.position_map is not None
     assert "mapping drive" in answer.reason
     for k in range(6, 14):  # drives back in
-        estimator.on_localization(seen(k, se3(yaw_rotation(np.pi), np.array([3.0, 2.0, 0.0]))))
+        estimator.on_localization(seen(k, se3(yaw_rotation(np.pi), np.array([3.0, 2.0, 0.0])), landmarks=many))
     assert estimator.answer(14 * 10**9).state == "known"

@@ -1,0 +1,79 @@
+"""What an image says by what it shows: measured odds, and what should be in view."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.geometry import se3, yaw_rotation
+from station.places.coverage import Coverage
+from station.places.current import CurrentPlaceEstimator
+from station.places.likelihoods import FAILS_AT_POSE, FAILS_IN_MAP, FAILS_UNMAPPED, RIGHT, Shown, support
+from tests.places_support import R_BODY_CAM, SECOND, make_map, pose, seen
+from tests.unit.places.test_coverage import room_with_a_door
+
+USUAL = Shown(extent_m=0.2, inliers=60, support=0.2, features=500)
+
+
+@given(
+    extent_m=st.floats(0.02, 2.0),
+    inliers=st.integers(16, 500),
+    share=st.floats(0.01, 1.0),
+    features=st.integers(60, 800),
+    more=st.floats(1.1, 3.0),
+)
+def test_more_that_fits_speaks_for_a_pose_and_more_that_is_not_recognised_against_it(
+    extent_m: float, inliers: int, share: float, features: int, more: float
+) -> None:
+    shown = Shown(extent_m, inliers, share, features)
+    odds = RIGHT.log_odds(shown)
+    assert RIGHT.log_odds(replace(shown, extent_m=more * extent_m)) > odds
+    assert RIGHT.log_odds(replace(shown, inliers=int(np.ceil(more * inliers)))) > odds
+    assert RIGHT.log_odds(replace(shown, support=more * share)) > odds
+    assert RIGHT.log_odds(replace(shown, features=int(np.ceil(more * features)))) < odds
+
+
+def test_a_view_with_next_to_nothing_in_it_has_finite_odds() -> None:
+    assert np.isfinite(RIGHT.log_odds(Shown(0.0, 0, support(0.0, 0.0), 0)))
+    assert 0.0 < FAILS_AT_POSE.probability(0, 1.0, 0.0) < 1.0
+
+
+@given(features=st.integers(60, 800), before=st.sampled_from([0.0, 0.5, 1.0]))
+def test_a_failure_speaks_for_a_room_that_no_map_knows_and_against_a_known_view(features: int, before: float) -> None:
+    at_pose, in_map, unmapped = (f.probability(features, before) for f in (FAILS_AT_POSE, FAILS_IN_MAP, FAILS_UNMAPPED))
+    assert at_pose < in_map < unmapped
+    assert FAILS_AT_POSE.probability(features, before, in_view=0.0) > at_pose
+
+
+def test_what_should_be_in_view_is_counted_where_the_camera_looks() -> None:
+    place_map = room_with_a_door()
+    camera = place_map.navigation.calibration.camera
+    assert camera is not None
+    coverage = Coverage(place_map, 1.0)
+
+    def at(x: float, y: float, yaw: float) -> float:
+        T = se3(yaw_rotation(yaw), np.array([x, y, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
+        return coverage.in_view(T, camera)
+
+    assert at(3.2, 2.0, np.pi) > 0.5  # across the room, from the ring
+    assert at(50.0, 2.0, 0.0) == 0.0
+    assert at(5.0, 2.0, np.pi / 2) < 0.3 * at(3.2, 2.0, np.pi)  # beyond the door, looking aside
+    assert coverage.in_usual_views(0) == 0.0
+
+
+def test_lost_in_a_map_of_one_place_nothing_is_known() -> None:
+    estimator = CurrentPlaceEstimator(make_map(places=1))
+    estimator.on_odometry(0, pose(0.0, 0.0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0), inliers=200, extent=0.01, num_features=800))
+    assert estimator.belief().lost > 0.5
+    assert estimator.answer(SECOND).state == "lost"
+
+
+def test_a_chair_s_twin_before_another_wall_is_not_believed() -> None:
+    """As large, with as many landmarks: but little of what should be in view is there."""
+    chair = replace(USUAL, support=support(0.05, 1.5))
+    alone = replace(USUAL, support=support(0.05, 0.05))
+    assert RIGHT.log_odds(chair) < -1.0 < 1.0 < RIGHT.log_odds(alone)
