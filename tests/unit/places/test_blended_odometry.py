@@ -60,3 +60,19 @@ def test_without_an_imu_slam_is_the_odometry_and_a_new_segment_a_break() -> None
     T = se3(np.eye(3), np.array([1.0, 0.0, 0.0]))
     assert gap(odometry.add_slam(6 * TICK_NS, T, 4), T) < 1e-12
     assert odometry.segment == 1
+
+
+def test_dead_reckoning_goes_on_for_minutes_without_slam() -> None:
+    odometry = BlendedOdometry()
+    for k in range(3000):
+        blended = odometry.add_reckoned(k * TICK_NS, circle(0.05 * k))
+        assert gap(blended, circle(0.05 * k)) < 1e-9
+
+
+def test_slam_lost_for_minutes_the_path_goes_on_from_its_last_pose() -> None:
+    odometry = BlendedOdometry()
+    odometry.add_reckoned(0, circle(0.0))
+    odometry.add_slam(0, circle(0.0), 0)
+    for k in range(1, 3000):
+        blended = odometry.add_reckoned(k * TICK_NS, circle(0.05 * k))
+    assert gap(blended, circle(0.05 * 2999)) < 1e-9
