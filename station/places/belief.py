@@ -23,7 +23,9 @@ from station.places.recognised import NOTHING, Recognised
 class BeliefConfig:
     """Rates and likelihoods. Probabilities are per independent view, distances in metres."""
 
-    known_from: float = 0.9  # of the answer being right, ties within 10 % of distance included
+    # Of the answer being right, ties within 10 % of distance included. On 62 development drives (docs/results.md) 43 of
+    # 43 answers between 0.85 and 0.9 were right, 21 of 22 between 0.8 and 0.85.
+    known_from: float = 0.85
     unknown_from: float = 0.5
     prior_unmapped: float = 0.4  # of a robot that was just put down somewhere
     prior_lost: float = 0.6

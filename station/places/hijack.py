@@ -50,10 +50,11 @@ class HijackConfig:
     still_gyro_rad_s: float = 0.06
     still_accel_m_s2: float = 0.6
     view_features: int = 60  # fewer: the view says nothing
+    view_rich_features: int = 300  # a view of fewer may be gone after a hand's breadth: a door's frame passed closely
     view_ratio: float = 0.7  # nearest against second nearest descriptor
     view_gone: int = 8  # matches below which two views show different things
     view_stays: int = 25
-    view_turn_rad: float = 0.25
+    view_turn_rad: float = 0.15
     view_gap_s: float = 3.0
 
 
@@ -214,7 +215,7 @@ class _ViewCue:
             return None  # dark or covered: the last good view stays the reference
         now = (t, features, turned)
         before = self._before
-        if before is None or t - before[0] > c.view_gap_s * 1e9 or abs(turned - before[2]) > c.view_turn_rad:
+        if before is None or not self._compares(before, t, turned):
             self._before, self._after = now, None
             return None
         if _common(before[1], features, c.view_ratio) >= c.view_gone:
@@ -227,6 +228,12 @@ class _ViewCue:
             self._after = now
             return None
         return HijackEvent(t, "vision", "another view from one moment to the next, without a turn", 0.9)
+
+    def _compares(self, before: tuple[int, Features, float], t: int, turned: float) -> bool:
+        """Whether something of that view must still be there now."""
+        c = self._c
+        is_recent = t - before[0] <= c.view_gap_s * 1e9 and abs(turned - before[2]) <= c.view_turn_rad
+        return is_recent and len(before[1]) >= c.view_rich_features
 
 
 def _common(a: Features, b: Features, ratio: float) -> int:
