@@ -81,7 +81,7 @@ def test_a_collision_and_hard_braking_are_no_hijack() -> None:
     assert not feed(HijackDetector(), imu(seconds(4), jolt))
 
 
-def features(rng: np.random.Generator, n: int = 150) -> Features:
+def features(rng: np.random.Generator, n: int = 400) -> Features:
     return Features(rng.uniform(0, 480, (n, 2)), to_bytes((rng.random((n, 128)) ** 6).astype(np.float32)))
 
 
@@ -133,3 +133,9 @@ def test_dead_reckoning_does_not_turn_at_rest(bias: float) -> None:
     for batch in imu(seconds(20) + bias, seconds(20)):
         reckoning.add_imu(batch)
     assert np.allclose(reckoning.T_nav_body, np.eye(4), atol=0.03)
+
+
+def test_a_poor_view_that_is_gone_after_a_hand_s_breadth_is_no_hijack() -> None:
+    rng = np.random.default_rng(2)
+    detector, door_frame, room = HijackDetector(), features(rng, 230), features(rng)
+    assert not any(detector.on_view(k * SECOND // 2, view) for k, view in enumerate([door_frame, room, room, room]))
