@@ -42,6 +42,7 @@ class BeliefConfig:
     fails_in_map: Failing = FAILS_IN_MAP  # at a pose that nobody knows
     fails_unmapped: Failing = FAILS_UNMAPPED
     uncertain_m: float = 1.0  # at a pose as uncertain as this, nobody knows what is in view
+    uncertain_rad: float = 0.5  # ... turned by this, another view: without odometry after a second
     informative_features: int = 60  # an image with fewer says nothing about where it was taken
     new_view_rad: float = 0.2  # turning or driving this far makes an image independent of the last one
     new_view_m: float = 0.3

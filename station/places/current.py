@@ -321,7 +321,8 @@ class CurrentPlaceEstimator:
 
     def _in_view(self, h: Hypothesis, T_nav_body: FloatArray) -> float | None:
         """How many landmarks should be in view, were a hypothesis true (`Coverage.in_view`); None: nobody knows."""
-        if self._camera is None or h.sigma_m > self.config.uncertain_m:
+        c = self.config
+        if self._camera is None or h.sigma_m > c.uncertain_m or h.sigma_rad > c.uncertain_rad:
             return None
         T_map_cam = h.pose(T_nav_body) @ self._camera.T_body_cam_matrix
         return self._maps[h.map_index].coverage.in_view(T_map_cam, self._camera)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shared.calibration import Calibration
 from shared.geometry import se3, yaw_rotation
 from station.places.coverage import Coverage
 from station.places.current import CurrentPlaceEstimator
@@ -62,6 +64,42 @@ def test_what_should_be_in_view_is_counted_where_the_camera_looks() -> None:
     assert at(50.0, 2.0, 0.0) == 0.0
     assert at(5.0, 2.0, np.pi / 2) < 0.3 * at(3.2, 2.0, np.pi)  # beyond the door, looking aside
     assert coverage.in_usual_views(0) == 0.0
+
+
+@pytest.mark.parametrize("turned_rad", [0.0, 0.3])
+def test_a_failure_tells_a_pose_from_others_only_while_its_heading_is_known(turned_rad: float) -> None:
+    estimator = CurrentPlaceEstimator(room_with_a_door())
+    for k in range(5):
+        estimator.on_localization(seen(k, pose(3.2, 2.0, np.pi), landmarks=tuple(range(400))))
+    if turned_rad:
+        estimator.on_odometry(4 * SECOND, pose(3.2, 2.0, np.pi))
+        estimator.on_odometry(5 * SECOND, pose(3.2, 2.0, np.pi + turned_rad))
+
+    def against_lost() -> float:
+        now = estimator.belief()
+        return (1 - now.lost - (now.unmapped - now.beyond)) / now.lost
+
+    estimator.answer(5_500_000_000)
+    before = against_lost()
+    estimator.on_failure(5_500_000_000, 500)
+    if turned_rad:
+        assert against_lost() < 0.5 * before
+    else:  # no odometry: 1.5 s after the last image it may look anywhere
+        assert against_lost() == pytest.approx(before, rel=1e-3)
+
+
+def test_without_a_camera_a_failure_is_as_likely_at_a_pose_as_anywhere_in_the_map() -> None:
+    place_map = make_map()
+    navigation = replace(place_map.navigation, calibration=Calibration(camera=None, imu=None))
+    estimator = CurrentPlaceEstimator(replace(place_map, navigation=navigation))
+    estimator.on_odometry(0, pose(0.0, 0.0))
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0)))
+    before = estimator.belief()
+    estimator.on_odometry(SECOND, pose(0.4, 0.0))
+    estimator.on_failure(SECOND, 500)
+    after = estimator.belief()
+    assert after.unmapped > before.unmapped
+    assert after.lost / after.place.sum() == pytest.approx(before.lost / before.place.sum(), rel=0.2)
 
 
 def test_lost_in_a_map_of_one_place_nothing_is_known() -> None:
