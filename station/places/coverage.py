@@ -151,7 +151,8 @@ class _Seen:
         landmarks = place_map.navigation.landmarks
         count = len(place_map.navigation.keyframes)
         every = max(1, len(landmarks.observed_landmark) // max(1, THINNED_VIEW * count))
-        kept = np.flatnonzero(landmarks.observed_landmark % every == 0)
+        somewhere = np.asarray(np.isfinite(landmarks.p_world).all(axis=1), dtype=np.bool_)
+        kept = np.flatnonzero((landmarks.observed_landmark % every == 0) & somewhere[landmarks.observed_landmark])
         kept = kept[np.argsort(landmarks.observed_keyframe[kept], kind="stable")]
         self.p_map = landmarks.p_world
         self._landmark = landmarks.observed_landmark[kept]

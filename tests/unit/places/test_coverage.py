@@ -108,6 +108,19 @@ def test_where_views_cannot_be_told_distance_decides(place_map: PlaceMap) -> Non
     assert (coverage.views(np.array([[4.8, 2.1, 0.0], [50.0, 0.0, 0.0]])) == 1.0).all()
 
 
+def test_landmarks_that_are_nowhere_are_not_in_view() -> None:
+    place_map = room_with_a_door()
+    landmarks = place_map.navigation.landmarks
+    camera = place_map.navigation.calibration.camera
+    assert camera is not None
+    p_world = landmarks.p_world.copy()
+    p_world[::2] = np.nan
+    half = replace(place_map, navigation=replace(place_map.navigation, landmarks=replace(landmarks, p_world=p_world)))
+    T = se3(yaw_rotation(np.pi), np.array([3.2, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
+    every = Coverage(place_map, 1.0).in_view(T, camera)
+    assert Coverage(half, 1.0).in_view(T, camera) == pytest.approx(every, rel=0.25)  # against what is somewhere
+
+
 def test_a_robot_behind_the_door_is_told_that_it_is_not_in_the_map() -> None:
     estimator = CurrentPlaceEstimator(room_with_a_door())
     many = tuple(range(400))
