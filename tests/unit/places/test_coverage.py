@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from shared.calibration import Calibration, CameraCalibration
-from shared.geometry import FloatArray, se3, yaw_rotation
+from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
 from station.maps.map import PlaceMap
 from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.places.belief import BeliefConfig
-from station.places.coverage import Coverage
+from station.places.coverage import MOST_ASKED, Coverage
 from station.places.current import CurrentPlaceEstimator
 from station.places.map_view import MapView
 from tests.places_support import R_BODY_CAM, make_map, seen
@@ -106,6 +106,51 @@ def test_a_corridor_driven_one_way_is_reached_beside_the_path() -> None:
 def test_where_views_cannot_be_told_distance_decides(place_map: PlaceMap) -> None:
     coverage = Coverage(place_map, 1.0)
     assert (coverage.views(np.array([[4.8, 2.1, 0.0], [50.0, 0.0, 0.0]])) == 1.0).all()
+
+
+def test_in_a_room_driven_through_all_day_as_much_is_in_view_and_not_every_keyframe_is_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    place_map = room_with_a_door()
+    camera = place_map.navigation.calibration.camera
+    assert camera is not None
+    T = se3(yaw_rotation(np.pi), np.array([3.2, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
+    once = Coverage(place_map, 1.0).in_view(T, camera)
+    often = Coverage(repeated(place_map, 20), 1.0)
+    asked = []
+    seen_by = often._seen.by
+
+    def by(keyframes: IntArray) -> tuple[IntArray, IntArray]:
+        asked.append(len(keyframes))
+        return seen_by(keyframes)
+
+    monkeypatch.setattr(often._seen, "by", by)
+    assert often.in_view(T, camera) == pytest.approx(once, rel=0.1) and once > 0.5
+    assert asked and max(asked) <= MOST_ASKED
+
+
+def repeated(place_map: PlaceMap, times: int) -> PlaceMap:
+    """The same, driven this many times: as many keyframes saw each landmark."""
+    navigation = place_map.navigation
+    keyframes, landmarks = navigation.keyframes, navigation.landmarks
+    count = len(keyframes)
+    again = np.tile(np.arange(count), times)
+    drive = np.repeat(np.arange(times), len(landmarks.observed_landmark))
+    return replace(
+        place_map,
+        navigation=replace(
+            navigation,
+            keyframes=Keyframes(
+                np.arange(len(again)), again, keyframes.T_world_cam[again], (b"",) * len(again), np.zeros_like(again)
+            ),
+            landmarks=replace(
+                landmarks,
+                observed_landmark=np.tile(landmarks.observed_landmark, times),
+                observed_keyframe=np.tile(landmarks.observed_keyframe, times) + count * drive,
+                observed_uv_px=np.tile(landmarks.observed_uv_px, (times, 1)),
+            ),
+        ),
+    )
 
 
 def test_landmarks_that_are_nowhere_are_not_in_view() -> None:
