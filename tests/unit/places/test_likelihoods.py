@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from shared.calibration import Calibration
 from shared.geometry import se3, yaw_rotation
+from station.places.belief import BeliefConfig, Hypothesis, grown
 from station.places.coverage import Coverage
 from station.places.current import CurrentPlaceEstimator
 from station.places.likelihoods import FAILS_AT_POSE, FAILS_IN_MAP, FAILS_UNMAPPED, RIGHT, Shown, support
@@ -115,3 +116,22 @@ def test_a_chair_s_twin_before_another_wall_is_not_believed() -> None:
     chair = replace(USUAL, support=support(0.05, 1.5))
     alone = replace(USUAL, support=support(0.05, 0.05))
     assert RIGHT.log_odds(chair) < -1.0 < 1.0 < RIGHT.log_odds(alone)
+
+
+@pytest.mark.parametrize("steps", [20, 400])
+def test_odometrys_noise_grows_as_a_random_walk_however_often_it_is_told(steps: int) -> None:
+    walk = BeliefConfig(walk_rad_per_root_m=0.0, drift_per_m=0.0, drift_rad_per_rad=0.0, drift_per_s=0.0)
+
+    def after(distance_m: float, turn_rad: float, c: BeliefConfig) -> Hypothesis:
+        h = Hypothesis(0, np.eye(4), 1.0, 0.03, 0.0, 1.0, 0, 0, 0)
+        for _ in range(steps):
+            h = grown(h, distance_m / steps, turn_rad / steps, 0.05, c)
+        return h
+
+    assert after(1.0, 0.0, walk).sigma_m == pytest.approx(np.hypot(0.03, walk.walk_m_per_root_m))
+    assert after(4.0, 0.0, walk).sigma_m == pytest.approx(np.hypot(0.03, 2 * walk.walk_m_per_root_m))
+    turned = after(0.0, np.pi, walk)
+    assert turned.sigma_m == pytest.approx(np.hypot(0.03, walk.walk_m_per_root_rad * np.sqrt(np.pi)))
+    assert turned.sigma_rad == pytest.approx(walk.walk_rad_per_root_rad * np.sqrt(np.pi))
+    usual = BeliefConfig()  # wrong calibration and heading add up beside it
+    assert after(4.0, 0.0, walk).sigma_m + 4.0 * usual.drift_per_m < after(4.0, 0.0, usual).sigma_m < 0.2
