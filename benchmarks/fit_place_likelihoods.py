@@ -49,7 +49,10 @@ from station.places.map_view import MapView
 RIGHT_M = 0.25  # from the true position
 CARRIED_S = 3.0  # after hands took the robot: images until then show anything
 FRESH = 0.7  # of what makes an image independent of the last one
-RIDGE = 1e-3  # of the coefficients, so that what says nothing gets none
+# On the coefficients, against the mean loss. It draws them to zero: without it extent and features of the right pose
+# come out as 3.39 and -2.09 instead of 2.86 and -1.54, features of an unmapped room as 2.70 instead of 2.03, the others
+# within 0.3. The loss of flats left out is the same to 0.001.
+RIDGE = 1e-3
 
 
 def image_row(

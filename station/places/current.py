@@ -41,7 +41,7 @@ class _OdometryPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """Everything the answer is made from; probabilities sum to one."""
+    """Everything the answer is made from; `place` and `unmapped` sum to one."""
 
     place: FloatArray  # (P,) over the places of all maps, in order
     tie: FloatArray  # (P,) that the place is nearest or within a tie of it
