@@ -49,7 +49,9 @@ class PlaceName(Model):
 
 
 class PlaceProbability(PlaceName):
-    probability: float = Field(examples=[0.07])
+    probability: float = Field(
+        description="that it is the nearest one or within 10 % of that: several may sum to more than 1", examples=[0.07]
+    )
 
 
 class Evidence(Model):

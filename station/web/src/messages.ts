@@ -80,7 +80,7 @@ export interface ComparisonOrder {
 export interface CurrentPlace {
   state: "known" | "unknown" | "lost";
   place: PlaceName | null;
-  /** of `place`; of the likeliest one while none is known */
+  /** that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known */
   probability: number;
   /** robot to the place's centroid; null without a metric map */
   distance_m: number | null;
@@ -381,6 +381,7 @@ export interface PlaceName {
 export interface PlaceProbability {
   id: string;
   name: string;
+  /** that it is the nearest one or within 10 % of that: several may sum to more than 1 */
   probability: number;
 }
 
