@@ -36,6 +36,7 @@ class Registration:
     evidence: dict[str, float]  # what that is made from
     overlap: float  # share of points with a neighbour in the other cloud, the smaller of both directions
     # (7, 7) of (rotation rad, translation of the shared points' middle, log scale), target frame; fixed ones are 0.
+    # Where images decided: of the middle of the cameras that agree.
     covariance: FloatArray | None
     eigenvalues: FloatArray | None  # of the normal equations per inlier, ascending: a small one is a free direction
     backend: str
