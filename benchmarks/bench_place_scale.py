@@ -193,7 +193,7 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
             wall.append(time.perf_counter() - begin)
             cpu.append(time.process_time() - begin_cpu)
             begin = time.perf_counter()
-            localizer.index.query(features.descriptors, localizer.config.num_proposals)
+            localizer.appearances[0].query(features.descriptors, localizer.config.num_proposals)
             index_ms.append(1e3 * (time.perf_counter() - begin))
             distance = np.linalg.norm(centroids - (room.T_true[k, :3, 3] + offset_of(copy)), axis=1)
             right = {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
@@ -211,9 +211,9 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
         "keyframes": len(described),
         "descriptors": sum(len(d.descriptors) for d in described),
         "places": len(place_map.places),
-        "words": localizer.index.num_words,
+        "words": localizer.appearances[0].num_words,
         "build_s": build_s,
-        "index_mb": localizer.index.num_bytes / 1e6,
+        "index_mb": localizer.appearances[0].num_bytes / 1e6,
         "features_mb": sum(d.descriptors.nbytes + d.p_map.nbytes + d.landmark.nbytes for d in described) / 1e6,
         "answer_peak_mb": answer_bytes / 1e6,
         "answers": len(wall),

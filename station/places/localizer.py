@@ -1,7 +1,8 @@
 """Where in the map was this image taken: appearance proposes keyframes, geometry verifies a pose, or says no.
 
-An answer is a verified camera pose. Several maps can be active; their keyframes share one index, and a pose is
-estimated within one map only. docs/localisation.md has the measurements behind the thresholds.
+An answer is a verified camera pose. Several maps can be active: each proposes keyframes by its own index, a pose is
+estimated within one map only, and the poses of all of them stand against each other. docs/localisation.md has the
+measurements behind the thresholds.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from station.features import FeatureExtractor, Features, extract_encoded, to_flo
 from station.frames import ImageFrame
 from station.maps.map import PlaceMap
 from station.places.answer import Localization
-from station.places.appearance import AppearanceIndex
 from station.places.camera_pose import CameraPose, solve_pose, solve_pose_from
 from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.map_index import MapIndex
@@ -30,8 +30,8 @@ from station.places.recognised import extent_of
 class LocalizerConfig:
     """Thresholds; pixels are of the query image."""
 
-    num_proposals: int = 16  # keyframes taken from the appearance index
-    max_groups: int = 3  # regions of the map that geometry is tried on
+    num_proposals: int = 16  # keyframes taken from the appearance index of each map
+    max_groups: int = 3  # regions of each map that geometry is tried on
     group_size: int = 6  # keyframes matched together
     ratio: float = 0.85  # nearest descriptor against the nearest of another landmark
     min_similarity: float = 0.75  # of RootSIFT descriptors, 0..1
@@ -76,28 +76,27 @@ class Localizer:
         maps: PlaceMap | Sequence[PlaceMap],
         config: LocalizerConfig | None = None,
         described: Sequence[Sequence[KeyframeFeatures]] | None = None,
-        index: MapIndex | None = None,
+        index: MapIndex | Sequence[MapIndex] | None = None,
     ) -> None:
         """Describe and index all keyframes of the maps: some 100 ms per keyframe on one core.
 
-        `described`: the features of every map's keyframes, where they are known already; `index`: of the only map.
+        `described`: the features of every map's keyframes, where they are known already; `index`: of every map.
         """
         self.maps = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
         self.config = config or LocalizerConfig()
         self._extractor = FeatureExtractor()
+        if index is None:
+            if described is None:
+                described = [describe_keyframes(place_map, self._describe) for place_map in self.maps]
+            index = [MapIndex.of_keyframes(keyframes) for keyframes in described]
+        indexes = (index,) if isinstance(index, MapIndex) else tuple(index)
+        self.appearances = tuple(one.appearance for one in indexes)
         self._keyframes: list[_Keyframe] = []
-        for m, place_map in enumerate(self.maps):
+        self._first: list[int] = []  # of each map's keyframes
+        for m, (place_map, one) in enumerate(zip(self.maps, indexes, strict=True)):
+            self._first.append(len(self._keyframes))
             poses = place_map.navigation.keyframes.T_world_cam
-            if index is not None:
-                known: Sequence[KeyframeFeatures] = index.keyframes
-            else:
-                known = described[m] if described is not None else describe_keyframes(place_map, self._describe)
-            for k, features in enumerate(known):
-                self._keyframes.append(_Keyframe(m, k, features, poses[k]))
-        if index is not None:
-            self.index = index.appearance
-        else:
-            self.index = AppearanceIndex([k.features.all_descriptors for k in self._keyframes])
+            self._keyframes += [_Keyframe(m, k, features, poses[k]) for k, features in enumerate(one.keyframes)]
         self._views = [_Views(self._keyframes, m) for m in range(len(self.maps))]
 
     def _describe(self, encoded: bytes) -> Features:
@@ -119,16 +118,19 @@ class Localizer:
         n = len(features)
         if n < self.config.min_inliers:
             return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", features)
-        images, similarity = self.index.query(features.descriptors, self.config.num_proposals)
-        if not len(images):
+        proposed = [index.query(features.descriptors, self.config.num_proposals) for index in self.appearances]
+        if not any(len(images) for images, _ in proposed):
             return _nothing("nothing in the map resembles the image", features)
         rays = to_rays(camera, features.uv_px)
         poses = []
-        for group in self._groups(images):
-            pose = self._pose_in(group, features, rays, camera)
-            if pose is not None:
-                poses.append(pose)
-        best_similarity = float(similarity[0])
+        # Similarities by the words of different maps cannot be compared (a small map has few words, which more images
+        # share), so that they must not compete for being tried.
+        for first, (images, _) in zip(self._first, proposed, strict=True):
+            for group in self._groups(first + images):
+                pose = self._pose_in(group, features, rays, camera)
+                if pose is not None:
+                    poses.append(pose)
+        best_similarity = max(float(similarity[0]) for _, similarity in proposed if len(similarity))
         if not poses:
             return _nothing("no keyframe that resembles the image agrees with it in space", features, best_similarity)
         poses = self._distinct(poses)
@@ -153,7 +155,7 @@ class Localizer:
         return Attempt(None, candidates, reason, n, best_inliers, best_similarity, features)
 
     def _groups(self, images: IntArray) -> list[list[int]]:
-        """Proposed keyframes by region: each of the best ones with those that share landmarks with it."""
+        """Proposed keyframes of one map by region: each of the best ones with those that share landmarks with it."""
         left = [int(i) for i in images]
         groups: list[list[int]] = []
         while left and len(groups) < self.config.max_groups:
@@ -163,9 +165,7 @@ class Localizer:
             for i in list(left):
                 if len(group) == self.config.group_size:
                     break
-                other = self._keyframes[i]
-                same_map = other.map_index == self._keyframes[lead].map_index
-                if same_map and len(mine.intersection(other.features.landmark.tolist())) >= 10:
+                if len(mine.intersection(self._keyframes[i].features.landmark.tolist())) >= 10:
                     group.append(i)
                     left.remove(i)
             groups.append(group)

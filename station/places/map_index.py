@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -26,6 +26,11 @@ class MapIndex:
 
     keyframes: tuple[KeyframeFeatures, ...]
     appearance: AppearanceIndex
+
+    @classmethod
+    def of_keyframes(cls, described: Sequence[KeyframeFeatures]) -> MapIndex:
+        """Index what was described."""
+        return cls(tuple(described), AppearanceIndex([keyframe.all_descriptors for keyframe in described]))
 
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
         """All of it but the descriptors that have no position: they have made the appearance, and are not needed."""
@@ -62,8 +67,7 @@ def make_index(
 
     `pictures`: what is described already.
     """
-    described = describe_keyframes(place_map, (pictures or DescribedPictures()).describe, on_keyframe)
-    return MapIndex(tuple(described), AppearanceIndex([keyframe.all_descriptors for keyframe in described]))
+    return MapIndex.of_keyframes(describe_keyframes(place_map, (pictures or DescribedPictures()).describe, on_keyframe))
 
 
 def fingerprint(place_map: PlaceMap) -> str:

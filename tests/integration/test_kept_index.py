@@ -57,7 +57,7 @@ def test_the_second_worker_describes_nothing_and_answers_the_same_bits(tmp_path:
     assert described == 0
     assert answers(first) == answers(second) == alone
     with pytest.raises(ValueError, match="read-only"):
-        second.index.arrays()["word_idf"][:] = 0.0
+        second.appearances[0].arrays()["word_idf"][:] = 0.0
 
 
 @pytest.mark.parametrize("damage", ["bit", "cut", "empty", "text"])
