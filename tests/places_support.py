@@ -27,7 +27,13 @@ def make_map(
     """
     unit = 1.0 if scale is None else scale
     camera = CameraCalibration(
-        width=640, height=480, fx=500, fy=500, cx=320, cy=240, T_body_cam=tuple(se3(R_BODY_CAM, np.zeros(3)).ravel())
+        width=640,
+        height=480,
+        fx=500,
+        fy=500,
+        cx=320,
+        cy=240,
+        T_body_cam=tuple(se3(R_BODY_CAM, np.zeros(3)).ravel().tolist()),
     )
     xs = np.linspace(0, 6, 25) * unit
     T = np.stack([pose(x, 0.0) @ se3(R_BODY_CAM, np.zeros(3)) for x in xs])

@@ -54,3 +54,4 @@ class PlaceAnswer:
     inliers: int
     alternatives: tuple[PlaceCandidate, ...]
     reason: str  # a sentence for a person
+    map_id: str | None = None  # of what is said of place, position and evidence; None: nothing speaks for any map

@@ -203,11 +203,15 @@ class CurrentPlaceEstimator:
         belief = self.belief()
         order = largest(belief.place, 4)
         candidates = [self._candidate(int(i), float(belief.tie[i])) for i in order]
-        best = max(self._hypotheses, key=lambda h: h.weight, default=None)
-        p_body = None if best is None else best.pose(self._nav_body_at(t_robot_ns))[:3, 3]
         # In a map of one place a robot that is lost in it is there, too: but nobody recognised it.
         is_recognised = sum(h.weight for h in self._hypotheses) > 0.5
         is_known = is_recognised and bool(len(order)) and belief.tie[order[0]] >= self.config.known_from
+        known_in = self._located(int(order[0]))[0] if is_known else None
+        # Where the place is known, its distance is to a position in its own map.
+        among = [h for h in self._hypotheses if known_in is None or h.map_index == known_in]
+        best = max(among, key=lambda h: h.weight, default=None)
+        p_body = None if best is None else best.pose(self._nav_body_at(t_robot_ns))[:3, 3]
+        map_id = None if best is None else self._maps[best.map_index].place_map.id
         if is_known and best is not None and p_body is not None:
             centroid = self._place(int(order[0])).centroid_map
             age_s = max(0.0, (t_robot_ns - best.evidence_t_robot_ns) / 1e9)
@@ -223,6 +227,7 @@ class CurrentPlaceEstimator:
                 alternatives=tuple(candidates[1:]),
                 reason=f"{best.inliers} landmarks of the map were recognised"
                 + (f"; odometry over the {age_s:.0f} s since" if age_s >= 1.0 else ""),
+                map_id=map_id,
             )
         is_localized = best is not None and best.weight > 0.5
         is_unknown = (
@@ -241,13 +246,19 @@ class CurrentPlaceEstimator:
             inliers=best.inliers if best else 0,
             alternatives=tuple(candidates),
             reason=self._reason(is_unknown, belief, best),
+            map_id=map_id,
         )
 
     def _place(self, number: int) -> Place:
-        """By its number in a `Belief`: over the places of all maps, in order."""
-        for view in self._maps:
+        """By its number in a `Belief`."""
+        map_index, place_index = self._located(number)
+        return self._maps[map_index].place_map.places[place_index]
+
+    def _located(self, number: int) -> tuple[int, int]:
+        """Map and place of a number in a `Belief`: over the places of all maps, in order."""
+        for map_index, view in enumerate(self._maps):
             if number < len(view.place_map.places):
-                return view.place_map.places[number]
+                return map_index, number
             number -= len(view.place_map.places)
         raise IndexError(number)
 

@@ -87,8 +87,8 @@ class HijackDetector:
 
     def on_jump(self, t_robot_ns: int, distance_m: float, is_other_map: bool) -> HijackEvent | None:
         """The current place's estimate went over to a position where the robot cannot have driven."""
-        where = "in another map" if is_other_map else f"{distance_m:.1f} m away"
-        return self._once(HijackEvent(t_robot_ns, "position", f"recognised {where} from where it was", 0.99))
+        where = "in another map than it was in" if is_other_map else f"{distance_m:.1f} m away from where it was"
+        return self._once(HijackEvent(t_robot_ns, "position", f"recognised {where}", 0.99))
 
     def _once(self, event: HijackEvent | None) -> HijackEvent | None:
         """Cues of the same hijack within five seconds are one event."""

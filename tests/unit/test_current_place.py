@@ -321,7 +321,26 @@ def test_the_right_one_of_two_active_maps_answers() -> None:
     estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
     estimator.on_localization(seen(0.0, pose(3.0, 0.0), map_id="b"))
     answer = estimator.answer(0)
-    assert answer.place is not None and answer.place.id == "b-1"
+    assert answer.place is not None and answer.place.id == "b-1" and answer.map_id == "b"
+    assert answer.distance == pytest.approx(np.linalg.norm([0.0, 0.0, 0.3]))  # to a position in the same map
+
+
+def test_while_nothing_was_recognised_no_map_is_named() -> None:
+    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    assert estimator.answer(0).map_id is None
+
+
+def test_after_a_hijack_a_robot_is_found_in_the_other_map_and_going_over_without_one_is_a_jump_there() -> None:
+    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    estimator.on_localization(seen(0.0, pose(0.0, 0.0), map_id="a"))
+    estimator.on_hijack(SECOND, "lifted", 0.99)
+    assert estimator.answer(SECOND).state == "lost"
+    assert estimator.on_localization(seen(2.0, pose(6.0, 0.0), map_id="b")) is None  # the hijack was told already
+    found = estimator.answer(2 * SECOND)
+    assert (found.state, found.map_id) == ("known", "b") and found.place is not None and found.place.id == "b-2"
+    jumps = [estimator.on_localization(seen(k, pose(0.3 * k, 0.0), map_id="a")) for k in range(10, 30, 2)]
+    assert [jump.is_other_map for jump in jumps if jump is not None] == [True]
+    assert estimator.answer(30 * SECOND).map_id == "a"
 
 
 EVENTS = st.lists(
