@@ -93,7 +93,7 @@ class Station:
         self.bin.open()
         await asyncio.to_thread(self.comparisons.clean)
         await self._tidy_bin()
-        await self._look_in_active_map()
+        await self._look_in_active_maps()
         for kind in STATES:
             self.events.changed(kind)  # who listens from now on is first told how everything is
         try:
@@ -168,7 +168,7 @@ class Station:
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
                 await worker.call("index_map", folders, self.maps.address)
             if activate:
-                await self.use_map(built.map_id)
+                await self.use_maps(built.map_id)
             return {"map": built.map_id, "places": built.places}
 
         return self.jobs.start("build map", title, work)
@@ -245,10 +245,10 @@ class Station:
             raise Conflict(f"{drive.name} is {drive.state}, not ready: {drive.message}")
         return drive
 
-    async def use_map(self, map_id: str | None) -> None:
-        """Look for the current place in this map. Raises Unknown, DataError."""
-        await self.maps.activate(map_id)
-        await self._look_in_active_map()
+    async def use_maps(self, *map_ids: str) -> None:
+        """Look for the current place in these maps; the places of the first are shown. Raises as `Maps.activate`."""
+        await self.maps.activate(map_ids)
+        await self._look_in_active_maps()
 
     # What was deleted
 
@@ -259,7 +259,8 @@ class Station:
 
     async def delete_map(self, map_id: str) -> None:
         """Into the bin. Raises Unknown, Conflict."""
-        await self.maps.delete(map_id)
+        if await self.maps.delete(map_id):
+            await self._look_in_active_maps()
         await self.empty_bin(everything=False)
 
     async def restore_drive(self, drive_id: str) -> DriveRecord:
@@ -326,8 +327,8 @@ class Station:
         for robot in self.robots.values():
             robot.regroup()
 
-    async def _look_in_active_map(self) -> None:
-        await asyncio.gather(*(robot.look_in_active_map() for robot in self.robots.values()))
+    async def _look_in_active_maps(self) -> None:
+        await asyncio.gather(*(robot.look_in_active_maps() for robot in self.robots.values()))
 
     async def _every_hour(self) -> None:
         while True:

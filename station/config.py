@@ -78,7 +78,7 @@ class SlamConfig:
 
 @dataclass(frozen=True, slots=True)
 class LocalizationConfig:
-    """How often the running picture is looked for in the active map."""
+    """How often the running picture is looked for in the active maps."""
 
     rate_hz: float = 4.0
 

@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from station.active_set import MAX_ACTIVE_MAPS
 from station.maps.map import PlaceMap
 from station.places.map_index import MapIndex, fingerprint, make_index
 from station.places.pictures import DescribedPictures
@@ -28,7 +29,7 @@ from station.places.pictures import DescribedPictures
 logger = logging.getLogger(__name__)
 FOLDER = "localisation"  # beside the maps
 SUFFIX, SCRATCH, LOCK = ".index", ".new", "lock"
-KEPT = 4  # maps
+KEPT = MAX_ACTIVE_MAPS  # else a set of them would be described anew at each start
 MAGIC = b"SentinelIndex\n"
 ALIGNED = 64  # as numpy's own arrays
 LOOK_AGAIN_S = 0.1

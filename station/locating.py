@@ -19,7 +19,7 @@ from station.frames import DriveSample, ImageFrame
 from station.mailbox import Latest
 from station.maps.map import Place, PlaceEdge
 from station.maps.store import StoreAddress
-from station.place_report import HijackNotice, MapReading, PlaceReport
+from station.place_report import HijackNotice, MapLeftOut, MapReading, PlaceReport
 from station.places.answer import PlaceAnswer, PlaceState
 from station.turns import Turns
 from station.workers import Worker, WorkerDied
@@ -45,7 +45,7 @@ class Visit:
 
 
 class Locating:
-    """One localisation worker, given the newest picture a few times a second while a map is active."""
+    """One localisation worker, given the newest picture a few times a second while maps are active."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class Locating:
         self._events = events
         self._frames: Latest[tuple[int, CameraFrame]] = Latest()  # with the robot run they belong to
         self._worker: Worker | None = None
-        self._map_id: str | None = None
+        self._map_ids: tuple[str, ...] = ()
         self._wanted = asyncio.Event()
         self._calibration: Calibration | None = None
         self._robot_run: tuple[str, str] | None = None  # robot, session: another one has another clock
@@ -73,7 +73,7 @@ class Locating:
         self._is_ready = False
         self._generation = 0  # counts the calls of use(): a worker that was killed for another map did not die
         self._lost = 0  # inertial samples
-        self._groups: Latest[tuple[tuple[Place, ...], tuple[PlaceEdge, ...]]] = Latest()
+        self._groups: Latest[tuple[str, tuple[Place, ...], tuple[PlaceEdge, ...]]] = Latest()
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self._report: PlaceReport | None = None
         self._taken_s = 0.0  # when the report came
@@ -105,14 +105,14 @@ class Locating:
         )
         return replace(self._report, answer=nowhere, T_map_cam=None)
 
-    async def use(self, map_id: str | None) -> None:
-        """Look in this map from now on."""
-        self._map_id = map_id
+    async def use(self, map_ids: tuple[str, ...]) -> None:
+        """Look in these maps from now on; in none, and nowhere."""
+        self._map_ids = map_ids
         self._generation += 1
         self._forget()
         self._groups = Latest()
-        self.status = "no map is active" if map_id is None else "reading the map"
-        self.progress = None if map_id is None else 0.0
+        self.status = "reading the map" if map_ids else "no map is active"
+        self.progress = 0.0 if map_ids else None
         self._events.changed("place")
         self._wanted.set()
         worker, self._worker = self._worker, None  # before we wait: the next one is there soon
@@ -120,9 +120,12 @@ class Locating:
             worker.kill()  # it may be in the middle of a map that nobody wants any more
             await worker.close()
 
-    def regroup(self, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
-        """Tell the worker of changed places of its map. It may be busy: its next answer counts, nobody waits for it."""
-        self._groups.put((places, edges))
+    def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
+        """Tell the worker of changed places of the first of its maps: only those can be changed while it is in use.
+
+        It may be busy: its next answer counts, nobody waits for it.
+        """
+        self._groups.put((map_id, places, edges))
         self._events.changed("place")
 
     def on_connected(self, hello: Hello) -> None:
@@ -173,7 +176,7 @@ class Locating:
 
     def offer(self, frame: CameraFrame) -> None:
         """A new picture; the worker gets the newest one when it is free."""
-        if self._map_id is not None:
+        if self._map_ids:
             self._frames.put((self._runs, frame))
 
     def _post(self, method: str, *arguments: object) -> None:
@@ -190,13 +193,13 @@ class Locating:
     async def run(self) -> None:
         """Until cancelled."""
         while True:
-            map_id, generation = self._map_id, self._generation
-            if map_id is None:
+            map_ids, generation = self._map_ids, self._generation
+            if not map_ids:
                 self._wanted.clear()
                 await self._wanted.wait()
                 continue
             try:
-                await self._serve(map_id, generation)
+                await self._serve(map_ids, generation)
             except WorkerDied as exc:
                 if self._generation == generation:
                     self.status = "localisation is started again"
@@ -206,14 +209,14 @@ class Locating:
                 if self._generation == generation:
                     self._tell(f"no localisation: {exc}", None)
                     self._events.say("place", self.status, "error")
-                    self._map_id = None
+                    self._map_ids = ()
 
     async def close(self) -> None:
         if self._worker is not None:
             await self._worker.close()
 
-    async def _serve(self, map_id: str, generation: int) -> None:
-        """One worker, one map, until it dies or another map is wanted."""
+    async def _serve(self, map_ids: tuple[str, ...], generation: int) -> None:
+        """One worker, until it dies or other maps are wanted."""
         worker = Worker(
             "localisation",
             self._servant,
@@ -224,7 +227,7 @@ class Locating:
         self._hijacks_told = 0
         try:
             await worker.start()
-            await worker.call("load", self._store, map_id)
+            await worker.call("load", self._store, map_ids)
             self._tell("waiting for a picture of the robot", None)
             await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
@@ -269,9 +272,12 @@ class Locating:
         self.status = "looking"
         return report
 
-    def _on_event(self, told: HijackNotice | MapReading) -> None:
+    def _on_event(self, told: HijackNotice | MapReading | MapLeftOut) -> None:
         if isinstance(told, MapReading):
             self._tell(told.text, told.fraction)
+            return
+        if isinstance(told, MapLeftOut):
+            self._events.say("place", f"the robot is not looked for in {told.map_id}: {told.reason}", "error")
             return
         self._hijacks_told = told.report.num_hijacks
         if self._report is not None:  # else of another run of the robot, or nothing was known yet

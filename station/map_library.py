@@ -1,25 +1,23 @@
-"""The maps of this station: which there are, which is active, and what the active one shows."""
+"""The maps of this station: which there are, which are active, and what the first of these shows."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shared.errors import RobotSystemError
+from station.active_set import keep_choice, kept_choice, why_not_together
 from station.events import Teller
 from station.kept_index import forget_index
 from station.live import NO_PLACE
-from station.maps.bucket import Unwritable, cannot_write, flush
+from station.maps.bucket import Unwritable
 from station.maps.checking import collect_garbage
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.map import Place, PlaceMap
@@ -38,7 +36,7 @@ WHITE_DEVIATION = 100.0  # grey levels, as in the reports: images of one place s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActiveMap:
-    """The map in use, and what is derived from it once."""
+    """A map in use, and what is derived from it once."""
 
     place_map: PlaceMap
     place_of_point: npt.NDArray[np.uint8]  # (M,) number of its place, NO_PLACE for none
@@ -68,72 +66,117 @@ class PlacesChange:
 
 
 class Maps:
-    """The store and the active map. Reading and writing maps happens in threads."""
+    """The store and the active maps. Reading and writing maps happens in threads.
+
+    The robots are looked for in all active maps. *The* active map is the first of them: places, graph and what is made
+    of them are its own.
+    """
 
     def __init__(self, address: StoreAddress, events: Teller) -> None:
         self.address = address
         self._store = MapStore(address, self._found_damage)
         self._events = events
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._active: ActiveMap | None = None
+        self._chosen: tuple[str, ...] = ()  # by a person; of these the active maps are those that can be read
+        self._active: tuple[ActiveMap, ...] = ()
         self._changing = asyncio.Lock()
         self.revision = 0  # counts what the active map was, so that a page knows when to read it again
 
     @property
     def active(self) -> ActiveMap | None:
+        """The first of the active maps."""
+        return self._active[0] if self._active else None
+
+    @property
+    def all_active(self) -> tuple[ActiveMap, ...]:
+        """The first one first."""
         return self._active
+
+    def among_active(self, map_id: str) -> ActiveMap | None:
+        """The active map of this id."""
+        return next((active for active in self._active if active.place_map.id == map_id), None)
 
     def require_active(self) -> ActiveMap:
         """Raises Conflict in words when no map is active."""
-        if self._active is None:
+        if not self._active:
             raise Conflict("no map is active; build one with POST /maps and choose it with PUT /maps/active")
-        return self._active
+        return self._active[0]
 
     async def list(self) -> tuple[MapSummary, ...]:
         return await asyncio.to_thread(self._store.list)
 
     async def open(self) -> None:
-        """Activate the map that was active when the station ended; says so when it cannot be read any more."""
+        """Activate the maps that were active when the station ended, as far as they can be read; says which cannot.
+
+        What was chosen stays written down: a disk that is away for one start must not make a person choose again.
+        """
         self._loop = asyncio.get_running_loop()
-        try:
-            map_id = json.loads((self.address.root / "active.json").read_text())["id"]
-        except (OSError, ValueError, KeyError, TypeError):
-            return
-        if map_id is None:
-            return
-        try:
-            await self.activate(map_id)
-        except RobotSystemError as exc:
-            self._events.say("map", f"the last map cannot be used: {exc}", "error")
+        async with self._changing:
+            self._chosen = kept_choice(self.address.root)
+            usable: list[ActiveMap] = []
+            for map_id in self._chosen:
+                try:
+                    await self._require(map_id)
+                    found = await asyncio.to_thread(_derive, self._store, map_id)
+                    _require_together([*usable, found])
+                except RobotSystemError as exc:
+                    self._events.say("map", f"a map that was in use is left out, it cannot be used: {exc}", "error")
+                else:
+                    usable.append(found)
+            self._use(usable)
 
-    async def activate(self, map_id: str | None) -> ActiveMap | None:
-        """Use a map, or none. Raises Unknown, or DataError when its files are damaged.
+    async def activate(self, map_ids: Sequence[str]) -> None:
+        """Use these maps, the first one first, or none. Nothing changes where one of them cannot be used.
 
-        Where that cannot be written down it holds until the station ends, and a warning says so.
+        Where the choice cannot be written down it holds until the station ends, and a warning says so.
+
+        Raises:
+            Unknown: there is no such map.
+            DataError: the files of a map are damaged.
+            Conflict: two of them are of the same rooms.
+        """
+        chosen = tuple(dict.fromkeys(map_ids))
+        async with self._changing:
+            for map_id in chosen:
+                await self._require(map_id)
+            wanted = [await asyncio.to_thread(_derive, self._store, map_id) for map_id in chosen]
+            _require_together(wanted)
+            self._use(wanted)
+            await self._choose(chosen)
+
+    def _use(self, maps: Sequence[ActiveMap]) -> None:
+        self._active = tuple(maps)
+        self.revision += 1
+        self._events.changed("map")
+        names = [active.place_map.name for active in maps]
+        if names:
+            self._events.say("map", f"using {names[0]}" + (f", and {' and '.join(names[1:])} too" if names[1:] else ""))
+
+    async def _choose(self, chosen: tuple[str, ...]) -> None:
+        self._chosen = chosen
+        try:
+            await asyncio.to_thread(keep_choice, self.address.root, chosen)
+        except Unwritable as exc:
+            self._events.say("map", f"which map is in use will be forgotten at the next start: {exc}", "warning")
+
+    async def delete(self, map_id: str) -> bool:
+        """Put a map into the bin; True where robots were looked for in it, and are no longer.
+
+        Raises Unknown, or Conflict when it is the one whose places are in use.
         """
         async with self._changing:
-            if map_id is None:
-                self._active = None
-            else:
-                await self._require(map_id)
-                self._active = await asyncio.to_thread(_derive, self._store, map_id)
-            self.revision += 1
-            try:
-                await asyncio.to_thread(_remember, self.address.root, map_id)
-            except Unwritable as exc:
-                self._events.say("map", f"which map is in use will be forgotten at the next start: {exc}", "warning")
+            if self._active and self._active[0].place_map.id == map_id:
+                raise Conflict(f"{self._active[0].place_map.name} is in use; choose another map first")
+            await self._require(map_id)
+            await asyncio.to_thread(self._store.delete, map_id)
+            if map_id in self._chosen:
+                await self._choose(tuple(chosen for chosen in self._chosen if chosen != map_id))
+            gone = self.among_active(map_id)
+            if gone is not None:
+                self._events.say("map", f"{gone.place_map.name} is deleted, so it is left out from now on", "warning")
+                self._use([active for active in self._active if active is not gone])
         self._events.changed("map")
-        if self._active is not None:
-            self._events.say("map", f"using {self._active.place_map.name}")
-        return self._active
-
-    async def delete(self, map_id: str) -> None:
-        """Put a map into the bin. Raises Unknown, or Conflict when it is in use."""
-        if self._active is not None and self._active.place_map.id == map_id:
-            raise Conflict(f"{self._active.place_map.name} is in use; choose another map first")
-        await self._require(map_id)
-        await asyncio.to_thread(self._store.delete, map_id)
-        self._events.changed("map")
+        return gone is not None
 
     async def deleted(self) -> tuple[MapSummary, ...]:
         """Maps that can be restored."""
@@ -160,7 +203,7 @@ class Maps:
             await self._require(map_id)
             change = partial(replace, name=name)
             place_map = await asyncio.to_thread(self._store.edit, map_id, change, f"the map is {name} now"[:MAX_WHY])
-            if self._active is not None and self._active.place_map.id == map_id:
+            if self.among_active(map_id) is not None:
                 self._take(place_map)
         self._events.changed("map")
         return next(summary for summary in await self.list() if summary.id == map_id)
@@ -227,11 +270,13 @@ class Maps:
             return changes[0]
 
     def _take(self, place_map: PlaceMap) -> ActiveMap:
-        """The active map with other places or names."""
+        """An active map with other places or names."""
         self.revision += 1
-        self._active = _numbered(place_map, {} if self._active is None else self._active.numbers)
+        before = self.among_active(place_map.id)
+        taken = _numbered(place_map, {} if before is None else before.numbers)
+        self._active = tuple(taken if active is before else active for active in self._active)
         self._events.changed("map")
-        return self._active
+        return taken
 
     def _found_damage(self, sentence: str) -> None:
         """The store found something wrong, in whatever thread it was read."""
@@ -245,8 +290,8 @@ class Maps:
 
     async def load(self, map_id: str) -> ActiveMap:
         """Any map, for looking at. Raises Unknown or DataError."""
-        if self._active is not None and self._active.place_map.id == map_id:
-            return self._active
+        if (active := self.among_active(map_id)) is not None:
+            return active
         await self._require(map_id)
         return await asyncio.to_thread(_derive, self._store, map_id)
 
@@ -288,6 +333,12 @@ def _derive(store: MapStore, map_id: str) -> ActiveMap:
     return _numbered(store.load(map_id), {})
 
 
+def _require_together(maps: Sequence[ActiveMap]) -> None:
+    """Raises Conflict where two of them are of the same rooms."""
+    if reason := why_not_together([active.place_map for active in maps]):
+        raise Conflict(reason)
+
+
 def _numbered(place_map: PlaceMap, kept: Mapping[str, int]) -> ActiveMap:
     numbers = number_places(place_map.places, place_map.edges, kept)
     return ActiveMap(place_map, _place_of_point(place_map, numbers), {**kept, **numbers})
@@ -327,22 +378,3 @@ def _place_of_point(place_map: PlaceMap, numbers: Mapping[str, int]) -> npt.NDAr
         if not place.hidden:
             place_of_point[place.landmark_index] = numbers.get(place.id, NO_PLACE)
     return place_of_point
-
-
-def _remember(root: Path, map_id: str | None) -> None:
-    """Raises Unwritable."""
-    content = json.dumps({"id": map_id}) + "\n"
-    try:
-        if (root / "active.json").read_text() == content:
-            return
-    except (OSError, ValueError):
-        pass  # it is made now
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        scratch = root / ".active.json"
-        scratch.write_text(content)
-        flush(scratch)
-        os.replace(scratch, root / "active.json")
-        flush(root)
-    except OSError as exc:
-        raise cannot_write(root, exc) from exc

@@ -194,17 +194,17 @@ class RobotSession:
 
     # What the station's maps mean for it
 
-    async def look_in_active_map(self) -> None:
-        active = self.maps.active
-        if active is not None:
+    async def look_in_active_maps(self) -> None:
+        active = self.maps.all_active
+        if active:
             self.driving.centre_head()
         self.events.changed("robot")
-        await self.locating.use(None if active is None else active.place_map.id)
+        await self.locating.use(tuple(one.place_map.id for one in active))
 
     def regroup(self) -> None:
         """Places of the active map are others, or have other names."""
         place_map = self.maps.require_active().place_map
-        self.locating.regroup(place_map.places, place_map.edges)
+        self.locating.regroup(place_map.id, place_map.places, place_map.edges)
 
     # LinkListener: called on the event loop, returns at once
 

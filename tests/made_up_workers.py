@@ -92,20 +92,20 @@ class DyingSlam(StraightSlam):
 
 
 class PlaceByLight:
-    """A localisation servant: light pictures show the map's first place, dark ones the second."""
+    """A localisation servant: light pictures show the first map's first place, dark ones the last map's second one."""
 
     def __init__(self, emit: Callable[[object], None]) -> None:
         self._emit = emit
-        self._map: PlaceMap | None = None
+        self._maps: list[PlaceMap] = []
         self._was_dark = False
         self._num_hijacks = 0
 
-    def load(self, store: StoreAddress, map_id: str) -> None:
-        self._map = shown(MapStore(store).load(map_id))
+    def load(self, store: StoreAddress, map_ids: tuple[str, ...]) -> None:
+        self._maps = [shown(MapStore(store).load(map_id)) for map_id in map_ids]
 
-    def regroup(self, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
-        assert self._map is not None
-        self._map = shown(replace(self._map, places=places, edges=edges))
+    def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
+        assert self._maps[0].id == map_id
+        self._maps[0] = shown(replace(self._maps[0], places=places, edges=edges))
 
     def calibrate(self, calibration: Calibration) -> None:
         pass
@@ -120,15 +120,15 @@ class PlaceByLight:
         pass
 
     def answer(self, frame: ImageFrame) -> PlaceReport:
-        assert self._map is not None
         t_robot_ns = frame.t_robot_ns
         is_dark = float(frame.grey().mean()) < 30.0
         is_moved = is_dark and not self._was_dark
         self._num_hijacks += is_moved
         self._was_dark = is_dark
-        first, second = self._map.places[1::-1] if is_dark else self._map.places[:2]
+        here = self._maps[-1 if is_dark else 0]
+        first, second = here.places[1::-1] if is_dark else here.places[:2]
         report = PlaceReport(
-            map_id=self._map.id,
+            map_id=here.id,
             answer=PlaceAnswer(
                 state="known",
                 place=PlaceCandidate(first.id, first.name, 0.9),
@@ -140,6 +140,7 @@ class PlaceByLight:
                 inliers=40,
                 alternatives=(PlaceCandidate(second.id, second.name, 0.1),),
                 reason="always here",
+                map_id=here.id,
             ),
             T_map_cam=np.eye(4),
             t_evidence_ns=t_robot_ns,

@@ -20,7 +20,7 @@ router = APIRouter(tags=["maps"])
 
 @router.get("/maps", summary="All maps")
 async def maps(station: StationDep) -> list[MapModel]:
-    return [map_model(summary, station.maps.active) for summary in await station.maps.list()]
+    return [map_model(summary, station.maps) for summary in await station.maps.list()]
 
 
 @router.post("/maps", summary="Build a map from navigations", status_code=202, responses=responses(404, 409))
@@ -29,32 +29,40 @@ async def build(order: MapOrder, station: StationDep) -> JobModel:
     return job_model(station.build_map(order.navigations, order.name, order.mode, order.activate))
 
 
-@router.put("/maps/active", summary="Choose the map in use", responses=responses(404, 409))
+@router.put("/maps/active", summary="Choose the map in use, or several", responses=responses(404, 409))
 async def activate(choice: MapChoice, station: StationDep) -> MapModel | None:
-    await station.use_map(choice.id)
+    """The robots are looked for in `id` and in the maps of `also`; GET /places and GET /graph are those of `id`.
+
+    409 where two of them are of the same rooms: made from a common navigation, or one from the other.
+    """
     if choice.id is None:
+        await station.use_maps()
         return None
+    await station.use_maps(choice.id, *choice.also)
     for summary in await station.maps.list():
         if summary.id == choice.id:
-            return map_model(summary, station.maps.active)
+            return map_model(summary, station.maps)
     raise Unknown(f"there is no map {choice.id!r}; GET /maps lists them")
 
 
 @router.patch("/maps/{map_id}", summary="Rename a map", responses=responses(404, 409))
 async def rename(map_id: str, name: NewName, station: StationDep) -> MapModel:
-    return map_model(await station.maps.rename(map_id, name.name), station.maps.active)
+    return map_model(await station.maps.rename(map_id, name.name), station.maps)
 
 
 @router.delete("/maps/{map_id}", summary="Delete a map", status_code=204, responses=responses(404, 409))
 async def delete(map_id: str, station: StationDep) -> Response:
-    """It goes into the bin: POST /maps/{id}/restore brings it back for seven days."""
+    """It goes into the bin: POST /maps/{id}/restore brings it back for seven days.
+
+    409 for the map whose places are in use; another one of those that are active is no longer looked in.
+    """
     await station.delete_map(map_id)
     return Response(status_code=204)
 
 
 @router.post("/maps/{map_id}/restore", summary="Bring a deleted map back", responses=responses(404, 409))
 async def restore(map_id: str, station: StationDep) -> MapModel:
-    return map_model(await station.restore_map(map_id), station.maps.active)
+    return map_model(await station.restore_map(map_id), station.maps)
 
 
 @router.get(

@@ -6,6 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from station.active_set import MAX_ACTIVE_MAPS
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -52,6 +54,7 @@ class PlaceProbability(PlaceName):
     probability: float = Field(
         description="that it is the nearest one or within 10 % of that: several may sum to more than 1", examples=[0.07]
     )
+    map: str = Field(description="id of the active map that it is a place of", examples=["map-0a1b"])
 
 
 class Evidence(Model):
@@ -73,9 +76,12 @@ class CurrentPlace(Model):
         examples=[0.97],
     )
     distance_m: float | None = Field(description="robot to the place's centroid; null without a metric map")
-    position_map: list[float] | None = Field(description="x, y, z of the robot in the map", examples=[[1.2, 0.4, 0.1]])
+    position_map: list[float] | None = Field(description="x, y, z of the robot in `map`", examples=[[1.2, 0.4, 0.1]])
     age_s: float | None = Field(description="since the picture the answer is about was taken", examples=[0.2])
-    map: str | None = Field(description="id of the active map", examples=["map-0a1b"])
+    map: str | None = Field(
+        description="id of the active map that place, position and evidence are of; while there are none, the first",
+        examples=["map-0a1b"],
+    )
     alternatives: list[PlaceProbability]
     evidence: Evidence
     preparing: float | None = Field(
@@ -83,7 +89,9 @@ class CurrentPlace(Model):
     )
     reason: str = Field(description="in a sentence", examples=["84 landmarks of the map were recognised 0.2 s ago"])
     t_robot_ns: int | None = Field(description="sensor time the answer is about, robot clock")
-    pose_map: list[float] | None = Field(description="T_map_cam of the newest recognised picture, row-major 4x4")
+    pose_map: list[float] | None = Field(
+        description="T_map_cam of the newest picture, row-major 4x4; null when it was not recognised in `map`"
+    )
 
 
 class VisitModel(Model):
@@ -190,7 +198,8 @@ class MapModel(Model):
     id: str
     name: str
     places: int
-    active: bool
+    active: bool = Field(description="robots are looked for in it")
+    first: bool = Field(description="it is the active map whose places GET /places and GET /graph show")
     damaged: str = Field(description="a sentence, where the map cannot be read", examples=[""])
 
 
@@ -210,7 +219,21 @@ class NewName(Question):
 
 
 class MapChoice(Question):
+    """Where robots are looked for."""
+
     id: str | None = Field(description="null: no map", examples=["map-0a1b"])
+    also: list[str] = Field(
+        default_factory=list,
+        max_length=MAX_ACTIVE_MAPS - 1,
+        description="further maps, of other rooms; their order means nothing",
+        examples=[["map-7c2d"]],
+    )
+
+    @model_validator(mode="after")
+    def _has_a_first(self) -> Self:
+        if self.id is None and self.also:
+            raise ValueError("no map is to be in use, and yet others also: name one of them as id")
+        return self
 
 
 class NavigationModel(Model):

@@ -40,7 +40,7 @@ from station.events import LogLine
 from station.jobs import Job
 from station.live import NO_PLACE
 from station.locating import Visit
-from station.map_library import ActiveMap, PlacesChange
+from station.map_library import ActiveMap, Maps, PlacesChange
 from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapSummary
 from station.navigation import Navigation
@@ -120,12 +120,12 @@ def robot_entry(robot: RobotSession) -> RobotEntry:
 def current_place(robot: RobotSession) -> CurrentPlace:
     """The answer to the question all this is for."""
     report = robot.locating.report
-    active = robot.maps.active
-    map_id = active.place_map.id if active else None
-    known = {place.id: place for place in active.visible_places} if active else {}
+    first = robot.maps.active
+    active = None if report is None else robot.maps.among_active(report.map_id)
     # Places may have been renamed, hidden or merged since the answer was made: what they are now counts.
+    known = {place.id: (place, one) for one in robot.maps.all_active for place in one.visible_places}
     is_outdated = report is not None and report.answer.place is not None and report.answer.place.id not in known
-    if report is None or active is None or report.map_id != map_id or is_outdated:
+    if report is None or active is None or is_outdated:
         return CurrentPlace(
             state="unknown",
             place=None,
@@ -133,31 +133,32 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             distance_m=None,
             position_map=None,
             age_s=None,
-            map=map_id,
+            map=first.place_map.id if first else None,
             alternatives=[],
             evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
             reason=_no_answer_yet(robot),
-            preparing=robot.locating.progress if active is not None else None,
+            preparing=robot.locating.progress if first else None,
             t_robot_ns=None,
             pose_map=None,
         )
-    answer = report.answer
+    answer, map_id = report.answer, report.map_id
     likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
     is_metric = active.place_map.navigation.is_metric
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
     has_query = evidence_ns is not None and robot.locating.query_image(evidence_ns) is not None
     return CurrentPlace(
         state=answer.state,
-        place=PlaceName(id=answer.place.id, name=known[answer.place.id].name) if answer.place else None,
+        place=PlaceName(id=answer.place.id, name=known[answer.place.id][0].name) if answer.place else None,
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
         age_s=_age_s(robot, answer.t_robot_ns),
         map=map_id,
         alternatives=[
-            PlaceProbability(id=c.id, name=known[c.id].name, probability=_probability(c.probability))
+            PlaceProbability(id=c.id, name=place.name, probability=_probability(c.probability), map=one.place_map.id)
             for c in answer.alternatives
             if c.id in known
+            for place, one in [known[c.id]]
         ],
         evidence=Evidence(
             query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,
@@ -237,12 +238,13 @@ def route_model(place_map: PlaceMap, route: Route) -> RouteModel:
     )
 
 
-def map_model(summary: MapSummary, active: ActiveMap | None) -> MapModel:
+def map_model(summary: MapSummary, maps: Maps) -> MapModel:
     return MapModel(
         id=summary.id,
         name=summary.name,
         places=summary.places,
-        active=active is not None and active.place_map.id == summary.id,
+        active=maps.among_active(summary.id) is not None,
+        first=maps.active is not None and maps.active.place_map.id == summary.id,
         damaged=summary.damaged,
     )
 

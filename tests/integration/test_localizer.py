@@ -117,7 +117,7 @@ def test_evidence_carries_the_pictures_own_time_whatever_the_cameras_shift(tmp_p
     MapStore(tmp_path).save(place_map)
     told: list[object] = []
     servant = PlaceServant(told.append)
-    servant.load(StoreAddress(tmp_path), place_map.id)
+    servant.load(StoreAddress(tmp_path), (place_map.id,))
     progress = [event.fraction for event in told if isinstance(event, MapReading)]
     assert progress == sorted(progress) and 0.0 <= progress[0] < 1.0  # who waits is told how far it is
     camera = msgspec.structs.replace(CAMERA, time_shift_s=0.03)

@@ -106,7 +106,7 @@ def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(
     assert (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
     told: list[HijackNotice | MapReading] = []
     servant = PlaceServant(told.append)
-    servant.load(address, built.map_id)
+    servant.load(address, (built.map_id,))
     assert told == []
     servant.calibrate(CALIBRATION)
     alone = Localizer(MapStore(address).load(built.map_id))

@@ -80,7 +80,7 @@ async def locating(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> AsyncIter
     locating = Locating(StoreAddress(tmp_path), LocalizationConfig(rate_hz=30), Events())
     task = asyncio.create_task(locating.run())
     locating.on_connected(hello())
-    await locating.use("map")
+    await locating.use(("map",))
     yield locating
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
@@ -203,5 +203,5 @@ async def test_a_map_that_cannot_be_read_is_given_up(locating: Locating, monkeyp
         raise DataError("the map is broken")
 
     monkeypatch.setattr(FakeWorker, "call", broken)
-    await locating.use("other")
+    await locating.use(("other",))
     await until(lambda: locating.offer(picture(7)) or locating.status == "no localisation: the map is broken")

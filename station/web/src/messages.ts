@@ -84,11 +84,11 @@ export interface CurrentPlace {
   probability: number;
   /** robot to the place's centroid; null without a metric map */
   distance_m: number | null;
-  /** x, y, z of the robot in the map */
+  /** x, y, z of the robot in `map` */
   position_map: number[] | null;
   /** since the picture the answer is about was taken */
   age_s: number | null;
-  /** id of the active map */
+  /** id of the active map that place, position and evidence are of; while there are none, the first */
   map: string | null;
   alternatives: PlaceProbability[];
   evidence: Evidence;
@@ -98,7 +98,7 @@ export interface CurrentPlace {
   reason: string;
   /** sensor time the answer is about, robot clock */
   t_robot_ns: number | null;
-  /** T_map_cam of the newest recognised picture, row-major 4x4 */
+  /** T_map_cam of the newest picture, row-major 4x4; null when it was not recognised in `map` */
   pose_map: number[] | null;
 }
 
@@ -249,9 +249,12 @@ export interface LossesModel {
   imu_lost_in_sensor: number;
 }
 
+/** Where robots are looked for. */
 export interface MapChoice {
   /** null: no map */
   id: string | null;
+  /** further maps, of other rooms; their order means nothing */
+  also: string[];
 }
 
 /** The list of maps, the active one or a name in it changed. */
@@ -266,7 +269,10 @@ export interface MapModel {
   id: string;
   name: string;
   places: number;
+  /** robots are looked for in it */
   active: boolean;
+  /** it is the active map whose places GET /places and GET /graph show */
+  first: boolean;
   /** a sentence, where the map cannot be read */
   damaged: string;
 }
@@ -383,6 +389,8 @@ export interface PlaceProbability {
   name: string;
   /** that it is the nearest one or within 10 % of that: several may sum to more than 1 */
   probability: number;
+  /** id of the active map that it is a place of */
+  map: string;
 }
 
 /** What a person made of the places: renamed, hidden, merged. */
