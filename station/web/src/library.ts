@@ -180,7 +180,7 @@ export class Library {
   private mapRow(m: MapModel, now: () => MapModel): HTMLElement {
     const actions = make("div", { class: "row" });
     const use = (id: string | null) => call("PUT", "/maps/active", { id });
-    if (m.active) actions.append(make("span", { class: "tick" }, "in use"));
+    if (m.active) actions.append(make("span", { class: "tick" }, m.first ? "in use" : "also in use"));
     else if (!m.damaged) actions.append(action("use", "Use", `Use ${m.name}`, () => attempt(() => use(now().id))));
     if (!m.damaged) {
       const more = () => openMap(now(), { use, rename: () => this.rename(`/maps/${now().id}`, now().name, "map") });

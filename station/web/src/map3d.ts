@@ -160,7 +160,7 @@ export class MapView {
   }
 
   showPlace(place: CurrentPlace): void {
-    this.robot.map.place(place.pose_map);
+    this.robot.map.place(place.map === this.wantedMap.id ? place.pose_map : null); // in another active map it is elsewhere
     const id = place.place?.id ?? null;
     if (id !== this.currentPlaceId) {
       this.currentPlaceId = id;
