@@ -29,16 +29,12 @@ class _Choice(msgspec.Struct, frozen=True, omit_defaults=True):
 
 def kept_choice(root: Path) -> tuple[str, ...]:
     """The ids that were chosen last, the first one first; none where nothing was, or nothing that can be read."""
-    try:
-        choice = msgspec.json.decode((root / FILE).read_bytes(), type=_Choice)
-    except (OSError, msgspec.DecodeError):
-        return ()
-    return () if choice.id is None else tuple(dict.fromkeys((choice.id, *choice.also)))
+    return _written(root) or ()
 
 
 def keep_choice(root: Path, chosen: tuple[str, ...]) -> None:
     """Raises Unwritable."""
-    if chosen == kept_choice(root) and (root / FILE).exists():
+    if chosen == _written(root):
         return
     content = msgspec.json.encode(_Choice(chosen[0] if chosen else None, chosen[1:])) + b"\n"
     try:
@@ -50,6 +46,15 @@ def keep_choice(root: Path, chosen: tuple[str, ...]) -> None:
         flush(root)
     except OSError as exc:
         raise cannot_write(root, exc) from exc
+
+
+def _written(root: Path) -> tuple[str, ...] | None:
+    """What the file says; None where it says nothing."""
+    try:
+        choice = msgspec.json.decode((root / FILE).read_bytes(), type=_Choice)
+    except (OSError, msgspec.DecodeError):
+        return None
+    return () if choice.id is None else tuple(dict.fromkeys((choice.id, *choice.also)))
 
 
 def why_not_together(maps: Sequence[PlaceMap]) -> str:
