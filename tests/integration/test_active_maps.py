@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,10 +18,12 @@ from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
 from station.features import DescriptorArray
+from station.kept_index import index_of
 from station.locating import Locating
 from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
-from station.place_report import PlaceReport
+from station.place_report import MapReading, PlaceReport
+from station.place_servant import PlaceServant
 from station.places.appearance import AppearanceIndex
 from station.places.build import build_map
 from station.places.localizer import Localizer
@@ -32,6 +35,7 @@ from tests.station_support import store_map
 from tests.synthetic_home import drive, furnished_room, navigate
 from tests.unit.test_navigation_recording import hello
 
+WORKER_S = 120.0
 WALLS = {"Hall": 1, "Attic": 2}  # what is painted on the wall of each
 
 
@@ -41,6 +45,27 @@ def rooms() -> dict[str, PlaceMap]:
 
 
 POSES = [camera_at(x, 0.1, -0.2, yaw) for yaw in (0.1, -0.3) for x in (-1.4, -0.5, 0.4, 1.3)]
+
+
+@pytest.fixture(scope="module")
+def indexed(rooms: dict[str, PlaceMap], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of the rooms whose indexes are made: that takes a busy machine longer than a test waits for anything."""
+    root = tmp_path_factory.mktemp("maps")
+    keep(root, rooms)
+    for room in rooms.values():
+        index_of(root, room, nothing, nothing)
+    return root
+
+
+def nothing() -> None:
+    """Nobody is told."""
+
+
+def keep(root: Path, rooms: dict[str, PlaceMap]) -> None:
+    store = MapStore(root)
+    for room in rooms.values():
+        store.save(room)
+    store.close()
 
 
 def views(wall: int) -> list[bytes]:
@@ -87,6 +112,15 @@ class Robot:
         )
         self._seq = 0
 
+    async def look_in(self, *maps: PlaceMap) -> None:
+        """Until the worker is ready: the first one of a busy machine loads its libraries for half a minute."""
+        await self.locating.use(tuple(one.id for one in maps))
+        first = CameraFrame(seq=0, t_robot_ns=0, exposure_ns=0, width=640, height=480, skipped=0, jpeg=b"")
+        self.locating.offer(first)
+        async with asyncio.timeout(WORKER_S):
+            while "localisation is ready" not in self.said("place"):
+                await asyncio.sleep(0.02)
+
     async def look(self, views: Sequence[bytes], from_s: float) -> PlaceReport:
         """One picture in a while, so that none is compared with the one before; the answer to the last one."""
         for number, view in enumerate(views):
@@ -108,11 +142,8 @@ class Robot:
 
 
 @pytest.fixture
-async def robot(tmp_path: Path, rooms: dict[str, PlaceMap]) -> AsyncIterator[Robot]:
-    store = MapStore(tmp_path)
-    for room in rooms.values():
-        store.save(room)
-    store.close()
+async def robot(tmp_path: Path, indexed: Path) -> AsyncIterator[Robot]:
+    shutil.copytree(indexed, tmp_path, dirs_exist_ok=True)
     robot = Robot(tmp_path)
     running = asyncio.create_task(robot.locating.run())
     robot.locating.on_connected(msgspec.structs.replace(hello(), calibration=CALIBRATION))
@@ -126,9 +157,7 @@ async def test_a_robot_carried_off_to_another_map_is_found_there_and_the_event_s
     robot: Robot, rooms: dict[str, PlaceMap]
 ) -> None:
     hall, attic = rooms.values()
-    await robot.locating.use((hall.id, attic.id))
-    robot.locating.offer(CameraFrame(seq=0, t_robot_ns=0, exposure_ns=0, width=640, height=480, skipped=0, jpeg=b""))
-    await until(lambda: robot.locating.status == "looking at the first picture")
+    await robot.look_in(hall, attic)
     before = await robot.look(views(WALLS["Hall"])[:4], 1.0)
     assert before.map_id == before.answer.map_id == hall.id and before.answer.state == "known"
     assert before.answer.place is not None and before.answer.place.id in {place.id for place in hall.places}
@@ -148,13 +177,31 @@ async def test_a_map_that_went_is_left_out_by_the_worker_and_the_other_answers(
     store = MapStore(tmp_path)
     store.delete(hall.id)
     store.close()
-    await robot.locating.use((hall.id, attic.id))
-    robot.locating.offer(CameraFrame(seq=0, t_robot_ns=0, exposure_ns=0, width=640, height=480, skipped=0, jpeg=b""))
-    await until(lambda: robot.locating.status == "looking at the first picture")
+    await robot.look_in(hall, attic)
     answer = await robot.look(views(WALLS["Attic"])[:4], 1.0)
     assert answer.map_id == attic.id and answer.answer.state == "known"
     [line] = [text for text in robot.said("place") if "not looked for" in text]
     assert hall.id in line
+
+
+def test_the_worker_tells_how_far_all_maps_are_and_takes_the_new_names_of_one(
+    tmp_path: Path, rooms: dict[str, PlaceMap]
+) -> None:
+    keep(tmp_path, rooms)
+    told: list[object] = []
+    servant = PlaceServant(told.append)
+    servant.load(StoreAddress(tmp_path), tuple(room.id for room in rooms.values()))
+    readings = [event for event in told if isinstance(event, MapReading)]
+    assert [reading.fraction for reading in readings] == sorted(reading.fraction for reading in readings)
+    assert readings[0].text == "looking at picture 1 of 7 of Hall" and readings[-1].text.endswith("7 of 7 of Attic")
+    servant.calibrate(CALIBRATION)
+    attic = rooms["Attic"]
+    servant.regroup(attic.id, tuple(replace(place, name=f"{place.name} up") for place in attic.places), attic.edges)
+    frames = [replace(frame(view), t_robot_ns=4_000_000_000 * k) for k, view in enumerate(views(WALLS["Attic"])[:4])]
+    answers = [servant.answer(one).answer for one in frames]
+    names = {candidate.name for candidate in answers[-1].alternatives}
+    assert answers[-1].place is not None and answers[-1].place.name.endswith(" up")
+    assert {place.name for place in rooms["Hall"].places} <= names
 
 
 async def test_a_set_is_chosen_listed_asked_and_refused_by_http(tmp_path: Path) -> None:
