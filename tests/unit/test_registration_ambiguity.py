@@ -7,9 +7,10 @@ import pytest
 
 from benchmarks.registration_clouds import CloudPair, make_pair
 from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, transform, yaw_rotation
-from station.places.registration import Rays, register, register_clouds
-from station.places.registration.free_space import violation_share
+from station.places.registration import Rays, register, register_clouds, verify
+from station.places.registration.free_space import watched_points
 from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.verify import MIN_WATCHED
 
 TUMBLED = se3(so3_exp(np.array([1.1, -0.7, 1.9])), np.array([2.0, -1.0, 0.5]))  # upside down, nearly
 needs_kiss = pytest.mark.skipif(not kiss_is_available(), reason="KISS-Matcher has no wheel here")
@@ -110,24 +111,34 @@ def wall_seen_through(depth: float) -> tuple[FloatArray, FloatArray, Rays]:
 @pytest.mark.parametrize(("depth", "share"), [(2.0, 1.0), (4.0, 0.0)])
 def test_what_would_hang_where_the_other_drive_saw_through_is_counted(depth: float, share: float) -> None:
     wall, other, rays = wall_seen_through(depth)
-    assert violation_share(wall, rays, other, 0.2, np.random.default_rng(0)) == pytest.approx(share, abs=0.05)
+    watched = watched_points(wall, rays, other, 0.2, np.random.default_rng(0))
+    assert watched.share == pytest.approx(share, abs=0.05) and watched.points > 0.9 * len(other)
 
 
 def test_free_space_says_nothing_of_what_nobody_watched() -> None:
     wall, other, rays = wall_seen_through(2.0)
-    assert np.isnan(violation_share(wall, rays, other + np.array([0.0, 50.0, 0.0]), 0.2, np.random.default_rng(0)))
+    elsewhere = watched_points(wall, rays, other + np.array([0.0, 50.0, 0.0]), 0.2, np.random.default_rng(0))
+    assert elsewhere.points == 0 and np.isnan(elsewhere.share)
     nowhere = Rays(np.full((1, 3), np.nan), rays.viewpoint, rays.point)
-    assert np.isnan(violation_share(wall, nowhere, other, 0.2, np.random.default_rng(0)))
+    assert watched_points(wall, nowhere, other, 0.2, np.random.default_rng(0)).points == 0
 
 
-def test_an_alignment_through_which_the_other_drive_looked_is_refused(pair: CloudPair) -> None:
+def test_an_alignment_through_which_the_other_drive_looked_is_refused_unless_few_points_say_so(
+    pair: CloudPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same pair; sixty landmarks far above were seen from below, through whatever the alignment puts there."""
     below = pair.target[:: len(pair.target) // 60][:60]
     target = np.concatenate([pair.target, below + np.array([0.0, 0.0, 8.0])])
     far = len(pair.target) + np.arange(60)
     rays = Rays(below - np.array([0.0, 0.0, 3.0]), np.repeat(np.arange(60), 3), np.repeat(far, 3))
-    assert register_clouds(target, pair.source).accepted
+    without = register_clouds(target, pair.source)
+    assert without.accepted and "free-space violation" not in without.evidence
     result = register_clouds(target, pair.source, target_rays=rays)
     assert not result.accepted
     [reason] = result.reasons
     assert "saw through empty space" in reason
+    share, points = result.evidence["free-space violation"], result.evidence["watched points"]
+    assert f"{share:.0%} of the points" in reason and points >= MIN_WATCHED
+    monkeypatch.setattr(verify, "MIN_WATCHED", points + 1)
+    of_few = register_clouds(target, pair.source, target_rays=rays)
+    assert of_few.accepted and of_few.evidence["free-space violation"] == share  # told, but no reason

@@ -18,21 +18,32 @@ class Rays:
     point: IntArray  # (K,) index into the cloud
 
 
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """Points of one cloud in the space that the other drive watched: on its surfaces, or where it saw through."""
+
+    points: int  # all of them
+    violating: int  # those where rays went through
+
+    @property
+    def share(self) -> float:
+        """Violating ones, 0..1; nan where nothing was watched."""
+        return self.violating / self.points if self.points else float("nan")
+
+
 MAX_RAYS = 20_000
 MIN_RAYS_PER_VOXEL = 2  # one ray may belong to a false landmark
 
 
-def violation_share(
+def watched_points(
     p_rays: FloatArray, rays: Rays, p_other: FloatArray, voxel: float, rng: np.random.Generator
-) -> float:
-    """Share of p_other inside the watched space that lies where rays of the first cloud went through.
+) -> Watched:
+    """How many of p_other lie in the space that rays of the first cloud watched, and where they went through.
 
     Args:
         p_rays: (N, 3) the cloud the rays end in.
         p_other: (M, 3) the other cloud, in the same frame.
         voxel: resolution; the last two voxels before a landmark do not count as free.
-    Returns:
-        0..1; nan when no point of p_other is in watched space.
     """
     pick = np.arange(len(rays.point))
     if len(pick) > MAX_RAYS:
@@ -45,11 +56,11 @@ def violation_share(
     usable = length > 3 * voxel
     start, end, length = start[usable], end[usable], length[usable]
     if not len(start):
-        return float("nan")
+        return Watched(0, 0)
     low = np.minimum(start.min(axis=0), end.min(axis=0)) - voxel
     shape = (np.ceil((np.maximum(start.max(axis=0), end.max(axis=0)) - low) / voxel) + 2).astype(int)
     if np.prod(shape.astype(float)) > 5e7:
-        return float("nan")
+        return Watched(0, 0)
     free = np.zeros(int(np.prod(shape)), dtype=np.int32)
     steps = np.arange(0.5, float(length.max()) / voxel, 1.0) * voxel
     for distance in steps:
@@ -63,7 +74,7 @@ def violation_share(
     # A voxel with landmarks is a surface even when some rays graze it.
     is_free = (free[where] >= MIN_RAYS_PER_VOXEL) & (free[where] > 4 * occupied[where])
     watched = is_free | (occupied[where] > 0)
-    return float(is_free[watched].mean()) if watched.any() else float("nan")
+    return Watched(int(np.count_nonzero(watched)), int(np.count_nonzero(is_free)))
 
 
 def _flat_index(p: FloatArray, low: FloatArray, voxel: float, shape: IntArray) -> IntArray:

@@ -147,7 +147,7 @@ def register_clouds(
         rmse=score.rmse,
         inlier_ratio=score.inlier_ratio,
         confidence=verdict.confidence,
-        evidence=evidence.features(),
+        evidence=evidence.features() | verdict.checked,
         overlap=score.overlap,
         covariance=verdict.covariance,
         eigenvalues=verdict.eigenvalues,

@@ -8,7 +8,7 @@ import numpy as np
 
 from shared.geometry import FloatArray
 from station.places.registration.cloud import PreparedCloud
-from station.places.registration.free_space import Rays, violation_share
+from station.places.registration.free_space import Rays, Watched, watched_points
 from station.places.registration.parts import PartsApart
 from station.places.registration.refine import Refined, scale_of
 from station.places.registration.result import Gravity, Scale
@@ -41,6 +41,7 @@ MAX_SCALES = 0.015
 MAX_TILT_RAD = np.radians(6.0)
 MIN_EIGENVALUE = 0.01
 MAX_VIOLATION = 0.5
+MIN_WATCHED = 30  # points in watched space; a share of fewer says nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +97,9 @@ class Verdict:
     reasons: tuple[str, ...]
     covariance: FloatArray | None
     eigenvalues: FloatArray | None
+    checked: dict[str, float]  # what the checks measured beside the features, as far as they were made:
+    # "free-space violation": share of the watched points that would hang where the other drive saw through;
+    # "watched points": how many those are.
 
 
 def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
@@ -138,14 +142,17 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
     covariance, eigenvalues = _uncertainty(e)
     if eigenvalues is not None and eigenvalues[0] < MIN_EIGENVALUE:
         against.append(f"one direction is hardly determined (eigenvalue {eigenvalues[0]:.4f} per point)")
-    violation = _violation(e, rng)
-    if violation > MAX_VIOLATION:
-        against.append(f"{violation:.0%} of the points would hang where the other drive saw through empty space")
+    checked: dict[str, float] = {}
+    watched = _watched(e, rng)
+    if watched.points:
+        checked |= {"free-space violation": watched.share, "watched points": watched.points}
+    if watched.points >= MIN_WATCHED and watched.share > MAX_VIOLATION:
+        against.append(f"{watched.share:.0%} of the points would hang where the other drive saw through empty space")
     if against:
-        return Verdict(False, confidence, tuple(against), covariance, eigenvalues)
+        return Verdict(False, confidence, tuple(against), covariance, eigenvalues, checked)
     pro = [f"{e.score.inlier_share:.0%} of the points lie on the other cloud's surfaces"]
     pro.append(f"right with {confidence:.1%}; the next best alignment fits {ratio:.0%} as well")
-    return Verdict(True, confidence, tuple(pro), covariance, eigenvalues)
+    return Verdict(True, confidence, tuple(pro), covariance, eigenvalues, checked)
 
 
 def _uncertainty(e: Evidence) -> tuple[FloatArray | None, FloatArray | None]:
@@ -164,15 +171,15 @@ def _uncertainty(e: Evidence) -> tuple[FloatArray | None, FloatArray | None]:
     return covariance, values
 
 
-def _violation(e: Evidence, rng: np.random.Generator) -> float:
-    """The larger free-space violation of both directions; 0 without viewpoints."""
+def _watched(e: Evidence, rng: np.random.Generator) -> Watched:
+    """What free space says: of both directions that with enough points and the larger share; no points without rays."""
     T = e.refined.T_target_source
-    shares = [0.0]
+    found = [Watched(0, 0)]
     if e.target_rays is not None:
         moved = e.source.points @ T[:3, :3].T + T[:3, 3]
-        shares.append(violation_share(e.target_given, e.target_rays, moved, e.voxel, rng))
+        found.append(watched_points(e.target_given, e.target_rays, moved, e.voxel, rng))
     if e.source_rays is not None:
         back = inverse_similarity(T)
         moved = e.target.points @ back[:3, :3].T + back[:3, 3]
-        shares.append(violation_share(e.source_given, e.source_rays, moved, e.voxel / scale_of(T), rng))
-    return float(np.nanmax(shares))
+        found.append(watched_points(e.source_given, e.source_rays, moved, e.voxel / scale_of(T), rng))
+    return max(found, key=lambda w: (w.points >= MIN_WATCHED, w.share if w.points else -1.0))
