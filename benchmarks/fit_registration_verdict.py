@@ -3,8 +3,8 @@
     python -m benchmarks.fit_registration_verdict [--pairs 100] [--rows FILE.jsonl]
 
 Logistic regression (weight decay 1 on standardised features) on the training seeds of every set of
-bench_registration.py. `--rows` keeps what was measured, and goes on from there. Beside the weights it prints, by
-ten-fold cross validation, how many right and wrong alignments would have been believed at several limits.
+bench_registration.py but "mis-scaled". `--rows` keeps what was measured, and goes on from there. Beside the weights it
+prints, by ten-fold cross validation, how many right and wrong alignments would have been believed at several limits.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from shared.geometry import FloatArray
 from station.places.registration import register_clouds
 from station.places.registration.verify import WEIGHTS
 
+# A wrong unit has a check of its own in verify.py; the seven figures cannot see it.
+LEARNED = [name for name in SETS if "unit_error" not in SETS[name]]
 LIMITS = (0.5, 0.7, 0.8, 0.85, 0.9, 0.95)
 
 
@@ -72,7 +74,7 @@ def main() -> None:
         rows = [json.loads(line) for line in a.rows.read_text().splitlines()]
     done = {(row["set"], row["seed"]) for row in rows}
     for seed in range(FIRST_SEED["train"], FIRST_SEED["train"] + a.pairs):  # of all sets in turn: stop it when you like
-        for name in SETS:
+        for name in LEARNED:
             if (name, seed) in done:
                 continue
             rows.append(measure(name, seed))
@@ -95,7 +97,7 @@ def main() -> None:
         counts = {
             str(name): f"{np.sum(believed & right & (sets == name))} of {np.sum(right & (sets == name))} right, "
             f"{np.sum(believed & ~right & (sets == name))} wrong"
-            for name in SETS
+            for name in LEARNED
         }
         print(f"believed above {limit}:", json.dumps(counts))
 

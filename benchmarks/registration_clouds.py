@@ -188,10 +188,12 @@ def make_pair(
     noise_m: float = 0.02,
     same_flat: bool = True,
     shared_landmarks: bool = True,
+    unit_error: tuple[float, float] | None = None,
 ) -> CloudPair:
     """A random pair; yaw anywhere, translation up to 3 m per axis (1 m vertically), scale within 1 ± scale_range.
 
     `shared_landmarks` False: the drives share surfaces but not one landmark (two detectors, other light).
+    `unit_error`: the source is made too large or too small, by a share between these two.
     """
     rng = np.random.default_rng([seed, 7])
     flat = make_flat(1000 + seed)
@@ -216,6 +218,10 @@ def make_pair(
     origin = np.array([*flat.extent / 2, 1.0])
     T_target_source = se3(scale * R, t)
     source = (p_source_world - origin - t) @ R / scale
+    if unit_error is not None:
+        factor = 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(*unit_error))
+        source *= factor
+        T_target_source = se3(scale / factor * R, t)
     return CloudPair(
         target=target - origin,
         source=source,
