@@ -44,6 +44,13 @@ def test_a_source_of_a_wrong_unit_is_refused_with_both_scales_and_a_remedy(pair:
         assert 0 < result.evidence["freed scale's noise"] < 0.003
 
 
+def test_a_scale_known_less_well_may_be_off_by_more(pair: CloudPair) -> None:
+    result = register_clouds(pair.target, 1.02 * pair.source, known_to=0.03)
+    assert result.accepted, result.reasons
+    assert result.scale == pytest.approx(1.0, abs=1e-9)
+    assert result.evidence["freed scale"] == pytest.approx(1 / 1.02, abs=0.006)
+
+
 def test_a_right_scale_stays_where_it_is_and_is_told(pair: CloudPair) -> None:
     result = register_clouds(pair.target, pair.source)
     assert result.accepted, result.reasons

@@ -20,7 +20,7 @@ from station.places.registration.parts import parts_apart
 from station.places.registration.refine import Refined, measure_residuals, refine, scale_of
 from station.places.registration.result import Alternative, Backend, Gravity, Registration, Scale, refused
 from station.places.registration.score import Contrast, Score, contrast_of, landed_apart, score_alignment
-from station.places.registration.verify import Evidence, judge
+from station.places.registration.verify import KNOWN_TO, Evidence, judge
 from station.places.registration.yaw_search import Candidate, SearchConfig, search_yaw
 
 FREE_SCALE_RANGE = (0.78, 1.28)  # clouds in one unit: the scale drift of visual SLAM, and a margin
@@ -57,6 +57,7 @@ def register_clouds(
     target_rays: Rays | None = None,
     source_rays: Rays | None = None,
     scale_range: tuple[float, float] | None = None,
+    known_to: float = KNOWN_TO,
     start: tuple[FloatArray, ...] = (),
     search: bool = True,
 ) -> Registration:
@@ -72,6 +73,7 @@ def register_clouds(
         target_rays, source_rays: who saw which point, for the free-space check.
         scale_range: allowed scale when free; by default 0.78..1.28, or about the ratio of the clouds' sizes when that
             shows different units.
+        known_to: how far a known scale may be off, relative: refused where the clouds, left free, say more.
         start: guesses (4, 4) to refine beside those of the global search.
         search: False refines the guesses only: something else than geometry has found them.
     Returns:
@@ -132,6 +134,7 @@ def register_clouds(
         voxel=voxel,
         scale=scale,
         scale_range=ranges,
+        known_to=known_to,
         gravity=gravity,
         target_rays=target_rays,
         source_rays=source_rays,

@@ -43,11 +43,12 @@ MAX_TILT_RAD = np.radians(6.0)
 MIN_EIGENVALUE = 0.01
 MAX_VIOLATION = 0.5
 MIN_WATCHED = 30  # points in watched space; a share of fewer says nothing
-# How far a known scale may move once it is left free. Training pairs, seeds 520 to 579: 31 right ones at most 0.31 %,
-# 40 with little overlap 0.68 %; accepted ones with a source 2 % too large or small at least 1.41 % (46; of 26 with
-# little overlap two less than 1 %), 5 % too large or small 1.84 % (20). In clouds of 300 to 1000 points (seeds 600 to
-# 647) 36 right ones move by up to 1.41 %, none of them by more than 1 % and three standard deviations.
-MAX_FREED = 0.01
+# How far a known scale may move once it is left free, unless the caller knows it less well. Training pairs, seeds 520
+# to 579: 31 right ones at most 0.31 %, 40 with little overlap 0.68 %; accepted ones with a source 2 % too large or
+# small at least 1.41 % (46; of 26 with little overlap two less than 1 %), 5 % too large or small 1.84 % (20). In clouds
+# of 300 to 1000 points (seeds 600 to 647) 36 right ones move by up to 1.41 %, none of them by more than 1 % and three
+# standard deviations.
+KNOWN_TO = 0.01
 FREED_SIGMAS = 3.0
 FREED_SUBSET = 6000
 
@@ -68,6 +69,7 @@ class Evidence:
     voxel: float
     scale: Scale
     scale_range: tuple[float, float]
+    known_to: float  # how far a known scale may be off, relative
     gravity: Gravity
     target_rays: Rays | None
     source_rays: Rays | None
@@ -163,10 +165,10 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
         checked |= freed
         moved = freed.get("freed scale", 1.0)
         off = abs(float(np.log(moved)))
-        if off > MAX_FREED and off > FREED_SIGMAS * freed.get("freed scale's noise", np.inf):
+        if off > e.known_to and off > FREED_SIGMAS * freed.get("freed scale's noise", np.inf):
             against.append(
                 f"the scale is given as {scale_of(T):.4g}, but left free the clouds fit best at "
-                f"{moved * scale_of(T):.4f}, {off:.1%} off where {MAX_FREED:.1%} is allowed: one unit is wrong, "
+                f"{moved * scale_of(T):.4f}, {off:.1%} off where {e.known_to:.1%} is allowed: one unit is wrong, "
                 "or a map is bent; convert it, or use scale free (--scale free)"
             )
     if against:
@@ -215,7 +217,7 @@ def _freed_scale(e: Evidence, rng: np.random.Generator) -> dict[str, float]:
     if freed is None:
         return {}
     out = {"freed scale": scale_of(freed) / scale_of(T)}
-    if abs(np.log(out["freed scale"])) > MAX_FREED:
+    if abs(np.log(out["freed scale"])) > e.known_to:
         noise = noise_of_scale(e.target, e.source, freed, subset=subset, voxel=e.voxel, upright=upright, rng=rng)
         if noise is not None:  # else too few points meet to say that it is wrong
             out["freed scale's noise"] = noise

@@ -1,5 +1,7 @@
 """A second drive through a known room finds its places again; another room does not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from station.evaluation.matches import judge_matches, true_landmarks
 from station.maps.map import PlaceMap
 from station.navigation import Navigation
 from station.places import match
+from station.places.align import align_navigation
 from station.places.build import build_map
 from station.places.clusters import Clusters
 from station.places.config import PlacesConfig, ThesisConfig
@@ -67,6 +70,24 @@ def test_small_places_are_found_in_a_location_as_large_as_the_room(
     assert len(place_map.places) > 5  # so that each is less than a fifth of the room
     assert judgement.precision == 1.0
     assert judgement.recall is not None and judgement.recall >= 0.8
+
+
+@pytest.mark.parametrize(("factor", "accepted"), [(0.98, True), (0.96, False)])
+def test_a_metric_drive_may_be_as_wrong_in_scale_as_slam_is_but_not_more(
+    first: tuple[PlaceMap, FloatArray], second: tuple[Navigation, FloatArray], factor: float, accepted: bool
+) -> None:
+    navigation, _ = second
+    keyframes = navigation.keyframes
+    T_world_cam = keyframes.T_world_cam.copy()
+    T_world_cam[:, :3, 3] *= factor
+    carried = replace(
+        navigation,
+        landmarks=replace(navigation.landmarks, p_world=factor * navigation.landmarks.p_world),
+        keyframes=replace(keyframes, T_world_cam=T_world_cam),
+    )
+    found = align_navigation(first[0], carried, PlacesConfig())
+    assert found.evidence["freed scale"] == pytest.approx(1 / factor, abs=0.006)
+    assert found.accepted is accepted, found.reasons
 
 
 def test_another_room_gives_no_matches(first: tuple[PlaceMap, FloatArray]) -> None:
