@@ -11,6 +11,7 @@ from station.places.registration import register_clouds, verify
 from station.places.registration.cloud import PreparedCloud, prepare_cloud
 from station.places.registration.freed_scale import free_the_scale, noise_of_scale
 from station.places.registration.refine import scale_of
+from station.places.registration.register import _odd_sizes
 
 VOXEL = 0.2
 
@@ -114,3 +115,10 @@ def test_the_benchmark_s_wrong_units_are_as_large_as_asked_and_change_no_other_s
         landed = wrong.source @ wrong.T_target_source[:3, :3].T + wrong.T_target_source[:3, 3]
         expected = right.source @ right.T_target_source[:3, :3].T + right.T_target_source[:3, 3]
         np.testing.assert_allclose(landed, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(("factor", "helps"), [(3.28, False), (20.0, True)])
+def test_scale_free_is_advised_only_where_it_would_look(factor: float, helps: bool) -> None:
+    p = np.random.default_rng(0).normal(size=(500, 3))
+    [sentence] = _odd_sizes(p, factor * p, "known", (1.0, 1.0))
+    assert "convert one" in sentence and ("scale free" in sentence) == helps

@@ -195,8 +195,11 @@ def _odd_sizes(target: FloatArray, source: FloatArray, scale: Scale, scales: tup
     ratio = _size(target) / _size(source)
     if 1 / ODD_RATIO < ratio < ODD_RATIO or scales[0] <= ratio <= scales[1]:
         return ()
-    remedy = "or use scale free" if scale == "known" else f"as scales of {scales[0]:.3g} to {scales[1]:.3g} were tried"
-    return (f"{_larger(ratio)}: if they are in different units, convert one, {remedy}",)
+    remedy = f", as scales of {scales[0]:.3g} to {scales[1]:.3g} were tried"
+    if scale == "known":
+        low, high = _scale_range(target, source, "free", None, search=True)
+        remedy = ", or use scale free" if low <= ratio <= high else ""
+    return (f"{_larger(ratio)}: if they are in different units, convert one{remedy}",)
 
 
 def _size(points: FloatArray) -> float:
