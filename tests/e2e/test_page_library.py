@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 
 import pytest
 from playwright.async_api import Page, expect
@@ -11,7 +12,7 @@ from playwright.async_api import Page, expect
 from station.maps.store import MapStore
 from tests.e2e.conftest import Room
 from tests.integration.test_station_drives import keep_drive
-from tests.link_support import until
+from tests.link_support import WAIT_S, until
 from tests.station_support import store_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
@@ -136,10 +137,22 @@ async def open_with_gamepad(room: Room) -> Page:
     return page
 
 
-async def hold_gamepad(room: Room, page: Page) -> None:
-    """Forward, until the motors run."""
-    await page.evaluate("pad.axes = [0, -1]")
-    await until(lambda: room.motors_run)
+async def hold_gamepad(room: Room, page: Page, axes: str = "[0, -1]") -> None:
+    """Hold the stick until the motors run. After a halt (a late picture on a busy machine) it must be let go first."""
+    deadline = time.monotonic() + WAIT_S
+    while not room.motors_run:
+        assert time.monotonic() < deadline, "the motors never ran"
+        await page.evaluate("pad.axes = [0, 0]")
+        await two_ticks(page)
+        await page.evaluate(f"pad.axes = {axes}")
+        held_until = time.monotonic() + 1.0
+        while not room.motors_run and time.monotonic() < held_until:
+            await asyncio.sleep(0.02)
+
+
+async def two_ticks(page: Page) -> None:
+    """Until two of the page's driving ticks have read the stick."""
+    await page.evaluate("() => new Promise((done) => setTimeout(done, 120))")
 
 
 async def test_a_gamepad_drives_while_its_stick_is_held(room: Room) -> None:
@@ -148,8 +161,7 @@ async def test_a_gamepad_drives_while_its_stick_is_held(room: Room) -> None:
     assert room.bench.motors.history[-1][1] > 0
     await page.evaluate("pad.axes = [0.02, 0.03]")  # a stick never rests at exactly nothing
     await until(lambda: room.motors_rest)
-    await page.evaluate("pad.axes = [-1, 0]")
-    await until(lambda: room.motors_run)
+    await hold_gamepad(room, page, "[-1, 0]")
     assert room.bench.motors.history[-1][2] > 0
     await page.evaluate("pad.connected = false")
     await until(lambda: room.motors_rest)
@@ -165,10 +177,8 @@ async def test_a_stop_while_the_gamepad_is_held_lasts_until_it_is_let_go(room: R
     await until(lambda: room.film.count > seen + 10)
     assert all(entry[1:] == (0.0, 0.0) for entry in room.bench.motors.history[stopped:])
     await page.evaluate("pad.axes = [0, 0]")
-    # Two of the page's driving ticks have read the stick at rest.
-    await page.evaluate("() => new Promise((done) => setTimeout(done, 120))")
-    await page.evaluate("pad.axes = [0, -1]")
-    await until(lambda: room.motors_run)
+    await two_ticks(page)
+    await hold_gamepad(room, page)
 
 
 async def test_the_head_is_pointed_from_the_page(room: Room) -> None:
