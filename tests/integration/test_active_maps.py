@@ -164,9 +164,9 @@ async def test_a_robot_carried_off_to_another_map_is_found_there_and_the_event_s
     after = await robot.look(views(WALLS["Attic"]), 20.0)
     assert after.map_id == after.answer.map_id == attic.id and after.answer.state == "known"
     assert after.answer.place is not None and after.answer.place.id in {place.id for place in attic.places}
-    assert after.T_map_cam is not None and after.answer.position_map is not None
-    assert np.allclose(after.T_map_cam[:3, 3], POSES[-1][:3, 3], atol=0.03)
-    assert np.allclose(after.answer.position_map, after.T_map_cam[:3, 3], atol=0.3)  # in the attic's frame
+    assert after.T_map_cam is not None and np.allclose(after.T_map_cam[:3, 3], POSES[-1][:3, 3], atol=0.03)
+    position = after.answer.position_map  # in the attic's frame
+    assert position is not None and np.allclose(position, after.T_map_cam[:3, 3], atol=0.3)
     assert robot.said("hijack") == ["the robot was picked up: recognised in another map than it was in"]
 
 

@@ -60,7 +60,8 @@ def test_the_uncertainty_of_the_motion_is_how_much_it_scatters(scale: float) -> 
         seen[:, :3, :3] = np.stack([so3_exp(turn) for turn in rng.normal(0, 0.01, (10, 3))]) @ seen[:, :3, :3]
         found = agree_on_motion(seen, T_nav_cam, tolerance=1.0, fixed_scale=scale == 1.0)
         covariance = covariance_of_motion(seen, T_nav_cam, fixed_scale=scale == 1.0)
-        assert found is not None and len(found[1]) == 10 and covariance is not None
+        assert found is not None and len(found[1]) == 10
+        assert covariance is not None and np.linalg.eigvalsh(covariance).min() > -1e-12
         told.append(covariance)
         ratio = np.cbrt(np.linalg.det(found[0][:3, :3])) / scale
         turn = so3_log(found[0][:3, :3] @ T_map_nav[:3, :3].T / (ratio * scale**2))

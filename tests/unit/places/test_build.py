@@ -113,7 +113,7 @@ def test_the_legs_of_a_route_lead_from_place_to_place_in_the_direction_of_travel
     centroid = {place.id: place.centroid_map for place in place_map.places}
     for start, goal in itertools.permutations(centroid, 2):
         route = shortest_route(place_map, start, goal)
-        assert route is not None
+        assert route is not None and (route.place_ids[0], route.place_ids[-1]) == (start, goal)
         assert [(leg.a, leg.b) for leg in route.legs] == list(itertools.pairwise(route.place_ids))
         assert sum(leg.distance for leg in route.legs) == pytest.approx(route.length)
         for leg in route.legs:

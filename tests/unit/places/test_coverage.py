@@ -112,10 +112,8 @@ def test_in_a_room_driven_through_all_day_as_much_is_in_view_and_not_every_keyfr
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     place_map = room_with_a_door()
-    camera = place_map.navigation.calibration.camera
-    assert camera is not None
     T = se3(yaw_rotation(np.pi), np.array([3.2, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
-    once = Coverage(place_map, 1.0).in_view(T, camera)
+    once = Coverage(place_map, 1.0).in_view(T, CAMERA)
     often = Coverage(repeated(place_map, 20), 1.0)
     asked = []
     seen_by = often._seen.by
@@ -125,7 +123,7 @@ def test_in_a_room_driven_through_all_day_as_much_is_in_view_and_not_every_keyfr
         return seen_by(keyframes)
 
     monkeypatch.setattr(often._seen, "by", by)
-    assert often.in_view(T, camera) == pytest.approx(once, rel=0.1) and once > 0.5
+    assert often.in_view(T, CAMERA) == pytest.approx(once, rel=0.1) and once > 0.5
     assert asked and max(asked) <= MOST_ASKED
 
 
@@ -156,14 +154,12 @@ def repeated(place_map: PlaceMap, times: int) -> PlaceMap:
 def test_landmarks_that_are_nowhere_are_not_in_view() -> None:
     place_map = room_with_a_door()
     landmarks = place_map.navigation.landmarks
-    camera = place_map.navigation.calibration.camera
-    assert camera is not None
     p_world = landmarks.p_world.copy()
     p_world[::2] = np.nan
     half = replace(place_map, navigation=replace(place_map.navigation, landmarks=replace(landmarks, p_world=p_world)))
     T = se3(yaw_rotation(np.pi), np.array([3.2, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
-    every = Coverage(place_map, 1.0).in_view(T, camera)
-    assert Coverage(half, 1.0).in_view(T, camera) == pytest.approx(every, rel=0.25)  # against what is somewhere
+    every = Coverage(place_map, 1.0).in_view(T, CAMERA)
+    assert Coverage(half, 1.0).in_view(T, CAMERA) == pytest.approx(every, rel=0.25)  # against what is somewhere
 
 
 def test_a_robot_behind_the_door_is_told_that_it_is_not_in_the_map() -> None:

@@ -16,7 +16,7 @@ from station.places.coverage import Coverage
 from station.places.current import CurrentPlaceEstimator
 from station.places.likelihoods import FAILS_AT_POSE, FAILS_IN_MAP, FAILS_UNMAPPED, RIGHT, Shown, support
 from tests.places_support import R_BODY_CAM, SECOND, make_map, pose, seen
-from tests.unit.places.test_coverage import room_with_a_door
+from tests.unit.places.test_coverage import CAMERA, room_with_a_door
 
 USUAL = Shown(extent_m=0.2, inliers=60, support=0.2, features=500)
 
@@ -53,13 +53,11 @@ def test_a_failure_speaks_for_a_room_that_no_map_knows_and_against_a_known_view(
 
 def test_what_should_be_in_view_is_counted_where_the_camera_looks() -> None:
     place_map = room_with_a_door()
-    camera = place_map.navigation.calibration.camera
-    assert camera is not None
     coverage = Coverage(place_map, 1.0)
 
     def at(x: float, y: float, yaw: float) -> float:
         T = se3(yaw_rotation(yaw), np.array([x, y, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
-        return coverage.in_view(T, camera)
+        return coverage.in_view(T, CAMERA)
 
     assert at(3.2, 2.0, np.pi) > 0.5  # across the room, from the ring
     assert at(50.0, 2.0, 0.0) == 0.0
