@@ -63,7 +63,7 @@ def trajectory_of(data: Dataset) -> Trajectory:
     return Trajectory(truth.t_robot_ns, truth.T_world_body)
 
 
-def map_drive(path: Path, backend: str, step: int) -> tuple[Navigation, dict[str, Any]]:
+def map_navigation(path: Path, backend: str, step: int) -> tuple[Navigation, dict[str, Any]]:
     """The navigation of the mapping drive, and how far it is from the truth."""
     data = open_dataset(path, None, None, step)
     after = [0.0]
@@ -159,7 +159,7 @@ def run_seed(seed: int, world: str, backend: str, step: int, scratch: Path) -> d
         "--put-down", str(seed), "--fps", "10", "--max-duration", str(SECOND_DRIVE_S),
     )  # fmt: skip
     try:
-        nav, figures = map_drive(first, backend, step)
+        nav, figures = map_navigation(first, backend, step)
         row |= figures
         place_map = build_map(nav)
         row["places"] = len(place_map.places)

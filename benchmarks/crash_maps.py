@@ -28,18 +28,18 @@ from station.places.changes import with_places_merged
 from tests.synthetic_home import drive, furnished_room, navigate
 
 DATABASE = "database-url"  # a file with the URL of a PostgreSQL database; absent: SQLite in the folder
-DRIVES = ("drive-a", "drive-b", "drive-c")  # the first two of one room
+DRIVES = ("nav-a", "nav-b", "nav-c")  # the first two of one room
 NAMED = "Sofa"
 STATIONS = ("desk", "hall")
 
 
-def made_up_drive(number: int) -> Navigation:
+def made_up_navigation(number: int) -> Navigation:
     """A drive through a made-up room with several places."""
     home = furnished_room(1 if number < 2 else 3)
     return navigate(home, drive(home, number + 1, frames=40, turns=1.0), seed=number + 1, name=DRIVES[number])
 
 
-MAP = build_map(made_up_drive(0))
+MAP = build_map(made_up_navigation(0))
 
 
 def variant(number: int) -> PlaceMap:
@@ -236,10 +236,10 @@ def look_at_stations(folder: Path, promised: list[list[object]]) -> str:
 # Building maps of one drive, and of several
 
 
-def prepare_drives(folder: Path) -> None:
+def prepare_navigations(folder: Path) -> None:
     """Three drives, and a map of the first in which a person named a place."""
     for number, name in enumerate(DRIVES):
-        save_navigation(made_up_drive(number), folder / name)
+        save_navigation(made_up_navigation(number), folder / name)
     store = MapStore(address(folder))
     store.save(MAP)
     store.rename_place(MAP.id, MAP.places[0].id, NAMED)
@@ -306,7 +306,7 @@ def built_once(drives: tuple[int, ...], after: tuple[int, ...] = ()) -> PlaceMap
     with tempfile.TemporaryDirectory(prefix="crash-built-") as scratch:
         folder = Path(scratch)
         for number in drives:
-            save_navigation(made_up_drive(number), folder / DRIVES[number])
+            save_navigation(made_up_navigation(number), folder / DRIVES[number])
         for kind in filter(None, (after, drives)):
             built = JobServant(lambda _: None).build_map(
                 [folder / DRIVES[number] for number in kind], StoreAddress(folder / "maps"), "v0", None
@@ -370,9 +370,9 @@ TOGETHER: tuple[tuple[int, ...], ...] = ((0, 1),)
 SCENARIOS = {
     "save": Scenario(save_first, save_on, look_at_saves, 0.6, read_prepared, write_again),
     "first save": Scenario(lambda _: None, save_on, look_at_first_saves, 0.4, read_all, write_again),
-    "build": Scenario(prepare_drives, build_on(ALONE), look_at_built(ALONE), 0.6, read_prepared, write_again),
+    "build": Scenario(prepare_navigations, build_on(ALONE), look_at_built(ALONE), 0.6, read_prepared, write_again),
     "build of two": Scenario(
-        prepare_drives, build_on(TOGETHER), look_at_built(TOGETHER), 3.0, read_prepared, write_again
+        prepare_navigations, build_on(TOGETHER), look_at_built(TOGETHER), 3.0, read_prepared, write_again
     ),
     "rename": Scenario(save_first, rename_on, look_at_names, 0.4, read_prepared, write_again),
     "merge": Scenario(save_first, merge_on, look_at_merges, 0.5, read_prepared, write_again),

@@ -14,7 +14,7 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError
 from shared.messages import CameraFrame, Capabilities, Hello, ImuBatch, ImuSample
 from station.datasets import open_dataset
-from station.drive_library import DriveLibrary, DriveRecord
+from station.navigation_library import NavigationLibrary, NavigationRecord
 from station.recorder import Recorder
 from station.recovery import recover_recording
 
@@ -35,46 +35,46 @@ PICTURE = np.random.default_rng(0).bytes(40_000)
 def record_on(folder: Path, child: Child) -> None:
     """A robot of 20 frames and 225 samples a second, in real time: drive after drive, kept as the station keeps them.
 
-    Promised is the drive and the time of what was handed over; "closed" when it was ended properly; "ended" when the
-    recorder had to end it itself, and said why.
+    Promised is the navigation and the time of what was handed over; "closed" when it was ended properly; "ended" when
+    the recorder had to end it itself, and said why.
     """
-    library = DriveLibrary(folder / "drives")
+    library = NavigationLibrary(folder / "drives")
     child.do(library.open)
     for number in range(10_000):
-        drive = DriveRecord(f"drive-{number}", f"D{number}", "recording", time.time(), "sfm")
-        recorder = child.do(functools.partial(begin_on_some_disk, library, drive, child))
+        navigation = NavigationRecord(f"nav-{number}", f"D{number}", "recording", time.time(), "sfm")
+        recorder = child.do(functools.partial(begin_on_some_disk, library, navigation, child))
         record_one(recorder, number, child)
         report = recorder.close()
         if report.error:
             child.refused(report.error)
-            child.promise([drive.id, "ended", 0])
+            child.promise([navigation.id, "ended", 0])
         else:
-            child.promise([drive.id, "closed", 0])
-        ended = replace(drive, state="failed", message=report.error or "ended")
+            child.promise([navigation.id, "closed", 0])
+        ended = replace(navigation, state="failed", message=report.error or "ended")
         child.do(functools.partial(library.keep, ended))
 
 
-def begin_on_some_disk(library: DriveLibrary, drive: DriveRecord, child: Child) -> Recorder:
+def begin_on_some_disk(library: NavigationLibrary, navigation: NavigationRecord, child: Child) -> Recorder:
     """`begin`, asking for room or not, another time at each try."""
-    return begin(library, drive, child.rng.choice((0, 2 * 2**20)))
+    return begin(library, navigation, child.rng.choice((0, 2 * 2**20)))
 
 
-def begin(library: DriveLibrary, drive: DriveRecord, min_free_bytes: int) -> Recorder:
-    """As the station begins a drive (recording.py): one that cannot be recorded never was."""
+def begin(library: NavigationLibrary, navigation: NavigationRecord, min_free_bytes: int) -> Recorder:
+    """As the station begins a navigation (recording.py): one that cannot be recorded never was."""
     recorder: Recorder | None = None
     try:
-        recorder = Recorder(library.recording(drive.id), min_free_bytes=min_free_bytes)
-        library.keep(drive)
+        recorder = Recorder(library.recording(navigation.id), min_free_bytes=min_free_bytes)
+        library.keep(navigation)
     except DataError:
         if recorder is not None:
             recorder.close()
-        library.discard(drive.id)
+        library.discard(navigation.id)
         raise
     recorder.on_connected(HELLO)
     return recorder
 
 
-def record_one(recorder: Recorder, drive: int, child: Child) -> None:
+def record_one(recorder: Recorder, navigation: int, child: Child) -> None:
     begin_s = time.monotonic()
     samples = 0
     for number in range(round(DRIVE_S * FPS)):
@@ -85,18 +85,18 @@ def record_one(recorder: Recorder, drive: int, child: Child) -> None:
         )
         recorder.on_imu(ImuBatch(first_sequence=samples, samples=batch))
         samples = until
-        jpeg = PICTURE + (1000 * drive + number).to_bytes(4, "big")
+        jpeg = PICTURE + (1000 * navigation + number).to_bytes(4, "big")
         frame = CameraFrame(seq=number, t_robot_ns=t_ns, exposure_ns=0, width=640, height=480, skipped=0, jpeg=jpeg)
         recorder.on_frame(frame, time.monotonic_ns())
         if recorder.error:
             return
-        child.promise([f"drive-{drive}", "taken", t_ns])
+        child.promise([f"nav-{navigation}", "taken", t_ns])
         time.sleep(max(0.0, begin_s + (number + 1) / FPS - time.monotonic()))
 
 
 def look_at_recordings(folder: Path, promises: list[object]) -> str:
-    """As the station starts: the library opens, what was cut is recovered; every drive that was promised is read."""
-    library = DriveLibrary(folder / "drives")
+    """As the station starts: the library opens, what was cut is recovered; all that was promised is read."""
+    library = NavigationLibrary(folder / "drives")
     for interrupted in library.open():
         path = library.recording(interrupted.id)
         if path.is_file() and path.stat().st_size:
@@ -106,42 +106,48 @@ def look_at_recordings(folder: Path, promises: list[object]) -> str:
                 if "nothing that can be recovered" not in str(exc):
                     raise AssertionError(str(exc)) from exc
     taken, ends = last_taken(promises)
-    known = {drive.id for drive in library.list()}
+    known = {navigation.id for navigation in library.list()}
     worst_s = 0.0
-    for drive_id in sorted({*taken, *ends}):
-        assert drive_id in known, f"{drive_id} is not known any more"
-        worst_s = max(worst_s, lost_s(library.recording(drive_id), int(drive_id.split("-")[1]), taken[drive_id]))
-        assert worst_s <= MAX_LOST_S, f"{worst_s:.1f} s of {drive_id} are lost"
-        if ends.get(drive_id) == "closed":
-            assert worst_s == 0.0 or drive_id not in taken, f"{drive_id} was closed and lacks {worst_s:.2f} s"
+    for navigation_id in sorted({*taken, *ends}):
+        assert navigation_id in known, f"{navigation_id} is not known any more"
+        worst_s = max(
+            worst_s, lost_s(library.recording(navigation_id), int(navigation_id.split("-")[1]), taken[navigation_id])
+        )
+        assert worst_s <= MAX_LOST_S, f"{worst_s:.1f} s of {navigation_id} are lost"
+        if ends.get(navigation_id) == "closed":
+            assert worst_s == 0.0 or navigation_id not in taken, f"{navigation_id} was closed and lacks {worst_s:.2f} s"
     return f"{worst_s:.2f} s lost of {len(taken)} drives"
 
 
 def read_recordings(folder: Path, promises: list[object]) -> None:
     """Drives that are over are read also from a disk that takes nothing; a station that runs has opened its library."""
     taken, ends = last_taken(promises)
-    for drive_id, how in ends.items():
+    for navigation_id, how in ends.items():
         if how == "closed":
-            lost = lost_s(folder / "drives" / drive_id / "recording.mcap", int(drive_id.split("-")[1]), taken[drive_id])
-            assert lost == 0.0, f"{drive_id} was closed and lacks {lost:.2f} s"
+            lost = lost_s(
+                folder / "drives" / navigation_id / "recording.mcap",
+                int(navigation_id.split("-")[1]),
+                taken[navigation_id],
+            )
+            assert lost == 0.0, f"{navigation_id} was closed and lacks {lost:.2f} s"
 
 
 def write_again(folder: Path) -> None:
-    """Once the disk takes writes again, a drive is recorded and kept as ever."""
-    library = DriveLibrary(folder / "drives")
-    assert not library.open(), "a drive that was cut is told again"
-    number = 1 + max((int(drive.id.split("-")[1]) for drive in library.list()), default=0)
-    drive = DriveRecord(f"drive-{number}", f"D{number}", "recording", time.time(), "sfm")
-    recorder = begin(library, drive, 0)
+    """Once the disk takes writes again, a navigation is recorded and kept as ever."""
+    library = NavigationLibrary(folder / "drives")
+    assert not library.open(), "a navigation that was cut is told again"
+    number = 1 + max((int(navigation.id.split("-")[1]) for navigation in library.list()), default=0)
+    navigation = NavigationRecord(f"nav-{number}", f"D{number}", "recording", time.time(), "sfm")
+    recorder = begin(library, navigation, 0)
     jpeg = PICTURE + (1000 * number).to_bytes(4, "big")
     frame = CameraFrame(seq=0, t_robot_ns=0, exposure_ns=0, width=640, height=480, skipped=0, jpeg=jpeg)
     recorder.on_frame(frame, time.monotonic_ns())
     sample = ImuSample(0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
     recorder.on_imu(ImuBatch(first_sequence=0, samples=(sample,)))
     assert not recorder.close().error
-    assert lost_s(library.recording(drive.id), number, 0) == 0.0
-    library.keep(replace(drive, state="failed", message="ended"))
-    assert not DriveLibrary(folder / "drives").open()
+    assert lost_s(library.recording(navigation.id), number, 0) == 0.0
+    library.keep(replace(navigation, state="failed", message="ended"))
+    assert not NavigationLibrary(folder / "drives").open()
 
 
 def last_taken(promises: list[object]) -> tuple[dict[str, int], dict[str, str]]:
@@ -150,15 +156,15 @@ def last_taken(promises: list[object]) -> tuple[dict[str, int], dict[str, str]]:
     ends: dict[str, str] = {}
     for promise in promises:
         assert isinstance(promise, list)
-        drive_id, what, t_ns = promise
+        navigation_id, what, t_ns = promise
         if what == "taken":
-            taken[drive_id] = t_ns
+            taken[navigation_id] = t_ns
         else:
-            ends[drive_id] = what
-    return taken, {drive_id: how for drive_id, how in ends.items() if drive_id in taken}
+            ends[navigation_id] = what
+    return taken, {navigation_id: how for navigation_id, how in ends.items() if navigation_id in taken}
 
 
-def lost_s(path: Path, drive: int, last_ns: int) -> float:
+def lost_s(path: Path, navigation: int, last_ns: int) -> float:
     """Seconds of a recording that were taken and are not in its file. AssertionError for wrong or missing parts."""
     try:
         data = open_dataset(path)
@@ -167,7 +173,7 @@ def lost_s(path: Path, drive: int, last_ns: int) -> float:
         last_read_ns = int(data.frame_times_ns[-1])
     except (DataError, IndexError):  # killed before the first second was written
         return (last_ns + 1e9 / FPS) * 1e-9
-    expected = [PICTURE + (1000 * drive + number).to_bytes(4, "big") for number in range(len(frames))]
+    expected = [PICTURE + (1000 * navigation + number).to_bytes(4, "big") for number in range(len(frames))]
     assert frames == expected, "a frame differs"
     assert imu == [round(n * 1e9 / IMU_HZ) for n in range(len(imu))], "a sample is missing in the middle"
     return max(0.0, (last_ns - last_read_ns) * 1e-9)

@@ -61,13 +61,13 @@ def why_not_together(maps: Sequence[PlaceMap]) -> str:
     """Why these cannot be active at once, in a sentence; empty when they can.
 
     Two maps of the same rooms explain every picture equally well: half of the belief would go to each, and neither be
-    known. That two drives went through the same rooms nobody can tell from the maps alone; that two maps come from one
-    drive, or that one was made again from the other, their drives and places tell.
+    known. That two navigations went through the same rooms nobody can tell from the maps alone; that two maps come from
+    one navigation, or that one was made again from the other, their navigations and places tell.
     """
     for a, b in itertools.combinations(maps, 2):
-        drives = sorted(_drives(a) & _drives(b))
-        if drives or {place.id for place in a.places} & {place.id for place in b.places}:
-            both = f"both are made from {drives[0]}" if drives else "they share places"
+        navigations = sorted(_navigations(a) & _navigations(b))
+        if navigations or {place.id for place in a.places} & {place.id for place in b.places}:
+            both = f"both are made from {navigations[0]}" if navigations else "they share places"
             return (
                 f"{a.name} and {b.name} ({a.id}, {b.id}) are maps of the same rooms, {both}; together the robot would "
                 "be known in neither: choose one of them, or build one map from all their navigations"
@@ -75,6 +75,6 @@ def why_not_together(maps: Sequence[PlaceMap]) -> str:
     return ""
 
 
-def _drives(place_map: PlaceMap) -> set[str]:
+def _navigations(place_map: PlaceMap) -> set[str]:
     """Those it was made from: the ids of several are joined (merge.py)."""
     return set(place_map.navigation.id.split("+"))

@@ -19,15 +19,15 @@ from station.access import open_access
 from station.bin import Bin, Kind
 from station.comparisons import Comparisons, summarise
 from station.config import RecordingConfig, StationConfig
-from station.drive_library import DriveLibrary, DriveRecord
-from station.drive_making import DriveRecorder
-from station.drives import Drives
 from station.events import EventKind, Events, EventsOfAll
 from station.jobs import Job, Jobs
 from station.kept_recordings import recover_recordings, retain_recordings
 from station.map_library import Maps, PlacesChange
 from station.maps.map import Place
 from station.maps.store import MapSummary, StoreAddress
+from station.navigation_library import NavigationLibrary, NavigationRecord
+from station.navigation_making import NavigationRecorder
+from station.navigations import Navigations
 from station.recorder import Recorder
 from station.refusals import Conflict, Unknown
 from station.robot_session import RobotSession, Shared
@@ -46,7 +46,7 @@ class Station:
     def __init__(
         self,
         config: StationConfig,
-        make_recorder: Callable[[Path], DriveRecorder | None] | None = None,
+        make_recorder: Callable[[Path], NavigationRecorder | None] | None = None,
         place_servant: str = "station.place_servant:PlaceServant",
     ) -> None:
         """`place_servant` names the class that the localisation workers run.
@@ -62,11 +62,11 @@ class Station:
         self.maps = Maps(store, self.events)
         self.comparisons = Comparisons(config.data_dir / "comparisons")
         self.bin = Bin(config.data_dir / "bin.json")
-        self.drives = Drives(DriveLibrary(config.data_dir / "navigations"), self.events)
+        self.navigations = Navigations(NavigationLibrary(config.data_dir / "navigations"), self.events)
         shared = Shared(
             config,
             self.maps,
-            self.drives,
+            self.navigations,
             self.access.robots,
             make_recorder or (lambda path: open_recorder(path, config.recordings)),
             place_servant,
@@ -82,11 +82,11 @@ class Station:
     async def run(self, started: Callable[[], Any] = lambda: None) -> None:
         """Run until cancelled. The link ends first, and with it the motors; then drives are closed."""
         await asyncio.to_thread(warm_up)
-        interrupted = self.drives.library.open()
-        for drive in interrupted:
-            self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
-        if self.drives.library.unwritable:
-            text = f"{self.drives.library.unwritable}; until then nothing can be recorded or changed"
+        interrupted = self.navigations.library.open()
+        for navigation in interrupted:
+            self.events.say("navigation", f"{navigation.name} was interrupted; its recording is kept", "warning")
+        if self.navigations.library.unwritable:
+            text = f"{self.navigations.library.unwritable}; until then nothing can be recorded or changed"
             self.events.say("navigation", text, "error")
             logger.error("%s", text)
         await self.maps.open()
@@ -107,7 +107,7 @@ class Station:
         finally:
             closing = [*(robot.close() for robot in self.robots.values()), self.jobs.close()]
             failed = [e for e in await asyncio.gather(*closing, return_exceptions=True) if isinstance(e, Exception)]
-            await self.drives.close()
+            await self.navigations.close()
             if failed:  # told only now: one that fails must not keep the others open
                 raise failed[0]
 
@@ -142,23 +142,23 @@ class Station:
 
     # Navigations and maps
 
-    async def stop_drive(self, drive_id: str) -> DriveRecord:
-        """End the recording of a drive, whichever robot drives it. Raises Unknown, Conflict."""
-        drive = self.drives.get(drive_id)
+    async def stop_navigation(self, navigation_id: str) -> NavigationRecord:
+        """End the recording of a navigation, whichever robot drives it. Raises Unknown, Conflict."""
+        navigation = self.navigations.get(navigation_id)
         for robot in self.robots.values():
-            if robot.recording.running is not None and robot.recording.running.id == drive_id:
-                return await robot.recording.stop(drive_id)
-        raise Conflict(f"{drive.name} is not being recorded (it is {drive.state})")
+            if robot.recording.running is not None and robot.recording.running.id == navigation_id:
+                return await robot.recording.stop(navigation_id)
+        raise Conflict(f"{navigation.name} is not being recorded (it is {navigation.state})")
 
-    def cancel_drive(self, drive_id: str) -> DriveRecord:
-        """Give up what SLAM still computes of a drive whose recording has ended. Raises Unknown, Conflict."""
-        return self._robot_of(self.drives.get(drive_id)).recording.cancel(drive_id)
+    def cancel_navigation(self, navigation_id: str) -> NavigationRecord:
+        """Give up what SLAM still computes of a navigation whose recording has ended. Raises Unknown, Conflict."""
+        return self._robot_of(self.navigations.get(navigation_id)).recording.cancel(navigation_id)
 
-    def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
-        """Places from finished drives, in the background. Raises Unknown, Conflict."""
-        drives = [self._ready(drive_id) for drive_id in dict.fromkeys(drive_ids)]
-        folders = [self.drives.library.navigation_folder(drive.id) for drive in drives]
-        title = f"map of {', '.join(drive.name for drive in drives)}"
+    def build_map(self, navigation_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
+        """Places from finished navigations, in the background. Raises Unknown, Conflict."""
+        navigations = [self._ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
+        folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in navigations]
+        title = f"map of {', '.join(navigation.name for navigation in navigations)}"
 
         async def work(worker: Worker) -> dict[str, Any]:
             built = await worker.call(
@@ -184,16 +184,16 @@ class Station:
         return self.jobs.start("measure places", f"repeatability of the places of {place_map.name}", work)
 
     def compare(self, first_id: str, second_id: str) -> Job:
-        """Find the places of one drive in another, in the background. Raises Unknown, Conflict."""
+        """Find the places of one navigation in another, in the background. Raises Unknown, Conflict."""
         first, second = self._ready(first_id), self._ready(second_id)
         if first.id == second.id:
             raise Conflict("two different navigations are needed to compare them; GET /navigations lists them")
         title = f"{second.name} compared with {first.name}"
         setting = (
-            f'In this report Navigation1, whose places make the map, is the drive "{first.name}"; '
+            f'In this report Navigation1, whose places make the map, is the navigation "{first.name}"; '
             f'Navigation2, in which they are looked for, is "{second.name}".'
         )
-        folders = [self.drives.library.navigation_folder(drive.id) for drive in (first, second)]
+        folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in (first, second)]
 
         async def work(worker: Worker) -> dict[str, Any]:
             comparison_id, scratch = await asyncio.to_thread(self.comparisons.prepare)
@@ -207,43 +207,43 @@ class Station:
 
         return self.jobs.start("compare", title, work)
 
-    def reprocess(self, drive_id: str, backend: str | None) -> Job:
-        """Run SLAM over a recording again, in the background; then the drive is ready. Raises Unknown, Conflict."""
-        drive = self.drives.library.get(drive_id)
-        recording = self.drives.library.folder(drive_id) / "recording.mcap"
-        if drive.state in ("recording", "finishing"):
-            raise Conflict(f"{drive.name} is {drive.state}; wait until it is over")
+    def reprocess(self, navigation_id: str, backend: str | None) -> Job:
+        """Run SLAM over a recording again, in the background. Raises Unknown, Conflict."""
+        navigation = self.navigations.library.get(navigation_id)
+        recording = self.navigations.library.folder(navigation_id) / "recording.mcap"
+        if navigation.state in ("recording", "finishing"):
+            raise Conflict(f"{navigation.name} is {navigation.state}; wait until it is over")
         if not recording.is_file():
-            raise Conflict(f"{drive.name} has no recording to run SLAM over")
+            raise Conflict(f"{navigation.name} has no recording to run SLAM over")
         chosen = backend or self.config.slam.backend
-        folder = self.drives.library.navigation_folder(drive_id)
-        self.drives.reserve(drive_id)
+        folder = self.navigations.library.navigation_folder(navigation_id)
+        self.navigations.reserve(navigation_id)
 
         async def work(worker: Worker) -> dict[str, Any]:
             try:
-                arguments = (recording, chosen, self.config.slam.seed, drive_id, folder, self.config.executor)
+                arguments = (recording, chosen, self.config.slam.seed, navigation_id, folder, self.config.executor)
                 report = await worker.call("reprocess", *arguments)
-                drive = await self.drives.reprocessed(drive_id, report)
-                await self._robot_of(drive).recording.show(drive_id)
+                navigation = await self.navigations.reprocessed(navigation_id, report)
+                await self._robot_of(navigation).recording.show(navigation_id)
             finally:
-                self.drives.release(drive_id)
-            return {"navigation": drive_id, "landmarks": report.landmarks}
+                self.navigations.release(navigation_id)
+            return {"navigation": navigation_id, "landmarks": report.landmarks}
 
         try:
-            return self.jobs.start("reprocess", f"SLAM over {drive.name}", work)
+            return self.jobs.start("reprocess", f"SLAM over {navigation.name}", work)
         except Conflict:
-            self.drives.release(drive_id)
+            self.navigations.release(navigation_id)
             raise
 
-    def _robot_of(self, drive: DriveRecord) -> RobotSession:
+    def _robot_of(self, navigation: NavigationRecord) -> RobotSession:
         """The robot that drove it, if it is one of ours."""
-        return self.robots.get(drive.robot, self.first)
+        return self.robots.get(navigation.robot, self.first)
 
-    def _ready(self, drive_id: str) -> DriveRecord:
-        drive = self.drives.library.get(drive_id)
-        if drive.state != "ready":
-            raise Conflict(f"{drive.name} is {drive.state}, not ready: {drive.message}")
-        return drive
+    def _ready(self, navigation_id: str) -> NavigationRecord:
+        navigation = self.navigations.library.get(navigation_id)
+        if navigation.state != "ready":
+            raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+        return navigation
 
     async def use_maps(self, *map_ids: str) -> None:
         """Look for the current place in these maps; the places of the first are shown. Raises as `Maps.activate`."""
@@ -252,9 +252,9 @@ class Station:
 
     # What was deleted
 
-    async def delete_drive(self, drive_id: str) -> None:
+    async def delete_navigation(self, navigation_id: str) -> None:
         """Into the bin. Raises Unknown, Conflict."""
-        await self.drives.delete(drive_id)
+        await self.navigations.delete(navigation_id)
         await self.empty_bin(everything=False)
 
     async def delete_map(self, map_id: str) -> None:
@@ -263,11 +263,11 @@ class Station:
             await self._look_in_active_maps()
         await self.empty_bin(everything=False)
 
-    async def restore_drive(self, drive_id: str) -> DriveRecord:
+    async def restore_navigation(self, navigation_id: str) -> NavigationRecord:
         """Raises Unknown."""
-        drive = await self.drives.restore(drive_id)
+        navigation = await self.navigations.restore(navigation_id)
         await self._look_into_bin()
-        return drive
+        return navigation
 
     async def restore_map(self, map_id: str) -> MapSummary:
         """Raises Unknown."""
@@ -282,15 +282,15 @@ class Station:
             if entry.kind == "map":
                 await self.maps.purge(entry.id)
             else:
-                await asyncio.to_thread(self.drives.library.purge, entry.id)
+                await asyncio.to_thread(self.navigations.library.purge, entry.id)
             logger.info("deleted %s %s for good", entry.kind, entry.id)
         await self._look_into_bin()
 
     async def _look_into_bin(self) -> None:
-        drives = await asyncio.to_thread(self.drives.library.deleted)
+        navigations = await asyncio.to_thread(self.navigations.library.deleted)
         maps = await self.maps.deleted()
         there: dict[Kind, list[tuple[str, str]]] = {
-            "navigation": [(drive.id, drive.name) for drive in drives],
+            "navigation": [(navigation.id, navigation.name) for navigation in navigations],
             "map": [(summary.id, summary.name) for summary in maps],
         }
         await asyncio.to_thread(self.bin.update, there, time.time())
@@ -342,16 +342,16 @@ class Station:
         except (RobotSystemError, OSError) as exc:
             self.events.say("map", f"the bin could not be looked through: {exc}", "warning")
 
-    async def _tidy_up(self, interrupted: list[DriveRecord]) -> None:
+    async def _tidy_up(self, interrupted: list[NavigationRecord]) -> None:
         """Recover what the station's end cut off, then remove what is beyond the limits."""
-        await recover_recordings(self.drives, interrupted, self.events)
-        await retain_recordings(self.drives.library, self.config.recordings, self.events)
+        await recover_recordings(self.navigations, interrupted, self.events)
+        await retain_recordings(self.navigations.library, self.config.recordings, self.events)
 
 
 def _first_cause(error: BaseException) -> BaseException:
     return _first_cause(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
-def open_recorder(path: Path, limits: RecordingConfig) -> DriveRecorder | None:
-    """The MCAP recorder of a drive. Raises DataError when the file cannot be made, or the disk is nearly full."""
+def open_recorder(path: Path, limits: RecordingConfig) -> NavigationRecorder | None:
+    """The MCAP recorder of a navigation. Raises DataError when the file cannot be made, or the disk is nearly full."""
     return Recorder(path, min_free_bytes=limits.keep_free_mb * 2**20)

@@ -1,4 +1,4 @@
-"""Comparisons of two drives: each a folder with its report, written whole by a job or not at all."""
+"""Comparisons of two navigations: each a folder with its report, written whole by a job or not at all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FILES = {"report.html": "text/html; charset=utf-8", "results.json": "application
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What came out of comparing a second drive with the map of a first one."""
+    """What came out of comparing a second navigation with the map of a first one."""
 
     id: str
     name: str
@@ -103,15 +103,15 @@ class Comparisons:
         shutil.rmtree(self._root / comparison_id, ignore_errors=True)
 
 
-def summarise(comparison_id: str, name: str, drives: tuple[str, str], results: dict[str, Any]) -> Comparison:
+def summarise(comparison_id: str, name: str, navigations: tuple[str, str], results: dict[str, Any]) -> Comparison:
     """From the experiment's results.json."""
     registration = results["registration"]
     T = registration["T_target_source"]
     return Comparison(
         id=comparison_id,
         name=name,
-        first=drives[0],
-        second=drives[1],
+        first=navigations[0],
+        second=navigations[1],
         made_wall_s=time.time(),
         places=results["places"],
         locations=results["locations"],

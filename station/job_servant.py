@@ -48,7 +48,7 @@ class JobServant:
     def build_map(
         self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
     ) -> BuiltMap:
-        """Navigation folders -> a map in the store. Places of an earlier map of the first drive stay (growing.py)."""
+        """Navigation folders -> a map in the store. Places of an earlier map of the first one stay."""
         store = MapStore(address)
         store.require_writable()  # before the work
         self._emit((0.05, "reading the navigation"))
@@ -57,7 +57,7 @@ class JobServant:
         if len(navigations) > 1:
             self._emit((0.1, f"registering {_count(len(navigations) - 1, 'navigation')} to the first one"))
         place_map = self._map_of(navigations, config, name, executor)
-        earlier = store.newest_of_drive(navigations[0].id)
+        earlier = store.newest_of_navigation(navigations[0].id)
         if earlier is not None:
             place_map = keep_places(earlier, place_map)
         self._emit((0.8, f"saving {_count(len(place_map.places), 'place')}"))
@@ -117,7 +117,7 @@ class JobServant:
         return results_dict(done)
 
     def reprocess(
-        self, recording: Path, backend: str, seed: int, drive_id: str, folder: Path, executor: str = ""
+        self, recording: Path, backend: str, seed: int, navigation_id: str, folder: Path, executor: str = ""
     ) -> NavigationReport:
         """A recording -> its navigation folder, by running SLAM over it again."""
         if (told := why_unwritable(folder.parent)) is not None:  # before the work
@@ -125,7 +125,7 @@ class JobServant:
         if executor:
             self._emit((0.02, f"SLAM runs at {executor}"))
             with open_executor(executor) as machines:
-                piece = Reconstruction(Recorded(recording), backend, seed, drive_id)
+                piece = Reconstruction(Recorded(recording), backend, seed, navigation_id)
                 [navigation] = reconstruct_all(machines, [piece])
             save_navigation(navigation, folder)
             return navigation.report
@@ -146,7 +146,7 @@ class JobServant:
         def finishing() -> None:
             self._emit((0.65, "computing trajectory and landmarks"))
 
-        navigation = replace(run_backend(slam, data.events(), count, finishing), id=drive_id)
+        navigation = replace(run_backend(slam, data.events(), count, finishing), id=navigation_id)
         self._emit((0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report

@@ -9,17 +9,17 @@ from dataclasses import replace
 
 from shared.errors import RobotSystemError
 from station.config import RecordingConfig
-from station.drive_library import DriveLibrary, DriveRecord
-from station.drives import Drives
 from station.events import Teller
+from station.navigation_library import NavigationLibrary, NavigationRecord
+from station.navigations import Navigations
 from station.recovery import recover_recording
 from station.retention import to_remove
 
 
-async def recover_recordings(drives: Drives, interrupted: Iterable[DriveRecord], events: Teller) -> None:
-    """Give the recordings of drives that the station's end cut their own end, and say what was saved."""
-    for drive in interrupted:
-        path = drives.library.recording(drive.id)
+async def recover_recordings(navigations: Navigations, interrupted: Iterable[NavigationRecord], events: Teller) -> None:
+    """Give the recordings of navigations that the station's end cut their own end, and say what was saved."""
+    for navigation in interrupted:
+        path = navigations.library.recording(navigation.id)
         try:
             recovery = await asyncio.to_thread(recover_recording, path) if path.is_file() else None
             if recovery is None:
@@ -27,21 +27,21 @@ async def recover_recordings(drives: Drives, interrupted: Iterable[DriveRecord],
             message = (
                 f"interrupted; {recovery.seconds:.0f} s are recovered: run SLAM again to make a navigation of them"
             )
-            if drive in drives.library.list():  # nobody deleted or named it meanwhile
-                await drives.keep(replace(drive, message=message, duration_s=recovery.seconds))
-            events.say("navigation", f"{drive.name}: {recovery}", "warning")
+            if navigation in navigations.library.list():  # nobody deleted or named it meanwhile
+                await navigations.keep(replace(navigation, message=message, duration_s=recovery.seconds))
+            events.say("navigation", f"{navigation.name}: {recovery}", "warning")
         except RobotSystemError as exc:
-            events.say("navigation", f"{drive.name}: {exc}", "error")
+            events.say("navigation", f"{navigation.name}: {exc}", "error")
 
 
-async def retain_recordings(library: DriveLibrary, limits: RecordingConfig, events: Teller) -> None:
+async def retain_recordings(library: NavigationLibrary, limits: RecordingConfig, events: Teller) -> None:
     """Remove the recordings that are beyond the limits; what SLAM made of them stays."""
     kept = await asyncio.to_thread(library.finished_recordings)
     for old in to_remove(kept, round(limits.max_gb * 1e9), limits.max_days * 86_400.0, time.time()):
         try:
-            await asyncio.to_thread(library.remove_recording, old.drive_id)
+            await asyncio.to_thread(library.remove_recording, old.navigation_id)
         except RobotSystemError as exc:
             events.say("navigation", str(exc), "error")
             continue
-        text = f"the recording of {old.drive_id} was removed, as recordings.max_gb and max_days ask"
+        text = f"the recording of {old.navigation_id} was removed, as recordings.max_gb and max_days ask"
         events.say("navigation", f"{text}; its trajectory and landmarks stay")

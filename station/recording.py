@@ -13,14 +13,14 @@ from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import RecordingConfig, SlamConfig
-from station.drive_library import DriveRecord
-from station.drive_making import DriveRecorder, MakeRecorder, make_drive, unmake_drive
-from station.drives import Drives
 from station.events import Level, LogLine, Teller
 from station.frames import DriveSample, ImageFrame
 from station.kept_recordings import retain_recordings
 from station.live import LiveSlam
 from station.navigation_files import load_navigation
+from station.navigation_library import NavigationRecord
+from station.navigation_making import MakeRecorder, NavigationRecorder, make_navigation, unmake_navigation
+from station.navigations import Navigations
 from station.place_report import PlaceReport
 from station.refusals import Conflict
 from station.slam.backend import SlamUpdate
@@ -39,12 +39,12 @@ OTHER_MEANWHILE = "another robot was connected, or this one started anew, just a
 
 @dataclass(slots=True, eq=False)
 class _Running:
-    """The drive that is being recorded."""
+    """The navigation that is being recorded."""
 
-    drive: DriveRecord
+    navigation: NavigationRecord
     slam: SlamProcess
     live: LiveSlam
-    recorder: DriveRecorder | None
+    recorder: NavigationRecorder | None
     hello: Hello
     first_frame_ns: int | None = None
     last_frame_ns: int = 0
@@ -58,7 +58,7 @@ class _Running:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Finishing:
-    """A drive whose recording has ended and whose SLAM has not."""
+    """A navigation whose recording has ended and whose SLAM has not."""
 
     running: _Running
     why: str  # the recording ended, in a sentence, where it was not a person who asked
@@ -66,19 +66,19 @@ class _Finishing:
 
 @dataclass(slots=True, eq=False)
 class _Beginning:
-    """A drive whose files are being made."""
+    """A navigation whose files are being made."""
 
     hello: Hello
-    task: asyncio.Task[DriveRecord] | None = None
+    task: asyncio.Task[NavigationRecord] | None = None
     is_void: bool = False  # another robot, or another run of it, has come meanwhile
 
 
 class Recording:
-    """Records the drives of one robot, one at a time; what SLAM says of the newest is in `live`."""
+    """Records the navigations of one robot, one at a time; what SLAM says of the newest is in `live`."""
 
     def __init__(
         self,
-        drives: Drives,
+        navigations: Navigations,
         config: SlamConfig,
         events: Teller,
         make_recorder: MakeRecorder,
@@ -86,11 +86,11 @@ class Recording:
         recordings: RecordingConfig | None = None,
         robot: str = "",
     ) -> None:
-        """`robot` is the name whose drives these are."""
+        """`robot` is the name whose navigations these are."""
         self._robot = robot
         self._recordings = recordings or RecordingConfig()
-        self._drives = drives
-        self._library = drives.library
+        self._navigations = navigations
+        self._library = navigations.library
         self._config = config
         self._events = events
         self._make_recorder = make_recorder
@@ -105,56 +105,56 @@ class Recording:
 
     @property
     def slam_pid(self) -> int | None:
-        """The SLAM worker of the drive being recorded."""
+        """The SLAM worker of the navigation being recorded."""
         return None if self._running is None else self._running.slam.pid
 
     @property
-    def running(self) -> DriveRecord | None:
-        """The drive being recorded."""
-        return None if self._running is None else self._running.drive
+    def running(self) -> NavigationRecord | None:
+        """The navigation being recorded."""
+        return None if self._running is None else self._running.navigation
 
     @property
     def left_to_do(self) -> str:
-        """How far SLAM is with the drive of `live` while it finishes that, in a sentence; else empty."""
+        """How far SLAM is with the navigation of `live` while it finishes that, in a sentence; else empty."""
         finishing = None if self.live is None else self._finishing.get(self.live.navigation_id)
         return "" if finishing is None else _left_to_do(finishing.running)
 
     @property
     def is_busy(self) -> bool:
-        """A drive is being recorded, or about to be."""
+        """A navigation is being recorded, or about to be."""
         return self._running is not None or self._beginning is not None
 
-    async def start(self, hello: Hello, name: str) -> DriveRecord:
-        """Begin a drive; it is kept when this returns. Raises DataError when there is no room for it.
+    async def start(self, hello: Hello, name: str) -> NavigationRecord:
+        """Begin a navigation; it is kept when this returns. Raises DataError when there is no room for it.
 
         Conflict when one is being recorded, or when the robot changes meanwhile.
         """
         if self._running is not None:
-            raise Conflict(f"{self._running.drive.name} is being recorded; stop it first")
+            raise Conflict(f"{self._running.navigation.name} is being recorded; stop it first")
         if self._beginning is not None:
             raise Conflict("a navigation is just being begun; stop it first")
         beginning = self._beginning = _Beginning(hello)
-        beginning.task = asyncio.create_task(self._begin(beginning, name), name="begin a drive")
-        return await asyncio.shield(beginning.task)  # half a drive is nobody's
+        beginning.task = asyncio.create_task(self._begin(beginning, name), name="begin a navigation")
+        return await asyncio.shield(beginning.task)  # half a navigation is nobody's
 
-    async def _begin(self, beginning: _Beginning, name: str) -> DriveRecord:
+    async def _begin(self, beginning: _Beginning, name: str) -> NavigationRecord:
         hello = beginning.hello
         try:
             backend = choose_backend(self._config.backend, hello.calibration)
-            drive, recorder = await self._drives.in_order(
-                make_drive, self._library, self._make_recorder, hello, name, backend, self._robot
+            navigation, recorder = await self._navigations.in_order(
+                make_navigation, self._library, self._make_recorder, hello, name, backend, self._robot
             )
             if beginning.is_void or self._is_closed:
-                await self._drives.in_order(unmake_drive, self._library, drive, recorder)
+                await self._navigations.in_order(unmake_navigation, self._library, navigation, recorder)
                 raise Conflict(OTHER_MEANWHILE if beginning.is_void else "the station is ending")
         finally:
             self._beginning = None
-        self._library.remember(drive)
+        self._library.remember(navigation)
         if recorder is not None:
             recorder.on_connected(hello)
-        live = LiveSlam(drive.id)
+        live = LiveSlam(navigation.id)
         slam = SlamProcess(
-            f"SLAM {self._robot or drive.id}",
+            f"SLAM {self._robot or navigation.id}",
             self._config,
             hello.calibration,
             self._events,
@@ -162,63 +162,63 @@ class Recording:
             on_trouble=live.say,
             on_restart=live.restart,
         )
-        running = self._running = _Running(drive, slam, live, recorder, hello)
-        self._drives.begin(drive.id, lambda: self._counted(running))
+        running = self._running = _Running(navigation, slam, live, recorder, hello)
+        self._navigations.begin(navigation.id, lambda: self._counted(running))
         self.live = live
-        self._drives.tell(drive)
+        self._navigations.tell(navigation)
         self._events.changed("landmarks")
-        self._events.say("navigation", f"recording {drive.name}")
-        return drive
+        self._events.say("navigation", f"recording {navigation.name}")
+        return navigation
 
-    async def stop(self, drive_id: str) -> DriveRecord:
+    async def stop(self, navigation_id: str) -> NavigationRecord:
         """End recording; SLAM finishes in the background. Raises Unknown, or Conflict when it is not being recorded."""
-        drive = self._library.get(drive_id)
+        navigation = self._library.get(navigation_id)
         running = self._running
-        if running is None or running.drive.id != drive_id:
-            raise Conflict(f"{drive.name} is not being recorded (it is {drive.state})")
+        if running is None or running.navigation.id != navigation_id:
+            raise Conflict(f"{navigation.name} is not being recorded (it is {navigation.state})")
         kept = self._end(running, "")
-        drive = running.drive
+        navigation = running.navigation
         await kept
-        return drive
+        return navigation
 
-    def cancel(self, drive_id: str) -> DriveRecord:
-        """Give up what SLAM still computes of a drive; its recording stays.
+    def cancel(self, navigation_id: str) -> NavigationRecord:
+        """Give up what SLAM still computes of a navigation; its recording stays.
 
         Raises Unknown; Conflict when SLAM computes nothing of it, not yet or not any more.
         """
-        drive = self._library.get(drive_id)
-        finishing = self._finishing.get(drive_id)
+        navigation = self._library.get(navigation_id)
+        finishing = self._finishing.get(navigation_id)
         if finishing is None:
-            raise Conflict(f"{drive.name} is not being finished (it is {drive.state})")
+            raise Conflict(f"{navigation.name} is not being finished (it is {navigation.state})")
         if not finishing.running.slam.give_up():
-            raise Conflict(f"SLAM has ended for {drive.name} already; there is nothing left to cancel")
+            raise Conflict(f"SLAM has ended for {navigation.name} already; there is nothing left to cancel")
         finishing.running.is_cancelled = True
-        return drive
+        return navigation
 
     def _end(self, running: _Running, why: str) -> asyncio.Future[None]:
         """End recording; `why` in a sentence where it was not a person who asked. Done when that is kept."""
         self._running = None
-        self._drives.end(running.drive.id)
+        self._navigations.end(running.navigation.id)
         message = "; ".join(filter(None, (why, _left_to_do(running))))
-        running.drive = drive = replace(self._counted(running), state="finishing", message=message)
+        running.navigation = navigation = replace(self._counted(running), state="finishing", message=message)
         # First what closes recorder and SLAM: nothing that fails here may leave them open.
-        task = asyncio.create_task(self._finish(running, drive, why), name=f"finish {drive.id}")
+        task = asyncio.create_task(self._finish(running, navigation, why), name=f"finish {navigation.id}")
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-        self._finishing[drive.id] = _Finishing(running, why)
+        self._finishing[navigation.id] = _Finishing(running, why)
         if why:
-            self._events.say("navigation", f"{drive.name}: {why}", "warning")
-        kept = self._drives.keep(drive)
+            self._events.say("navigation", f"{navigation.name}: {why}", "warning")
+        kept = self._navigations.keep(navigation)
         self._events.changed("pose")  # SLAM's state is another one
         return kept
 
-    async def show(self, drive_id: str) -> None:
-        """Let `live` be a finished drive, unless one is being recorded."""
+    async def show(self, navigation_id: str) -> None:
+        """Let `live` be a finished navigation, unless one is being recorded."""
         if self._running is not None:
             return
-        self.live = await asyncio.to_thread(_view_of, self._library.navigation_folder(drive_id))
+        self.live = await asyncio.to_thread(_view_of, self._library.navigation_folder(navigation_id))
         self._times_shown += 1
-        self.live.source = f"{drive_id}/again-{self._times_shown}"  # another cloud than before
+        self.live.source = f"{navigation_id}/again-{self._times_shown}"  # another cloud than before
         self._events.changed("pose")
         self._events.changed("landmarks")
 
@@ -229,11 +229,11 @@ class Recording:
             await asyncio.wait({self._beginning.task})
         if self._running is not None:
             running, self._running = self._running, None
-            self._drives.end(running.drive.id)
+            self._navigations.end(running.navigation.id)
             await self._close_recorder(running)
             await running.slam.close(at_once=True)
             message = "; ".join(filter(None, (f"the station was stopped{AGAIN}", _error_of(running))))
-            await self._drives.keep(replace(self._counted(running), state="failed", message=message))
+            await self._navigations.keep(replace(self._counted(running), state="failed", message=message))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
         tasks = tuple(self._tasks)
         for task in tasks:
@@ -322,18 +322,18 @@ class Recording:
             recorder.on_log(line)
 
     def refresh(self) -> None:
-        """Once a second: the counts of the running drive, and how far those are whose SLAM finishes."""
+        """Once a second: the counts of the running navigation, and how far those are whose SLAM finishes."""
         if self._running is not None:
-            self._running.drive = self._counted(self._running)
-            self._drives.tell(self._running.drive)
+            self._running.navigation = self._counted(self._running)
+            self._navigations.tell(self._running.navigation)
             self._tell_recorder_error(self._running)
         for finishing in self._finishing.values():
             running = finishing.running
             message = "; ".join(filter(None, (finishing.why, _left_to_do(running))))
-            if message != running.drive.message:
-                running.drive = replace(running.drive, message=message)
-                self._library.remember(running.drive)
-                self._drives.tell(running.drive)
+            if message != running.navigation.message:
+                running.navigation = replace(running.navigation, message=message)
+                self._library.remember(running.navigation)
+                self._navigations.tell(running.navigation)
                 self._events.changed("pose")
 
     def _tell_recorder_error(self, running: _Running) -> None:
@@ -358,15 +358,15 @@ class Recording:
         if has_new_points:
             self._events.changed("landmarks")
 
-    async def _finish(self, running: _Running, drive: DriveRecord, why: str) -> None:
+    async def _finish(self, running: _Running, navigation: NavigationRecord, why: str) -> None:
         try:
             await self._close_recorder(running)
-            folder = self._library.navigation_folder(drive.id)
-            report = await running.slam.finish(drive.id, folder)
+            folder = self._library.navigation_folder(navigation.id)
+            report = await running.slam.finish(navigation.id, folder)
             finished = await asyncio.to_thread(_view_of, folder)
             said = [why, _error_of(running), _restarted(running.slam), *report.messages, _refused(running.slam)]
-            drive = replace(
-                drive,
+            navigation = replace(
+                navigation,
                 state="ready",
                 landmarks=report.landmarks,
                 scale=report.scale,
@@ -374,27 +374,27 @@ class Recording:
             )
             if self.live is running.live:
                 self.live = finished
-            self._events.say("navigation", f"{drive.name} is ready: {report.landmarks} landmarks")
+            self._events.say("navigation", f"{navigation.name} is ready: {report.landmarks} landmarks")
         except (RobotSystemError, OSError) as exc:
             cause = CANCELLED if running.is_cancelled else running.slam.trouble or str(exc)
             said = [why, _error_of(running), cause, _refused(running.slam)]
-            drive = replace(drive, state="failed", message="; ".join(filter(None, said)))
-            running.live.message = drive.message
+            navigation = replace(navigation, state="failed", message="; ".join(filter(None, said)))
+            running.live.message = navigation.message
             level: Level = "warning" if running.is_cancelled else "error"
-            self._events.say("navigation", f"{drive.name}: {drive.message}", level)
+            self._events.say("navigation", f"{navigation.name}: {navigation.message}", level)
         finally:
-            if drive.state == "finishing":
+            if navigation.state == "finishing":
                 text = f"the station was stopped before this navigation was finished{AGAIN}"
-                drive = replace(drive, state="failed", message=text)
-            await running.slam.close(at_once=drive.state == "failed")
-            self._finishing.pop(drive.id, None)
-            kept = self._drives.keep(drive)
+                navigation = replace(navigation, state="failed", message=text)
+            await running.slam.close(at_once=navigation.state == "failed")
+            self._finishing.pop(navigation.id, None)
+            kept = self._navigations.keep(navigation)
             self._events.changed("pose")
             self._events.changed("landmarks")
             await kept
         await retain_recordings(self._library, self._recordings, self._events)
 
-    def _recorders(self) -> tuple[DriveRecorder, ...]:
+    def _recorders(self) -> tuple[NavigationRecorder, ...]:
         """The open recorder, or none."""
         running = self._running
         return () if running is None or running.recorder is None else (running.recorder,)
@@ -404,10 +404,10 @@ class Recording:
             await asyncio.to_thread(running.recorder.close)
             self._tell_recorder_error(running)
 
-    def _counted(self, running: _Running) -> DriveRecord:
+    def _counted(self, running: _Running) -> NavigationRecord:
         first_ns = running.first_frame_ns
         return replace(
-            running.drive,
+            running.navigation,
             frames=running.num_frames,
             frames_skipped=running.slam.frames_dropped,
             imu_samples=running.num_imu,
@@ -418,7 +418,7 @@ class Recording:
 
 
 def _left_to_do(running: _Running) -> str:
-    """How far SLAM is with a drive whose recording has ended, in a sentence."""
+    """How far SLAM is with a navigation whose recording has ended, in a sentence."""
     total = running.num_frames - running.slam.frames_dropped
     waiting = running.slam.frames_waiting
     if waiting:

@@ -1,4 +1,4 @@
-"""Which recordings go when there are too many: the oldest of finished drives. What SLAM made of them stays."""
+"""Which recordings go when there are too many: the oldest of finished navigations. What SLAM made of them stays."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class KeptRecording:
-    """A recording of a finished drive."""
+    """A recording of a finished navigation."""
 
-    drive_id: str
+    navigation_id: str
     started_wall_s: float  # seconds since 1970
     bytes: int
 
@@ -19,7 +19,7 @@ def to_remove(
     recordings: Iterable[KeptRecording], max_bytes: int, max_age_s: float, now_wall_s: float
 ) -> list[KeptRecording]:
     """The ones to remove, oldest first. A limit of 0 is none."""
-    newest_first = sorted(recordings, key=lambda r: (-r.started_wall_s, r.drive_id))
+    newest_first = sorted(recordings, key=lambda r: (-r.started_wall_s, r.navigation_id))
     removed = []
     total = 0
     for recording in newest_first:

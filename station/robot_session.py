@@ -13,15 +13,15 @@ from pathlib import Path
 
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import RobotConfig, StationConfig
-from station.drive_library import DriveRecord
-from station.drive_making import DriveRecorder
-from station.drives import Drives
 from station.driving import Driving
 from station.events import Events
 from station.link import LinkState, RobotLink
 from station.locating import Locating
 from station.mailbox import Broadcast
 from station.map_library import Maps
+from station.navigation_library import NavigationRecord
+from station.navigation_making import NavigationRecorder
+from station.navigations import Navigations
 from station.paired_robots import PairedRobots
 from station.recording import Recording
 from station.refusals import Conflict, NoRobot, NotCapable, OutOfRange
@@ -46,9 +46,9 @@ class Shared:
 
     config: StationConfig
     maps: Maps
-    drives: Drives
+    navigations: Navigations
     paired: PairedRobots
-    make_recorder: Callable[[Path], DriveRecorder | None]
+    make_recorder: Callable[[Path], NavigationRecorder | None]
     place_servant: str  # the class that the localisation worker runs
     turns: Turns  # of the localisation workers of all robots
 
@@ -88,7 +88,7 @@ class RobotSession:
             shared.turns,
         )
         self.recording = Recording(
-            shared.drives,
+            shared.navigations,
             config.slam,
             events,
             shared.make_recorder,
@@ -181,7 +181,7 @@ class RobotSession:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
         self.events.say("hijack", HIJACK_NOTICE, "warning")
 
-    async def start_drive(self, name: str) -> DriveRecord:
+    async def start_navigation(self, name: str) -> NavigationRecord:
         """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
         state = self.link.state
         if not state.connected or state.hello is None:

@@ -89,11 +89,11 @@ class SlamProcess:
         """Hand on sensor data. False when older ones were dropped for them, and not only because SLAM is lost."""
         return self._worker.post(method, *arguments, kind=kind) or bool(self.trouble)
 
-    async def finish(self, drive_id: str, folder: Path) -> NavigationReport:
+    async def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation. Raises what the backend raises, or WorkerDied."""
         self._ended = True  # a process that dies now has nothing to come back for
         await asyncio.wait({self._starting})
-        self._report = self._worker.ask("finish", drive_id, folder)
+        self._report = self._worker.ask("finish", navigation_id, folder)
         return await self._report
 
     def give_up(self) -> bool:

@@ -25,7 +25,7 @@ from schemathesis.specs.openapi.checks import (
 
 from station.comparisons import Comparison, Comparisons
 from station.maps.map import PlaceMap
-from tests.integration.test_station_drives import keep_drive
+from tests.integration.test_station_navigations import keep_navigation
 from tests.station_support import store_map
 
 CHECKS = [
@@ -67,7 +67,7 @@ class Asked:
 def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     """One of everything in a station's folder; and what it is called, by the names of parameters and fields."""
     place_map = store_map(data_dir)
-    drives = [keep_drive(data_dir, name).id for name in ("nav-1", "nav-2")]
+    drives = [keep_navigation(data_dir, name).id for name in ("nav-1", "nav-2")]
     comparisons = Comparisons(data_dir / "comparisons")
     comparison_id, folder = comparisons.prepare()
     (folder / "report.html").write_text("<!doctype html><title>Report</title>")

@@ -32,9 +32,9 @@ from station.api.views import (
     slam_model,
     visit_model,
 )
-from station.drive_library import DriveRecord
 from station.events import Event, LogLine
 from station.jobs import Job
+from station.navigation_library import NavigationRecord
 from station.refusals import Busy
 from station.robot_session import RobotSession
 
@@ -96,8 +96,8 @@ def to_message(robot: RobotSession, event: Event) -> Model:
                 navigation=live.navigation_id if live else None, source=live.source if live else None, total=total
             )
         case "navigation":
-            drive = cast(DriveRecord | None, event.subject)
-            return NavigationMessage(navigation=None if drive is None else navigation_model(drive))
+            navigation = cast(NavigationRecord | None, event.subject)
+            return NavigationMessage(navigation=None if navigation is None else navigation_model(navigation))
         case "map":
             return MapMessage(active=active.place_map.id if active else None, revision=robot.maps.revision)
         case "job":

@@ -144,17 +144,19 @@ async def _parts(path: Path, from_s: float, speed: float) -> AsyncGenerator[byte
 
 def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
     """Raises Unknown, Conflict, or OutOfRange for a time after its end."""
-    drive = station.drives.library.get(navigation_id)
-    path = station.drives.library.folder(navigation_id) / "recording.mcap"
-    if drive.state == "recording" or not path.is_file():
-        raise Conflict(f"{drive.name} has no recording to play now (it is {drive.state})")
-    if from_s >= drive.duration_s > 0:
-        raise OutOfRange(f"from_s {from_s:g} is after the last picture: {navigation_id} lasts {drive.duration_s:.1f} s")
+    navigation = station.navigations.library.get(navigation_id)
+    path = station.navigations.library.folder(navigation_id) / "recording.mcap"
+    if navigation.state == "recording" or not path.is_file():
+        raise Conflict(f"{navigation.name} has no recording to play now (it is {navigation.state})")
+    if from_s >= navigation.duration_s > 0:
+        raise OutOfRange(
+            f"from_s {from_s:g} is after the last picture: {navigation_id} lasts {navigation.duration_s:.1f} s"
+        )
     return path
 
 
 async def _load(station: Station, navigation_id: str) -> Navigation:
-    drive = station.drives.library.get(navigation_id)
-    if drive.state != "ready":
-        raise Conflict(f"{drive.name} is {drive.state}, not ready: {drive.message}")
-    return await asyncio.to_thread(load_navigation, station.drives.library.navigation_folder(navigation_id))
+    navigation = station.navigations.library.get(navigation_id)
+    if navigation.state != "ready":
+        raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+    return await asyncio.to_thread(load_navigation, station.navigations.library.navigation_folder(navigation_id))

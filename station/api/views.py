@@ -35,7 +35,6 @@ from station.api.models import (
 )
 from station.bin import BinEntry
 from station.comparisons import Comparison
-from station.drive_library import DriveRecord
 from station.events import LogLine
 from station.jobs import Job
 from station.live import NO_PLACE
@@ -44,6 +43,7 @@ from station.map_library import ActiveMap, Maps, PlacesChange
 from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapSummary
 from station.navigation import Navigation
+from station.navigation_library import NavigationRecord
 from station.places.graph import Route
 from station.places.names import has_own_name
 from station.robot_session import RobotSession
@@ -267,7 +267,7 @@ def comparison_model(comparison: Comparison) -> ComparisonModel:
     )
 
 
-def replay_model(drive_id: str, navigation: Navigation, limit: int) -> ReplayModel:
+def replay_model(navigation_id: str, navigation: Navigation, limit: int) -> ReplayModel:
     times = navigation.trajectory.t_robot_ns
     chosen = np.unique(np.linspace(0, max(len(times) - 1, 0), min(limit, len(times))).round().astype(int))
     camera = navigation.calibration.camera
@@ -275,7 +275,7 @@ def replay_model(drive_id: str, navigation: Navigation, limit: int) -> ReplayMod
     start_ns = int(times[0]) if len(times) else 0
     poses = navigation.trajectory.T_world_body[chosen] @ T_body_cam
     return ReplayModel(
-        navigation=drive_id,
+        navigation=navigation_id,
         start_ns=start_ns,
         t_s=[(int(t) - start_ns) * 1e-9 for t in times[chosen]],
         T_world_cam=[[round(float(x), 5) for x in T.ravel()] for T in poses],
@@ -292,24 +292,24 @@ def bin_model(entry: BinEntry) -> BinModel:
     )
 
 
-def navigation_model(drive: DriveRecord) -> NavigationModel:
+def navigation_model(navigation: NavigationRecord) -> NavigationModel:
     return NavigationModel(
-        id=drive.id,
-        name=drive.name,
-        state=drive.state,
-        message=drive.message,
-        robot=drive.robot,
-        started_unix_s=drive.started_wall_s,
-        duration_s=drive.duration_s,
-        backend=drive.backend,
-        frames=drive.frames,
-        frames_skipped=drive.frames_skipped,
-        imu_samples=drive.imu_samples,
-        imu_lost=drive.imu_lost,
-        slam_failures=drive.slam_failures,
-        landmarks=drive.landmarks,
-        scale=drive.scale,
-        recording=None if drive.state == "recording" else f"/navigations/{drive.id}/recording.mcap",
+        id=navigation.id,
+        name=navigation.name,
+        state=navigation.state,
+        message=navigation.message,
+        robot=navigation.robot,
+        started_unix_s=navigation.started_wall_s,
+        duration_s=navigation.duration_s,
+        backend=navigation.backend,
+        frames=navigation.frames,
+        frames_skipped=navigation.frames_skipped,
+        imu_samples=navigation.imu_samples,
+        imu_lost=navigation.imu_lost,
+        slam_failures=navigation.slam_failures,
+        landmarks=navigation.landmarks,
+        scale=navigation.scale,
+        recording=None if navigation.state == "recording" else f"/navigations/{navigation.id}/recording.mcap",
     )
 
 

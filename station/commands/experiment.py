@@ -1,4 +1,4 @@
-"""`station experiment`: two drives, matched and judged, with a report to look at."""
+"""`station experiment`: two navigations, matched and judged, with a report to look at."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def register(app: typer.Typer) -> None:
 def experiment(
     out: Annotated[Path, typer.Option("--out", help="Folder for results.json, report.html and figures.")],
     navigation1: Annotated[
-        Path | None, typer.Option(help="First drive: a dataset, or a folder written by `station slam`.")
+        Path | None, typer.Option(help="First navigation: a dataset, or a folder written by `station slam`.")
     ] = None,
-    navigation2: Annotated[Path | None, typer.Option(help="Second drive, likewise.")] = None,
+    navigation2: Annotated[Path | None, typer.Option(help="Second navigation, likewise.")] = None,
     frames1: Annotated[str | None, typer.Option(help="Frames of the first dataset, such as 0-398.")] = None,
     frames2: Annotated[str | None, typer.Option(help="Frames of the second dataset.")] = None,
     truth1: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 1.")] = None,
@@ -59,7 +59,7 @@ def experiment(
     title: Annotated[str, typer.Option(help="Heading of the report.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
 ) -> None:
-    """Map one drive, find its places again in another, and judge the matches where true poses were recorded."""
+    """Map one navigation, find its places again in another, and judge the matches where true poses were recorded."""
     check_out_folder(out)
     ranges = FrameRange.parse(frames1, "--frames1"), FrameRange.parse(frames2, "--frames2")
     story, thesis = Story(title=title), ThesisConfig()
@@ -85,7 +85,7 @@ def experiment(
         for path, frames, truth in zip((navigation1, navigation2), ranges, (truth1, truth2), strict=True)
     ]
     if (truth1 or truth2) and not all(opened.truth for opened in inputs):
-        raise ConfigError("judging needs the true poses of both drives; give --truth1 and --truth2, or neither")
+        raise ConfigError("judging needs the true poses of both navigations; give --truth1 and --truth2, or neither")
     seconds: dict[str, float] = {}
     first, second = reconstruct(inputs, backend or "sfm", seed, threads, out, seconds)
     with working("clustering Navigation1 into places") as say_step:
@@ -131,8 +131,8 @@ def reconstruct(
 
 
 def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
-    """The two datasets of a preset; one where both navigations are parts of one drive."""
-    first, second = preset.drives
+    """The two datasets of a preset; one where both navigations are parts of one navigation."""
+    first, second = preset.navigations
     made = make_dataset(first, folder / "drive1", say)
     return made, made if first == second else make_dataset(second, folder / "drive2", say)
 

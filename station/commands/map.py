@@ -50,7 +50,7 @@ def build(
     mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
     eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
     min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
-    names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first drive: keeps its names.")] = None,
+    names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first one: keeps its names.")] = None,
     executor: Annotated[
         str, typer.Option(help="processes (of this machine) or dask://HOST:PORT of a Dask scheduler.")
     ] = "processes",
@@ -69,7 +69,7 @@ def build(
         raise DataError(f"{out} exists and is no map; give a new folder")
     config = places_config(mode, eps, min_pts, 0.75)
     old = None if names_from is None else load_map_folder(names_from)
-    with working("reading the drives") as say, open_executor(executor) as machines:
+    with working("reading the navigations") as say, open_executor(executor) as machines:
         loaded = _navigations(navigations, machines, backend, seed, say)
         if old is not None:
             check_names_source(old, loaded, names_from)
@@ -119,7 +119,7 @@ def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from:
     """Names are carried by position: the old map must be in the frame of the first navigation.
 
     Raises:
-        DataError: the map was made from another drive, or from another run of SLAM over it.
+        DataError: the map was made from another navigation, or from another run of SLAM over it.
     """
     ids = [navigation.id for navigation in navigations]
     if old.navigation.id not in ("+".join(ids[: n + 1]) for n in range(len(ids))):

@@ -145,12 +145,12 @@ class MapStore:
         assert failure is not None
         raise failure
 
-    def newest_of_drive(self, drive_id: str) -> PlaceMap | None:
-        """The map changed last of those that were made from this drive, alone or with others behind it."""
+    def newest_of_navigation(self, navigation_id: str) -> PlaceMap | None:
+        """The map changed last of those that were made from this navigation, alone or with others behind it."""
         if not self.open():
             return None
         with self.reading() as connection:
-            rows = versions.of_drive(connection, drive_id)
+            rows = versions.of_navigation(connection, navigation_id)
         for row in rows:
             if row.kind != "deleted":
                 return self.load(row.map_id)

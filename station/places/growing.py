@@ -1,4 +1,4 @@
-"""A map made anew keeps what an earlier one of the same first drive had: its places where drives were added, or names.
+"""A map made anew keeps what an earlier one of the same first navigation had: places where some were added, or names.
 
 Twice the landmarks make other hills, so that grouping all of them anew joins or cuts places that somebody named. Where
 only drives were added, the earlier places stay and grow by what was seen of them again; what is new elsewhere becomes
@@ -23,16 +23,16 @@ MIN_NEW = 0.5  # of a group's landmarks outside the earlier places: less is the 
 
 
 def keep_places(earlier: PlaceMap, new: PlaceMap) -> PlaceMap:
-    """`new` with the places of `earlier` where it holds the same drives and further ones; else with their names.
+    """`new` with the places of `earlier` where it holds the same navigations and further ones; else with their names.
 
     In the thesis mode names are all that is kept: its places are the clusters of the cloud and nothing else.
     """
-    if _adds_drives(earlier, new):
+    if _adds_navigations(earlier, new):
         return _grown(earlier, new)
     return carry_names(earlier, new)
 
 
-def _adds_drives(earlier: PlaceMap, new: PlaceMap) -> bool:
+def _adds_navigations(earlier: PlaceMap, new: PlaceMap) -> bool:
     """Whether the landmarks of `earlier` are the first ones of `new`, which has more and was grouped alike."""
     first, p = earlier.navigation.landmarks.p_world, new.navigation.landmarks.p_world
     configs = [{key: value for key, value in m.config.items() if key != "effective"} for m in (earlier, new)]

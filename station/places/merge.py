@@ -13,7 +13,7 @@ from station.places.align import align_navigation
 from station.places.build import build_map
 from station.places.config import PlacesConfig
 
-PAUSE_NS = 1_000_000_000  # put between two drives: their clocks need not have been one
+PAUSE_NS = 1_000_000_000  # put between two navigations: their clocks need not have been one
 
 
 def merge_navigations(
@@ -39,7 +39,7 @@ def merge_navigations(
 def append_navigation(first: Navigation, second: Navigation, T_first_second: FloatArray) -> Navigation:
     """Both navigations in the first's frame. T_first_second (4, 4) may carry a scale.
 
-    Times and frame numbers of the second are moved behind the first's: each drive counts its own.
+    Times and frame numbers of the second are moved behind the first's: each navigation counts its own.
     """
     last = [int(t.max(initial=0)) for t in (first.trajectory.t_robot_ns, first.keyframes.t_robot_ns)]
     start = [

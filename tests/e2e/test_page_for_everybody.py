@@ -8,7 +8,7 @@ import pytest
 from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import LAPTOP, PHONE, Room
-from tests.integration.test_station_drives import keep_drive
+from tests.integration.test_station_navigations import keep_navigation
 from tests.link_support import until
 from tests.openapi_support import furnish
 from tests.station_support import store_map
@@ -39,7 +39,7 @@ async def violations(page: Page) -> list[str]:
 @pytest.mark.parametrize("screen", ["laptop", "phone"])
 async def test_axe_finds_nothing(room: Room, theme: str, screen: str) -> None:
     place_map, _ = furnish(room.desk.station.config.data_dir)
-    room.desk.station.drives.library.open()
+    room.desk.station.navigations.library.open()
     page = await room.open(**(PHONE if screen == "phone" else LAPTOP), color_scheme=theme, reduced_motion="reduce")
     await expect(page.locator("html")).to_have_attribute("data-theme", theme)
     assert await violations(page) == []  # no map in use: the guide, empty lists
@@ -110,8 +110,8 @@ async def open_dialog(page: Page, name: str, place_id: str) -> None:
 
 async def test_the_keyboard_reaches_everything_and_works_it(room: Room) -> None:
     data_dir = room.desk.station.config.data_dir
-    keep_drive(data_dir, "nav-1")
-    room.desk.station.drives.library.open()
+    keep_navigation(data_dir, "nav-1")
+    room.desk.station.navigations.library.open()
     place_map = store_map(data_dir)
     await room.desk.http.put("/maps/active", json={"id": place_map.id})
     page = await room.open()

@@ -11,7 +11,7 @@ from playwright.async_api import Page, expect
 
 from station.maps.store import MapStore
 from tests.e2e.conftest import Room
-from tests.integration.test_station_drives import keep_drive
+from tests.integration.test_station_navigations import keep_navigation
 from tests.link_support import WAIT_S, until
 from tests.station_support import store_map
 
@@ -26,8 +26,8 @@ async def download(page: Page, link: str) -> bytes:
 
 
 async def test_record_build_compare_replay_and_download(room: Room) -> None:
-    keep_drive(room.desk.station.config.data_dir, "nav-before")
-    room.desk.station.drives.library.open()
+    keep_navigation(room.desk.station.config.data_dir, "nav-before")
+    room.desk.station.navigations.library.open()
     page = await room.open()
     await page.locator("#record").click()
     await expect(page.locator("#map-count")).to_contain_text("landmarks")
@@ -81,8 +81,8 @@ async def test_record_build_compare_replay_and_download(room: Room) -> None:
 
 async def test_drives_and_maps_are_deleted_and_brought_back(room: Room) -> None:
     data_dir = room.desk.station.config.data_dir
-    keep_drive(data_dir, "nav-before")
-    room.desk.station.drives.library.open()
+    keep_navigation(data_dir, "nav-before")
+    room.desk.station.navigations.library.open()
     place_map = store_map(data_dir)
     page = await room.open()
     await page.get_by_role("button", name="Delete Drive nav-before").click()

@@ -12,7 +12,7 @@ from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import PHONE, Room
 from tests.e2e.test_page_library import hold_gamepad, open_with_gamepad
-from tests.integration.test_station_drives import keep_drive
+from tests.integration.test_station_navigations import keep_navigation
 from tests.link_support import until
 from tests.openapi_support import furnish
 from tests.station_support import store_map
@@ -28,8 +28,8 @@ async def box(page: Page, selector: str) -> tuple[float, float, float, float]:
 
 
 async def keep(room: Room, name: str) -> None:
-    keep_drive(room.desk.station.config.data_dir, name)
-    room.desk.station.drives.library.open()
+    keep_navigation(room.desk.station.config.data_dir, name)
+    room.desk.station.navigations.library.open()
 
 
 async def test_rows_stay_the_same_buttons_while_what_they_tell_of_changes(room: Room) -> None:
@@ -301,7 +301,7 @@ PROGRAMS = """
 
 async def test_what_was_looked_at_again_is_given_back_to_the_graphics_card(room: Room) -> None:
     furnish(room.desk.station.config.data_dir)
-    room.desk.station.drives.library.open()
+    room.desk.station.navigations.library.open()
     page = await room.new_page()
     await page.add_init_script(PROGRAMS)
     await room.visit(page)

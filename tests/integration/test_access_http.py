@@ -231,7 +231,7 @@ async def test_secrets_are_in_no_log_problem_metric_or_file_but_their_own(
             *[await http.get(path, headers=admin) for path in ("/metrics", "/log", "/robot", "/access/tokens")],
         )
         seen.extend(answer.text for answer in answers)
-        await until(lambda: station.desk.station.drives.get(drive).frames > 3)
+        await until(lambda: station.desk.station.navigations.get(drive).frames > 3)
         await http.post(f"/navigations/{drive}/stop", headers=admin)
         filming.cancel()
         await asyncio.gather(filming, return_exceptions=True)

@@ -20,7 +20,7 @@ from station.demo.folder import alone_in, fresh_folder, require_free
 from station.demo.processes import Programs
 from station.demo.simulator_client import SimulatorClient
 from station.demo.station_client import StationClient
-from tests.integration.test_station_drives import keep_drive
+from tests.integration.test_station_navigations import keep_navigation
 from tests.station_support import running_station
 
 SCRIPT = """
@@ -137,7 +137,7 @@ def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
 
 
 async def test_the_demo_asks_a_station_what_it_can_answer(tmp_path: Path) -> None:
-    drive = keep_drive(tmp_path / "data", "nav-1")
+    drive = keep_navigation(tmp_path / "data", "nav-1")
     said: list[str] = []
     options = DemoOptions(seed=1, once=True, port=0, out=tmp_path, world="small", backend=None)
     async with running_station(1, tmp_path / "data") as desk:

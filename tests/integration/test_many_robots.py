@@ -103,12 +103,12 @@ async def test_two_robots_record_at_once_and_each_knows_its_own_place(tmp_path: 
 
         drives = [await here.post("/navigations", name="A"), await here.post("/robots/robot-2/navigations", name="B")]
         assert [e["navigation"] for e in await here.get("/robots")] == [drive["id"] for drive in drives]
-        await until(lambda: all(here.desk.station.drives.get(drive["id"]).frames >= 8 for drive in drives))
+        await until(lambda: all(here.desk.station.navigations.get(drive["id"]).frames >= 8 for drive in drives))
         await here.post(f"/navigations/{drives[1]['id']}/stop")
         assert (await here.get(f"/navigations/{drives[0]['id']}"))["state"] == "recording"
         await here.post(f"/navigations/{drives[0]['id']}/stop")
         ready = ("ready", "failed")
-        await until(lambda: all(here.desk.station.drives.get(drive["id"]).state in ready for drive in drives))
+        await until(lambda: all(here.desk.station.navigations.get(drive["id"]).state in ready for drive in drives))
         assert [n["state"] for n in await here.get("/navigations")] == ["ready", "ready"]
 
 
@@ -168,8 +168,8 @@ async def test_a_killed_slam_worker_comes_back_and_the_other_robot_does_not_noti
         assert first.live.pose is not None and first.live.pose.segment == 1
         for drive in drives:
             await here.post(f"/navigations/{drive['id']}/stop")
-        await until(lambda: all(station.drives.get(d["id"]).state in ("ready", "failed") for d in drives))
-        ended = [station.drives.get(drive["id"]) for drive in drives]
+        await until(lambda: all(station.navigations.get(d["id"]).state in ("ready", "failed") for d in drives))
+        ended = [station.navigations.get(drive["id"]) for drive in drives]
         assert [drive.state for drive in ended] == ["ready", "ready"]
         assert "run SLAM over the recording again" in ended[0].message and "again" not in ended[1].message
 

@@ -13,7 +13,7 @@ from benchmarks import bench_current_place
 from benchmarks.calibration_curve import Bin, calibration_bins, calibration_error
 
 
-def made_up_drive(seed: int) -> dict[str, Any]:
+def made_up_navigation(seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     probability = np.where(rng.random(400) < 0.7, rng.uniform(0.9, 1.0, 400), rng.uniform(0.0, 1.0, 400))
     rows = [["known", bool(rng.random() < p**2), float(p), bool(rng.random() < 0.9), False] for p in probability]
@@ -44,13 +44,13 @@ def test_the_curve_is_drawn_from_what_earlier_runs_left(
     files = []
     for seed in (1, 2):
         files.append(tmp_path / f"run{seed}.json")
-        files[-1].write_text(json.dumps({"summary": {}, "drives": [made_up_drive(seed)]}))
+        files[-1].write_text(json.dumps({"summary": {}, "drives": [made_up_navigation(seed)]}))
     monkeypatch.setattr(
         sys, "argv", ["bench", "--from", *map(str, files), "--figure", str(tmp_path / "new" / "curve.png")]
     )
     bench_current_place.main()
     summary = json.loads(capsys.readouterr().out)
-    drives = [made_up_drive(1), made_up_drive(2)]
+    drives = [made_up_navigation(1), made_up_navigation(2)]
     mapped = [r for d in drives for r in d["rows"] if r[0] == "known" and r[3]]
     assert summary["drives"] == 2 and summary["expected_calibration_error"] > 0.05
     bins = calibration_bins((r[2], r[1]) for r in mapped)

@@ -15,10 +15,10 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError, EstimationError
 from shared.messages import PROTOCOL_VERSION, CameraFrame, Capabilities, Hello
 from station.config import SlamConfig
-from station.drive_library import DriveLibrary, DriveRecord
-from station.drive_making import DriveRecorder
-from station.drives import Drives
 from station.events import Events
+from station.navigation_library import NavigationLibrary, NavigationRecord
+from station.navigation_making import NavigationRecorder
+from station.navigations import Navigations
 from station.recording import CANCELLED, Recording
 from station.refusals import Conflict
 from station.slam_process import MAX_DEATHS, SlamProcess
@@ -92,7 +92,7 @@ class FakeRecorder(Notes):
         self.is_closed = True
 
 
-class FullDisk(DriveLibrary):
+class FullDisk(NavigationLibrary):
     """A library whose disk fills up, or is slow."""
 
     is_full = False
@@ -103,12 +103,12 @@ class FullDisk(DriveLibrary):
         self.may_write.set()
         self.written: list[str] = []  # states and names, in order
 
-    def write(self, drive: DriveRecord) -> None:
+    def write(self, navigation: NavigationRecord) -> None:
         assert self.may_write.wait(60)
         if self.is_full:
             raise DataError("no space left")
-        super().write(drive)
-        self.written.append(f"{drive.state} {drive.name}")
+        super().write(navigation)
+        self.written.append(f"{navigation.state} {navigation.name}")
 
 
 class Room:
@@ -118,11 +118,11 @@ class Room:
         self.library = FullDisk(folder)
         self.events = Events()
         self.recorder = FakeRecorder()
-        self.drives = Drives(self.library, self.events)
-        self.recording = Recording(self.drives, SlamConfig(), self.events, self._record, lambda *_: None)
+        self.navigations = Navigations(self.library, self.events)
+        self.recording = Recording(self.navigations, SlamConfig(), self.events, self._record, lambda *_: None)
         self.cannot_record = ""
 
-    def _record(self, path: Path) -> DriveRecorder:
+    def _record(self, path: Path) -> NavigationRecorder:
         path.parent.mkdir(parents=True)
         if self.cannot_record:
             raise DataError(self.cannot_record)
@@ -131,9 +131,9 @@ class Room:
     def said(self, text: str) -> int:
         return sum(text in line.text for line in self.events.log)
 
-    async def over(self, drive_id: str) -> DriveRecord:
-        await until(lambda: self.library.get(drive_id).state in ("ready", "failed"))
-        return self.library.get(drive_id)
+    async def over(self, navigation_id: str) -> NavigationRecord:
+        await until(lambda: self.library.get(navigation_id).state in ("ready", "failed"))
+        return self.library.get(navigation_id)
 
 
 def hello(session: str = "one", robot: str = "robot") -> Hello:
@@ -157,54 +157,54 @@ async def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator
     made = Room(tmp_path / "navigations")
     yield made
     made.library.may_write.set()
-    await made.drives.close()
+    await made.navigations.close()
 
 
 async def test_a_drive_that_cannot_be_recorded_never_was(room: Room, tmp_path: Path) -> None:
     room.cannot_record = "cannot record there"
     with pytest.raises(DataError, match="cannot record there"):
         await room.recording.start(hello(), "first")
-    assert room.drives.list() == [] and room.recording.running is None and FakeWorker.made == []
+    assert room.navigations.list() == [] and room.recording.running is None and FakeWorker.made == []
     assert list((tmp_path / "navigations").iterdir()) == []
     room.cannot_record, room.library.is_full = "", True
     with pytest.raises(DataError, match="no space left"):
         await room.recording.start(hello(), "second")
-    assert room.drives.list() == [] and room.recorder.is_closed and FakeWorker.made == []
+    assert room.navigations.list() == [] and room.recorder.is_closed and FakeWorker.made == []
 
 
 async def test_what_is_left_to_do_after_a_drive_is_told_and_can_be_given_up(room: Room) -> None:
-    drive = await room.recording.start(hello(), "Round the table")
+    navigation = await room.recording.start(hello(), "Round the table")
     worker = FakeWorker.made[0]
     worker.may_finish.clear()
     for number in range(5):
         frame = CameraFrame(seq=number, t_robot_ns=number, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b"")
         room.recording.on_frame(frame, number)
     worker.num_waiting = 3
-    await room.recording.stop(drive.id)
-    assert room.drives.get(drive.id).message == "finishing: 2 of 5 pictures were looked at"
+    await room.recording.stop(navigation.id)
+    assert room.navigations.get(navigation.id).message == "finishing: 2 of 5 pictures were looked at"
     worker.num_waiting = 0
     room.recording.refresh()
-    assert room.recording.left_to_do == room.drives.get(drive.id).message == (
+    assert room.recording.left_to_do == room.navigations.get(navigation.id).message == (
         "finishing: computing trajectory and landmarks"
     )  # fmt: skip
     with pytest.raises(Conflict, match="Round the table is being finished"):
-        await room.drives.rename(drive.id, "Other")
-    room.recording.cancel(drive.id)
-    over = await room.over(drive.id)
+        await room.navigations.rename(navigation.id, "Other")
+    room.recording.cancel(navigation.id)
+    over = await room.over(navigation.id)
     assert over.state == "failed" and over.message == CANCELLED and room.recording.left_to_do == ""
     with pytest.raises(Conflict, match="not being finished"):
-        room.recording.cancel(drive.id)
+        room.recording.cancel(navigation.id)
 
 
 async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room) -> None:
-    drive = await room.recording.start(hello(), "")
+    navigation = await room.recording.start(hello(), "")
     room.library.is_full = True
-    assert (await room.recording.stop(drive.id)).state == "finishing"
-    over = await room.over(drive.id)
+    assert (await room.recording.stop(navigation.id)).state == "finishing"
+    over = await room.over(navigation.id)
     assert over.message == "drive longer"
     assert room.recorder.is_closed and FakeWorker.made[0].is_closed
     assert room.said("no space left")
-    await room.drives.delete(drive.id)  # it is not stuck
+    await room.navigations.delete(navigation.id)  # it is not stuck
 
 
 @pytest.mark.parametrize(
@@ -218,12 +218,12 @@ async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room)
 async def test_another_run_or_robot_ends_the_drive_and_keeps_its_recording(
     room: Room, other: Hello, sentence: str
 ) -> None:
-    drive = await room.recording.start(hello(), "")
+    navigation = await room.recording.start(hello(), "")
     room.recording.on_connected(hello())  # the network was away for a moment
     assert room.recording.running is not None
     room.recording.on_connected(other)
     assert room.recording.running is None
-    over = await room.over(drive.id)
+    over = await room.over(navigation.id)
     assert sentence in over.message and room.said(sentence)
     assert room.recorder.is_closed and [h.session_id for h in room.recorder.hellos] == ["one", "one"]
     assert (await room.recording.start(other, "")).robot_id == other.robot_id
@@ -231,7 +231,7 @@ async def test_another_run_or_robot_ends_the_drive_and_keeps_its_recording(
 
 
 async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(room: Room) -> None:
-    drive = await room.recording.start(hello(), "")
+    navigation = await room.recording.start(hello(), "")
     for deaths in range(1, MAX_DEATHS):
         await until(lambda: FakeWorker.made[-1].is_up)
         FakeWorker.made[-1].die()
@@ -241,20 +241,20 @@ async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(
     FakeWorker.made[-1].die()
     assert len(FakeWorker.made) == MAX_DEATHS and room.said("goes on without it") == 1
     assert room.recording.running is not None and not room.recorder.is_closed
-    await room.recording.stop(drive.id)
-    assert "goes on without it" in (await room.over(drive.id)).message
+    await room.recording.stop(navigation.id)
+    assert "goes on without it" in (await room.over(navigation.id)).message
 
 
 @pytest.mark.parametrize("how", ["stop", "close"])
 async def test_a_process_that_is_still_starting_is_closed_with_its_drive(room: Room, how: str) -> None:
-    drive = await room.recording.start(hello(), "")
+    navigation = await room.recording.start(hello(), "")
     await until(lambda: FakeWorker.made[0].is_up)
     FakeWorker.may_start.clear()
     FakeWorker.made[0].die()
     if how == "stop":
-        await room.recording.stop(drive.id)
+        await room.recording.stop(navigation.id)
         FakeWorker.may_start.set()
-        await room.over(drive.id)
+        await room.over(navigation.id)
     else:
         asyncio.get_running_loop().call_soon(FakeWorker.may_start.set)
         await room.recording.close()
@@ -264,65 +264,65 @@ async def test_a_process_that_is_still_starting_is_closed_with_its_drive(room: R
 
 
 async def test_what_slam_refuses_is_told_once_and_counted(room: Room) -> None:
-    drive = await room.recording.start(hello(), "")
+    navigation = await room.recording.start(hello(), "")
     for sentence in ("image 1 is 3x3", "image 1 is 3x3", "image 2 is not a readable JPEG"):
         FakeWorker.made[0].on_failure(sentence)
     assert room.said("image 1 is 3x3") == 1 and room.said("image 2") == 1
-    assert room.drives.get(drive.id).slam_failures == 3
-    await room.recording.stop(drive.id)
-    over = await room.over(drive.id)
+    assert room.navigations.get(navigation.id).slam_failures == 3
+    await room.recording.stop(navigation.id)
+    over = await room.over(navigation.id)
     assert over.slam_failures == 3 and "SLAM refused 3" in over.message and "image 1 is 3x3" in over.message
 
 
 async def test_a_station_that_ends_at_once_after_a_drive_closes_it(room: Room) -> None:
-    drive = await room.recording.start(hello(), "")
-    await room.recording.stop(drive.id)
+    navigation = await room.recording.start(hello(), "")
+    await room.recording.stop(navigation.id)
     await room.recording.close()
     assert room.recorder.is_closed and FakeWorker.made[0].is_closed
-    assert room.library.get(drive.id).state == "failed"
+    assert room.library.get(navigation.id).state == "failed"
 
 
 async def test_a_slow_disk_holds_up_nothing_and_gets_everything_in_order(room: Room) -> None:
-    drive = await room.recording.start(hello(), "slow")
+    navigation = await room.recording.start(hello(), "slow")
     room.library.may_write.clear()
-    stopping = asyncio.create_task(room.recording.stop(drive.id))
-    await until(lambda: room.drives.get(drive.id).state == "failed")  # SLAM has ended, all by the event loop
+    stopping = asyncio.create_task(room.recording.stop(navigation.id))
+    await until(lambda: room.navigations.get(navigation.id).state == "failed")  # SLAM has ended, all by the event loop
     assert not stopping.done(), "it was said to be kept"
-    deleting = asyncio.create_task(room.drives.delete(drive.id))
+    deleting = asyncio.create_task(room.navigations.delete(navigation.id))
     await asyncio.sleep(0)
     room.library.may_write.set()
     assert (await stopping).state == "finishing"
     await deleting
     assert room.library.written == ["recording slow", "finishing slow", "failed slow"]
     assert [gone.state for gone in room.library.deleted()] == ["failed"]
-    again = DriveLibrary(room.library.folder(drive.id).parent)
+    again = NavigationLibrary(room.library.folder(navigation.id).parent)
     assert again.open() == [] and again.list() == []  # nothing came back behind the deletion
 
 
 async def test_a_station_that_ends_has_written_everything(room: Room) -> None:
-    drive = await room.recording.start(hello(), "")
+    navigation = await room.recording.start(hello(), "")
     room.library.may_write.clear()
     closing = asyncio.create_task(room.recording.close())
-    await until(lambda: room.drives.get(drive.id).state == "failed")
+    await until(lambda: room.navigations.get(navigation.id).state == "failed")
     room.library.may_write.set()
     await closing
-    await room.drives.close()
-    again = DriveLibrary(room.library.folder(drive.id).parent)
-    assert again.open() == [] and again.get(drive.id).message.startswith(
+    await room.navigations.close()
+    again = NavigationLibrary(room.library.folder(navigation.id).parent)
+    assert again.open() == [] and again.get(navigation.id).message.startswith(
         "the station was stopped; the recording is kept"
     )
 
 
 async def test_a_name_that_the_disk_does_not_take_is_refused(room: Room) -> None:
-    drive = await room.recording.start(hello(), "first")
-    await room.recording.stop(drive.id)
-    await room.over(drive.id)
+    navigation = await room.recording.start(hello(), "first")
+    await room.recording.stop(navigation.id)
+    await room.over(navigation.id)
     room.library.is_full = True
     with pytest.raises(DataError, match="no space left"):
-        await room.drives.rename(drive.id, "second")
-    assert room.drives.get(drive.id).name == "first"
+        await room.navigations.rename(navigation.id, "second")
+    assert room.navigations.get(navigation.id).name == "first"
     room.library.is_full = False
-    assert (await room.drives.rename(drive.id, "second")).name == "second"
+    assert (await room.navigations.rename(navigation.id, "second")).name == "second"
 
 
 async def test_what_happens_while_a_drive_begins_on_a_slow_disk(room: Room, tmp_path: Path) -> None:
@@ -346,23 +346,23 @@ async def test_what_happens_while_a_drive_begins_on_a_slow_disk(room: Room, tmp_
     with pytest.raises(Conflict, match="ending"):
         await starting
     await closing
-    assert list((tmp_path / "navigations").iterdir()) == [] and room.drives.list() == []
+    assert list((tmp_path / "navigations").iterdir()) == [] and room.navigations.list() == []
 
 
 async def test_what_is_over_is_not_said_to_be_cancelled(room: Room, tmp_path: Path) -> None:
-    drive = await room.recording.start(hello(), "first")
+    navigation = await room.recording.start(hello(), "first")
     with pytest.raises(Conflict, match="not being finished"):
-        room.recording.cancel(drive.id)
+        room.recording.cancel(navigation.id)
     room.library.may_write.clear()  # the disk does not know yet that it is over
-    stopping = asyncio.create_task(room.recording.stop(drive.id))
-    await until(lambda: room.drives.get(drive.id).state == "failed")
+    stopping = asyncio.create_task(room.recording.stop(navigation.id))
+    await until(lambda: room.navigations.get(navigation.id).state == "failed")
     with pytest.raises(Conflict, match=r"not being finished \(it is failed\)"):
-        room.recording.cancel(drive.id)
+        room.recording.cancel(navigation.id)
     room.library.may_write.set()
     await stopping
-    assert (await room.over(drive.id)).message == "drive longer"
+    assert (await room.over(navigation.id)).message == "drive longer"
     slam = SlamProcess("SLAM", SlamConfig(), REFERENCE_ROBOT, room.events, lambda _: None, lambda _: None)
     with pytest.raises(EstimationError):
-        await slam.finish(drive.id, tmp_path)
+        await slam.finish(navigation.id, tmp_path)
     assert not slam.give_up()  # it has answered: its navigation may be there
     await slam.close()

@@ -298,6 +298,6 @@ def test_the_oldest_recordings_go_first() -> None:
     kept = [KeptRecording(str(day), day * 86_400.0, 10) for day in range(5)]
     now_s = 5 * 86_400.0
     assert to_remove(kept, 0, 0, now_s) == []
-    assert [r.drive_id for r in to_remove(kept, 25, 0, now_s)] == ["0", "1", "2"]
-    assert [r.drive_id for r in to_remove(kept, 0, 3.5 * 86_400, now_s)] == ["0", "1"]
-    assert [r.drive_id for r in to_remove(kept, 45, 4.5 * 86_400, now_s)] == ["0"]
+    assert [r.navigation_id for r in to_remove(kept, 25, 0, now_s)] == ["0", "1", "2"]
+    assert [r.navigation_id for r in to_remove(kept, 0, 3.5 * 86_400, now_s)] == ["0", "1"]
+    assert [r.navigation_id for r in to_remove(kept, 45, 4.5 * 86_400, now_s)] == ["0"]

@@ -20,8 +20,8 @@ import station.recording_parts
 from shared.errors import DataError
 from shared.mcap_recording import FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC
 from station.datasets import open_dataset
-from station.drive_library import DriveLibrary, DriveRecord
 from station.main import app
+from station.navigation_library import NavigationLibrary, NavigationRecord
 from station.recorder import Recorder
 from station.recording_check import check_recording
 from station.recording_lock import hold, is_being_written
@@ -390,13 +390,13 @@ def test_chunks_are_found_across_the_border_of_what_is_read_at_once(
 
 
 def test_what_recovery_kept_goes_with_the_recording(tmp_path: Path) -> None:
-    library = DriveLibrary(tmp_path)
+    library = NavigationLibrary(tmp_path)
     library.open()
     for name in ("nav-1", "nav-2"):
-        library.keep(DriveRecord(name, "n", "ready", 1.0, "sfm"))
+        library.keep(NavigationRecord(name, "n", "ready", 1.0, "sfm"))
     path = library.recording("nav-1")
     path.write_bytes(bytes(10))
     path.with_name("recording.mcap.damaged.2").write_bytes(bytes(20))
-    assert [(kept.drive_id, kept.bytes) for kept in library.finished_recordings()] == [("nav-1", 30)]
+    assert [(kept.navigation_id, kept.bytes) for kept in library.finished_recordings()] == [("nav-1", 30)]
     library.remove_recording("nav-1")
-    assert [file.name for file in library.folder("nav-1").iterdir()] == ["drive.json"]
+    assert [file.name for file in library.folder("nav-1").iterdir()] == ["record.json"]

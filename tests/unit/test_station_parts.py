@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -17,11 +18,11 @@ from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.commands.serve import _settings as serve_settings
 from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, load_config, parse_address
-from station.drive_library import DriveLibrary, DriveRecord
 from station.driving import DriverLease, Driving
 from station.frames import DriveSample, ImageFrame, ImuBatch
 from station.live import PointBuffer, pack_points
 from station.mailbox import Latest, MessageHub
+from station.navigation_library import NavigationLibrary, NavigationRecord
 from station.refusals import Conflict, NotDriver, OutOfRange
 from station.sequencer import HOLD_BACK_NS, Sequencer
 from station.slam.backends import check_backend, choose_backend
@@ -361,21 +362,35 @@ def test_wrong_addresses_are_refused(text: str) -> None:
 
 
 def test_a_drive_that_a_dead_station_left_is_kept_as_failed(tmp_path: Path) -> None:
-    library = DriveLibrary(tmp_path)
+    library = NavigationLibrary(tmp_path)
     assert library.open() == []
-    library.keep(DriveRecord(id="nav-1", name="one", state="recording", started_wall_s=1.0, backend="sfm"))
+    library.keep(NavigationRecord(id="nav-1", name="one", state="recording", started_wall_s=1.0, backend="sfm"))
     (tmp_path / "half").mkdir()
-    (tmp_path / "half" / "drive.json").write_text("{")
-    again = DriveLibrary(tmp_path)
+    (tmp_path / "half" / "record.json").write_text("{")
+    again = NavigationLibrary(tmp_path)
     assert [d.id for d in again.open()] == ["nav-1"]
     assert again.get("nav-1").state == "failed"
+
+
+def test_a_record_under_its_old_name_still_opens(tmp_path: Path) -> None:
+    library = NavigationLibrary(tmp_path)
+    library.keep(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
+    (tmp_path / "nav-1" / "record.json").rename(tmp_path / "nav-1" / "drive.json")
+    again = NavigationLibrary(tmp_path)
+    assert again.open() == []
+    assert again.get("nav-1").name == "one"
+    again.keep(replace(again.get("nav-1"), name="two"))
+    assert [path.name for path in (tmp_path / "nav-1").iterdir()] == ["record.json"]
+    reopened = NavigationLibrary(tmp_path)
+    reopened.open()
+    assert reopened.get("nav-1").name == "two"
 
 
 def test_a_drive_whose_record_is_lost_is_known_by_its_recording(tmp_path: Path) -> None:
     for name in ("nav-a", "nav-b", ".bin"):
         (tmp_path / name).mkdir()
     (tmp_path / "nav-a" / "recording.mcap").write_bytes(b"x")
-    (tmp_path / "nav-a" / "drive.json").write_text('{"id": "nav-a", "na')
-    interrupted = DriveLibrary(tmp_path).open()
+    (tmp_path / "nav-a" / "record.json").write_text('{"id": "nav-a", "na')
+    interrupted = NavigationLibrary(tmp_path).open()
     assert [(drive.id, drive.state) for drive in interrupted] == [("nav-a", "failed")]
-    assert [drive.id for drive in DriveLibrary(tmp_path).open()] == []  # it has a record again
+    assert [drive.id for drive in NavigationLibrary(tmp_path).open()] == []  # it has a record again

@@ -30,7 +30,7 @@ from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.keyframes import is_grey, sample_grey
 from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.memory import DriveMemory, Points, RecentFrame
+from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
 from station.slam.ukf.monitor import LIFTED, TrackingMonitor
 from station.slam.ukf.propagation import ImuSegment
 from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
@@ -76,7 +76,7 @@ class UkfBackend:
         self._filter: VioFilter | None = None
         self._monitor = TrackingMonitor(self._config)
         self._messages: list[str] = []
-        self._memory = DriveMemory(self._camera, calibration.imu, self._config, self._make_views())
+        self._memory = NavigationMemory(self._camera, calibration.imu, self._config, self._make_views())
         self._coasting = Coasting(ORIGIN, 0)
         self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command

@@ -42,7 +42,7 @@ class RecentFrame:
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
 
 
-class DriveMemory:
+class NavigationMemory:
     """Poses of all frames, keyframes, and the frames that may still become keyframes."""
 
     def __init__(self, camera: CameraModel, noise: ImuNoise, config: UkfConfig, views: MapViews | None = None) -> None:

@@ -12,9 +12,9 @@ from station.experiments.presets import find_preset, make_dataset
 
 def test_second_and_third_share_the_first_drive_and_differ_in_the_other() -> None:
     second, third = find_preset("II", 4, None), find_preset("III", 4, None)
-    assert second.drives[0] == third.drives[0]
-    assert "triangle_b" in second.drives[1] and "triangle_c" in third.drives[1]
-    assert second.drives[0] != find_preset("II", 5, None).drives[0]
+    assert second.navigations[0] == third.navigations[0]
+    assert "triangle_b" in second.navigations[1] and "triangle_c" in third.navigations[1]
+    assert second.navigations[0] != find_preset("II", 5, None).navigations[0]
 
 
 def test_the_first_uses_the_prefix_of_one_drive(tmp_path: Path) -> None:
@@ -22,7 +22,7 @@ def test_the_first_uses_the_prefix_of_one_drive(tmp_path: Path) -> None:
     states.mkdir(parents=True)
     (states / "data.csv").touch()
     first = find_preset("I", 0, tmp_path)
-    assert first.drives[0] == first.drives[1]
+    assert first.navigations[0] == first.navigations[1]
     assert first.frames == (FrameRange(0, 599), FrameRange(0, 399))
     assert (first.backend, find_preset("II", 0, None).backend) == ("ukf", "sfm")
     assert any("stand" in s or "rendered" in s for s in first.story.setting)
@@ -48,7 +48,7 @@ def test_a_drive_is_used_again_only_where_just_that_one_was_made(tmp_path: Path)
     made = make_dataset((*short, "--seed", "1"), tmp_path / "drive1", lambda _: None)
     said: list[str] = []
     assert make_dataset((*short, "--seed", "1"), made, said.append) == made and not said
-    with pytest.raises(DataError, match="another drive"):
+    with pytest.raises(DataError, match="another navigation"):
         make_dataset((*short, "--seed", "2"), made, said.append)
     assert (made / "mav0").is_dir()  # and it is left as it was
 

@@ -118,12 +118,12 @@ def test_names_survive_building_the_map_again(place_map: PlaceMap, address: Stor
     store = MapStore(address)
     store.save(place_map)
     store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
-    earlier = store.newest_of_drive("nav-1")
-    assert earlier is not None and store.newest_of_drive("nav") is None
+    earlier = store.newest_of_navigation("nav-1")
+    assert earlier is not None and store.newest_of_navigation("nav") is None
     store.save(carry_names(earlier, renamed(place_map, "built again")))
     assert store.load(place_map.id).places[0].name == "Sofa"
     store.delete(place_map.id)
-    assert store.newest_of_drive("nav-1") is None
+    assert store.newest_of_navigation("nav-1") is None
 
 
 def test_a_failed_save_leaves_what_was_there(

@@ -100,7 +100,7 @@ def test_all_maps_are_seen_and_none_can_be_changed(
         assert [summary.id for summary in store.list()] == [place_map.id]
         assert name_of_place(store, place_map) == NAMED
         assert [record.number for record in store.history(place_map.id)] == [2, 1]
-        assert verify(store) == () and store.newest_of_drive("nav-1") is not None
+        assert verify(store) == () and store.newest_of_navigation("nav-1") is not None
         write_backup(store, tmp_path / "again.tar")
         assert sum("can be seen, not changed" in sentence for sentence in told) == 1
         for change in (

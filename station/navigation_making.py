@@ -1,4 +1,4 @@
-"""The files a drive begins with: its recording, then its record. Making them waits for the disk: do it in a thread."""
+"""The files a navigation begins with: its recording, then its record. Call it in a thread: it waits for the disk."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Protocol
 
 from shared.errors import RobotSystemError
 from shared.messages import Hello
-from station.drive_library import DriveLibrary, DriveRecord
 from station.events import LogLine
 from station.link import LinkListener
+from station.navigation_library import NavigationLibrary, NavigationRecord
 from station.place_report import PlaceReport
 from station.slam.backend import SlamUpdate
 
 
-class DriveRecorder(LinkListener, Protocol):
+class NavigationRecorder(LinkListener, Protocol):
     """Writes what the link delivers into a file, in a thread of its own; calls return at once."""
 
     @property
@@ -35,21 +35,21 @@ class DriveRecorder(LinkListener, Protocol):
     def close(self) -> object: ...
 
 
-MakeRecorder = Callable[[Path], DriveRecorder | None]
+MakeRecorder = Callable[[Path], NavigationRecorder | None]
 
 
-def make_drive(
-    library: DriveLibrary, make_recorder: MakeRecorder, hello: Hello, name: str, backend: str, robot: str
-) -> tuple[DriveRecord, DriveRecorder | None]:
-    """A drive that is recorded from now on; the library does not list it yet. Raises DataError when there is no room.
+def make_navigation(
+    library: NavigationLibrary, make_recorder: MakeRecorder, hello: Hello, name: str, backend: str, robot: str
+) -> tuple[NavigationRecord, NavigationRecorder | None]:
+    """A navigation that is recorded from now on; the library does not list it yet. Raises DataError: there is no room.
 
     Args:
         name: for a person; empty: the time of day.
         robot: what the station calls it.
     """
-    drive_id = library.new_id()
-    drive = DriveRecord(
-        id=drive_id,
+    navigation_id = library.new_id()
+    navigation = NavigationRecord(
+        id=navigation_id,
         name=name or time.strftime("%-d %b, %H:%M", time.localtime()),
         state="recording",
         started_wall_s=time.time(),
@@ -58,19 +58,21 @@ def make_drive(
         robot_id=hello.robot_id,
         robot=robot,
     )
-    # Before the drive is kept: one that cannot be recorded never was.
-    recorder: DriveRecorder | None = None
+    # Before the navigation is kept: one that cannot be recorded never was.
+    recorder: NavigationRecorder | None = None
     try:
-        recorder = make_recorder(library.recording(drive_id))
-        library.write(drive)
+        recorder = make_recorder(library.recording(navigation_id))
+        library.write(navigation)
     except RobotSystemError:
-        unmake_drive(library, drive, recorder)
+        unmake_navigation(library, navigation, recorder)
         raise
-    return drive, recorder
+    return navigation, recorder
 
 
-def unmake_drive(library: DriveLibrary, drive: DriveRecord, recorder: DriveRecorder | None) -> None:
+def unmake_navigation(
+    library: NavigationLibrary, navigation: NavigationRecord, recorder: NavigationRecorder | None
+) -> None:
     """Nothing was recorded: as if it had never been."""
     if recorder is not None:
         recorder.close()
-    library.discard(drive.id)
+    library.discard(navigation.id)

@@ -1,4 +1,4 @@
-"""What can be done with recorded drives: bin, comparison, replay, SLAM once more, maps of several."""
+"""What can be done with recorded navigations: bin, comparison, replay, SLAM once more, maps of several."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import websockets
 from shared.mcap_recording import recorded_pictures
 from station.api.camera import HEADER
 from station.bin import KEEP_S, MAX_KEPT, Bin
-from station.drive_library import DriveLibrary, DriveRecord
 from station.navigation_files import save_navigation
+from station.navigation_library import NavigationLibrary, NavigationRecord
 from station.replaying import replay
 from tests.link_support import until
 from tests.made_up_workers import made_up_navigation
@@ -25,50 +25,52 @@ pytestmark = pytest.mark.timeout(600)
 
 
 async def record(desk: Desk, film: Film, name: str, pictures: int = 8) -> str:
-    """A drive that is over, with its recording."""
-    drive = (await desk.http.post("/navigations", json={"name": name})).json()["id"]
+    """A navigation that is over, with its recording."""
+    navigation = (await desk.http.post("/navigations", json={"name": name})).json()["id"]
     seen = film.count
     await until(lambda: film.count >= seen + pictures)
-    await desk.http.post(f"/navigations/{drive}/stop")
-    await wait_for(desk, f"/navigations/{drive}", lambda n: n["state"] in ("ready", "failed"))
-    return str(drive)
+    await desk.http.post(f"/navigations/{navigation}/stop")
+    await wait_for(desk, f"/navigations/{navigation}", lambda n: n["state"] in ("ready", "failed"))
+    return str(navigation)
 
 
-def keep_drive(data_dir: Path, drive_id: str) -> DriveRecord:
-    """A finished drive without a recording."""
-    library = DriveLibrary(data_dir / "navigations")
-    drive = DriveRecord(drive_id, f"Drive {drive_id}", "ready", 1.0, "sfm", landmarks=5, scale="metric")
-    library.keep(drive)
-    save_navigation(made_up_navigation(), library.navigation_folder(drive_id))
-    return drive
+def keep_navigation(data_dir: Path, navigation_id: str) -> NavigationRecord:
+    """A finished navigation without a recording."""
+    library = NavigationLibrary(data_dir / "navigations")
+    navigation = NavigationRecord(
+        navigation_id, f"Drive {navigation_id}", "ready", 1.0, "sfm", landmarks=5, scale="metric"
+    )
+    library.keep(navigation)
+    save_navigation(made_up_navigation(), library.navigation_folder(navigation_id))
+    return navigation
 
 
 async def test_what_is_deleted_comes_back_also_after_a_restart(tmp_path: Path) -> None:
-    drive, place_map = keep_drive(tmp_path, "nav-1"), store_map(tmp_path)
+    navigation, place_map = keep_navigation(tmp_path, "nav-1"), store_map(tmp_path)
     async with running_station(1, tmp_path) as desk:
         http = desk.http
-        assert (await http.delete(f"/navigations/{drive.id}")).status_code == 204
+        assert (await http.delete(f"/navigations/{navigation.id}")).status_code == 204
         assert (await http.delete(f"/maps/{place_map.id}")).status_code == 204
-        assert is_problem(await http.get(f"/navigations/{drive.id}"), 404)
+        assert is_problem(await http.get(f"/navigations/{navigation.id}"), 404)
         assert (await http.get("/maps")).json() == []
     async with running_station(1, tmp_path) as desk:
         http = desk.http
         deleted = {entry["kind"]: entry for entry in (await http.get("/bin")).json()}
-        assert deleted["navigation"]["name"] == drive.name
+        assert deleted["navigation"]["name"] == navigation.name
         assert deleted["map"]["gone_unix_s"] == pytest.approx(deleted["map"]["deleted_unix_s"] + KEEP_S)
-        assert (await http.post(f"/navigations/{drive.id}/restore")).json()["state"] == "ready"
+        assert (await http.post(f"/navigations/{navigation.id}/restore")).json()["state"] == "ready"
         assert (await http.post(f"/maps/{place_map.id}/restore")).json()["places"] == len(place_map.places)
         assert (await http.get("/bin")).json() == []
-        assert is_problem(await http.post(f"/navigations/{drive.id}/restore"), 404)
+        assert is_problem(await http.post(f"/navigations/{navigation.id}/restore"), 404)
         assert is_problem(await http.post(f"/maps/{place_map.id}/restore"), 404)
-        assert (await http.get(f"/navigations/{drive.id}/trajectory.tum")).status_code == 200
+        assert (await http.get(f"/navigations/{navigation.id}/trajectory.tum")).status_code == 200
         assert (await http.put("/maps/active", json={"id": place_map.id})).status_code == 200
 
 
 async def test_an_emptied_bin_is_empty_on_the_disk(tmp_path: Path) -> None:
-    drive, place_map = keep_drive(tmp_path, "nav-1"), store_map(tmp_path)
+    navigation, place_map = keep_navigation(tmp_path, "nav-1"), store_map(tmp_path)
     async with running_station(1, tmp_path) as desk:
-        await desk.http.delete(f"/navigations/{drive.id}")
+        await desk.http.delete(f"/navigations/{navigation.id}")
         await desk.http.delete(f"/maps/{place_map.id}")
         assert (await desk.http.delete("/bin")).status_code == 204
         assert (await desk.http.get("/bin")).json() == []
@@ -91,10 +93,10 @@ def test_the_bin_gives_up_what_is_old_or_too_much(tmp_path: Path) -> None:
 
 async def test_a_recording_is_played_again_at_its_own_pace(tmp_path: Path) -> None:
     async with at_work(tmp_path) as (desk, _, film):
-        drive = await record(desk, film, "Again", pictures=12)
-        path = desk.station.drives.library.folder(drive) / "recording.mcap"
+        navigation = await record(desk, film, "Again", pictures=12)
+        path = desk.station.navigations.library.folder(navigation) / "recording.mcap"
         recorded = list(recorded_pictures(path))
-        async with websockets.connect(desk.socket(f"/ws/replay?navigation={drive}&speed=16")) as socket:
+        async with websockets.connect(desk.socket(f"/ws/replay?navigation={navigation}&speed=16")) as socket:
             shown = []
             async for message in socket:
                 assert isinstance(message, bytes)
@@ -103,12 +105,12 @@ async def test_a_recording_is_played_again_at_its_own_pace(tmp_path: Path) -> No
         assert shown[-1][0] == recorded[-1].number
         times = {picture.number: picture.t_robot_ns for picture in recorded}
         assert all(times[seq] == t_ns for seq, _, _, t_ns, *_ in shown)
-        way = (await desk.http.get(f"/navigations/{drive}/replay")).json()
+        way = (await desk.http.get(f"/navigations/{navigation}/replay")).json()
         assert len(way["t_s"]) == len(way["T_world_cam"]) > 2
         assert way["t_s"][0] == 0 and np.all(np.diff(way["t_s"]) > 0)
-        cloud = await desk.http.get(f"/navigations/{drive}/landmarks")
-        assert cloud.content[:4] == b"SLM1" and cloud.headers["X-Source"] == drive
-        async with desk.http.stream("GET", f"/navigations/{drive}/replay.mjpg?speed=16") as stream:
+        cloud = await desk.http.get(f"/navigations/{navigation}/landmarks")
+        assert cloud.content[:4] == b"SLM1" and cloud.headers["X-Source"] == navigation
+        async with desk.http.stream("GET", f"/navigations/{navigation}/replay.mjpg?speed=16") as stream:
             body = b"".join([part async for part in stream.aiter_bytes()])
         assert body.count(b"Content-Type: image/jpeg") >= 1
         async with aclosing(replay(path, from_s=recorded[-1].since_first_s, speed=16)) as pictures:
@@ -120,22 +122,22 @@ async def test_a_recording_is_played_again_at_its_own_pace(tmp_path: Path) -> No
 
 async def test_slam_runs_again_over_a_recording_whose_slam_crashed(tmp_path: Path) -> None:
     async with at_work(tmp_path, backend="tests.made_up_workers:FailingSlam") as (desk, _, film):
-        drive = await record(desk, film, "Crashed")
-        assert (await desk.http.get(f"/navigations/{drive}")).json()["state"] == "failed"
+        navigation = await record(desk, film, "Crashed")
+        assert (await desk.http.get(f"/navigations/{navigation}")).json()["state"] == "failed"
     async with running_station(1, tmp_path) as desk:  # with SLAM that works
-        job = (await desk.http.post(f"/navigations/{drive}/reprocess")).json()
-        assert is_problem(await desk.http.post(f"/navigations/{drive}/reprocess"), 409)
-        assert is_problem(await desk.http.delete(f"/navigations/{drive}"), 409)
+        job = (await desk.http.post(f"/navigations/{navigation}/reprocess")).json()
+        assert is_problem(await desk.http.post(f"/navigations/{navigation}/reprocess"), 409)
+        assert is_problem(await desk.http.delete(f"/navigations/{navigation}"), 409)
         done = await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["state"] != "running")
         assert done["state"] == "done", done
-        navigation = (await desk.http.get(f"/navigations/{drive}")).json()
-        assert navigation["state"] == "ready" and navigation["landmarks"] > 0
-        assert (await desk.http.get(f"/navigations/{drive}/landmarks.ply")).status_code == 200
-        assert (await desk.http.delete(f"/navigations/{drive}")).status_code == 204
+        made = (await desk.http.get(f"/navigations/{navigation}")).json()
+        assert made["state"] == "ready" and made["landmarks"] > 0
+        assert (await desk.http.get(f"/navigations/{navigation}/landmarks.ply")).status_code == 200
+        assert (await desk.http.delete(f"/navigations/{navigation}")).status_code == 204
 
 
 async def test_two_drives_are_compared_and_mapped_together(tmp_path: Path) -> None:
-    keep_drive(tmp_path, "nav-1"), keep_drive(tmp_path, "nav-2")
+    keep_navigation(tmp_path, "nav-1"), keep_navigation(tmp_path, "nav-2")
     async with running_station(1, tmp_path) as desk:
         http = desk.http
         job = (await http.post("/comparisons", json={"first": "nav-1", "second": "nav-2"})).json()
@@ -160,7 +162,7 @@ async def test_two_drives_are_compared_and_mapped_together(tmp_path: Path) -> No
 
 
 async def test_a_cancelled_comparison_leaves_nothing(tmp_path: Path) -> None:
-    keep_drive(tmp_path, "nav-1"), keep_drive(tmp_path, "nav-2")
+    keep_navigation(tmp_path, "nav-1"), keep_navigation(tmp_path, "nav-2")
     async with running_station(1, tmp_path) as desk:
         job = (await desk.http.post("/comparisons", json={"first": "nav-1", "second": "nav-2"})).json()
         await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["progress"] > 0)
@@ -170,7 +172,7 @@ async def test_a_cancelled_comparison_leaves_nothing(tmp_path: Path) -> None:
 
 
 async def test_a_map_of_drives_that_do_not_fit_says_which(tmp_path: Path) -> None:
-    keep_drive(tmp_path, "nav-1"), keep_drive(tmp_path, "nav-2")
+    keep_navigation(tmp_path, "nav-1"), keep_navigation(tmp_path, "nav-2")
     broken = tmp_path / "navigations" / "nav-2" / "navigation"
     shutil.rmtree(broken)
     async with running_station(1, tmp_path) as desk:
