@@ -13,8 +13,8 @@ from pathlib import Path
 
 from shared.access import Role
 from shared.pairing import Pake
-from station.link import RobotLink
-from station.paired_robots import PairedRobots
+from station.access.paired_robots import PairedRobots
+from station.robots.link import RobotLink
 from tests.access_support import guarded_robot
 from tests.link_support import Bench, Notes, running_robot, until
 

@@ -30,14 +30,14 @@ from robot.simulation.worlds import make_world
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, se3, yaw_rotation
 from station.datasets import open_dataset
-from station.evaluation.matches import count_duplicates, true_landmarks
-from station.job_servant import JobServant
-from station.maps.map import PlaceMap
+from station.experiments.matches import count_duplicates, true_landmarks
+from station.files.navigation_folder import load_navigation, save_navigation
 from station.maps.store import MapStore, StoreAddress
-from station.navigation_files import load_navigation, save_navigation
-from station.places.extent import half_extent
+from station.model.place_map import PlaceMap
+from station.places.making.extent import half_extent
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from station.workers.library_jobs import JobServant
 from tests.synthetic_home import Home, drive, furnished_room, navigate
 
 RESULTS = Path(__file__).parent / "results"

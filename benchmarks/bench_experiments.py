@@ -37,10 +37,10 @@ from station.experiments.experiment import Experiment, Story, results_dict, run_
 from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
 from station.experiments.output import write_experiment
 from station.experiments.presets import PRESETS, Preset, find_preset, make_dataset
-from station.frames import ImageFrame
-from station.navigation import Navigation
-from station.navigation_files import load_navigation, save_navigation
-from station.places.config import PlacesConfig, ThesisConfig
+from station.files.navigation_folder import load_navigation, save_navigation
+from station.model.frames import ImageFrame
+from station.model.navigation import Navigation
+from station.places.making.config import PlacesConfig, ThesisConfig
 from station.slam.backends import make_backend
 from station.slam.run import Events, run_backend
 

@@ -24,10 +24,10 @@ from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
 from robot.simulation.world import World
 from shared.calibration import Calibration
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import PlaceMap
-from station.places.localizer import Localizer
-from station.places.tracker import PlaceTracker
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.place_map import PlaceMap
+from station.places.localisation.localizer import Localizer
+from station.places.tracking.tracker import PlaceTracker
 
 LIGHTS = (1.0, 0.4, 1.0, 1.6)
 CONDITIONS: dict[str, Callable[[float], Faults]] = {

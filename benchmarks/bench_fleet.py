@@ -25,9 +25,9 @@ import httpx
 import numpy as np
 import psutil
 
-from station.executors.processes import ProcessExecutor
-from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 from station.maps.store import MapStore
+from station.workers.executors.processes import ProcessExecutor
+from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 
 ROOT = Path(__file__).parents[1]
 FPS, DRIVE_S = 5, 60

@@ -25,7 +25,7 @@ import psutil
 import typer
 
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.link import LinkState, RobotLink
+from station.robots.link import LinkState, RobotLink
 
 ROOT = Path(__file__).parents[1]
 FRAME_RATE_HZ, IMU_RATE_HZ, LOOP_S = 30, 225, 10

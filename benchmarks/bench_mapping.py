@@ -28,14 +28,14 @@ from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, transform
 from station.datasets import Dataset, open_dataset
 from station.demo.judge import is_right
-from station.evaluation.alignment import align_points
-from station.evaluation.trajectory import absolute_trajectory_error, interpolate_poses, path_length
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import PlaceMap
-from station.navigation import Navigation, Trajectory
-from station.places.build import build_map
-from station.places.localizer import Localizer
-from station.places.tracker import PlaceTracker
+from station.experiments.alignment import align_points
+from station.experiments.trajectory import absolute_trajectory_error, interpolate_poses, path_length
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation, Trajectory
+from station.model.place_map import PlaceMap
+from station.places.localisation.localizer import Localizer
+from station.places.making.build import build_map
+from station.places.tracking.tracker import PlaceTracker
 from station.slam.backends import BACKENDS, make_backend
 from station.slam.run import run_backend
 

@@ -33,7 +33,7 @@ sys.path.insert(0, str(ROOT))
 
 from shared import serial_protocol as sp  # noqa: E402
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status  # noqa: E402
-from station.link import RobotLink  # noqa: E402
+from station.robots.link import RobotLink  # noqa: E402
 
 RATE_HZ, FRAME_BYTES, IMU_RATE_HZ = 30, 50_000, 225
 LEAST_RATE_HZ = 27.0

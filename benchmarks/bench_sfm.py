@@ -21,7 +21,7 @@ import numpy as np
 
 from shared.errors import RobotSystemError
 from station.datasets import open_dataset
-from station.evaluation.trajectory import absolute_trajectory_error, path_length
+from station.experiments.trajectory import absolute_trajectory_error, path_length
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 

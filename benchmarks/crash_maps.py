@@ -15,16 +15,16 @@ from sqlalchemy import text
 
 from benchmarks.crash_child import Child, Scenario
 from shared.errors import DataError
-from station.job_servant import JobServant
-from station.maps.checking import verify
+from station.files.navigation_folder import save_navigation
 from station.maps.database import VERSIONS, upgrade
 from station.maps.folder import save_map_folder
-from station.maps.map import PlaceMap
+from station.maps.repair.check import verify
 from station.maps.store import MapStore, StoreAddress
-from station.navigation import Navigation
-from station.navigation_files import save_navigation
-from station.places.build import build_map
-from station.places.changes import with_places_merged
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.places.making.build import build_map
+from station.places.making.changes import with_places_merged
+from station.workers.library_jobs import JobServant
 from tests.synthetic_home import drive, furnished_room, navigate
 
 DATABASE = "database-url"  # a file with the URL of a PostgreSQL database; absent: SQLite in the folder

@@ -14,9 +14,9 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError
 from shared.messages import CameraFrame, Capabilities, Hello, ImuBatch, ImuSample
 from station.datasets import open_dataset
-from station.navigation_library import NavigationLibrary, NavigationRecord
-from station.recorder import Recorder
-from station.recovery import recover_recording
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from station.recordings.recorder import Recorder
+from station.recordings.recovery import recover_recording
 
 MAX_LOST_S = 5.0
 IMU_HZ, FPS = 225, 20

@@ -18,8 +18,8 @@ import websockets
 
 from shared.access import Role
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.link import RobotLink
-from station.paired_robots import PairedRobots
+from station.access.paired_robots import PairedRobots
+from station.robots.link import RobotLink
 from tests.access_support import GuardedBench, set_up
 from tests.fault_proxy import Direction, FaultProxy
 from tests.link_support import Bench

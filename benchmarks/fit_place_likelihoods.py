@@ -32,9 +32,10 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.recording import simulated_calibration
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse
-from station.frames import ImageFrame
-from station.places.belief import BeliefConfig
-from station.places.likelihoods import (
+from station.model.frames import ImageFrame
+from station.places.localisation.localizer import Attempt
+from station.places.tracking.belief import BeliefConfig
+from station.places.tracking.likelihoods import (
     LEAST_EXTENT_M,
     NONE_IN_VIEW,
     USUAL_EXTENT_M,
@@ -43,8 +44,7 @@ from station.places.likelihoods import (
     USUAL_SUPPORT,
     support,
 )
-from station.places.localizer import Attempt
-from station.places.map_view import MapView
+from station.places.tracking.map_view import MapView
 
 RIGHT_M = 0.25  # from the true position
 CARRIED_S = 3.0  # after hands took the robot: images until then show anything

@@ -10,7 +10,7 @@ import numpy as np
 from playwright.async_api import Browser, Page
 
 from shared.calibration import Calibration
-from station.frames import ImageFrame
+from station.model.frames import ImageFrame
 from station.slam.backend import SlamUpdate
 from tests.made_up_workers import StraightSlam
 

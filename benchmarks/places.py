@@ -19,12 +19,12 @@ import numpy as np
 
 from shared.geometry import FloatArray, se3, yaw_rotation
 from station.datasets import Truth
-from station.evaluation.matches import MatchJudgement, judge_matches
-from station.maps.map import Place, PlaceMap
-from station.navigation import Navigation
-from station.places.build import build_map
-from station.places.config import PlacesConfig, ThesisConfig
-from station.places.match import MatchResult, match_navigation
+from station.experiments.matches import MatchJudgement, judge_matches
+from station.model.navigation import Navigation
+from station.model.place_map import Place, PlaceMap
+from station.places.joining.match import MatchResult, match_navigation
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig, ThesisConfig
 from tests.synthetic_home import drive, furnished_room, navigate
 
 FRAMES = 70

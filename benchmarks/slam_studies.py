@@ -35,7 +35,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.bench_mapping import parse_seeds, render, run_program
 from benchmarks.bench_slam import FIGURES, VARIANTS, WHEELS, consistency_calibration, consistency_run, run_dataset
 from station.datasets import open_dataset
-from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.config import UkfConfig
 

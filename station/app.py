@@ -15,24 +15,24 @@ from pathlib import Path
 from typing import Any
 
 from shared.errors import RobotSystemError
-from station.access import open_access
-from station.bin import Bin, Kind
-from station.comparisons import Comparisons, summarise
+from station.access.visitors import open_access
 from station.config import RecordingConfig, StationConfig
+from station.errors import Conflict, Unknown
 from station.events import EventKind, Events, EventsOfAll
-from station.jobs import Job, Jobs
-from station.kept_recordings import recover_recordings, retain_recordings
-from station.map_library import Maps, PlacesChange
-from station.maps.map import Place
+from station.library.bin import Bin, Kind
+from station.library.comparisons import Comparisons, summarise
+from station.library.maps import Maps, PlacesChange
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from station.library.navigations import Navigations
+from station.library.recordings import recover_recordings, retain_recordings
 from station.maps.store import MapSummary, StoreAddress
-from station.navigation_library import NavigationLibrary, NavigationRecord
-from station.navigation_making import NavigationRecorder
-from station.navigations import Navigations
-from station.recorder import Recorder
-from station.refusals import Conflict, Unknown
-from station.robot_session import RobotSession, Shared
-from station.turns import Turns
-from station.workers import Worker, warm_up
+from station.model.place_map import Place
+from station.recordings.recorder import Recorder
+from station.robots.navigation_files import NavigationRecorder
+from station.robots.session import RobotSession, Shared
+from station.workers.jobs import Job, Jobs
+from station.workers.turns import Turns
+from station.workers.worker import Worker, warm_up
 
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin")
@@ -47,7 +47,7 @@ class Station:
         self,
         config: StationConfig,
         make_recorder: Callable[[Path], NavigationRecorder | None] | None = None,
-        place_servant: str = "station.place_servant:PlaceServant",
+        place_servant: str = "station.workers.places:PlaceServant",
     ) -> None:
         """`place_servant` names the class that the localisation workers run.
 

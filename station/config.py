@@ -14,7 +14,7 @@ import msgspec
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS
-from station.executors.opening import check_executor
+from station.workers.executors.opening import check_executor
 
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes

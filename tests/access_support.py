@@ -35,9 +35,9 @@ from shared.messages import (
 )
 from shared.session import Session
 from shared.token_book import TokenBook
-from station.connecting import Connection, connect_by_tls
-from station.link import RobotLink
-from station.paired_robots import PairedRobot, PairedRobots
+from station.access.connecting import Connection, connect_by_tls
+from station.access.paired_robots import PairedRobot, PairedRobots
+from station.robots.link import RobotLink
 from tests.link_support import Bench, HearingDesk, Notes
 from tests.station_support import Desk, running_station
 

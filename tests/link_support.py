@@ -15,7 +15,7 @@ from robot.server import RobotServer
 from shared.calibration import REFERENCE_ROBOT
 from shared.listening import bind
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, StationMessage, Status, Stop
-from station.link import RobotLink
+from station.robots.link import RobotLink
 
 WAIT_S = 20.0  # for a condition; only a failing test waits so long
 

@@ -11,16 +11,16 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
-from station.features import Features
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import Place, PlaceEdge, PlaceMap
 from station.maps.store import MapStore, StoreAddress
-from station.navigation import Navigation
-from station.place_report import HijackNotice, PlaceReport
-from station.places.answer import PlaceAnswer, PlaceCandidate
-from station.places.changes import shown
-from station.places.hijack import HijackEvent
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.model.place_answer import PlaceAnswer, PlaceCandidate
+from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.model.place_report import HijackNotice, PlaceReport
+from station.places.making.changes import shown
+from station.places.tracking.hijack import HijackEvent
 from station.slam.backend import SlamUpdate
+from station.vision.features import Features
 from tests.synthetic_home import drive, furnished_room, navigate
 
 

@@ -23,8 +23,8 @@ from schemathesis.specs.openapi.checks import (
     unsupported_method,
 )
 
-from station.comparisons import Comparison, Comparisons
-from station.maps.map import PlaceMap
+from station.library.comparisons import Comparison, Comparisons
+from station.model.place_map import PlaceMap
 from tests.integration.test_station_navigations import keep_navigation
 from tests.station_support import store_map
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, se3, yaw_rotation
-from station.maps.map import Place, PlaceMap
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.places.answer import Localization
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.place_answer import Localization
+from station.model.place_map import Place, PlaceMap
 
 R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along body x
 SECOND = 1_000_000_000

@@ -10,7 +10,7 @@ import numpy as np
 from mcap.reader import NonSeekingReader
 from mcap.writer import Writer
 
-import station.recorder
+import station.recordings.recorder
 from shared.calibration import REFERENCE_ROBOT
 from shared.messages import (
     CameraFrame,
@@ -22,7 +22,7 @@ from shared.messages import (
     ImuSample,
     Status,
 )
-from station.recorder import Recorder, RecordingReport
+from station.recordings.recorder import Recorder, RecordingReport
 
 HELLO = Hello(
     protocol=2,

@@ -16,12 +16,12 @@ import numpy as np
 
 from robot.devices.ports import CapturedFrame
 from shared.listening import bind
+from station.api.serving import serve
 from station.app import Station
 from station.config import AccessConfig, ApiConfig, LocalizationConfig, RobotConfig, SlamConfig, StationConfig
-from station.maps.map import PlaceMap
 from station.maps.store import MapStore
-from station.places.build import build_map
-from station.serving import serve
+from station.model.place_map import PlaceMap
+from station.places.making.build import build_map
 from tests.link_support import Bench, until
 from tests.made_up_workers import made_up_navigation
 

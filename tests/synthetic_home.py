@@ -9,7 +9,7 @@ import numpy as np
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse, se3, transform, yaw_rotation
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 
 CAMERA = CameraCalibration(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
 R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # x forward, y left, z up

@@ -13,14 +13,14 @@ from shared.access import Role
 from shared.errors import ConfigError
 from shared.pairing import parse_code
 from shared.token_book import TokenRecord
-from station.access import SESSION_S, Visitor
+from station.access.pairing import PairingFailed, pair
+from station.access.visitors import SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
 from station.api.models import Model, SessionModel
 from station.api.problems import responses
 from station.config import parse_address
-from station.pairing import PairingFailed, pair
-from station.refusals import Conflict, OutOfRange, Unknown
+from station.errors import Conflict, OutOfRange, Unknown
 
 router = APIRouter(tags=["access"])
 itself = APIRouter(tags=["access"])  # below /robot

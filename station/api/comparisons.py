@@ -12,7 +12,7 @@ from station.api.deps import StationDep
 from station.api.models import ComparisonModel, ComparisonOrder, JobModel
 from station.api.problems import responses
 from station.api.views import comparison_model, job_model
-from station.comparisons import FILES
+from station.library.comparisons import FILES
 
 router = APIRouter(tags=["comparisons"])
 # The report is one file without scripts; nothing in it may ask another host.

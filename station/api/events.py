@@ -32,11 +32,11 @@ from station.api.views import (
     slam_model,
     visit_model,
 )
+from station.errors import Busy
 from station.events import Event, LogLine
-from station.jobs import Job
-from station.navigation_library import NavigationRecord
-from station.refusals import Busy
-from station.robot_session import RobotSession
+from station.library.navigation_records import NavigationRecord
+from station.robots.session import RobotSession
+from station.workers.jobs import Job
 
 of_robot = APIRouter(tags=["events"])
 

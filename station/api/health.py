@@ -16,7 +16,7 @@ from prometheus_client.metrics_core import Metric
 from station.api.deps import StationDep
 from station.api.models import HealthModel
 from station.app import Station
-from station.robot_session import RobotSession
+from station.robots.session import RobotSession
 
 router = APIRouter(tags=["health"])
 TEXT_FORMAT = "text/plain; version=0.0.4; charset=utf-8"

@@ -11,9 +11,9 @@ from station.api.models import JobModel, MapChoice, MapModel, MapOrder, NewName
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.views import job_model, map_model
-from station.live import pack_points
-from station.map_library import keyframe_image
-from station.refusals import Unknown
+from station.errors import Unknown
+from station.library.maps import keyframe_image
+from station.robots.live_slam import pack_points
 
 router = APIRouter(tags=["maps"])
 

@@ -11,7 +11,7 @@ from station.api.deps import RobotDep, StationDep
 from station.api.models import BinModel, JobModel, NavigationModel, NavigationStart, NewName
 from station.api.problems import responses
 from station.api.views import bin_model, job_model, navigation_model
-from station.refusals import Conflict, Unknown
+from station.errors import Conflict, Unknown
 
 router = APIRouter(tags=["navigations"])
 of_robot = APIRouter(tags=["navigations"])

@@ -7,7 +7,7 @@ from pathlib import Path
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 
-from station.refusals import Unknown
+from station.errors import Unknown
 
 DIST = Path(__file__).parents[1] / "web" / "dist"
 ICON = Path(__file__).parents[1] / "web" / "public" / "favicon.svg"  # there also where the page was not built

@@ -23,10 +23,10 @@ from station.api.models import (
 )
 from station.api.problems import responses
 from station.api.views import change_model, current_place, edge_model, job_model, place_model, route_model, visit_model
-from station.map_library import deviation_image, keyframe_image, mean_image
-from station.places.changes import shown
-from station.places.graph import places_called, shortest_route, to_graphml
-from station.refusals import Conflict, Unknown
+from station.errors import Conflict, Unknown
+from station.library.maps import deviation_image, keyframe_image, mean_image
+from station.places.making.changes import shown
+from station.places.making.graph import places_called, shortest_route, to_graphml
 
 router = APIRouter(tags=["places"])
 of_robot = APIRouter(tags=["places"])

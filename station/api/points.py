@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from fastapi import Depends, Header, Query, Response
 
-from station.ply import encode_ply
+from station.files.ply import encode_ply
 
 # magic, number of points here, number of the first one, number of points there are
 POINTS_HEADER = struct.Struct("<4sIII")

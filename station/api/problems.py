@@ -15,7 +15,7 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 
 from shared.errors import ConfigError, DataError, LocalProtocolError, RobotSystemError
-from station import refusals
+from station import errors as refusals
 from station.api.models import Problem
 
 logger = logging.getLogger(__name__)

@@ -20,11 +20,11 @@ from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.views import job_model, replay_model
 from station.app import Station
-from station.live import pack_points
-from station.navigation import Navigation
-from station.navigation_files import load_navigation
-from station.refusals import Busy, Conflict, OutOfRange
-from station.replaying import replay
+from station.errors import Busy, Conflict, OutOfRange
+from station.files.navigation_folder import load_navigation
+from station.model.navigation import Navigation
+from station.recordings.playback import replay
+from station.robots.live_slam import pack_points
 
 router = APIRouter(tags=["navigations"])
 FromS = Annotated[float, Query(ge=0, le=86_400, allow_inf_nan=False, description="seconds after the first picture")]

@@ -29,11 +29,11 @@ from station.api.messages import (
 from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotEntry, RobotModel
 from station.api.problems import kind_of, responses
 from station.api.views import robot_entry, robot_model
-from station.driving import MAX_DRIVER_NAME, LateOrders
+from station.errors import Busy, NoRobot
 from station.events import Event
 from station.mailbox import MessageReader
-from station.refusals import Busy, NoRobot
-from station.robot_session import RobotSession
+from station.robots.driving import MAX_DRIVER_NAME, LateOrders
+from station.robots.session import RobotSession
 
 router = APIRouter(tags=["robot"])
 itself = APIRouter(tags=["robot"])  # below /robot

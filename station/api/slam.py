@@ -13,11 +13,11 @@ from station.api.models import SlamModel, TrajectoryModel
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.views import slam_model
-from station.live import LiveSlam, pack_points
-from station.navigation import Trajectory
-from station.navigation_files import format_tum
-from station.refusals import Conflict
-from station.robot_session import RobotSession
+from station.errors import Conflict
+from station.files.navigation_folder import format_tum
+from station.model.navigation import Trajectory
+from station.robots.live_slam import LiveSlam, pack_points
+from station.robots.session import RobotSession
 
 of_robot = APIRouter(tags=["SLAM"])
 

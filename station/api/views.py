@@ -33,20 +33,20 @@ from station.api.models import (
     SlamModel,
     VisitModel,
 )
-from station.bin import BinEntry
-from station.comparisons import Comparison
 from station.events import LogLine
-from station.jobs import Job
-from station.live import NO_PLACE
-from station.locating import Visit
-from station.map_library import ActiveMap, Maps, PlacesChange
-from station.maps.map import Place, PlaceEdge, PlaceMap
+from station.library.bin import BinEntry
+from station.library.comparisons import Comparison
+from station.library.maps import ActiveMap, Maps, PlacesChange
+from station.library.navigation_records import NavigationRecord
 from station.maps.store import MapSummary
-from station.navigation import Navigation
-from station.navigation_library import NavigationRecord
-from station.places.graph import Route
-from station.places.names import has_own_name
-from station.robot_session import RobotSession
+from station.model.navigation import Navigation
+from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.places.making.graph import Route
+from station.places.making.names import has_own_name
+from station.robots.live_slam import NO_PLACE
+from station.robots.places import Visit
+from station.robots.session import RobotSession
+from station.workers.jobs import Job
 
 
 def robot_model(robot: RobotSession) -> RobotModel:

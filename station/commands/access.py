@@ -20,11 +20,11 @@ from shared.errors import ConfigError
 from shared.pairing import parse_code
 from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
-from station.access import LINK_S, access_folder
+from station.access.expiry import expiry_sentence
+from station.access.paired_robots import PairedRobots
+from station.access.pairing import pair as pair_with
+from station.access.visitors import LINK_S, access_folder
 from station.config import DEFAULT_DATA_DIR, load_config, parse_address
-from station.expiry import expiry_sentence
-from station.paired_robots import PairedRobots
-from station.pairing import pair as pair_with
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"

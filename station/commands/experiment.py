@@ -20,9 +20,9 @@ from station.experiments.experiment import Experiment, Story, results_dict, run_
 from station.experiments.inputs import FrameRange, Input, open_input
 from station.experiments.output import write_experiment
 from station.experiments.presets import Preset, find_preset, make_dataset
-from station.navigation import Navigation
-from station.navigation_files import check_navigation_folder, save_navigation
-from station.places.config import AlignBy, PlacesConfig, PlacesMode, ThesisConfig
+from station.files.navigation_folder import check_navigation_folder, save_navigation
+from station.model.navigation import Navigation
+from station.places.making.config import AlignBy, PlacesConfig, PlacesMode, ThesisConfig
 from station.slam.backends import make_backend
 
 

@@ -18,18 +18,18 @@ from station.commands.experiment import places_config
 from station.commands.outputs import check_out_folder
 from station.commands.progress import working
 from station.datasets import open_dataset
-from station.executors.opening import check_executor, open_executor
-from station.executors.port import Executor
-from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+from station.files.navigation_folder import load_navigation
 from station.maps.folder import load_map_folder, save_map_folder
-from station.maps.map import PlaceEdge, PlaceMap
-from station.navigation import Navigation
-from station.navigation_files import load_navigation
-from station.places.changes import shown
-from station.places.graph import shortest_route, to_graphml, to_json_dict
-from station.places.growing import keep_places
-from station.places.repeatability import repeatability
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceEdge, PlaceMap
+from station.places.joining.growing import keep_places
+from station.places.making.changes import shown
+from station.places.making.graph import shortest_route, to_graphml, to_json_dict
+from station.places.making.repeatability import repeatability
 from station.slam.backends import check_backend
+from station.workers.executors.opening import check_executor, open_executor
+from station.workers.executors.port import Executor
+from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 
 
 def register(app: typer.Typer) -> None:

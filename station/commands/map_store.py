@@ -14,8 +14,8 @@ import typer
 from shared.errors import DataError
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
+from station.maps.repair.unclaimed import ASIDE, record_files
 from station.maps.store import MapStore, StoreAddress
-from station.maps.unclaimed import ASIDE, record_files
 
 Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
 Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file, where maps lie elsewhere.")]
@@ -119,7 +119,7 @@ def purge_map(
     """Forget the earlier versions of a map for good; a deleted map altogether."""
     if not yes:
         raise DataError(f"purging {map_id} cannot be undone; add --yes")
-    from station.maps.checking import purge_versions
+    from station.maps.repair.check import purge_versions
 
     for sentence in purge_versions(open_store(data, config), map_id):
         print(sentence)
@@ -127,7 +127,7 @@ def purge_map(
 
 def verify_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
     """Compare every byte of every version with its checksum. Exit code 1 when something is damaged."""
-    from station.maps.checking import verify
+    from station.maps.repair.check import verify
 
     found: list[str] = []
     store = existing_store(data, config, found)
@@ -154,7 +154,7 @@ def repair_maps(
     config: Config = None,
 ) -> None:
     """Put right what can be: from checksums, from the navigations maps were made from, from earlier versions."""
-    from station.maps.checking import repair
+    from station.maps.repair.check import repair
 
     found: list[str] = []
     address = store_address(data, config)

@@ -13,10 +13,10 @@ from station.commands.outputs import check_out_folder
 from station.commands.progress import working
 from station.experiments.experiment import Experiment, Story, judge
 from station.experiments.inputs import open_truth
+from station.files.navigation_folder import load_navigation
 from station.maps.folder import load_map_folder
-from station.navigation_files import load_navigation
-from station.places.changes import shown
-from station.places.match import match_navigation
+from station.places.joining.match import match_navigation
+from station.places.making.changes import shown
 
 
 def register(app: typer.Typer) -> None:

@@ -29,8 +29,8 @@ def register_files(
     as_json: Annotated[bool, typer.Option("--json", help="End with one JSON object on stdout.")] = False,
 ) -> None:
     """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
+    from station.files.ply import read_rows
     from station.places.registration import register_clouds, uncertainty_of
-    from station.ply import read_rows
 
     p_target, p_source = read_rows(target), read_rows(source)  # registration says what is wrong with them
     print(f"registering {len(p_source)} points of {source} to {len(p_target)} of {target} ...", file=sys.stderr)

@@ -13,11 +13,11 @@ import typer
 from shared.errors import ConfigError, DataError
 from station.commands.map_store import Config, Data, store_address
 from station.datasets import open_dataset
+from station.files.navigation_folder import save_navigation
 from station.maps.folder import load_map_folder, save_map_folder
-from station.maps.map import PlaceMap
 from station.maps.store import MapStore
-from station.navigation_files import save_navigation
-from station.replay import Replay, ReplayOptions, answer_line, replay
+from station.model.place_map import PlaceMap
+from station.workers.replay import Replay, ReplayOptions, answer_line, replay
 
 
 def register(app: typer.Typer) -> None:

@@ -60,9 +60,9 @@ def serve(
     verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
 ) -> None:
     """Serve the page and the API: drive, map, and ask which place the robot is at."""
+    from station.api.serving import serve_until_signal
     from station.app import Station  # the web and estimation libraries load only for this command
-    from station.promptness import ask_for_short_turns
-    from station.serving import serve_until_signal
+    from station.workers.promptness import ask_for_short_turns
 
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="station: %(levelname)s: %(message)s"

@@ -17,8 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from shared.errors import DataError
 from station.commands.outputs import check_out_folder
 from station.datasets import Dataset, open_dataset
-from station.navigation import Navigation
-from station.navigation_files import check_navigation_folder, save_navigation
+from station.files.navigation_folder import check_navigation_folder, save_navigation
+from station.model.navigation import Navigation
 from station.slam.backend import SlamBackend, SlamUpdate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend

@@ -19,7 +19,7 @@ from station.demo.judge import Sample, Verdict, judge
 from station.demo.processes import Programs, free_port
 from station.demo.simulator_client import SimulatorClient
 from station.demo.station_client import StationClient
-from station.navigation_files import load_navigation
+from station.files.navigation_folder import load_navigation
 
 START_TIMEOUT_S = 90.0  # the first start of a flat bakes its textures
 DRIVE_TIMEOUT_S = 240.0

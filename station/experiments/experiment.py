@@ -11,12 +11,12 @@ import numpy as np
 
 from shared.errors import DataError
 from station.datasets import Truth
-from station.evaluation.matches import MatchJudgement, judge_matches
-from station.maps.map import PlaceMap
-from station.navigation import Navigation
-from station.places.build import build_map
-from station.places.config import PlacesConfig
-from station.places.match import MatchResult, match_navigation
+from station.experiments.matches import MatchJudgement, judge_matches
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.places.joining.match import MatchResult, match_navigation
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig
 from station.places.registration import uncertainty_of
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from shared.errors import ConfigError, DataError
 from station.experiments.experiment import Story
 from station.experiments.inputs import FrameRange
-from station.places.config import ThesisConfig
+from station.places.making.config import ThesisConfig
 
 PRESETS = ("I", "II", "III")
 MADE_WITH = "robot-sim.txt"  # in a dataset: what it was made with

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from shared.errors import DataError
+from station.files.navigation_folder import load_navigation, save_navigation
 from station.maps.bucket import flush
-from station.maps.map import PlaceEdge, PlaceMap
 from station.maps.record import decode_place, encode_place
-from station.navigation_files import load_navigation, save_navigation
+from station.model.place_map import PlaceEdge, PlaceMap
 
 FORMAT = 1
 

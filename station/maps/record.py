@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 
 from shared.errors import DataError
+from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
 from station.maps.address import ADDRESS, address_of
 from station.maps.blobs import Blobs, Damaged
-from station.maps.map import Place, PlaceEdge, PlaceMap
-from station.navigation_files import REPORT, decode_navigation, encode_navigation
+from station.model.place_map import Place, PlaceEdge, PlaceMap
 
 FORMAT = 2  # 1 was a folder per map (station/maps/folder.py)
 FOLDER = "records"

@@ -13,12 +13,12 @@ from pathlib import Path
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.maps import opening, versions
+from station.files.navigation_folder import REPORT, encode_navigation
+from station.maps import versions
 from station.maps.blobs import Blobs, Damaged, Tell, read_checked
 from station.maps.bucket import Bucket, Unwritable, cannot_write, open_bucket, why_unwritable
 from station.maps.database import Database
 from station.maps.editing import with_place_renamed
-from station.maps.map import PlaceMap
 from station.maps.record import (
     MAP_ID,
     FileRef,
@@ -31,9 +31,10 @@ from station.maps.record import (
     read_map,
     record_name,
 )
+from station.maps.repair import opening
 from station.maps.unwritable import IndexCopy
 from station.maps.versions import Rows, VersionRow, row_of
-from station.navigation_files import REPORT, encode_navigation
+from station.model.place_map import PlaceMap
 
 logger = logging.getLogger(__name__)
 

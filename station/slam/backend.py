@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from shared.geometry import FloatArray
-from station.features import Features
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Navigation
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.vision.features import Features
 
 TrackingState = Literal["initialising", "tracking", "lost"]
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Navigation
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
 from station.slam.backend import SlamBackend, SlamUpdate
 
 Events = Iterator[ImuBatch | DriveSample | ImageFrame]

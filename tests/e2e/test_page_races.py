@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.async_api import Page, Route, expect
 
-from station.maps.map import PlaceMap
 from station.maps.store import MapStore
+from station.model.place_map import PlaceMap
 from tests.e2e.conftest import Room
 from tests.station_support import store_map
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from shared.geometry import inverse, se3, so3_log, transform, yaw_rotation
+from station.files.ply import read_points
 from station.places.registration import register_clouds
-from station.ply import read_points
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "lidar_pair"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data/lidar_pair is not here")

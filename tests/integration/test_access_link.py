@@ -32,8 +32,8 @@ from shared.messages import (
     encode_message,
 )
 from shared.token_book import TokenBook
-from station.connecting import ConnectionRefused, connect, connect_by_tls
-from station.paired_robots import PairedRobots
+from station.access.connecting import ConnectionRefused, connect, connect_by_tls
+from station.access.paired_robots import PairedRobots
 from tests.access_support import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
 from tests.link_support import running_robot, until
 

@@ -17,17 +17,17 @@ from shared.geometry import FloatArray, IntArray
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
-from station.features import DescriptorArray
-from station.kept_index import index_of
-from station.locating import Locating
-from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
-from station.place_report import MapReading, PlaceReport
-from station.place_servant import PlaceServant
-from station.places.appearance import AppearanceIndex
-from station.places.build import build_map
-from station.places.localizer import Localizer
-from station.places.map_index import make_index
+from station.model.place_map import PlaceMap
+from station.model.place_report import MapReading, PlaceReport
+from station.places.localisation.index_file import index_of
+from station.places.localisation.localizer import Localizer
+from station.places.localisation.map_index import make_index
+from station.places.making.build import build_map
+from station.robots.places import Locating
+from station.vision.appearance import AppearanceIndex
+from station.vision.features import DescriptorArray
+from station.workers.places import PlaceServant
 from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
 from tests.link_support import until
 from tests.station_at_work import at_work, is_problem, wait_for

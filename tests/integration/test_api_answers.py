@@ -11,7 +11,7 @@ import pytest
 import websockets
 
 from station.maps.store import MapStore
-from station.places.repeatability import repeatability
+from station.places.making.repeatability import repeatability
 from tests.integration.test_station_navigations import keep_navigation
 from tests.station_at_work import at_work, is_problem, wait_for
 from tests.station_support import running_station, store_map

@@ -33,7 +33,7 @@ from shared.messages import (
     encode_message,
 )
 from shared.session import State
-from station.link import RobotLink
+from station.robots.link import RobotLink
 from tests.link_support import Bench, Notes, linked, running_robot, until
 
 Wire = tuple[asyncio.StreamReader, asyncio.StreamWriter]

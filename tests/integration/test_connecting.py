@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from shared.certificates import make_identity
-from station.connecting import connect_by_tls
+from station.access.connecting import connect_by_tls
 from tests.access_support import NOW
 from tests.link_support import until
 

@@ -18,11 +18,11 @@ import psutil
 import pytest
 
 from shared.errors import ConfigError, DataError
-from station.executors.opening import open_executor
-from station.executors.port import Executor, ExecutorFailed
-from station.executors.processes import ProcessExecutor
-from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, packed, reconstruct_all
 from station.maps.record import map_content_hash
+from station.workers.executors.opening import open_executor
+from station.workers.executors.port import Executor, ExecutorFailed
+from station.workers.executors.processes import ProcessExecutor
+from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, packed, reconstruct_all
 from tests.integration.test_replay import record
 
 KEYFRAMES = Path(__file__).parents[2].parent / "shared" / "data" / "euroc_v1_01_keyframes"
@@ -196,8 +196,8 @@ def test_a_cluster_that_dies_at_work_is_told_and_nobody_waits_for_it(
     """The second piece has not begun by then: it waits in the scheduler."""
     with own_cluster(tmp_path) as (where, programs):
         machines = opened(where)
-        monkeypatch.setattr("station.executors.dask.ASK_S", 0.5)
-        monkeypatch.setattr("station.executors.dask.DESERTED_FOR_S", 1.0)
+        monkeypatch.setattr("station.workers.executors.dask.ASK_S", 0.5)
+        monkeypatch.setattr("station.workers.executors.dask.DESERTED_FOR_S", 1.0)
         failures: list[BaseException] = []
 
         def work() -> None:

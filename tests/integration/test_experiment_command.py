@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, quat_from_rotation, se3, yaw_rotation
+from station.files.navigation_folder import load_navigation, save_navigation
 from station.main import app
 from station.maps.folder import load_map_folder, save_map_folder
-from station.navigation_files import load_navigation, save_navigation
-from station.places.build import build_map
-from station.places.changes import with_place_hidden
+from station.places.making.build import build_map
+from station.places.making.changes import with_place_hidden
 from tests.synthetic_home import drive, furnished_room, navigate, with_points
 
 

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from shared.errors import DataError
+from station.errors import Conflict
 from station.events import Events
-from station.executors.opening import open_executor
-from station.jobs import Job, Jobs
-from station.refusals import Conflict
-from station.workers import Worker
+from station.workers.executors.opening import open_executor
+from station.workers.jobs import Job, Jobs
+from station.workers.worker import Worker
 
 STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.kept_index import FOLDER, KEPT, LOCK, SUFFIX, forget_index, index_of
-from station.maps.map import PlaceMap
-from station.places.localizer import Localizer
-from station.places.map_index import fingerprint, make_index
+from station.model.place_map import PlaceMap
+from station.places.localisation.index_file import FOLDER, KEPT, LOCK, SUFFIX, forget_index, index_of
+from station.places.localisation.localizer import Localizer
+from station.places.localisation.map_index import fingerprint, make_index
 from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
 from tests.link_support import until
 

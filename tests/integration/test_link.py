@@ -9,7 +9,7 @@ import pytest
 
 from shared.errors import DeviceLost, LocalProtocolError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Status
-from station.link import RobotLink
+from station.robots.link import RobotLink
 from tests.link_support import Bench, Notes, Proxy, linked, running_robot, until
 
 

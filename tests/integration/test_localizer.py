@@ -12,16 +12,16 @@ import pytest
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, inverse, se3, so3_exp
-from station.features import FeatureExtractor
-from station.frames import ImageArray, ImageFrame
-from station.maps.map import PlaceMap
 from station.maps.store import MapStore, StoreAddress
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.place_report import HijackNotice, MapReading, PlaceReport
-from station.place_servant import PlaceServant
-from station.places.appearance import AppearanceIndex
-from station.places.build import build_map
-from station.places.localizer import Localizer
+from station.model.frames import ImageArray, ImageFrame
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.place_map import PlaceMap
+from station.model.place_report import HijackNotice, MapReading, PlaceReport
+from station.places.localisation.localizer import Localizer
+from station.places.making.build import build_map
+from station.vision.appearance import AppearanceIndex
+from station.vision.features import FeatureExtractor
+from station.workers.places import PlaceServant
 from tests.unit.test_hijack import imu, lift, seconds
 
 CAMERA = CameraCalibration(width=640, height=480, fx=600, fy=600, cx=319.5, cy=239.5)

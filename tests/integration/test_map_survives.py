@@ -16,7 +16,7 @@ from benchmarks.crash_maps import MAP, variant
 from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
 from benchmarks.flips import flip_many
 from shared.errors import DataError
-from station.maps.checking import verify
+from station.maps.repair.check import verify
 from station.maps.store import MapStore, StoreAddress
 from tests.postgres_support import PostgresServer, running_postgres
 

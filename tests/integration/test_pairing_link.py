@@ -25,9 +25,9 @@ from shared.messages import (
 from shared.pairing import Pake
 from shared.private_files import read_private
 from shared.token_book import TokenBook
-from station.connecting import connect_by_tls
-from station.paired_robots import PairedRobots
-from station.pairing import PairingFailed, pair
+from station.access.connecting import connect_by_tls
+from station.access.paired_robots import PairedRobots
+from station.access.pairing import PairingFailed, pair
 from tests.access_support import GuardedBench, guarded_robot, linked, set_up, talking
 from tests.link_support import until
 

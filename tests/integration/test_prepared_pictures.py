@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from shared.calibration import Calibration
-from station.features import Features
-from station.frames import ImageFrame
-from station.job_servant import JobServant
-from station.kept_index import FOLDER, SUFFIX
-from station.maps.map import PlaceMap
+from station.files.navigation_folder import PICTURES
 from station.maps.store import MapStore, StoreAddress
-from station.navigation import Navigation
-from station.navigation_files import PICTURES
-from station.place_report import HijackNotice, MapReading
-from station.place_servant import PlaceServant
-from station.places.localizer import Localizer
-from station.places.map_index import make_index
-from station.places.pictures import DescribedPictures
-from station.slam_servant import SlamServant
+from station.model.frames import ImageFrame
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.model.place_report import HijackNotice, MapReading
+from station.places.localisation.described_pictures import DescribedPictures
+from station.places.localisation.index_file import FOLDER, SUFFIX
+from station.places.localisation.localizer import Localizer
+from station.places.localisation.map_index import make_index
+from station.vision.features import Features
+from station.workers.library_jobs import JobServant
+from station.workers.places import PlaceServant
+from station.workers.slam import SlamServant
 from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
 from tests.made_up_workers import StraightSlam
 

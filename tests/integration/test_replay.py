@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from shared.messages import CameraFrame, Capabilities, DriveApplied, Hello, ImuBatch, ImuSample
 from station.commands.replay import Metronome
 from station.main import app
-from station.recorder import Recorder
+from station.recordings.recorder import Recorder
 from tests.made_up_workers import made_up_navigation
 
 KEYFRAMES = Path(__file__).parents[2].parent / "shared" / "data" / "euroc_v1_01_keyframes"

@@ -20,8 +20,8 @@ from robot.app import open_devices
 from robot.config import RecordedConfig, RobotConfig
 from shared.errors import DeviceUnavailable
 from station.datasets import open_dataset
-from station.link import RobotLink
-from station.recorder import Recorder
+from station.recordings.recorder import Recorder
+from station.robots.link import RobotLink
 from tests.link_support import linked, until
 
 ROOT = Path(__file__).parents[2]

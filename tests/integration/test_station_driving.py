@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import websockets
 
-from station.robot_session import MAX_STOP_LINES
+from station.robots.session import MAX_STOP_LINES
 from tests.link_support import until
 from tests.station_at_work import at_work, drive_off, heard, is_problem, wait_for
 from tests.station_support import Desk, running_station, store_map

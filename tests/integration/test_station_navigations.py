@@ -12,10 +12,10 @@ import websockets
 
 from shared.mcap_recording import recorded_pictures
 from station.api.camera import HEADER
-from station.bin import KEEP_S, MAX_KEPT, Bin
-from station.navigation_files import save_navigation
-from station.navigation_library import NavigationLibrary, NavigationRecord
-from station.replaying import replay
+from station.files.navigation_folder import save_navigation
+from station.library.bin import KEEP_S, MAX_KEPT, Bin
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from station.recordings.playback import replay
 from tests.link_support import until
 from tests.made_up_workers import made_up_navigation
 from tests.station_at_work import at_work, is_problem, wait_for

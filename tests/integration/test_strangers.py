@@ -10,8 +10,8 @@ import pytest
 import websockets
 
 from shared.access import Role
-from station import serving
-from station.serving import MAX_STRANGERS
+from station.api import serving
+from station.api.serving import MAX_STRANGERS
 from tests.access_support import guarded_station
 from tests.link_support import until
 from tests.station_support import Desk, running_station

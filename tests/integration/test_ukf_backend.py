@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.errors import ConfigError, EstimationError
 from station.datasets import Dataset, open_dataset
-from station.evaluation.trajectory import absolute_trajectory_error
-from station.frames import ImageFrame, ImuBatch
-from station.navigation import Navigation, Trajectory
+from station.experiments.trajectory import absolute_trajectory_error
+from station.model.frames import ImageFrame, ImuBatch
+from station.model.navigation import Navigation, Trajectory
 from station.slam.backend import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.start import GivenState

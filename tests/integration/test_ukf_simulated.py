@@ -16,8 +16,8 @@ from robot.simulation.renderer import Renderer
 from robot.simulation.sensors import ImuModel
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.worlds import make_world
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Navigation
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
 from station.slam.backend import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
 

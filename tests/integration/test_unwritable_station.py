@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from station.files.navigation_folder import save_navigation
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.maps.store import MapStore
-from station.navigation_files import save_navigation
-from station.navigation_library import NavigationLibrary, NavigationRecord
 from tests.disk_support import unwritable
 from tests.made_up_workers import made_up_navigation
 from tests.station_at_work import at_work, is_problem, wait_for

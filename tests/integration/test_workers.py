@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from station.workers import NICE, Worker, WorkerDied, WorkerFailed
+from station.workers.worker import NICE, Worker, WorkerDied, WorkerFailed
 
 SERVANT = "tests.integration.test_workers:Servant"
 

@@ -28,11 +28,11 @@ from shared.listening import is_loopback
 from shared.pairing import Pake, parse_code, show_code
 from shared.private_files import locked, read_private, write_private
 from shared.token_book import MAX_SESSIONS, TokenBook, TokenRecord
-from station.access import Door, open_access
+from station.access.expiry import expiry_sentence, watch_expiry
+from station.access.visitors import Door, open_access
 from station.config import AccessConfig as StationAccessConfig
 from station.config import ApiConfig, StationConfig
-from station.expiry import expiry_sentence, watch_expiry
-from station.refusals import TooManyGuesses, WrongToken
+from station.errors import TooManyGuesses, WrongToken
 from tests.access_support import NOW, set_up
 
 
@@ -406,8 +406,8 @@ def test_a_station_beyond_loopback_does_not_start_unless_it_is_set_up(tmp_path: 
 
 
 async def test_a_station_does_not_serve_a_socket_that_others_reach_without_a_book(tmp_path: Path) -> None:
+    from station.api.serving import serve
     from station.app import Station
-    from station.serving import serve
 
     with socket.socket() as taken:
         taken.bind(("0.0.0.0", 0))  # taken, but not listened on: nobody reaches it

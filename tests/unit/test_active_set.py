@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from station.active_set import FILE, keep_choice, kept_choice, why_not_together
+from station.errors import Conflict, Unknown
 from station.events import Events
-from station.map_library import Maps
-from station.maps.map import PlaceMap
+from station.library.active_maps import FILE, keep_choice, kept_choice, why_not_together
+from station.library.maps import Maps
 from station.maps.store import MapStore, StoreAddress
-from station.refusals import Conflict, Unknown
+from station.model.place_map import PlaceMap
 from tests.places_support import make_map
 
 

@@ -14,14 +14,14 @@ from fastapi import FastAPI
 import station.api.camera
 import station.api.limits
 import station.api.replay
-import station.refusals
+import station.errors
 from shared.mcap_recording import RecordedPicture
 from shared.messages import CameraFrame
 from station.api.limits import MAX_BODY_BYTES, TRY_AGAIN_LATER, UNSUPPORTED
 from station.api.server import make_api
 from station.app import Station
 from station.config import AccessConfig, ApiConfig, StationConfig, load_config
-from station.robot_session import SeenFrame
+from station.robots.session import SeenFrame
 from tests.link_support import until
 
 

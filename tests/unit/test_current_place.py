@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from station.places.current import CurrentPlaceEstimator, largest
-from station.places.map_view import MapView
+from station.places.tracking.current import CurrentPlaceEstimator, largest
+from station.places.tracking.map_view import MapView
 from tests.places_support import SECOND, make_map, pose, seen
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from shared.errors import DataError
 from station.datasets import open_dataset
-from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
 CAMERA_YAML = """%YAML:1.0
 sensor_type: camera

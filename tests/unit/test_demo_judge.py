@@ -9,7 +9,7 @@ from shared.errors import EstimationError
 from shared.geometry import FloatArray, inverse, se3, transform, yaw_rotation
 from station.demo.judge import Sample, Verdict, judge
 from station.demo.simulator_client import TruthLog
-from station.navigation import Trajectory
+from station.model.navigation import Trajectory
 
 RATE_NS = 100_000_000
 T_TRUTH_MAP = se3(yaw_rotation(0.7), np.array([3.0, -2.0, 0.1]))

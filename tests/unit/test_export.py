@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 from shared.errors import DataError
 from shared.geometry import FloatArray
 from station.datasets import open_dataset
+from station.files.navigation_folder import read_tum, save_navigation
+from station.files.ply import read_points
 from station.main import app
-from station.navigation import Navigation
-from station.navigation_files import read_tum, save_navigation
-from station.ply import read_points
+from station.model.navigation import Navigation
 from tests.synthetic_home import drive, furnished_room, navigate
 
 nav = small_navigation()

@@ -21,7 +21,7 @@ from benchmarks.fit_place_likelihoods import (
     with_previous,
 )
 from shared.geometry import FloatArray
-from station.places.likelihoods import FAILS_AT_POSE, RIGHT, Failing, Shown
+from station.places.tracking.likelihoods import FAILS_AT_POSE, RIGHT, Failing, Shown
 
 
 def row(**otherwise: Any) -> dict[str, Any]:

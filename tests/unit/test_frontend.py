@@ -8,10 +8,10 @@ import pytest
 
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
 from shared.geometry import so3_exp
-from station.slam.frontend.corners import detect_corners
-from station.slam.frontend.lens import Lens
-from station.slam.frontend.tracker import Tracker, TrackerConfig
-from station.slam.frontend.two_view import epipolar_inliers
+from station.vision.corners import detect_corners
+from station.vision.klt import Tracker, TrackerConfig
+from station.vision.lens import Lens
+from station.vision.two_view import epipolar_inliers
 
 EUROC = CameraCalibration(
     width=752,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, yaw_rotation
-from station.features import Features, to_bytes
-from station.frames import DriveSample, ImuBatch
-from station.places.dead_reckoning import DeadReckoning
-from station.places.hijack import HijackDetector, HijackEvent
+from station.model.frames import DriveSample, ImuBatch
+from station.motion.dead_reckoning import DeadReckoning
+from station.places.tracking.hijack import HijackDetector, HijackEvent
+from station.vision.features import Features, to_bytes
 
 RATE = 225.0
 SECOND = 1_000_000_000

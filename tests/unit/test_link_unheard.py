@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from shared.messages import DriveApplied, HeartbeatReply, Welcome
-from station.link import UNHEARD_AFTER_NS, UNHEARD_FOR_NS, RobotLink
+from station.robots.link import UNHEARD_AFTER_NS, UNHEARD_FOR_NS, RobotLink
 from tests.link_support import Notes
 
 SECOND = 1_000_000_000

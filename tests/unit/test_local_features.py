@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from station.features import MAX_DETAILS, MAX_FEATURES, DetailExtractor, FeatureExtractor
-from station.frames import ImageArray
+from station.model.frames import ImageArray
+from station.vision.features import MAX_DETAILS, MAX_FEATURES, DetailExtractor, FeatureExtractor
 
 
 @pytest.mark.parametrize("width", [320, 640])  # described as it is, and at half its size

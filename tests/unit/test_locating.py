@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-import station.locating
+import station.robots.places
 from shared.errors import DataError
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
-from station.frames import ImageFrame
-from station.locating import Locating
 from station.maps.store import StoreAddress
-from station.place_report import HijackNotice, PlaceReport
-from station.places.answer import PlaceAnswer, PlaceCandidate
-from station.places.hijack import HijackEvent
-from station.workers import WorkerFailed
+from station.model.frames import ImageFrame
+from station.model.place_answer import PlaceAnswer, PlaceCandidate
+from station.model.place_report import HijackNotice, PlaceReport
+from station.places.tracking.hijack import HijackEvent
+from station.robots.places import Locating
+from station.workers.worker import WorkerFailed
 from tests.link_support import until
 from tests.unit.test_navigation_recording import hello
 

@@ -13,9 +13,9 @@ import pytest
 from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
 from shared.errors import DataError
 from shared.geometry import se3, so3_exp
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.navigation_files import load_navigation, save_navigation
-from station.ply import read_ply, read_points, write_ply
+from station.files.navigation_folder import load_navigation, save_navigation
+from station.files.ply import read_ply, read_points, write_ply
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.slam.run import content_digest
 
 CONTRACT_KEYS = {"backend", "frames", "duration_s", "wall_s", "realtime_factor", "cpu_s", "landmarks"} | {

@@ -10,19 +10,19 @@ from typing import Any
 
 import pytest
 
-import station.slam_process
+import station.robots.slam
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError, EstimationError
 from shared.messages import PROTOCOL_VERSION, CameraFrame, Capabilities, Hello
 from station.config import SlamConfig
+from station.errors import Conflict
 from station.events import Events
-from station.navigation_library import NavigationLibrary, NavigationRecord
-from station.navigation_making import NavigationRecorder
-from station.navigations import Navigations
-from station.recording import CANCELLED, Recording
-from station.refusals import Conflict
-from station.slam_process import MAX_DEATHS, SlamProcess
-from station.workers import WorkerDied
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from station.library.navigations import Navigations
+from station.robots.current_navigation import CANCELLED, Recording
+from station.robots.navigation_files import NavigationRecorder
+from station.robots.slam import MAX_DEATHS, SlamProcess
+from station.workers.worker import WorkerDied
 from tests.link_support import Notes, until
 
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from station.workers import Outbox
+from station.workers.worker import Outbox
 
 ROOT = Path(__file__).parents[2]
 LOOK = """
 import os, sys
-import station.preloaded
+import station.workers.preload
 threads = len(os.listdir("/proc/self/task"))
 missing = [name for name in station.preloaded.SERVANTS if name not in sys.modules]
 print(threads, missing)

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.geometry import FloatArray, IntArray
-from station.places.current import CurrentPlaceEstimator
-from station.places.recognised import NOTHING, extent_of
+from station.places.localisation.recognised import NOTHING, extent_of
+from station.places.tracking.current import CurrentPlaceEstimator
 from tests.places_support import SECOND, make_map, pose, seen
 
 SEEN = 200  # landmarks of a wall

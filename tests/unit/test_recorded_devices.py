@@ -17,7 +17,7 @@ from robot.devices.recorded.images import read_size, to_jpeg
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError, DeviceLost
 from shared.messages import CameraFrame, Capabilities, Hello, ImuBatch, ImuSample
-from station.recorder import Recorder
+from station.recordings.recorder import Recorder
 
 START_NS = 1_403_715_283_262_142_976
 CAMERA_YAML = """%YAML:1.0

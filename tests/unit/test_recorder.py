@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-import station.recorder
+import station.recordings.recorder
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError
 from shared.mcap_recording import IMAGE_TOPIC, IMU_TOPIC, decode_image
@@ -31,11 +31,11 @@ from shared.messages import (
 )
 from station.datasets import open_dataset
 from station.events import LogLine
-from station.foxglove import encode_image
-from station.place_report import PlaceReport
-from station.places.answer import PlaceAnswer, PlaceCandidate
-from station.recorder import Recorder
-from station.retention import KeptRecording, to_remove
+from station.files.foxglove import encode_image
+from station.library.retention import KeptRecording, to_remove
+from station.model.place_answer import PlaceAnswer, PlaceCandidate
+from station.model.place_report import PlaceReport
+from station.recordings.recorder import Recorder
 from station.slam.backend import SlamUpdate
 from tests.recording_support import HELLO, START_NS, batch, frame, record
 

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from shared.errors import DataError
 from station.datasets import open_dataset
 from station.main import app
-from station.recorder import Recorder
-from station.recording_check import check_recording
-from station.recovery import recover_recording
+from station.recordings.check import check_recording
+from station.recordings.recorder import Recorder
+from station.recordings.recovery import recover_recording
 from tests.recording_support import HELLO, batch, frame, messages_in, recorded_in_small_chunks
 
 

@@ -16,18 +16,18 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType, Writer
 from typer.testing import CliRunner
 
-import station.recording_parts
+import station.recordings.chunks
 from shared.errors import DataError
 from shared.mcap_recording import FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC
 from station.datasets import open_dataset
+from station.files.lock import hold, is_being_written
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.main import app
-from station.navigation_library import NavigationLibrary, NavigationRecord
-from station.recorder import Recorder
-from station.recording_check import check_recording
-from station.recording_lock import hold, is_being_written
-from station.recording_parts import SoundChunk, parts_of
-from station.recording_topics import LIBRARY, register_channels
-from station.recovery import recover_recording
+from station.recordings.check import check_recording
+from station.recordings.chunks import SoundChunk, parts_of
+from station.recordings.recorder import Recorder
+from station.recordings.recovery import recover_recording
+from station.recordings.topics import LIBRARY, register_channels
 from tests.recording_support import HELLO, batch, finish, frame, messages_in, record, recorded_in_small_chunks
 
 Told = tuple[str, int, int, bytes]

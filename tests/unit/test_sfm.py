@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
-from station.evaluation.alignment import align_points
-from station.frames import DriveSample, ImuBatch
-from station.slam.sfm import bundle
-from station.slam.sfm.bundle import BundleState, Observations, adjust, log_many, reprojection_errors
-from station.slam.sfm.inertial import InertialTrack, estimate_gyro_bias, exp_many
-from station.slam.sfm.matching import match_descriptors
+from station.experiments.alignment import align_points
+from station.model.frames import DriveSample, ImuBatch
+from station.slam.mapping import bundle
+from station.slam.mapping.bundle import BundleState, Observations, adjust, log_many, reprojection_errors
+from station.slam.mapping.inertial import InertialTrack, estimate_gyro_bias, exp_many
+from station.slam.mapping.matching import match_descriptors
+from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, bias_at_rest, dead_reckon
+from station.slam.mapping.tracks import build_tracks, longest, triangulate
 from station.slam.sfm.metric import ScaleEstimate, align_to_imu, fuse_scales, scale_from_drive
-from station.slam.sfm.odometry import DEAD_RECKONED, Odometry, bias_at_rest, dead_reckon
-from station.slam.sfm.tracks import build_tracks, longest, triangulate
 from station.slam.sfm.trajectory import all_frames
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

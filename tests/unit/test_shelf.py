@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-import station.shelf
-from station.shelf import Shelf
+import station.files.spill
+from station.files.spill import Shelf
 
 KINDS = st.sampled_from([np.uint8, np.int64, np.float64])
 SHAPES = arrays.array_shapes(min_dims=1, max_dims=2, min_side=0, max_side=30)

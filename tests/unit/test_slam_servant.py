@@ -6,9 +6,9 @@ import msgspec
 import pytest
 
 from shared.calibration import REFERENCE_ROBOT
-from station.frames import ImageFrame
+from station.model.frames import ImageFrame
 from station.slam.backend import SlamUpdate
-from station.slam_servant import SlamServant
+from station.workers.slam import SlamServant
 
 MS = 1_000_000
 assert REFERENCE_ROBOT.camera is not None

@@ -12,21 +12,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import station.workers
+import station.workers.worker
 from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.commands.serve import _settings as serve_settings
 from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, load_config, parse_address
-from station.driving import DriverLease, Driving
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.live import PointBuffer, pack_points
+from station.errors import Conflict, NotDriver, OutOfRange
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.mailbox import Latest, MessageHub
-from station.navigation_library import NavigationLibrary, NavigationRecord
-from station.refusals import Conflict, NotDriver, OutOfRange
-from station.sequencer import HOLD_BACK_NS, Sequencer
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.motion.sensor_order import HOLD_BACK_NS, Sequencer
+from station.robots.driving import DriverLease, Driving
+from station.robots.live_slam import PointBuffer, pack_points
 from station.slam.backends import check_backend, choose_backend
-from station.workers import Outbox, Worker, WorkerDied, WorkerFailed
+from station.workers.worker import Outbox, Worker, WorkerDied, WorkerFailed
 
 MS = 1_000_000
 

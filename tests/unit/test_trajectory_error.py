@@ -7,9 +7,14 @@ from hypothesis import strategies as st
 
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, quat_from_rotation, se3, so3_exp, transform, yaw_rotation
-from station.evaluation.alignment import align_points
-from station.evaluation.trajectory import absolute_trajectory_error, interpolate_poses, path_length, relative_pose_error
-from station.navigation import Trajectory
+from station.experiments.alignment import align_points
+from station.experiments.trajectory import (
+    absolute_trajectory_error,
+    interpolate_poses,
+    path_length,
+    relative_pose_error,
+)
+from station.model.navigation import Trajectory
 
 
 def wander(seed: int, count: int = 60) -> FloatArray:

@@ -11,7 +11,7 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, se3, yaw_rotation
 from station.commands.slam import given_state
 from station.datasets import Dataset, Truth
-from station.evaluation.matches import true_landmarks
+from station.experiments.matches import true_landmarks
 from tests.synthetic_home import CAMERA, R_BODY_CAM, furnished_room, navigate
 
 SHIFTED = msgspec.structs.replace(CAMERA, time_shift_s=-0.04)  # t_imu = t_cam - 40 ms

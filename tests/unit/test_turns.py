@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from station.promptness import ask_for_short_turns
-from station.turns import Turns
+from station.workers.promptness import ask_for_short_turns
+from station.workers.turns import Turns
 
 
 async def test_only_so_many_have_a_turn_and_in_their_order() -> None:

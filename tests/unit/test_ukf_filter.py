@@ -8,16 +8,15 @@ from scipy.stats import chi2
 
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, se3, so3_exp
-from station.evaluation.synthetic import observe, room_points, sine_path
-from station.slam.ukf import lie
+from station.experiments.synthetic import observe, room_points, sine_path
+from station.motion import lie
 from station.slam.ukf.config import FilterConfig
-from station.slam.ukf.constraints import BodyVelocity, SamePlace
-from station.slam.ukf.filter import VioFilter
-from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.landmarks import measure_landmarks
-from station.slam.ukf.measurement import CameraModel, jacobians, linearise, pose_jacobian, regress
-from station.slam.ukf.propagation import ImuSegment, PropagationConfig, propagate
-from station.slam.ukf.state import (
+from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace
+from station.slam.ukf.filter.filter import VioFilter
+from station.slam.ukf.filter.landmarks import measure_landmarks
+from station.slam.ukf.filter.measurement import CameraModel, jacobians, linearise, pose_jacobian, regress
+from station.slam.ukf.filter.propagation import ImuSegment, PropagationConfig, propagate
+from station.slam.ukf.filter.state import (
     PHI,
     XI_X,
     ErrorKind,
@@ -30,8 +29,9 @@ from station.slam.ukf.state import (
     retract,
     retract_group,
 )
-from station.slam.ukf.triangulation import triangulate
-from station.slam.ukf.update import Gate, Measurements, update
+from station.slam.ukf.filter.triangulation import triangulate
+from station.slam.ukf.filter.update import Gate, Measurements, update
+from station.slam.ukf.inertial import ImuBuffer
 
 KINDS = list(ErrorKind)
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)

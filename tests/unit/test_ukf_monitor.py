@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.slam.frontend.tracker import TrackedFrame
-from station.slam.ukf import lie
+from station.motion import lie
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter import FrameResult
+from station.slam.ukf.filter.filter import FrameResult
+from station.slam.ukf.filter.state import FilterState, initial_state
 from station.slam.ukf.monitor import TrackingMonitor
-from station.slam.ukf.state import FilterState, initial_state
+from station.vision.klt import TrackedFrame
 
 FRAME_NS = 50_000_000
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, se3
-from station.slam.ukf.pose_log import ROWS, PoseLog
+from station.slam.ukf.map.pose_log import ROWS, PoseLog
 
 
 def at(x: float) -> FloatArray:

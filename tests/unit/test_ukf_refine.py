@@ -9,17 +9,17 @@ import numpy as np
 
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3
-from station.evaluation.synthetic import observe, room_points, sine_path
-from station.evaluation.trajectory import relative_pose_error
-from station.frames import ImageFrame
-from station.navigation import Trajectory
-from station.slam.ukf import lie
+from station.experiments.synthetic import observe, room_points, sine_path
+from station.experiments.trajectory import relative_pose_error
+from station.model.frames import ImageFrame
+from station.model.navigation import Trajectory
+from station.motion import lie
+from station.motion.preintegration import preintegrate
+from station.slam.ukf.batch.refine import refine_segment
+from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.keyframes import Keyframe
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.pose_log import PoseLog, follow_poses
-from station.slam.ukf.preintegration import preintegrate
-from station.slam.ukf.refine import refine_segment
+from station.slam.ukf.map.keyframes import Keyframe
+from station.slam.ukf.map.pose_log import PoseLog, follow_poses
 
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 CAMERA = msgspec.structs.replace(REFERENCE_CAMERA, fx=458.0, fy=457.0, line_delay_s=0.0, time_shift_s=0.0)

@@ -7,14 +7,14 @@ import pytest
 
 from shared.calibration import REFERENCE_ROBOT
 from shared.geometry import FloatArray, yaw_rotation
-from station.frames import ImuBatch
-from station.slam.frontend.tracker import TrackedFrame
-from station.slam.ukf import lie
+from station.model.frames import ImuBatch
+from station.motion import lie
+from station.slam.ukf.batch.motion_start import MotionStart, StartConfig
+from station.slam.ukf.filter.measurement import CameraModel
+from station.slam.ukf.filter.state import PHI, XI_V, ErrorKind, FilterState, difference_group
 from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.motion_start import MotionStart, StartConfig
 from station.slam.ukf.start import Anchor, Starter, WaitingFrame, state_rolling
-from station.slam.ukf.state import PHI, XI_V, ErrorKind, FilterState, difference_group
+from station.vision.klt import TrackedFrame
 
 assert REFERENCE_ROBOT.camera is not None and REFERENCE_ROBOT.imu is not None
 CAMERA, NOISE, GRAVITY = REFERENCE_ROBOT.camera, REFERENCE_ROBOT.imu, REFERENCE_ROBOT.gravity

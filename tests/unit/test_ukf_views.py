@@ -12,17 +12,17 @@ import pytest
 
 from shared.calibration import REFERENCE_ROBOT
 from shared.geometry import FloatArray, se3
-from station.features import FeatureExtractor, extract_encoded
-from station.frames import ImageFrame
-from station.navigation import Keyframes, Landmarks
-from station.slam.frontend.tracker import TrackedFrame
-from station.slam.sfm.assemble import Reconstructed
-from station.slam.ukf import lie
+from station.model.frames import ImageFrame
+from station.model.navigation import Keyframes, Landmarks
+from station.motion import lie
+from station.slam.mapping.assemble import Reconstructed
 from station.slam.ukf.config import ViewConfig
-from station.slam.ukf.keyframes import Keyframe
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.view_map import level, relative_motions, straight_rays
-from station.slam.ukf.views import MapViews
+from station.slam.ukf.filter.measurement import CameraModel
+from station.slam.ukf.map.keyframes import Keyframe
+from station.slam.ukf.map.view_map import level, relative_motions, straight_rays
+from station.slam.ukf.map.views import MapViews
+from station.vision.features import FeatureExtractor, extract_encoded
+from station.vision.klt import TrackedFrame
 
 assert REFERENCE_ROBOT.camera is not None and REFERENCE_ROBOT.imu is not None
 CAMERA, NOISE = REFERENCE_ROBOT.camera, REFERENCE_ROBOT.imu

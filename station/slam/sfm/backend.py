@@ -14,25 +14,25 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Keyframes, Navigation, NavigationReport
-from station.shelf import Shelf, ShelvedFiles
+from station.files.spill import Shelf, ShelvedFiles
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Keyframes, Navigation, NavigationReport
 from station.slam.backend import SlamUpdate
-from station.slam.frontend.lens import Lens
-from station.slam.sfm.assemble import Reconstructed, read_odometry_map
+from station.slam.mapping.assemble import Reconstructed, read_odometry_map
+from station.slam.mapping.config import SfmConfig
+from station.slam.mapping.inertial import concatenate_imu
+from station.slam.mapping.matching import Shortlist, match_descriptors
+from station.slam.mapping.odometry import dead_reckon
+from station.slam.mapping.odometry_mapping import map_with_odometry
+from station.slam.mapping.tracks import Pairs
 from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.colmap_model import read_model
-from station.slam.sfm.config import SfmConfig
-from station.slam.sfm.inertial import concatenate_imu
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.sfm.matching import Shortlist, match_descriptors
-from station.slam.sfm.odometry import dead_reckon
-from station.slam.sfm.odometry_mapping import map_with_odometry
 from station.slam.sfm.sift import PinholeFeatures, SiftExtractor
-from station.slam.sfm.tracks import Pairs
 from station.slam.sfm.two_view import Match, verify
 from station.slam.sfm.visual import colmap_camera, map_incrementally
 from station.slam.sfm.world import place_in_world
+from station.vision.lens import Lens
 
 logger = logging.getLogger(__name__)
 MIN_KEYFRAMES = 3

@@ -12,8 +12,8 @@ import numpy as np
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray
-from station.frames import DriveSample
-from station.slam.sfm.inertial import InertialTrack, usable_intervals
+from station.model.frames import DriveSample
+from station.slam.mapping.inertial import InertialTrack, usable_intervals
 
 MAX_INTERVAL_S = 3.0
 ACCEL_SLOP = 0.02  # m/s^2: vibration, bias walk, and gravity seen through 0.1 degree of attitude error

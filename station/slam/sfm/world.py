@@ -9,10 +9,10 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, IntArray, inverse, se3, transform
-from station.frames import DriveSample, ImuBatch
-from station.navigation import Landmarks, Trajectory
-from station.slam.sfm.assemble import Reconstructed
-from station.slam.sfm.inertial import InertialTrack, estimate_gyro_bias
+from station.model.frames import DriveSample, ImuBatch
+from station.model.navigation import Landmarks, Trajectory
+from station.slam.mapping.assemble import Reconstructed
+from station.slam.mapping.inertial import InertialTrack, estimate_gyro_bias
 from station.slam.sfm.metric import (
     DRIVE_SYSTEMATIC,
     ScaleEstimate,

@@ -15,29 +15,29 @@ from threadpoolctl import ThreadpoolController
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
 from shared.geometry import FloatArray
-from station.features import Features
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Navigation
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.motion import lie
 from station.slam.backend import SlamUpdate, TrackingState
-from station.slam.frontend.tracker import Tracker
-from station.slam.ukf import lie
 from station.slam.ukf.coasting import Coasting
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.constraints import BodyVelocity, wheel_velocity
-from station.slam.ukf.filter import SoftConstraint, VioFilter
+from station.slam.ukf.filter.constraints import BodyVelocity, wheel_velocity
+from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
+from station.slam.ukf.filter.measurement import CameraModel
+from station.slam.ukf.filter.propagation import ImuSegment
+from station.slam.ukf.filter.state import FilterState
+from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
 from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.intake import FrameIntake
-from station.slam.ukf.keyframes import is_grey, sample_grey
-from station.slam.ukf.measurement import CameraModel
+from station.slam.ukf.map.keyframes import is_grey, sample_grey
+from station.slam.ukf.map.views import MapViews
 from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
 from station.slam.ukf.monitor import LIFTED, TrackingMonitor
-from station.slam.ukf.propagation import ImuSegment
 from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
-from station.slam.ukf.state import FilterState
 from station.slam.ukf.stillness import Standstill, StillnessDetector
-from station.slam.ukf.update import is_finite
-from station.slam.ukf.views import MapViews
+from station.vision.features import Features
+from station.vision.klt import Tracker
 
 IMU_REACH_S = 0.05  # the IMU may end that long before the frame: its last reading is held
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from station.slam.frontend.tracker import TrackerConfig
-from station.slam.ukf.constraints import WheelConfig
-from station.slam.ukf.landmark_map import LandmarkQuality
-from station.slam.ukf.motion_start import StartConfig
-from station.slam.ukf.state import ErrorKind
+from station.slam.ukf.batch.motion_start import StartConfig
+from station.slam.ukf.filter.constraints import WheelConfig
+from station.slam.ukf.filter.state import ErrorKind
+from station.slam.ukf.map.landmark_map import LandmarkQuality
+from station.vision.klt import TrackerConfig
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,16 +13,16 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.slam.ukf.batch.refine import refine_segment
 from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.inertial import ImuCounts
 from station.slam.ukf.intake import FrameIntake
-from station.slam.ukf.keyframes import Keyframe
-from station.slam.ukf.landmark_map import Observations, assemble, make_landmarks
-from station.slam.ukf.measurement import CameraModel
+from station.slam.ukf.map.keyframes import Keyframe
+from station.slam.ukf.map.landmark_map import Observations, assemble, make_landmarks
+from station.slam.ukf.map.view_map import map_views
 from station.slam.ukf.memory import NavigationMemory
-from station.slam.ukf.refine import refine_segment
-from station.slam.ukf.view_map import map_views
 
 
 def make_navigation(

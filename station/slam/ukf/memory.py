@@ -10,20 +10,20 @@ import numpy.typing as npt
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, se3
-from station.frames import ImageFrame
-from station.slam.frontend.tracker import TrackedFrame
+from station.model.frames import ImageFrame
+from station.motion.preintegration import Preintegration, chain, preintegrate
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter import RetiredClone, VioFilter
+from station.slam.ukf.filter.filter import RetiredClone, VioFilter
+from station.slam.ukf.filter.measurement import CameraModel
+from station.slam.ukf.filter.propagation import ImuSegment
+from station.slam.ukf.filter.state import FilterState
+from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.keyframes import Keyframe, KeyframeStore, sample_colours
-from station.slam.ukf.live_map import LiveMap
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.pose_log import PoseLog
-from station.slam.ukf.preintegration import Preintegration, chain, preintegrate
-from station.slam.ukf.propagation import ImuSegment
-from station.slam.ukf.state import FilterState
-from station.slam.ukf.update import is_finite
-from station.slam.ukf.views import MapViews
+from station.slam.ukf.map.keyframes import Keyframe, KeyframeStore, sample_colours
+from station.slam.ukf.map.live_map import LiveMap
+from station.slam.ukf.map.pose_log import PoseLog
+from station.slam.ukf.map.views import MapViews
+from station.vision.klt import TrackedFrame
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
 WAITING_NS = 4 * 10**9  # frames older than that no longer wait for a start

@@ -10,14 +10,14 @@ import numpy as np
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray, yaw_rotation
-from station.frames import ImuBatch
-from station.slam.frontend.tracker import TrackedFrame
-from station.slam.ukf import lie
-from station.slam.ukf.bundle import N
+from station.model.frames import ImuBatch
+from station.motion import lie
+from station.slam.mapping.inertial_bundle import N
+from station.slam.ukf.batch.motion_start import MotionStart, StartConfig, start_in_motion, upright_rotation
+from station.slam.ukf.filter.measurement import CameraModel
+from station.slam.ukf.filter.state import CORE, PHI, XI_V, XI_X, ErrorKind, FilterState, add_clone, initial_state
 from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.motion_start import MotionStart, StartConfig, start_in_motion, upright_rotation
-from station.slam.ukf.state import CORE, PHI, XI_V, XI_X, ErrorKind, FilterState, add_clone, initial_state
+from station.vision.klt import TrackedFrame
 
 SIGMA_FRAME = 1e-4  # rad and m: position and yaw of a start are definitions
 SIGMA_TILT_REST = 0.02  # rad: accelerometer bias leans the gravity that is measured

@@ -7,12 +7,12 @@ from collections import deque
 import numpy as np
 
 from shared.geometry import FloatArray
-from station.frames import ImuBatch
-from station.slam.frontend.tracker import TrackedFrame
-from station.slam.ukf.constraints import SamePlace, WheelConfig, turn_between
+from station.model.frames import ImuBatch
+from station.slam.ukf.batch.motion_start import StartConfig
+from station.slam.ukf.filter.constraints import SamePlace, WheelConfig, turn_between
+from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.memory import RecentFrame
-from station.slam.ukf.motion_start import StartConfig
-from station.slam.ukf.state import FilterState
+from station.vision.klt import TrackedFrame
 
 
 class StillnessDetector:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from station.maps.map import PlaceMap
 from station.maps.store import StoreAddress
-from station.places.build import build_map
+from station.model.place_map import PlaceMap
+from station.places.making.build import build_map
 from tests.postgres_support import PostgresServer, running_postgres
 from tests.synthetic_home import drive, furnished_room, navigate
 

@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from shared.errors import DataError
+from station.files.navigation_folder import save_navigation
 from station.main import app
 from station.maps import versions
 from station.maps.address import address_of, heal
 from station.maps.backup import restore_backup, write_backup
 from station.maps.blobs import Damaged
-from station.maps.checking import purge_versions, repair, verify
-from station.maps.map import PlaceMap
 from station.maps.record import map_content_hash
+from station.maps.repair.check import purge_versions, repair, verify
 from station.maps.store import MapStore, StoreAddress
-from station.navigation_files import save_navigation
+from station.model.place_map import PlaceMap
 from tests.store_support import blobs, cut, largest_blob, newest_record
 
 
@@ -166,7 +166,7 @@ def test_a_damaged_backup_gives_what_is_whole(place_map: PlaceMap, store: MapSto
 def test_purging_frees_the_space_of_a_deleted_map(
     place_map: PlaceMap, store: MapStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("station.maps.checking.UNUSED_S", -1.0)
+    monkeypatch.setattr("station.maps.repair.check.UNUSED_S", -1.0)
     purge_versions(store, place_map.id)
     assert [r.number for r in store.history(place_map.id)] == [3]
     assert store.load(place_map.id).places[0].name == "Couch"

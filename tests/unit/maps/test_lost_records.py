@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from shared.errors import DataError
 from station.main import app
 from station.maps.blobs import RENEWED_AFTER_S, blob_name
-from station.maps.checking import UNUSED_S, purge_versions, repair, verify
-from station.maps.map import PlaceMap
+from station.maps.repair.check import UNUSED_S, purge_versions, repair, verify
 from station.maps.store import MapStore, StoreAddress
+from station.model.place_map import PlaceMap
 from tests.store_support import blobs, cut, largest_blob, newest_record
 
 

@@ -13,10 +13,10 @@ from shared.errors import ConfigError, DataError
 from station.maps import store as store_module
 from station.maps.bucket import FolderBucket
 from station.maps.folder import save_map_folder
-from station.maps.map import PlaceMap
 from station.maps.record import map_content_hash
 from station.maps.store import MapStore, StoreAddress
-from station.places.build import carry_names
+from station.model.place_map import PlaceMap
+from station.places.making.build import carry_names
 
 
 def holds(store: MapStore, place_map: PlaceMap) -> bool:

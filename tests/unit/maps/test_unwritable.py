@@ -15,12 +15,12 @@ import pytest
 from shared.errors import DataError
 from station.maps.backup import restore_backup, write_backup
 from station.maps.bucket import Unwritable
-from station.maps.checking import purge_versions, repair, verify
 from station.maps.folder import save_map_folder
-from station.maps.map import PlaceMap
-from station.maps.purging import purge
+from station.maps.repair.check import purge_versions, repair, verify
+from station.maps.repair.purging import purge
 from station.maps.store import MapStore
 from station.maps.unwritable import FORGOTTEN_S, IN_USE, PREFIX
+from station.model.place_map import PlaceMap
 from tests.disk_support import unwritable
 
 NAMED = "Sofa"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, yaw_rotation
-from station.places.appearance_alignment import (
+from station.places.joining.appearance_alignment import (
     MAX_SIGHTINGS,
     agree_on_motion,
     covariance_of_motion,

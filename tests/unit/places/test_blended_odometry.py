@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.geometry import FloatArray, inverse, se3, yaw_rotation
-from station.places.odometry import BlendedOdometry
+from station.places.tracking.odometry import BlendedOdometry
 
 TICK_NS = 50_000_000
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from shared.errors import ConfigError, DataError
-from station.navigation import Navigation
-from station.places.build import build_map, carry_names
-from station.places.clusters import NOISE, cluster_landmarks
-from station.places.config import PlacesConfig, ThesisConfig
-from station.places.graph import shortest_route, to_graphml, to_json_dict
+from station.model.navigation import Navigation
+from station.places.making.build import build_map, carry_names
+from station.places.making.clusters import NOISE, cluster_landmarks
+from station.places.making.config import PlacesConfig, ThesisConfig
+from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from tests.synthetic_home import drive, furnished_room, navigate, with_points
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from shared.errors import DataError
-from station.map_library import deviation_image
-from station.maps.map import PlaceMap
+from station.library.maps import deviation_image
 from station.maps.store import MapStore
-from station.places.build import build_map, carry_names
-from station.places.changes import shown, with_place_hidden, with_places_merged
-from station.places.config import PlacesMode
-from station.places.current import CurrentPlaceEstimator
-from station.places.evidence import evidence_of_place
+from station.model.place_map import PlaceMap
+from station.places.making.build import build_map, carry_names
+from station.places.making.changes import shown, with_place_hidden, with_places_merged
+from station.places.making.config import PlacesMode
+from station.places.making.place_images import evidence_of_place
+from station.places.tracking.current import CurrentPlaceEstimator
 from tests.synthetic_home import drive, furnished_room, navigate
 
 

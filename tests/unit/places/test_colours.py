@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.maps.map import Place, PlaceEdge
-from station.places.colours import HUES, MAX_NUMBERS, number_places
+from station.model.place_map import Place, PlaceEdge
+from station.places.making.colours import HUES, MAX_NUMBERS, number_places
 
 NOTHING = np.zeros(0, dtype=np.int64)
 

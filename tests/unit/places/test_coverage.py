@@ -9,12 +9,12 @@ import pytest
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
-from station.maps.map import PlaceMap
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.places.belief import BeliefConfig
-from station.places.coverage import MOST_ASKED, Coverage
-from station.places.current import CurrentPlaceEstimator
-from station.places.map_view import MapView
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.place_map import PlaceMap
+from station.places.tracking.belief import BeliefConfig
+from station.places.tracking.coverage import MOST_ASKED, Coverage
+from station.places.tracking.current import CurrentPlaceEstimator
+from station.places.tracking.map_view import MapView
 from tests.places_support import R_BODY_CAM, make_map, seen
 
 WALL_X, DOOR = 4.0, (1.6, 2.4)  # between the room (x 0..4, y 0..4) and its neighbour (x 4..8)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, se3
-from station.maps.map import PlaceMap
-from station.navigation import Navigation
-from station.places.build import build_map, carry_names
-from station.places.changes import with_place_hidden, with_places_merged
-from station.places.growing import keep_places
-from station.places.merge import append_navigation
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.places.joining.growing import keep_places
+from station.places.joining.merge import append_navigation
+from station.places.making.build import build_map, carry_names
+from station.places.making.changes import with_place_hidden, with_places_merged
 from tests.synthetic_home import drive, furnished_room, navigate
 
 

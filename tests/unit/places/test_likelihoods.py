@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from shared.calibration import Calibration
 from shared.geometry import se3, yaw_rotation
-from station.places.belief import BeliefConfig, Hypothesis, grown
-from station.places.coverage import Coverage
-from station.places.current import CurrentPlaceEstimator
-from station.places.likelihoods import FAILS_AT_POSE, FAILS_IN_MAP, FAILS_UNMAPPED, RIGHT, Shown, support
+from station.places.tracking.belief import BeliefConfig, Hypothesis, grown
+from station.places.tracking.coverage import Coverage
+from station.places.tracking.current import CurrentPlaceEstimator
+from station.places.tracking.likelihoods import FAILS_AT_POSE, FAILS_IN_MAP, FAILS_UNMAPPED, RIGHT, Shown, support
 from tests.places_support import R_BODY_CAM, SECOND, make_map, pose, seen
 from tests.unit.places.test_coverage import CAMERA, room_with_a_door
 

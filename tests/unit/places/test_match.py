@@ -7,15 +7,15 @@ import pytest
 
 from shared.geometry import FloatArray, se3, transform, yaw_rotation
 from station.datasets import Truth
-from station.evaluation.matches import judge_matches, true_landmarks
-from station.maps.map import PlaceMap
-from station.navigation import Navigation
-from station.places import match
-from station.places.align import align_navigation
-from station.places.build import build_map
-from station.places.clusters import Clusters
-from station.places.config import PlacesConfig, ThesisConfig
-from station.places.match import match_navigation
+from station.experiments.matches import judge_matches, true_landmarks
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.places.joining import match
+from station.places.joining.align import align_navigation
+from station.places.joining.match import match_navigation
+from station.places.making.build import build_map
+from station.places.making.clusters import Clusters
+from station.places.making.config import PlacesConfig, ThesisConfig
 from tests.synthetic_home import drive, furnished_room, navigate, with_points
 
 PLANE = np.c_[np.mgrid[0:9, 0:9].reshape(2, -1).T, np.zeros(81)]

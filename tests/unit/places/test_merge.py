@@ -5,8 +5,8 @@ import pytest
 
 from shared.errors import EstimationError
 from shared.geometry import inverse, se3, transform, yaw_rotation
-from station.places.build import build_map
-from station.places.merge import append_navigation, merge_navigations
+from station.places.joining.merge import append_navigation, merge_navigations
+from station.places.making.build import build_map
 from tests.synthetic_home import drive, furnished_room, navigate
 
 

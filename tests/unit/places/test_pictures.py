@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.features import FeatureExtractor, extract_encoded
-from station.places.pictures import DescribedPictures
+from station.places.localisation.described_pictures import DescribedPictures
+from station.vision.features import FeatureExtractor, extract_encoded
 from tests.integration.test_localizer import camera_at, picture
 
 PICTURES = [picture(1, camera_at(x)) for x in (-0.5, 0.0, 0.5)]

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.maps.map import PlaceMap
-from station.navigation import Navigation
-from station.places.build import build_map
-from station.places.config import PlacesConfig, ThesisConfig
-from station.places.repeatability import _chosen, repeatability
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig, ThesisConfig
+from station.places.making.repeatability import _chosen, repeatability
 from tests.synthetic_home import drive, furnished_room, navigate, with_points
 
 

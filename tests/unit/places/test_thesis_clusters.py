@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from station.places.clusters import cluster_thesis
-from station.places.config import ThesisConfig
+from station.places.making.clusters import cluster_thesis
+from station.places.making.config import ThesisConfig
 
 
 def test_a_large_cloud_is_voxelised_and_gives_the_same_clusters() -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from shared.geometry import se3, so3_exp, transform
-from station.places.config import ThesisConfig
-from station.places.thesis_registration import register_as_thesis
+from station.places.joining.thesis_registration import register_as_thesis
+from station.places.making.config import ThesisConfig
 from tests.synthetic_home import furnished_room
 
 

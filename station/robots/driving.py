@@ -1,0 +1,331 @@
+"""Who drives, and the station's own timer that stops the robot when the driver goes silent."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
+from station.config import DriveConfig
+from station.errors import Conflict, NoRobot, NotCapable, NotDriver, OutOfRange
+
+MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 250 ms at most (station/api/robot.py)
+MAX_DRIVER_NAME = 64
+LATE_FOR_NS = 500_000_000
+TAKE_OVER_S = 5.0  # until the first command: time to reach for the joystick, or to type the next line
+LET_GO_NS = 500_000_000  # of silence after the last command's end: whoever was stopped by somebody else let go
+HEAD_TURNS_NS = 1_000_000_000  # servos need half a second from one end to the other; the picture is a little late
+
+
+class DriverLease:
+    """One driver at a time. A driver keeps the wheel by speaking; silence gives it back. Time is an argument."""
+
+    def __init__(self, lease_ns: int) -> None:
+        self._lease_ns = lease_ns
+        self._driver: str | None = None
+        self._heard_ns = 0
+        self._hold_ns = 0  # so long the last command held
+        self._free_ns = 0  # when silence has given the wheel back
+        self._held: str | None = None  # who was stopped by somebody else and has not let go since
+
+    def driver(self, now_ns: int) -> str | None:
+        """Who drives now."""
+        return self._driver if self._driver is not None and now_ns < self._free_ns else None
+
+    def left_ns(self, now_ns: int) -> int:
+        """For how long the driver keeps the wheel without another word."""
+        return max(0, self._free_ns - now_ns)
+
+    def claim(self, driver: str, now_ns: int, hold_ns: int = 0) -> bool:
+        """Take or keep the wheel, by a word that holds for `hold_ns`; False when another one has it."""
+        if self.driver(now_ns) not in (None, driver):
+            return False
+        self.take_over(driver, now_ns, hold_ns)
+        self._hold_ns = hold_ns
+        return True
+
+    def take_over(self, driver: str, now_ns: int, hold_ns: int = 0) -> None:
+        """Take the wheel whoever has it."""
+        free_ns = now_ns + hold_ns + self._lease_ns
+        self._free_ns = max(free_ns, self._free_ns) if driver == self._driver else free_ns
+        self._driver, self._heard_ns, self._hold_ns = driver, now_ns, 0
+
+    def stop(self, by: str | None, now_ns: int) -> None:
+        """A stop by somebody else holds until the driver lets go; our own is letting go.
+
+        The robot has the same rule for its stations (robot/driving.py); to it all pages of this station are one.
+        """
+        if by is not None and by == self._held:
+            self._held = None
+        elif (driver := self.driver(now_ns)) is not None and driver != by:
+            self._held = driver
+            self._heard_ns = now_ns  # the silence that counts begins now
+
+    def must_let_go(self, driver: str, is_zero: bool, now_ns: int) -> bool:
+        """Somebody else stopped this driver, who has held on since. To be asked before the claim, which is a word.
+
+        Silence while the last command would still hold is none: a program that repeats once a second holds on too.
+        """
+        if driver == self._held and (is_zero or now_ns - self._heard_ns >= self._hold_ns + LET_GO_NS):
+            self._held = None
+        return driver == self._held
+
+    def release(self, driver: str) -> None:
+        """Let go, if it is ours."""
+        if self._held == driver:
+            self._held = None
+        if self._driver == driver:
+            self._driver = None
+
+
+class LateOrders:
+    """Tells a link that is too slow for driving from one that stood still for a moment. Time is an argument.
+
+    Commands that arrive older than they may hold move nothing. After a standstill they come in one burst and fresh
+    ones follow; where they keep coming one by one, whoever holds the joystick must be told why nothing moves.
+    """
+
+    def __init__(self) -> None:
+        self._since_ns: int | None = None
+        self._last_ns = 0
+
+    def fresh(self) -> None:
+        """A command came in time."""
+        self._since_ns = None
+
+    def late(self, now_ns: int) -> bool:
+        """A command came too late. True when they have done so, and nothing else, for LATE_FOR_NS; told anew after."""
+        if self._since_ns is None or now_ns - self._last_ns > LATE_FOR_NS:
+            self._since_ns = now_ns
+        self._last_ns = now_ns
+        if now_ns - self._since_ns < LATE_FOR_NS:
+            return False
+        self._since_ns = None
+        return True
+
+
+class DriveLink(Protocol):
+    """What driving needs of the link to the robot."""
+
+    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool: ...
+
+    def stop(self) -> bool: ...
+
+    def point(self, pan: float, tilt: float) -> bool: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Command:
+    linear: float
+    angular: float
+    until_ns: int
+
+
+class Driving:
+    """Checks commands, keeps the lease, repeats a long command to the robot and stops it when its time is over."""
+
+    def __init__(
+        self,
+        link: DriveLink,
+        config: DriveConfig,
+        capabilities: Callable[[], Capabilities | None],
+        on_driver: Callable[[str | None], None],
+        on_silence: Callable[[str], None],
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        on_command: Callable[[str, float, float, int], None] = lambda *_: None,
+    ) -> None:
+        """`on_command` hears what was sent to the robot: driver, m/s, rad/s, ms to live."""
+        self._on_command = on_command
+        self._link = link
+        self._config = config
+        self._capabilities = capabilities
+        self._on_driver = on_driver
+        self._on_silence = on_silence
+        self._now_ns = now_ns
+        self._lease = DriverLease(round(config.lease_s * 1e9))
+        self._told: str | None = None
+        self._command: _Command | None = None
+        self._sent_ns = 0
+        self._changed = asyncio.Event()
+        self._head = (0.0, 0.0)  # where the camera head was told to look
+        self._head_rests_ns = 0  # when it looks there
+
+    @property
+    def driver(self) -> str | None:
+        """Who drives now."""
+        return self._lease.driver(self._now_ns())
+
+    @property
+    def keeps_wheel_s(self) -> float:
+        """For how long the driver keeps the wheel without another word."""
+        return self._lease.left_ns(self._now_ns()) * 1e-9
+
+    @property
+    def is_moving(self) -> bool:
+        """A command other than standing still is held."""
+        return self._command is not None
+
+    @property
+    def head_is_centred(self) -> bool:
+        """The camera was told to look straight ahead, as its calibration says."""
+        return self._head == (0.0, 0.0)
+
+    @property
+    def looks_ahead(self) -> bool:
+        """It was, and had the time to get there: its pictures are what the calibration says."""
+        return self.head_is_centred and self._now_ns() >= self._head_rests_ns
+
+    def centre_head(self) -> None:
+        """Let the camera look straight ahead, whoever drives."""
+        if not self.head_is_centred and self._link.point(0.0, 0.0):
+            self._turn_head(0.0, 0.0)
+
+    def drive(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
+        """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
+
+        Raises:
+            NoRobot, NotCapable, NotDriver, OutOfRange, Conflict (was stopped and holds on): in words for a person.
+        """
+        able = self._require_drive()
+        _check("linear", linear, able.max_linear_m_s, "m/s")
+        _check("angular", angular, able.max_angular_rad_s, "rad/s")
+        if not 1 <= ttl_ms <= MAX_TTL_MS:
+            raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
+        is_still = linear == 0.0 and angular == 0.0
+        must_let_go = self._lease.must_let_go(driver, is_still, self._now_ns())
+        self._claim(driver, ttl_ms)
+        if must_let_go:
+            raise Conflict("somebody else stopped the robot; let go of the joystick once, then drive on")
+        if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self._on_command(driver, linear, angular, ttl_ms)
+        self._sent_ns = self._now_ns()
+        self._command = None if is_still else _Command(linear, angular, self._now_ns() + ttl_ms * 1_000_000)
+        self._changed.set()
+
+    def is_held_by(self, driver: str) -> bool:
+        """This driver's command moves the robot now."""
+        return self.is_moving and self.driver == driver
+
+    def stop(self, by: str | None = None) -> bool:
+        """Motors off now. Anyone may say it, also one who does not drive: then the driver must let go first.
+
+        Args:
+            by: who says it; None is the station itself.
+        Returns:
+            False when no robot is connected.
+        """
+        self._command = None
+        is_told = self._link.stop()  # before all else
+        self._lease.stop(by, self._now_ns())
+        self._on_command(by or "station", 0.0, 0.0, 0)
+        return is_told
+
+    def point(self, driver: str, pan: float, tilt: float) -> None:
+        """Point the camera head (rad). Needs the wheel, as driving does."""
+        able = self._require_robot()
+        if not able.pan_tilt:
+            raise NotCapable("this robot has no pan-tilt head")
+        _check("pan", pan, math.pi, "rad")
+        _check("tilt", tilt, math.pi, "rad")
+        self._claim(driver)
+        if not self._link.point(pan, tilt):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self._turn_head(pan, tilt)
+
+    def _turn_head(self, pan: float, tilt: float) -> None:
+        if (pan, tilt) != self._head:
+            self._head, self._head_rests_ns = (pan, tilt), self._now_ns() + HEAD_TURNS_NS
+
+    def take_over(self, driver: str) -> None:
+        """Become the driver, whoever drives, and stay so for some seconds without a word.
+
+        The robot is stopped first: nobody inherits a moving robot.
+
+        Raises:
+            NoRobot, NotCapable: there is nothing to drive; OutOfRange: the name is empty or too long.
+        """
+        able = self._require_robot()
+        if not able.drive and not able.pan_tilt:
+            raise NotCapable("this robot can neither drive nor look around (a recorded one only replays)")
+        _named(driver)
+        if self.driver != driver:
+            self.stop(driver)
+        self._lease.take_over(driver, self._now_ns(), round(TAKE_OVER_S * 1e9))
+        self._tell()
+
+    def release(self, driver: str) -> None:
+        """Let go of the wheel; stops the robot when it was ours."""
+        if self.driver == driver:
+            self.stop(driver)
+        self._lease.release(driver)
+        self._tell()
+
+    async def run(self) -> None:
+        """The timer: repeats, and stops when silent. Runs until cancelled, and stops the robot then."""
+        try:
+            while True:
+                await self._step()
+        finally:
+            self._link.stop()
+
+    async def _step(self) -> None:
+        now_ns = self._now_ns()
+        self._tell()
+        command = self._command
+        if command is not None and now_ns >= command.until_ns:
+            self._command = None
+            self._link.stop()
+            self._on_silence("the driver went silent: stopped")
+            return
+        wait_ns = self._config.repeat_ms * 1_000_000
+        if command is not None:
+            left_ns = command.until_ns - now_ns
+            if now_ns - self._sent_ns >= wait_ns:
+                # One command may live longer than the protocol lets it: said again, until its time is over.
+                self._link.drive(command.linear, command.angular, min(-(-left_ns // 1_000_000), MAX_DRIVE_TTL_MS))
+                self._sent_ns = now_ns
+            wait_ns = min(wait_ns, left_ns)
+        self._changed.clear()
+        with contextlib.suppress(TimeoutError):
+            # Not wait_for: before Python 3.12 it can swallow a cancellation, and the station would never end.
+            async with asyncio.timeout(wait_ns / 1e9):
+                await self._changed.wait()
+
+    def _require_robot(self) -> Capabilities:
+        able = self._capabilities()
+        if able is None:
+            raise NoRobot("no robot is connected; start robot-server, or give its address with --robot")
+        return able
+
+    def _require_drive(self) -> Capabilities:
+        able = self._require_robot()
+        if not able.drive:
+            raise NotCapable("this robot cannot drive (a recorded one only replays)")
+        return able
+
+    def _claim(self, driver: str, ttl_ms: int = 0) -> None:
+        if not self._lease.claim(_named(driver), self._now_ns(), ttl_ms * 1_000_000):
+            raise NotDriver(f"{self.driver} drives; take over with POST /drive/take-over")
+        self._tell()
+
+    def _tell(self) -> None:
+        if (driver := self.driver) != self._told:
+            self._told = driver
+            self._on_driver(driver)
+
+
+def _named(driver: str) -> str:
+    if not 0 < len(driver) <= MAX_DRIVER_NAME:
+        raise OutOfRange(f"a driver's name needs 1 to {MAX_DRIVER_NAME} characters, not {len(driver)}")
+    return driver
+
+
+def _check(name: str, value: float, limit: float, unit: str) -> None:
+    if not math.isfinite(value) or abs(value) > limit + 1e-9:
+        raise OutOfRange(f"{name} {value} is outside -{limit:g}..{limit:g} {unit}")

@@ -1,0 +1,185 @@
+"""SLAM of one drive in a worker process; when that dies, another takes its place and knows what comes from then on."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from shared.calibration import Calibration
+from shared.errors import RobotSystemError
+from station.config import SlamConfig
+from station.events import Teller
+from station.model.navigation import NavigationReport
+from station.slam.backend import SlamUpdate
+from station.slam.backends import choose_backend
+from station.workers.worker import Worker, WorkerDied
+
+LIVE_BACKENDS = ("ukf",)
+DRIVE_BACKLOG = 6000  # reports, 20 a second: five minutes
+MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
+QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes
+HEAD_START_S = 10.0  # a drive waits for its first word
+MAX_TOLD_FAILURES = 20  # different sentences; some hold numbers that never repeat
+
+
+class SlamProcess:
+    """Starts its worker, replaces one that dies, hands on what SLAM says. All methods belong on the event loop."""
+
+    def __init__(
+        self,
+        name: str,
+        config: SlamConfig,
+        calibration: Calibration,
+        events: Teller,
+        on_update: Callable[[SlamUpdate], None],
+        on_trouble: Callable[[str], None],
+        on_restart: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`on_trouble` gets a sentence on how SLAM is when no update can say it.
+
+        `on_restart` is told that what comes from now on is in another frame than what came before.
+        """
+        self._name = name
+        self._config = config
+        self._calibration = calibration
+        self.backend = choose_backend(config.backend, calibration)
+        self._events = events
+        self._on_update = on_update
+        self._on_trouble = on_trouble
+        self._on_restart = on_restart
+        self._ended = False
+        self._report: asyncio.Future[NavigationReport] | None = None  # asked for
+        self._deaths = 0  # in a row, each soon after the start
+        self._launched_s = 0.0
+        self._first_segment = self._segment = 0
+        self.restarts = 0
+        self._dropped: Counter[str] = Counter()  # by the workers that died
+        self._told: set[str] = set()
+        self.failures = 0  # requests that the backend refused
+        self.failure = ""  # the first one's sentence
+        self.trouble = ""  # why SLAM does not run, or did not until a moment ago; empty while it does
+        self._worker, self._starting = self._launch()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the worker; None while it is being started."""
+        return self._worker.pid
+
+    @property
+    def imu_dropped(self) -> int:
+        """Batches that found a full queue."""
+        return self._dropped["imu"] + self._worker.dropped.get("imu", 0)
+
+    @property
+    def frames_dropped(self) -> int:
+        """Frames that found a full queue."""
+        return self._dropped["frame"] + self._worker.dropped.get("frame", 0)
+
+    @property
+    def frames_waiting(self) -> int:
+        """Frames that SLAM has not looked at yet."""
+        return self._worker.waiting("frame")
+
+    def post(self, method: str, *arguments: Any, kind: str = "") -> bool:
+        """Hand on sensor data. False when older ones were dropped for them, and not only because SLAM is lost."""
+        return self._worker.post(method, *arguments, kind=kind) or bool(self.trouble)
+
+    async def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
+        """End the navigation. Raises what the backend raises, or WorkerDied."""
+        self._ended = True  # a process that dies now has nothing to come back for
+        await asyncio.wait({self._starting})
+        self._report = self._worker.ask("finish", navigation_id, folder)
+        return await self._report
+
+    def give_up(self) -> bool:
+        """End the process in the middle of its work: `finish` raises WorkerDied then. False: it had ended by itself."""
+        if self._report is not None and self._report.done():
+            return False
+        self._ended = True
+        self._worker.kill()
+        return True
+
+    async def close(self, *, at_once: bool = False) -> None:
+        """End the process, also one that is just being started; `at_once`: in the middle of its work."""
+        self._ended = True
+        if at_once:
+            self._worker.kill()
+        await self._worker.close()
+        await asyncio.wait({self._starting})
+
+    def _launch(self) -> tuple[Worker, asyncio.Task[None]]:
+        is_live = self.backend in LIVE_BACKENDS  # an offline backend may be behind, a live one may not
+        limits = {
+            "frame": self._config.live_frame_backlog if is_live else self._config.frame_backlog,
+            "imu": self._config.imu_backlog,
+            "add_drive": DRIVE_BACKLOG,
+        }
+        max_age_s = {"frame": self._config.live_frame_wait_s if is_live else self._config.frame_wait_s}
+        self._launched_s = time.monotonic()
+        worker = Worker(
+            self._name,
+            "station.workers.slam:SlamServant",
+            limits=limits,
+            max_age_s=max_age_s,
+            head_start_s=HEAD_START_S,
+            on_event=self._take,
+            on_death=self._on_death,
+            on_failure=self._on_failure,
+        )
+        # Asked before the first frame can come; what arrives until SLAM is up waits behind it.
+        begun = worker.ask("begin", self.backend, self._calibration, self._config.seed)
+        return worker, asyncio.create_task(self._start(worker, begun), name=f"start {self._name}")
+
+    async def _start(self, worker: Worker, begun: asyncio.Future[None]) -> None:
+        try:
+            await worker.start()
+            await begun
+            self.trouble = ""
+        except WorkerDied:
+            pass  # told by _on_death, unless we closed it
+        except (RobotSystemError, OSError) as exc:
+            # The recording goes on: a drive without live SLAM is better than none.
+            begun.cancel()
+            self._say("slam", f"SLAM does not run: {exc}")
+
+    def _on_death(self, reason: str) -> None:
+        self.trouble = reason
+        if self._ended:
+            return
+        if time.monotonic() - self._launched_s > QUICK_DEATH_S:
+            self._deaths = 0
+        self._deaths += 1
+        if self._deaths >= MAX_DEATHS:
+            self._say("worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it")
+            return
+        self._on_trouble("SLAM was lost; the recording goes on")
+        self._events.say("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
+        self._dropped.update(self._worker.dropped)
+        self.restarts += 1
+        self._first_segment = self._segment + 1
+        self._on_restart()
+        self._worker, self._starting = self._launch()
+
+    def _take(self, update: SlamUpdate) -> None:
+        """A new worker counts its segments from 0 again, and its world is another one."""
+        if self._first_segment:
+            update = replace(update, segment=update.segment + self._first_segment)
+        self._segment = max(self._segment, update.segment)
+        self._on_update(update)
+
+    def _on_failure(self, sentence: str) -> None:
+        self.failures += 1
+        self.failure = self.failure or sentence
+        if sentence not in self._told and len(self._told) < MAX_TOLD_FAILURES:
+            self._told.add(sentence)
+            self._events.say("slam", f"SLAM refused what it was given: {sentence}", "warning")
+
+    def _say(self, topic: str, sentence: str) -> None:
+        self.trouble = sentence
+        self._on_trouble(sentence)
+        self._events.say(topic, sentence, "error")

@@ -1,0 +1,1 @@
+"""Several keyframes solved at once: the start, the refinement."""

@@ -1,0 +1,1 @@
+"""Keyframes and landmarks that the filter leaves behind."""
