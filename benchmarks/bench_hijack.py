@@ -24,7 +24,8 @@ from robot.simulation.sensors import ImuModel
 from robot.simulation.worlds import make_world
 from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
 from station.model.frames import DriveSample, ImuBatch
-from station.places.tracking.hijack import HijackDetector, HijackEvent
+from station.model.place_answer import HijackEvent
+from station.places.tracking.hijack import HijackDetector
 
 FLATS = 10
 BATCH = 10

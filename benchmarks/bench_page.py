@@ -38,7 +38,7 @@ from benchmarks.page_cloud import measure_first_paint, measure_orbit  # noqa: E4
 from robot.devices.ports import CapturedFrame  # noqa: E402
 from shared.calibration import Calibration  # noqa: E402
 from station.model.frames import ImageFrame  # noqa: E402
-from station.slam.backend import SlamUpdate  # noqa: E402
+from station.model.slam_update import SlamUpdate  # noqa: E402
 from tests.link_support import Bench, running_robot, until  # noqa: E402
 from tests.made_up_workers import StraightSlam  # noqa: E402
 from tests.station_support import picture  # noqa: E402

@@ -11,7 +11,7 @@ from playwright.async_api import Browser, Page
 
 from shared.calibration import Calibration
 from station.model.frames import ImageFrame
-from station.slam.backend import SlamUpdate
+from station.model.slam_update import SlamUpdate
 from tests.made_up_workers import StraightSlam
 
 POINTS = 200_000

@@ -84,10 +84,10 @@ class Station:
         await asyncio.to_thread(warm_up)
         interrupted = self.navigations.library.open()
         for navigation in interrupted:
-            self.events.say("navigation", f"{navigation.name} was interrupted; its recording is kept", "warning")
+            self.events.notify("navigation", f"{navigation.name} was interrupted; its recording is kept", "warning")
         if self.navigations.library.unwritable:
             text = f"{self.navigations.library.unwritable}; until then nothing can be recorded or changed"
-            self.events.say("navigation", text, "error")
+            self.events.notify("navigation", text, "error")
             logger.error("%s", text)
         await self.maps.open()
         self.bin.open()
@@ -119,7 +119,7 @@ class Station:
             except Exception as exc:  # on top of the robot's tasks: its motors are stopped, its link is closed
                 logger.exception("robot %s", robot.name)
                 text = f"an error of the station stopped what runs for this robot: {_first_cause(exc)!r}"
-                robot.events.say("worker", f"{text}; it is started again", "error")
+                robot.events.notify("worker", f"{text}; it is started again", "error")
             await asyncio.sleep(SESSION_RESTART_S)
 
     # Robots
@@ -306,21 +306,21 @@ class Station:
         """Never answer with this place, or do again. Raises Conflict, Unknown, DataError."""
         place = await self.maps.hide_place(place_id, hidden)
         self._regroup()
-        self.events.say("map", f"{place.name} is {'hidden' if hidden else 'shown again'}")
+        self.events.notify("map", f"{place.name} is {'hidden' if hidden else 'shown again'}")
         return place
 
     async def merge_places(self, place_ids: list[str]) -> Place:
         """Several places become the first of them. Raises Conflict, Unknown, DataError."""
         place = await self.maps.merge_places(place_ids)
         self._regroup()
-        self.events.say("map", f"{len(set(place_ids))} places are {place.name} now")
+        self.events.notify("map", f"{len(set(place_ids))} places are {place.name} now")
         return place
 
     async def undo_places(self, version: int | None) -> PlacesChange:
         """Take back the newest change of the places. Raises Conflict."""
         change = await self.maps.undo(version)
         self._regroup()
-        self.events.say("map", f"taken back: {change.why}")
+        self.events.notify("map", f"taken back: {change.why}")
         return change
 
     def _regroup(self) -> None:
@@ -340,7 +340,7 @@ class Station:
         try:
             await self.empty_bin(everything=False)
         except (RobotSystemError, OSError) as exc:
-            self.events.say("map", f"the bin could not be looked through: {exc}", "warning")
+            self.events.notify("map", f"the bin could not be looked through: {exc}", "warning")
 
     async def _tidy_up(self, interrupted: list[NavigationRecord]) -> None:
         """Recover what the station's end cut off, then remove what is beyond the limits."""

@@ -14,7 +14,6 @@ import msgspec
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS
-from station.workers.executors.opening import check_executor
 
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes
@@ -210,3 +209,20 @@ def _decode(kind: type[Any], value: Any) -> Any:
     if kind is Path and isinstance(value, str):
         return Path(value).expanduser()
     raise NotImplementedError
+
+
+DASK = "dask://"
+
+
+PROCESSES = "processes"
+
+
+def check_executor(address: str) -> None:
+    """Raises ConfigError when it is no address of an executor."""
+    host, colon, port = address.removeprefix(DASK).rpartition(":")
+    if address in ("", PROCESSES) or (address.startswith(DASK) and colon and host and port.isdecimal()):
+        return
+    raise ConfigError(f"executor {address!r} is none; give {PROCESSES} or dask://HOST:PORT of a Dask scheduler")
+
+
+MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept (kept_index.py)

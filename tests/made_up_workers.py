@@ -14,12 +14,10 @@ from shared.geometry import FloatArray
 from station.maps.store import MapStore, StoreAddress
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
-from station.model.place_answer import PlaceAnswer, PlaceCandidate
+from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.place_map import Place, PlaceEdge, PlaceMap
-from station.model.place_report import HijackNotice, PlaceReport
+from station.model.slam_update import SlamUpdate
 from station.places.making.changes import shown
-from station.places.tracking.hijack import HijackEvent
-from station.slam.backend import SlamUpdate
 from station.vision.features import Features
 from tests.synthetic_home import drive, furnished_room, navigate
 

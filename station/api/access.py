@@ -134,7 +134,7 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
     except PairingFailed as exc:
         raise Conflict(str(exc)) from exc
     await asyncio.to_thread(station.access.robots.keep, paired)
-    which.events.say("link", f"paired with {paired.name}")
+    which.events.notify("link", f"paired with {paired.name}")
     return PairedModel(robot=paired.name, host=host, port=port, fingerprint=paired.fingerprint)
 
 

@@ -13,7 +13,7 @@ from station.api.problems import responses
 from station.api.views import job_model, map_model
 from station.errors import Unknown
 from station.library.maps import keyframe_image
-from station.robots.live_slam import pack_points
+from station.model.points import pack_points
 
 router = APIRouter(tags=["maps"])
 

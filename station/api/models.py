@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from station.library.active_maps import MAX_ACTIVE_MAPS
+from station.config import MAX_ACTIVE_MAPS
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 

@@ -23,8 +23,8 @@ from station.app import Station
 from station.errors import Busy, Conflict, OutOfRange
 from station.files.navigation_folder import load_navigation
 from station.model.navigation import Navigation
+from station.model.points import pack_points
 from station.recordings.playback import replay
-from station.robots.live_slam import pack_points
 
 router = APIRouter(tags=["navigations"])
 FromS = Annotated[float, Query(ge=0, le=86_400, allow_inf_nan=False, description="seconds after the first picture")]

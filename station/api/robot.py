@@ -30,8 +30,7 @@ from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, P
 from station.api.problems import kind_of, responses
 from station.api.views import robot_entry, robot_model
 from station.errors import Busy, NoRobot
-from station.events import Event
-from station.mailbox import MessageReader
+from station.events import Event, MessageReader
 from station.robots.driving import MAX_DRIVER_NAME, LateOrders
 from station.robots.session import RobotSession
 

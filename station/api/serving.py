@@ -133,7 +133,7 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
 
 def _warn(station: Station, sentence: str) -> None:
     logger.warning("%s", sentence)
-    station.events.say("access", sentence, "warning")
+    station.events.notify("access", sentence, "warning")
 
 
 async def serve_until_signal(

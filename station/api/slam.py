@@ -16,7 +16,8 @@ from station.api.views import slam_model
 from station.errors import Conflict
 from station.files.navigation_folder import format_tum
 from station.model.navigation import Trajectory
-from station.robots.live_slam import LiveSlam, pack_points
+from station.model.points import pack_points
+from station.robots.live_slam import LiveSlam
 from station.robots.session import RobotSession
 
 of_robot = APIRouter(tags=["SLAM"])

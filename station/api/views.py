@@ -41,9 +41,9 @@ from station.library.navigation_records import NavigationRecord
 from station.maps.store import MapSummary
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.model.points import NO_PLACE
 from station.places.making.graph import Route
 from station.places.making.names import has_own_name
-from station.robots.live_slam import NO_PLACE
 from station.robots.places import Visit
 from station.robots.session import RobotSession
 from station.workers.jobs import Job

@@ -19,7 +19,8 @@ from station.commands.outputs import check_out_folder
 from station.datasets import Dataset, open_dataset
 from station.files.navigation_folder import check_navigation_folder, save_navigation
 from station.model.navigation import Navigation
-from station.slam.backend import SlamBackend, SlamUpdate
+from station.model.slam_update import SlamUpdate
+from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.slam.ukf.start import GivenState

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import msgspec
 
-from station.maps.bucket import cannot_write, flush
+from station.files.disk import cannot_write, flush
 from station.model.place_map import PlaceMap
 
 FILE = "active.json"  # beside the maps
-MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept (kept_index.py)
 
 
 class _Choice(msgspec.Struct, frozen=True, omit_defaults=True):

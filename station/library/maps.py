@@ -14,20 +14,20 @@ import numpy.typing as npt
 
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
-from station.events import Teller
+from station.events import Notifier
+from station.files.disk import Unwritable
 from station.library.active_maps import keep_choice, kept_choice, why_not_together
-from station.maps.bucket import Unwritable
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.record import MapRecord, says_same_of_places
 from station.maps.repair.check import collect_garbage
 from station.maps.repair.purging import purge
 from station.maps.store import MapStore, MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
+from station.model.points import NO_PLACE
 from station.places.localisation.index_file import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
 from station.places.making.colours import number_places
 from station.places.making.place_images import evidence_of_place
-from station.robots.live_slam import NO_PLACE
 
 logger = logging.getLogger(__name__)
 MAX_WHY = 200
@@ -72,7 +72,7 @@ class Maps:
     of them are its own.
     """
 
-    def __init__(self, address: StoreAddress, events: Teller) -> None:
+    def __init__(self, address: StoreAddress, events: Notifier) -> None:
         self.address = address
         self._store = MapStore(address, self._found_damage)
         self._events = events
@@ -120,7 +120,7 @@ class Maps:
                     found = await asyncio.to_thread(_derive, self._store, map_id)
                     _require_together([*usable, found])
                 except RobotSystemError as exc:
-                    self._events.say("map", f"a map that was in use is left out, it cannot be used: {exc}", "error")
+                    self._events.notify("map", f"a map that was in use is left out, it cannot be used: {exc}", "error")
                 else:
                     usable.append(found)
             self._use(usable)
@@ -150,14 +150,16 @@ class Maps:
         self._events.changed("map")
         names = [active.place_map.name for active in maps]
         if names:
-            self._events.say("map", f"using {names[0]}" + (f", and {' and '.join(names[1:])} too" if names[1:] else ""))
+            self._events.notify(
+                "map", f"using {names[0]}" + (f", and {' and '.join(names[1:])} too" if names[1:] else "")
+            )
 
     async def _choose(self, chosen: tuple[str, ...]) -> None:
         self._chosen = chosen
         try:
             await asyncio.to_thread(keep_choice, self.address.root, chosen)
         except Unwritable as exc:
-            self._events.say("map", f"which map is in use will be forgotten at the next start: {exc}", "warning")
+            self._events.notify("map", f"which map is in use will be forgotten at the next start: {exc}", "warning")
 
     async def delete(self, map_id: str) -> bool:
         """Put a map into the bin; True where robots were looked for in it, and are no longer.
@@ -173,7 +175,9 @@ class Maps:
                 await self._choose(tuple(chosen for chosen in self._chosen if chosen != map_id))
             gone = self.among_active(map_id)
             if gone is not None:
-                self._events.say("map", f"{gone.place_map.name} is deleted, so it is left out from now on", "warning")
+                self._events.notify(
+                    "map", f"{gone.place_map.name} is deleted, so it is left out from now on", "warning"
+                )
                 self._use([active for active in self._active if active is not gone])
         self._events.changed("map")
         return gone is not None
@@ -282,7 +286,7 @@ class Maps:
         """The store found something wrong, in whatever thread it was read."""
         logger.warning("%s", sentence)
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._events.say, "map", sentence, "warning")
+            self._loop.call_soon_threadsafe(self._events.notify, "map", sentence, "warning")
 
     def changed(self) -> None:
         """A map was added to the store."""

@@ -17,8 +17,8 @@ import msgspec
 
 from shared.errors import DataError
 from station.errors import Unknown
+from station.files.disk import Unwritable, cannot_write, flush, why_unwritable
 from station.library.retention import KeptRecording
-from station.maps.bucket import Unwritable, cannot_write, flush, why_unwritable
 
 NavigationState = Literal["recording", "finishing", "ready", "failed"]
 RECORD = "record.json"

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from shared.errors import DataError
 from station.errors import Conflict, Unknown
-from station.events import Teller
+from station.events import Notifier
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.maps.editing import tidy_name
 from station.model.navigation import NavigationReport
@@ -25,7 +25,7 @@ class Navigations:
     drive command. What is known in memory is the newest at once.
     """
 
-    def __init__(self, library: NavigationLibrary, events: Teller) -> None:
+    def __init__(self, library: NavigationLibrary, events: Notifier) -> None:
         self.library = library
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="drives")
         self._writing: set[asyncio.Future[None]] = set()
@@ -67,7 +67,7 @@ class Navigations:
         except Unknown:
             pass  # it was deleted meanwhile
         except DataError as exc:
-            self._events.say("navigation", str(exc), "error")
+            self._events.notify("navigation", str(exc), "error")
 
     def _write(self, navigation: NavigationRecord) -> None:
         """Raises Unknown, DataError."""
@@ -150,7 +150,7 @@ class Navigations:
             message="; ".join(report.messages) or f"{report.landmarks} landmarks",
         )
         await self.keep(navigation)
-        self._events.say("navigation", f"{navigation.name} is ready: {report.landmarks} landmarks")
+        self._events.notify("navigation", f"{navigation.name} is ready: {report.landmarks} landmarks")
         return navigation
 
 

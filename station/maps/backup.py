@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from shared.errors import DataError
+from station.files.disk import flush
 from station.maps import versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
 from station.maps.blobs import Damaged, blob_name
-from station.maps.bucket import flush
 from station.maps.record import MapRecord, decode_record, parse_record_name, record_name
 from station.maps.store import MapStore
 from station.maps.versions import row_of

@@ -16,7 +16,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, Operati
 from sqlalchemy.pool import NullPool
 
 from shared.errors import ConfigError, DataError
-from station.maps.bucket import Unwritable, cannot_write, why_unwritable
+from station.files.disk import Unwritable, cannot_write, why_unwritable
 
 LOCK = ".lock"  # in the store's folder
 REVISIONS = ("0001", "0002")  # the migrations in migrations/versions

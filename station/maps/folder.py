@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from shared.errors import DataError
+from station.files.disk import flush
 from station.files.navigation_folder import load_navigation, save_navigation
-from station.maps.bucket import flush
 from station.maps.record import decode_place, encode_place
 from station.model.place_map import PlaceEdge, PlaceMap
 

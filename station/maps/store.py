@@ -13,10 +13,11 @@ from pathlib import Path
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
+from station.files.disk import Unwritable, cannot_write, why_unwritable
 from station.files.navigation_folder import REPORT, encode_navigation
 from station.maps import versions
 from station.maps.blobs import Blobs, Damaged, Tell, read_checked
-from station.maps.bucket import Bucket, Unwritable, cannot_write, open_bucket, why_unwritable
+from station.maps.bucket import Bucket, open_bucket
 from station.maps.database import Database
 from station.maps.editing import with_place_renamed
 from station.maps.record import (

@@ -16,7 +16,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
-from station.maps.bucket import Bucket, FolderBucket, Unwritable, cannot_write, why_unwritable
+from station.files.disk import Unwritable, cannot_write, why_unwritable
+from station.maps.bucket import Bucket, FolderBucket
 from station.maps.database import Database
 
 PREFIX = "sentinel-maps-"

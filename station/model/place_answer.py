@@ -55,3 +55,52 @@ class PlaceAnswer:
     alternatives: tuple[PlaceCandidate, ...]
     reason: str  # a sentence for a person
     map_id: str | None = None  # of what is said of place, position and evidence; None: nothing speaks for any map
+
+
+HijackCue = Literal["imu", "vision", "position"]
+
+
+@dataclass(frozen=True, slots=True)
+class HijackEvent:
+    """Somebody moved the robot."""
+
+    t_robot_ns: int
+    cue: HijackCue
+    reason: str  # a few words for a person
+    confidence: float  # 0..1, what CurrentPlaceEstimator.on_hijack takes
+
+
+@dataclass(frozen=True, slots=True)
+class MapReading:
+    """How far the worker is with the maps that it was given."""
+
+    fraction: float  # 0..1
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class MapLeftOut:
+    """One of several maps that cannot be read; the robot is looked for in the others."""
+
+    map_id: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceReport:
+    """The current place, and how the last picture was found."""
+
+    map_id: str  # whose frame positions are in: where the robot is, or the first map while nobody knows
+    answer: PlaceAnswer
+    T_map_cam: FloatArray | None  # (4, 4) of the picture the answer is about, when it was found in this map
+    t_evidence_ns: int | None  # what the answer's evidence_t_robot_ns is while it rests on this picture
+    attempt: str  # what speaks for the picture's pose, or why there is none, in a sentence
+    num_hijacks: int = 0  # that the worker had noticed by then: an answer from before one says nothing of after it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HijackNotice:
+    """The robot was picked up, and the current place since: whoever is told the one is told the other."""
+
+    event: HijackEvent
+    report: PlaceReport

@@ -12,7 +12,6 @@ import numpy as np
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray
 from station.motion import lie
-from station.slam.ukf.filter.propagation import ImuSegment, integrate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,3 +139,49 @@ def compose(parts: list[Preintegration]) -> tuple[FloatArray, FloatArray, FloatA
         R.append(R[-1] @ part.dR)
         t.append(t[-1] + part.duration_s)
     return np.array(R), np.array(v), np.array(p), np.array(t)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSegment:
+    """Inertial readings over consecutive steps, each the mean over its step."""
+
+    dt_s: FloatArray  # (N,)
+    gyro: FloatArray  # (N, 3) rad/s, with bias
+    accel: FloatArray  # (N, 3) m/s^2, with bias
+    end_t_ns: int
+    end_gyro: FloatArray  # (3,) reading at the end
+    noise_scale: FloatArray  # (N, 2) >= 1: gyro and accel noise are this much larger (vibration, gaps, saturation)
+
+
+def integrate(
+    R: FloatArray,
+    v: FloatArray,
+    x: FloatArray,
+    bias_gyro: FloatArray,
+    bias_accel: FloatArray,
+    imu: ImuSegment,
+    gravity: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Poses and velocities after every step, batched: (N + 1, K, ...) from R (K, 3, 3), v, x and biases (K, 3).
+
+    Closed form for readings that are constant over a step in the body frame, instead of Euler's (thesis eq. B.13).
+    """
+    dt = imu.dt_s[:, None]
+    rate = imu.gyro[:, None] - bias_gyro[None]  # (N, K, 3)
+    force = imu.accel[:, None] - bias_accel[None]
+    turn = rate * dt[..., None]
+    dR, once, twice = lie.gammas(turn, (0, 1, 2))
+    dv = (once @ force[..., None])[..., 0] * dt[..., None]
+    dx = (twice @ force[..., None])[..., 0] * (dt * dt)[..., None]
+    fall = np.array([0.0, 0.0, -gravity])
+    N, K = len(imu.dt_s), len(R)
+    Rs, vs, xs = np.empty((N + 1, K, 3, 3)), np.empty((N + 1, K, 3)), np.empty((N + 1, K, 3))
+    Rs[0], vs[0], xs[0] = R, v, x
+    for k in range(N):
+        np.matmul(Rs[k], dR[k], out=Rs[k + 1])
+    turned = Rs[:-1]
+    step_v = (turned @ dv[..., None])[..., 0] + fall * dt[..., None]
+    vs[1:] = v + np.cumsum(step_v, axis=0)
+    step_x = (turned @ dx[..., None])[..., 0] + vs[:-1] * dt[..., None] + fall * (0.5 * dt * dt)[..., None]
+    xs[1:] = x + np.cumsum(step_x, axis=0)
+    return Rs, vs, xs

@@ -24,10 +24,11 @@ from shared.errors import DataError
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.events import LogLine
+from station.files.disk import flush
 from station.files.foxglove import camera_calibration, encode_image, time_of
 from station.files.lock import hold
-from station.maps.bucket import flush
-from station.model.place_report import PlaceReport
+from station.model.place_answer import PlaceReport
+from station.model.slam_update import SlamUpdate
 from station.recordings.topics import (
     ANSWER_TOPIC,
     CALIBRATION_TOPIC,
@@ -46,7 +47,6 @@ from station.recordings.topics import (
     slam_pose,
     slam_state,
 )
-from station.slam.backend import SlamUpdate
 
 logger = logging.getLogger(__name__)
 

@@ -11,9 +11,8 @@ from shared.geometry import quat_from_rotation
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from station.events import Level, LogLine
 from station.files.foxglove import CALIBRATION_SCHEMA_NAME, IMAGE_SCHEMA_NAME, image_schema, time_of
-from station.model.place_answer import PlaceCandidate
-from station.model.place_report import PlaceReport
-from station.slam.backend import SlamUpdate
+from station.model.place_answer import PlaceCandidate, PlaceReport
+from station.model.slam_update import SlamUpdate
 
 LIBRARY = "sentinel-robot"  # what a recording says of its writer
 CALIBRATION_TOPIC = "/camera/calibration"

@@ -14,17 +14,17 @@ from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.config import RecordingConfig, SlamConfig
 from station.errors import Conflict
-from station.events import Level, LogLine, Teller
+from station.events import Level, LogLine, Notifier
 from station.files.navigation_folder import load_navigation
 from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
 from station.library.recordings import retain_recordings
 from station.model.frames import DriveSample, ImageFrame
-from station.model.place_report import PlaceReport
+from station.model.place_answer import PlaceReport
+from station.model.slam_update import SlamUpdate
 from station.robots.live_slam import LiveSlam
 from station.robots.navigation_files import MakeRecorder, NavigationRecorder, make_navigation, unmake_navigation
 from station.robots.slam import SlamProcess
-from station.slam.backend import SlamUpdate
 from station.slam.backends import choose_backend
 
 logger = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ class Recording:
         self,
         navigations: Navigations,
         config: SlamConfig,
-        events: Teller,
+        events: Notifier,
         make_recorder: MakeRecorder,
         on_pose: Callable[[int, FloatArray, int], None],
         recordings: RecordingConfig | None = None,
@@ -167,7 +167,7 @@ class Recording:
         self.live = live
         self._navigations.tell(navigation)
         self._events.changed("landmarks")
-        self._events.say("navigation", f"recording {navigation.name}")
+        self._events.notify("navigation", f"recording {navigation.name}")
         return navigation
 
     async def stop(self, navigation_id: str) -> NavigationRecord:
@@ -207,7 +207,7 @@ class Recording:
         task.add_done_callback(self._tasks.discard)
         self._finishing[navigation.id] = _Finishing(running, why)
         if why:
-            self._events.say("navigation", f"{navigation.name}: {why}", "warning")
+            self._events.notify("navigation", f"{navigation.name}: {why}", "warning")
         kept = self._navigations.keep(navigation)
         self._events.changed("pose")  # SLAM's state is another one
         return kept
@@ -269,7 +269,9 @@ class Recording:
         )
         if not kept and "imu" not in running.lost_announced:
             running.lost_announced.add("imu")
-            self._events.say("slam", "SLAM is too slow: inertial samples wait too long and are lost to it", "warning")
+            self._events.notify(
+                "slam", "SLAM is too slow: inertial samples wait too long and are lost to it", "warning"
+            )
 
     def on_gap(self, num_samples: int) -> None:
         running = self._running
@@ -340,7 +342,7 @@ class Recording:
         error = "" if running.recorder is None else running.recorder.error
         if error and "recorder" not in running.lost_announced:
             running.lost_announced.add("recorder")
-            self._events.say("navigation", error, "error")
+            self._events.notify("navigation", error, "error")
 
     def _on_update(self, live: LiveSlam, update: SlamUpdate) -> None:
         has_new_points = live.update(update)
@@ -374,14 +376,14 @@ class Recording:
             )
             if self.live is running.live:
                 self.live = finished
-            self._events.say("navigation", f"{navigation.name} is ready: {report.landmarks} landmarks")
+            self._events.notify("navigation", f"{navigation.name} is ready: {report.landmarks} landmarks")
         except (RobotSystemError, OSError) as exc:
             cause = CANCELLED if running.is_cancelled else running.slam.trouble or str(exc)
             said = [why, _error_of(running), cause, _refused(running.slam)]
             navigation = replace(navigation, state="failed", message="; ".join(filter(None, said)))
             running.live.message = navigation.message
             level: Level = "warning" if running.is_cancelled else "error"
-            self._events.say("navigation", f"{navigation.name}: {navigation.message}", level)
+            self._events.notify("navigation", f"{navigation.name}: {navigation.message}", level)
         finally:
             if navigation.state == "finishing":
                 text = f"the station was stopped before this navigation was finished{AGAIN}"

@@ -10,11 +10,10 @@ import numpy.typing as npt
 
 from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Navigation
-from station.slam.backend import SlamUpdate, TrackingState
+from station.model.slam_update import SlamUpdate, TrackingState
 
 MAX_LIVE_POINTS = 2_000_000
 MAX_LIVE_POSES = 500_000
-NO_PLACE = 255
 
 
 class PointBuffer:
@@ -109,13 +108,3 @@ class LiveSlam:
         for t_ns, T in zip(times.tolist(), navigation.trajectory.T_world_body, strict=True):
             live.poses.append(LivePose(t_ns, T, 0))
         return live
-
-
-def pack_points(
-    p: npt.NDArray[np.floating], rgb: npt.NDArray[np.uint8], place: npt.NDArray[np.uint8] | None = None
-) -> bytes:
-    """Points as 16 bytes each, little endian: x y z float32, r g b uint8, place uint8 (255: none)."""
-    table = np.empty(len(p), dtype=[("p", "<f4", 3), ("rgb", "u1", 3), ("place", "u1")])
-    table["p"], table["rgb"] = p, rgb
-    table["place"] = NO_PLACE if place is None else place
-    return table.tobytes()

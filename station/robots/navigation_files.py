@@ -11,9 +11,9 @@ from shared.errors import RobotSystemError
 from shared.messages import Hello
 from station.events import LogLine
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
-from station.model.place_report import PlaceReport
+from station.model.place_answer import PlaceReport
+from station.model.slam_update import SlamUpdate
 from station.robots.link import LinkListener
-from station.slam.backend import SlamUpdate
 
 
 class NavigationRecorder(LinkListener, Protocol):

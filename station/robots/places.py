@@ -14,13 +14,11 @@ from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
-from station.events import Events
-from station.mailbox import Latest
+from station.events import Events, Latest
 from station.maps.store import StoreAddress
 from station.model.frames import DriveSample, ImageFrame
-from station.model.place_answer import PlaceAnswer, PlaceState
+from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport, PlaceState
 from station.model.place_map import Place, PlaceEdge
-from station.model.place_report import HijackNotice, MapLeftOut, MapReading, PlaceReport
 from station.workers.turns import Turns
 from station.workers.worker import Worker, WorkerDied
 
@@ -184,7 +182,7 @@ class Locating:
         if self._worker is not None and self._is_ready and not self._worker.post(method, *arguments):
             self._lost += method == "imu"
             if method == "imu" and self._lost == 1:
-                self._events.say("place", "localisation is too slow: inertial samples are lost to it", "warning")
+                self._events.notify("place", "localisation is too slow: inertial samples are lost to it", "warning")
 
     def query_image(self, t_robot_ns: int) -> bytes | None:
         """The picture of an earlier answer, while it is kept."""
@@ -203,12 +201,12 @@ class Locating:
             except WorkerDied as exc:
                 if self._generation == generation:
                     self.status = "localisation is started again"
-                    self._events.say("worker", f"{exc}; it is started again", "error")
+                    self._events.notify("worker", f"{exc}; it is started again", "error")
                     await asyncio.sleep(RESTART_S)
             except RobotSystemError as exc:
                 if self._generation == generation:
                     self._tell(f"no localisation: {exc}", None)
-                    self._events.say("place", self.status, "error")
+                    self._events.notify("place", self.status, "error")
                     self._map_ids = ()
 
     async def close(self) -> None:
@@ -234,7 +232,7 @@ class Locating:
                 await worker.call("calibrate", self._calibration)
             self._is_ready = True
             self._tell("looking at the first picture", None)
-            self._events.say("place", "localisation is ready")
+            self._events.notify("place", "localisation is ready")
             interval_s = 1.0 / self._config.rate_hz
             while self._generation == generation:
                 run, frame = await self._frames.get()
@@ -266,7 +264,7 @@ class Locating:
         except RobotSystemError as exc:
             status = f"a picture could not be looked at: {exc}"
             if self.status != status:
-                self._events.say("place", status, "error")
+                self._events.notify("place", status, "error")
             self.status = status
             return None
         self.status = "looking"
@@ -277,12 +275,12 @@ class Locating:
             self._tell(told.text, told.fraction)
             return
         if isinstance(told, MapLeftOut):
-            self._events.say("place", f"the robot is not looked for in {told.map_id}: {told.reason}", "error")
+            self._events.notify("place", f"the robot is not looked for in {told.map_id}: {told.reason}", "error")
             return
         self._hijacks_told = told.report.num_hijacks
         if self._report is not None:  # else of another run of the robot, or nothing was known yet
             self._show(told.report)
-        self._events.say("hijack", f"the robot was picked up: {told.event.reason}", "warning")
+        self._events.notify("hijack", f"the robot was picked up: {told.event.reason}", "warning")
 
     def _tell(self, status: str, progress: float | None) -> None:
         self.status, self.progress = status, progress
@@ -313,6 +311,6 @@ class Locating:
             return
         self.visits.append(Visit(answer.state, place_id, name, now_s, now_s))
         if answer.state == "known":
-            self._events.say("place", f"at {name} ({answer.place.probability:.0%})" if answer.place else "known")
+            self._events.notify("place", f"at {name} ({answer.place.probability:.0%})" if answer.place else "known")
         elif last is not None:
-            self._events.say("place", answer.reason, "warning" if answer.state == "lost" else "info")
+            self._events.notify("place", answer.reason, "warning" if answer.state == "lost" else "info")

@@ -15,11 +15,10 @@ from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice
 from station.access.paired_robots import PairedRobots
 from station.config import RobotConfig, StationConfig
 from station.errors import Conflict, NoRobot, NotCapable, OutOfRange
-from station.events import Events
+from station.events import Broadcast, Events
 from station.library.maps import Maps
 from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
-from station.mailbox import Broadcast
 from station.robots.current_navigation import Recording
 from station.robots.driving import Driving
 from station.robots.link import LinkState, RobotLink
@@ -71,7 +70,7 @@ class RobotSession:
             config.drive,
             self._capabilities,
             on_driver=self._tell_driver,
-            on_silence=lambda text: events.say("drive", text, "warning"),
+            on_silence=lambda text: events.notify("drive", text, "warning"),
             on_command=lambda *command: self.recording.on_command(*command),
         )
         self._driver: str | None = None  # as was told
@@ -161,7 +160,7 @@ class RobotSession:
         is_told = self.driving.stop(by)
         if is_news and (why or (why is None and is_told)):
             self._told_stops.add(said)
-            self.events.say("drive", f"{by} stopped: {why}" if why else f"{by} stopped the robot")
+            self.events.notify("drive", f"{by} stopped: {why}" if why else f"{by} stopped the robot")
         return is_told
 
     async def hijack(self, spot: tuple[float, float, float] | None) -> None:
@@ -179,7 +178,7 @@ class RobotSession:
             refusal = await self.link.hijack(spot)
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
-        self.events.say("hijack", HIJACK_NOTICE, "warning")
+        self.events.notify("hijack", HIJACK_NOTICE, "warning")
 
     async def start_navigation(self, name: str) -> NavigationRecord:
         """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
@@ -211,13 +210,13 @@ class RobotSession:
     def on_connected(self, hello: Hello) -> None:
         self.recording.on_connected(hello)
         self.locating.on_connected(hello)
-        self.events.say("link", f"connected to {hello.name}")
+        self.events.notify("link", f"connected to {hello.name}")
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:
         self.recording.on_disconnected(reason)
         self.locating.on_disconnected(reason)
-        self.events.say("link", f"robot lost: {reason}", "warning")
+        self.events.notify("link", f"robot lost: {reason}", "warning")
         self.events.changed("robot")
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
@@ -232,7 +231,7 @@ class RobotSession:
 
     def on_gap(self, num_samples: int) -> None:
         self.recording.on_gap(num_samples)
-        self.events.say("link", f"{num_samples} inertial samples were lost", "warning")
+        self.events.notify("link", f"{num_samples} inertial samples were lost", "warning")
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.applied = applied
@@ -245,14 +244,14 @@ class RobotSession:
 
     def on_notice(self, notice: ErrorNotice) -> None:
         self.recording.on_notice(notice)
-        self.events.say("robot", notice.message, "error" if notice.fatal else "warning")
+        self.events.notify("robot", notice.message, "error" if notice.fatal else "warning")
 
     def _tell_driver(self, driver: str | None) -> None:
         """Who has the wheel, to the pages; a line where it is in other hands than before, not at every pause."""
         before, self._driver = self._driver, driver
         if driver is not None and driver != self._last_driver:
             self._last_driver = driver
-            self.events.say("drive", f"{driver} drives" if before is None else f"{driver} took over from {before}")
+            self.events.notify("drive", f"{driver} drives" if before is None else f"{driver} took over from {before}")
         self.events.changed("driver", driver)
 
     def _capabilities(self) -> Capabilities | None:

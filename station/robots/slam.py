@@ -13,9 +13,9 @@ from typing import Any
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
 from station.config import SlamConfig
-from station.events import Teller
+from station.events import Notifier
 from station.model.navigation import NavigationReport
-from station.slam.backend import SlamUpdate
+from station.model.slam_update import SlamUpdate
 from station.slam.backends import choose_backend
 from station.workers.worker import Worker, WorkerDied
 
@@ -35,7 +35,7 @@ class SlamProcess:
         name: str,
         config: SlamConfig,
         calibration: Calibration,
-        events: Teller,
+        events: Notifier,
         on_update: Callable[[SlamUpdate], None],
         on_trouble: Callable[[str], None],
         on_restart: Callable[[], None] = lambda: None,
@@ -158,7 +158,7 @@ class SlamProcess:
             self._say("worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it")
             return
         self._on_trouble("SLAM was lost; the recording goes on")
-        self._events.say("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
+        self._events.notify("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
         self._dropped.update(self._worker.dropped)
         self.restarts += 1
         self._first_segment = self._segment + 1
@@ -177,9 +177,9 @@ class SlamProcess:
         self.failure = self.failure or sentence
         if sentence not in self._told and len(self._told) < MAX_TOLD_FAILURES:
             self._told.add(sentence)
-            self._events.say("slam", f"SLAM refused what it was given: {sentence}", "warning")
+            self._events.notify("slam", f"SLAM refused what it was given: {sentence}", "warning")
 
     def _say(self, topic: str, sentence: str) -> None:
         self.trouble = sentence
         self._on_trouble(sentence)
-        self._events.say(topic, sentence, "error")
+        self._events.notify(topic, sentence, "error")

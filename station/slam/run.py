@@ -11,7 +11,8 @@ import numpy as np
 
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
-from station.slam.backend import SlamBackend, SlamUpdate
+from station.model.slam_update import SlamUpdate
+from station.slam.backend import SlamBackend
 
 Events = Iterator[ImuBatch | DriveSample | ImageFrame]
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
-from station.events import Teller
+from station.events import Notifier
 from station.workers.worker import Worker
 
 logger = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ class Job:
 class Jobs:
     """All jobs since the station started, newest last."""
 
-    def __init__(self, events: Teller, servant: str = "station.workers.library_jobs:JobServant") -> None:
+    def __init__(self, events: Notifier, servant: str = "station.workers.library_jobs:JobServant") -> None:
         self._events = events
         self._servant = servant
         self._jobs: OrderedDict[str, Job] = OrderedDict()
@@ -97,7 +97,7 @@ class Jobs:
             result = await work(worker)
             done = replace(self._jobs[job_id], state="done", progress=1.0, message="done", result=result)
             self._keep(done)
-            self._events.say("job", f"{done.title}: done")
+            self._events.notify("job", f"{done.title}: done")
         except RobotSystemError as exc:
             self._fail(job_id, str(exc))
         except Exception as exc:  # on top of the job: whatever it is, nobody must wait for what will never be done
@@ -114,7 +114,7 @@ class Jobs:
             self._keep(replace(job, state="cancelled", message="cancelled"))
         else:
             self._keep(replace(job, state="failed", message=sentence))
-            self._events.say("job", f"{job.title}: {sentence}", "error")
+            self._events.notify("job", f"{job.title}: {sentence}", "error")
 
     def _advance(self, job_id: str, event: tuple[float, str]) -> None:
         job = self._jobs[job_id]

@@ -9,11 +9,12 @@ from typing import Any
 
 from shared.errors import DataError
 from station.datasets import open_dataset
+from station.files.disk import cannot_write, why_unwritable
 from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
-from station.maps.bucket import cannot_write, why_unwritable
 from station.maps.store import MapStore, StoreAddress
 from station.model.navigation import Navigation, NavigationReport
 from station.model.place_map import PlaceMap
+from station.model.slam_update import SlamUpdate
 from station.places.joining.growing import keep_places
 from station.places.joining.merge import merge_navigations
 from station.places.localisation.described_pictures import DescribedPictures
@@ -21,7 +22,6 @@ from station.places.localisation.index_file import index_of
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
-from station.slam.backend import SlamUpdate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.executors.opening import open_executor

@@ -12,9 +12,8 @@ from shared.errors import DataError, EstimationError, RobotSystemError
 from shared.geometry import FloatArray
 from station.maps.store import MapStore, StoreAddress
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from station.model.place_answer import PlaceAnswer
+from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport
 from station.model.place_map import Place, PlaceEdge, PlaceMap
-from station.model.place_report import HijackNotice, MapLeftOut, MapReading, PlaceReport
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import MapIndex

@@ -23,12 +23,10 @@ from station.datasets import Dataset
 from station.maps.record import map_content_hash
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
-from station.model.place_answer import PlaceAnswer
+from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
 from station.model.place_map import PlaceMap
-from station.model.place_report import HijackNotice
+from station.model.slam_update import SlamUpdate
 from station.places.making.build import build_map
-from station.places.tracking.hijack import HijackEvent
-from station.slam.backend import SlamUpdate
 from station.workers.places import PlaceServant
 from station.workers.slam import SlamServant
 

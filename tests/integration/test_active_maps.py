@@ -18,8 +18,8 @@ from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
 from station.maps.store import MapStore, StoreAddress
+from station.model.place_answer import MapReading, PlaceReport
 from station.model.place_map import PlaceMap
-from station.model.place_report import MapReading, PlaceReport
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import make_index

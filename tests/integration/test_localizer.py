@@ -15,8 +15,8 @@ from shared.geometry import FloatArray, inverse, se3, so3_exp
 from station.maps.store import MapStore, StoreAddress
 from station.model.frames import ImageArray, ImageFrame
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.place_answer import HijackNotice, MapReading, PlaceReport
 from station.model.place_map import PlaceMap
-from station.model.place_report import HijackNotice, MapReading, PlaceReport
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.vision.appearance import AppearanceIndex

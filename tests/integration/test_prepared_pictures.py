@@ -14,8 +14,8 @@ from station.files.navigation_folder import PICTURES
 from station.maps.store import MapStore, StoreAddress
 from station.model.frames import ImageFrame
 from station.model.navigation import Navigation
+from station.model.place_answer import HijackNotice, MapReading
 from station.model.place_map import PlaceMap
-from station.model.place_report import HijackNotice, MapReading
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_file import FOLDER, SUFFIX
 from station.places.localisation.localizer import Localizer

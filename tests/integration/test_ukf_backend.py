@@ -17,7 +17,7 @@ from station.datasets import Dataset, open_dataset
 from station.experiments.trajectory import absolute_trajectory_error
 from station.model.frames import ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
-from station.slam.backend import SlamUpdate
+from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.start import GivenState
 

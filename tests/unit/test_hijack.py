@@ -7,8 +7,9 @@ import pytest
 
 from shared.geometry import FloatArray, yaw_rotation
 from station.model.frames import DriveSample, ImuBatch
+from station.model.place_answer import HijackEvent
 from station.motion.dead_reckoning import DeadReckoning
-from station.places.tracking.hijack import HijackDetector, HijackEvent
+from station.places.tracking.hijack import HijackDetector
 from station.vision.features import Features, to_bytes
 
 RATE = 225.0

@@ -18,9 +18,7 @@ from station.config import LocalizationConfig
 from station.events import Events
 from station.maps.store import StoreAddress
 from station.model.frames import ImageFrame
-from station.model.place_answer import PlaceAnswer, PlaceCandidate
-from station.model.place_report import HijackNotice, PlaceReport
-from station.places.tracking.hijack import HijackEvent
+from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.robots.places import Locating
 from station.workers.worker import WorkerFailed
 from tests.link_support import until

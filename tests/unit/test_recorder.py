@@ -33,10 +33,9 @@ from station.datasets import open_dataset
 from station.events import LogLine
 from station.files.foxglove import encode_image
 from station.library.retention import KeptRecording, to_remove
-from station.model.place_answer import PlaceAnswer, PlaceCandidate
-from station.model.place_report import PlaceReport
+from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
+from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
-from station.slam.backend import SlamUpdate
 from tests.recording_support import HELLO, START_NS, batch, frame, record
 
 

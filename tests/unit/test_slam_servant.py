@@ -7,7 +7,7 @@ import pytest
 
 from shared.calibration import REFERENCE_ROBOT
 from station.model.frames import ImageFrame
-from station.slam.backend import SlamUpdate
+from station.model.slam_update import SlamUpdate
 from station.workers.slam import SlamServant
 
 MS = 1_000_000

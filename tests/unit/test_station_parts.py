@@ -19,12 +19,13 @@ from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.commands.serve import _settings as serve_settings
 from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, load_config, parse_address
 from station.errors import Conflict, NotDriver, OutOfRange
+from station.events import Latest, MessageHub
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
-from station.mailbox import Latest, MessageHub
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.points import pack_points
 from station.motion.sensor_order import HOLD_BACK_NS, Sequencer
 from station.robots.driving import DriverLease, Driving
-from station.robots.live_slam import PointBuffer, pack_points
+from station.robots.live_slam import PointBuffer
 from station.slam.backends import check_backend, choose_backend
 from station.workers.worker import Outbox, Worker, WorkerDied, WorkerFailed
 

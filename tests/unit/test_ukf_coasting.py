@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from station.motion.preintegration import ImuSegment
 from station.slam.ukf.coasting import Coasting
-from station.slam.ukf.filter.propagation import ImuSegment
 from station.slam.ukf.start import Anchor
 
 FRAME_NS = 50_000_000

@@ -10,12 +10,13 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, se3, so3_exp
 from station.experiments.synthetic import observe, room_points, sine_path
 from station.motion import lie
+from station.motion.preintegration import ImuSegment
 from station.slam.ukf.config import FilterConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace
 from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.landmarks import measure_landmarks
 from station.slam.ukf.filter.measurement import CameraModel, jacobians, linearise, pose_jacobian, regress
-from station.slam.ukf.filter.propagation import ImuSegment, PropagationConfig, propagate
+from station.slam.ukf.filter.propagation import PropagationConfig, propagate
 from station.slam.ukf.filter.state import (
     PHI,
     XI_X,

@@ -10,8 +10,7 @@ import pytest
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray
 from station.motion import lie
-from station.motion.preintegration import Preintegration, chain, preintegrate
-from station.slam.ukf.filter.propagation import ImuSegment
+from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
 
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 BIAS = np.array([0.02, -0.01, 0.03, 0.1, -0.2, 0.05])

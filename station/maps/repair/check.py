@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from station.files.disk import SCRATCH
 from station.maps import versions
 from station.maps.address import is_whole
 from station.maps.blobs import Damaged, blob_name
-from station.maps.bucket import SCRATCH
 from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
 from station.maps.repair import opening
 from station.maps.repair.purging import purge, records_of

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shared.errors import DataError
+from station.files.disk import Unwritable
 from station.maps import versions
-from station.maps.bucket import Unwritable
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder
 from station.maps.record import FOLDER, MapRecord

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from station.files.disk import flush
 from station.files.spill import Shelf
-from station.maps.bucket import flush
 from station.vision.features import FeatureExtractor, Features, extract_encoded
 
 A = TypeVar("A", bound=np.generic)

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from station.library.active_maps import MAX_ACTIVE_MAPS
+from station.config import MAX_ACTIVE_MAPS
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.map_index import MapIndex, fingerprint, make_index

@@ -9,25 +9,13 @@ Pure: times come with the data. docs/localisation.md has the thresholds' origin 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from shared.geometry import FloatArray
 from station.model.frames import DriveSample, ImuBatch
+from station.model.place_answer import HijackEvent
 from station.vision.features import Features, to_floats
-
-HijackCue = Literal["imu", "vision", "position"]
-
-
-@dataclass(frozen=True, slots=True)
-class HijackEvent:
-    """Somebody moved the robot."""
-
-    t_robot_ns: int
-    cue: HijackCue
-    reason: str  # a few words for a person
-    confidence: float  # 0..1, what CurrentPlaceEstimator.on_hijack takes
 
 
 @dataclass(frozen=True, slots=True)

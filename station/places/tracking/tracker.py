@@ -13,12 +13,12 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from station.model.place_answer import PlaceAnswer
+from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.dead_reckoning import DeadReckoning
 from station.places.localisation.localizer import Attempt, Localizer
 from station.places.tracking.current import CurrentPlaceEstimator
-from station.places.tracking.hijack import HijackDetector, HijackEvent
+from station.places.tracking.hijack import HijackDetector
 from station.places.tracking.odometry import BlendedOdometry
 
 ODOMETRY_EVERY_NS = 50_000_000

@@ -17,7 +17,7 @@ from shared.errors import ConfigError, EstimationError
 from station.files.spill import Shelf, ShelvedFiles
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Keyframes, Navigation, NavigationReport
-from station.slam.backend import SlamUpdate
+from station.model.slam_update import SlamUpdate
 from station.slam.mapping.assemble import Reconstructed, read_odometry_map
 from station.slam.mapping.config import SfmConfig
 from station.slam.mapping.inertial import concatenate_imu

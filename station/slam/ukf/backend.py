@@ -17,14 +17,14 @@ from shared.errors import ConfigError, EstimationError
 from shared.geometry import FloatArray
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
+from station.model.slam_update import SlamUpdate, TrackingState
 from station.motion import lie
-from station.slam.backend import SlamUpdate, TrackingState
+from station.motion.preintegration import ImuSegment
 from station.slam.ukf.coasting import Coasting
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
 from station.slam.ukf.filter.measurement import CameraModel
-from station.slam.ukf.filter.propagation import ImuSegment
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from shared.geometry import FloatArray
-from station.slam.ukf.filter.propagation import ImuSegment
+from station.motion.preintegration import ImuSegment
 from station.slam.ukf.start import Anchor
 
 REMEMBERED = 400  # frames: a start in motion begins a window of a few seconds ago

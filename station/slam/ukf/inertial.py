@@ -9,7 +9,7 @@ import numpy as np
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray
 from station.model.frames import ImuBatch
-from station.slam.ukf.filter.propagation import ImuSegment
+from station.motion.preintegration import ImuSegment
 
 MAX_ACCEL = 1000.0  # m/s^2; no IMU of ours reads more, but a broken file may
 MAX_GYRO = 100.0  # rad/s

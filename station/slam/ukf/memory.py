@@ -11,11 +11,10 @@ import numpy.typing as npt
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, se3
 from station.model.frames import ImageFrame
-from station.motion.preintegration import Preintegration, chain, preintegrate
+from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.filter import RetiredClone, VioFilter
 from station.slam.ukf.filter.measurement import CameraModel
-from station.slam.ukf.filter.propagation import ImuSegment
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.inertial import ImuBuffer

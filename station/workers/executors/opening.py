@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 from shared.errors import ConfigError
+from station.config import DASK, PROCESSES, check_executor
 from station.workers.executors.port import Executor
 from station.workers.executors.processes import ProcessExecutor
-
-DASK = "dask://"
-PROCESSES = "processes"
-
-
-def check_executor(address: str) -> None:
-    """Raises ConfigError when it is no address of an executor."""
-    host, colon, port = address.removeprefix(DASK).rpartition(":")
-    if address in ("", PROCESSES) or (address.startswith(DASK) and colon and host and port.isdecimal()):
-        return
-    raise ConfigError(f"executor {address!r} is none; give {PROCESSES} or dask://HOST:PORT of a Dask scheduler")
 
 
 def open_executor(address: str = PROCESSES) -> Executor:

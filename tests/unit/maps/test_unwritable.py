@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from shared.errors import DataError
+from station.files.disk import Unwritable
 from station.maps.backup import restore_backup, write_backup
-from station.maps.bucket import Unwritable
 from station.maps.folder import save_map_folder
 from station.maps.repair.check import purge_versions, repair, verify
 from station.maps.repair.purging import purge

@@ -13,10 +13,11 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, IntArray, se3
+from station.motion.preintegration import ImuSegment
 from station.slam.ukf.config import FilterConfig
 from station.slam.ukf.filter.landmarks import add_landmarks, measure_landmarks
 from station.slam.ukf.filter.measurement import CameraModel
-from station.slam.ukf.filter.propagation import ImuSegment, PropagationConfig, propagate
+from station.slam.ukf.filter.propagation import PropagationConfig, propagate
 from station.slam.ukf.filter.state import ErrorKind, FilterState, add_clone, keep_landmarks, remove_clone
 from station.slam.ukf.filter.tracks import TrackTable
 from station.slam.ukf.filter.update import Gate, Measurements, stack, update
