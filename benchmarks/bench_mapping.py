@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, transform
+from station.config import BACKENDS
 from station.datasets import Dataset, open_dataset
 from station.demo.judge import is_right
 from station.experiments.alignment import align_points
@@ -36,7 +37,7 @@ from station.model.place_map import PlaceMap
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.places.tracking.tracker import PlaceTracker
-from station.slam.backends import BACKENDS, make_backend
+from station.slam.backends import make_backend
 from station.slam.run import run_backend
 
 LOOK_EVERY_NS = 250_000_000

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS
@@ -226,3 +227,20 @@ def check_executor(address: str) -> None:
 
 
 MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept (kept_index.py)
+
+
+BACKENDS = ("sfm", "ukf")
+
+
+AUTO = "auto"  # what suits the robot
+
+
+def choose_backend(name: str, calibration: Calibration) -> str:
+    """The backend that is meant: "auto" is ukf for a robot on wheels with an IMU and a camera that was measured.
+
+    Any other is followed by sfm, which needs images only; the filter believes the camera's numbers.
+    """
+    if name != AUTO:
+        return name
+    is_measured = calibration.camera is not None and calibration.camera.is_measured
+    return "ukf" if is_measured and calibration.imu is not None and calibration.robot_kind == "sentinel" else "sfm"

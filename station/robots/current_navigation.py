@@ -12,7 +12,7 @@ from pathlib import Path
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.config import RecordingConfig, SlamConfig
+from station.config import RecordingConfig, SlamConfig, choose_backend
 from station.errors import Conflict
 from station.events import Level, LogLine, Notifier
 from station.files.navigation_folder import load_navigation
@@ -25,7 +25,6 @@ from station.model.slam_update import SlamUpdate
 from station.robots.live_slam import LiveSlam
 from station.robots.navigation_files import MakeRecorder, NavigationRecorder, make_navigation, unmake_navigation
 from station.robots.slam import SlamProcess
-from station.slam.backends import choose_backend
 
 logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1

@@ -12,11 +12,10 @@ from typing import Any
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
-from station.config import SlamConfig
+from station.config import SlamConfig, choose_backend
 from station.events import Notifier
 from station.model.navigation import NavigationReport
 from station.model.slam_update import SlamUpdate
-from station.slam.backends import choose_backend
 from station.workers.worker import Worker, WorkerDied
 
 LIVE_BACKENDS = ("ukf",)

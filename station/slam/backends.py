@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, Literal
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError
+from station.config import AUTO, BACKENDS, choose_backend
 from station.slam.backend import SlamBackend
 
 if TYPE_CHECKING:
     from station.slam.ukf.start import GivenState
-
-BACKENDS = ("sfm", "ukf")
-AUTO = "auto"  # what suits the robot
 
 
 def check_backend(name: str) -> None:
@@ -28,17 +26,6 @@ def check_backend(name: str) -> None:
     except (ImportError, ValueError) as exc:
         raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {choices}") from exc
     raise ConfigError(f"backend {name!r} is unknown; choose one of {choices}")
-
-
-def choose_backend(name: str, calibration: Calibration) -> str:
-    """The backend that is meant: "auto" is ukf for a robot on wheels with an IMU and a camera that was measured.
-
-    Any other is followed by sfm, which needs images only; the filter believes the camera's numbers.
-    """
-    if name != AUTO:
-        return name
-    is_measured = calibration.camera is not None and calibration.camera.is_measured
-    return "ukf" if is_measured and calibration.imu is not None and calibration.robot_kind == "sentinel" else "sfm"
 
 
 def make_backend(

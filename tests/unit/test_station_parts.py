@@ -17,7 +17,7 @@ from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.commands.serve import _settings as serve_settings
-from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, load_config, parse_address
+from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, choose_backend, load_config, parse_address
 from station.errors import Conflict, NotDriver, OutOfRange
 from station.events import Latest, MessageHub
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
@@ -26,7 +26,7 @@ from station.model.points import pack_points
 from station.motion.sensor_order import HOLD_BACK_NS, Sequencer
 from station.robots.driving import DriverLease, Driving
 from station.robots.live_slam import PointBuffer
-from station.slam.backends import check_backend, choose_backend
+from station.slam.backends import check_backend
 from station.workers.worker import Outbox, Worker, WorkerDied, WorkerFailed
 
 MS = 1_000_000
