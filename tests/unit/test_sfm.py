@@ -11,14 +11,15 @@ from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
-from station.slam.mapping import bundle
-from station.slam.mapping.bundle import BundleState, Observations, adjust, log_many, reprojection_errors
+from station.slam.mapping import odometry_bundle
 from station.slam.mapping.inertial import InertialTrack, estimate_gyro_bias, exp_many
 from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, bias_at_rest, dead_reckon
-from station.slam.mapping.tracks import build_tracks, longest, triangulate
+from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, log_many, reprojection_errors
+from station.slam.mapping.tracks import build_tracks, longest
 from station.slam.sfm.metric import ScaleEstimate, align_to_imu, fuse_scales, scale_from_drive
 from station.slam.sfm.trajectory import all_frames
+from station.vision.triangulation import intersect_rays
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 RATE_HZ = 200
@@ -147,9 +148,9 @@ def test_points_are_found_where_rays_meet(seed: int) -> None:
     start = np.tile(centres, (5, 1))
     rays = points[owner] - start
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    found, good = triangulate(owner, 5, start, rays)
+    found, good = intersect_rays(owner, 5, start, rays)
     np.testing.assert_allclose(found[good], points[good], atol=1e-6)
-    behind, good_behind = triangulate(owner, 5, start, -rays)
+    behind, good_behind = intersect_rays(owner, 5, start, -rays)
     assert not good_behind.any() and behind.shape == (5, 3)
 
 
@@ -157,7 +158,7 @@ def test_points_are_found_where_rays_meet(seed: int) -> None:
 def test_bundle_adjustment_corrects_poses_and_survives_outliers(
     max_dense: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bundle, "MAX_DENSE_KEYFRAMES", max_dense)
+    monkeypatch.setattr(odometry_bundle, "MAX_DENSE_KEYFRAMES", max_dense)
     rng = np.random.default_rng(5)
     T_body_cam = se3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.1, 0.0, 0.0]))
     n, m = 12, 150

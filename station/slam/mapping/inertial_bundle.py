@@ -1,7 +1,9 @@
-"""Visual-inertial least squares over a window of poses (docs/slam.md, sec. 7; thesis eqs. 2.10-2.13).
+"""Bundle adjustment of a window with the IMU: poses, velocities and biases (docs/slam.md, sec. 7; thesis 2.10-2.13).
 
-Unknown per pose: (phi, v, x, b_omega, b_a) with R = exp(phi) R_mean and the rest added. Points are solved for given the
-poses in every iteration and projected out of the Jacobian (variable projection), so that only poses remain.
+Unknown per pose: (phi, v, x, b_omega, b_a) with R = exp(phi) R_mean and the rest added; preintegrated readings link the
+poses. Points are solved for given the poses in every iteration and projected out of the Jacobian (variable projection),
+so that only poses remain: dense, for windows of some twenty poses, with their joint covariance. odometry_bundle.py
+adjusts whole drives of hundreds of keyframes and their landmarks, with relative motions in place of readings.
 """
 
 from __future__ import annotations
@@ -15,11 +17,12 @@ from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray
 from station.motion import lie
+from station.motion.error_coordinates import ErrorKind, pose_jacobian
 from station.motion.preintegration import Preintegration
-from station.slam.ukf.filter.measurement import CameraModel, jacobians, observation_pose, pose_jacobian
-from station.slam.ukf.filter.state import ErrorKind
-from station.slam.ukf.filter.triangulation import Triangulation, triangulate
+from station.slam.mapping.rolling_shutter import observation_pose
+from station.vision.camera_model import CameraModel, project_points
 from station.vision.lens import BoolArray
+from station.vision.triangulation import Triangulation, triangulate
 
 N = 15  # unknowns per pose
 
@@ -313,7 +316,7 @@ def _add_tracks(
     used = seen & good[:, None]
     p = np.where(good[:, None], points.p, 0.0)
     spread = np.broadcast_to(p[:, None], (F, K, 3))
-    predicted, D, in_front, _ = jacobians(camera, R, x, spread)
+    predicted, D, in_front = project_points(camera, R, x, spread)
     used = used & in_front
     W = camera.lens.whitening(xy, camera.sigma_px)
     r = (W @ (xy - predicted)[..., None])[..., 0] * used[..., None]

@@ -24,7 +24,6 @@ from station.slam.ukf.coasting import Coasting
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
@@ -36,6 +35,7 @@ from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
 from station.slam.ukf.monitor import LIFTED, TrackingMonitor
 from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
 from station.slam.ukf.stillness import Standstill, StillnessDetector
+from station.vision.camera_model import CameraModel
 from station.vision.features import Features
 from station.vision.klt import Tracker
 

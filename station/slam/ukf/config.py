@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from station.motion.error_coordinates import ErrorKind
 from station.slam.ukf.batch.motion_start import StartConfig
 from station.slam.ukf.filter.constraints import WheelConfig
-from station.slam.ukf.filter.state import ErrorKind
 from station.slam.ukf.map.landmark_map import LandmarkQuality
 from station.vision.klt import TrackerConfig
 

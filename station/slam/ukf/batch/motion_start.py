@@ -2,7 +2,7 @@
 
 1. Gyro bias: with the right rotations, the epipolar plane normals of each pair of frames lie in one plane.
 2. Velocity and gravity: linear, once rotations are known; points are eliminated; |g| is given.
-3. Refinement of everything by visual-inertial least squares (bundle.py), which also gives the covariance.
+3. Refinement of everything by visual-inertial least squares (inertial_bundle.py), which also gives the covariance.
 Sources: Kneip and Lynen, ICCV 2013 (step 1); Dong-Si and Mourikis, IROS 2012 (step 2).
 """
 
@@ -19,8 +19,8 @@ from shared.geometry import FloatArray, IntArray
 from station.motion import lie
 from station.motion.preintegration import Preintegration, compose, preintegrate
 from station.slam.mapping.inertial_bundle import Prior, WindowSolution, WindowStates, solve_window
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.inertial import ImuBuffer
+from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 from station.vision.lens import BoolArray
 

@@ -17,9 +17,9 @@ from shared.geometry import FloatArray, se3
 from station.motion.preintegration import Preintegration, chain
 from station.slam.mapping.inertial_bundle import Prior, WindowStates, solve_window
 from station.slam.ukf.batch.motion_start import WindowTracks, collect_tracks
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.pose_log import follow_poses
+from station.vision.camera_model import CameraModel
 
 WINDOW = 24
 STEP = 12

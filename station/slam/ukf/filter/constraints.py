@@ -8,7 +8,8 @@ import numpy as np
 
 from shared.geometry import FloatArray, orthonormal
 from station.motion import lie
-from station.slam.ukf.filter.state import PHI, XI_V, XI_X, ErrorKind, FilterState
+from station.motion.error_coordinates import ErrorKind
+from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
 from station.slam.ukf.filter.update import Measurements
 
 
