@@ -60,7 +60,7 @@ class UkfBackend:
         cv2.setNumThreads(1)  # order of additions, hence every last bit, must not depend on the machine
         self._blas = ThreadpoolController()  # the same for BLAS
         self._calibration = calibration
-        self._config = (config or UkfConfig()).for_robot(calibration.robot_kind)
+        self._config = (config or UkfConfig()).for_robot(calibration.has_wheels)
         self._seed = seed
         self._given = initial_state
         self._camera = CameraModel.of(calibration.camera, self._config.filter.sigma_px)
@@ -271,7 +271,7 @@ class UkfBackend:
     def _make_views(self) -> MapViews | None:
         """Where the map's views are collected; None when the map is made from tracks."""
         config = self._config
-        wanted = config.map == "views" or (config.map == "auto" and self._calibration.robot_kind == "sentinel")
+        wanted = config.map == "views" or (config.map == "auto" and self._calibration.has_wheels)
         if not wanted or config.landmarks == "thesis":
             return None
         return MapViews(self._camera.lens, config.views, self._seed)
@@ -325,7 +325,7 @@ class UkfBackend:
 
     def _wheels(self, segment: ImuSegment, t_imu: int) -> tuple[FloatArray, FloatArray] | None:
         """What the wheels say of the body velocity now."""
-        if self._calibration.robot_kind != "sentinel":
+        if not self._calibration.has_wheels:
             return None
         bias = self._filter.state.bias_gyro if self._filter is not None else np.zeros(3)
         command, since = None, 0.0
@@ -343,7 +343,7 @@ class UkfBackend:
 
     def _commanded_speed(self) -> float | None:
         """m/s that wheels roll forwards; None where nothing is known of wheels, or the robot is in somebody's hands."""
-        if self._calibration.robot_kind != "sentinel" or self._is_lifted:
+        if not self._calibration.has_wheels or self._is_lifted:
             return None
         return 0.0 if self._drive is None else self._config.wheels.speed_efficiency * self._drive.linear_m_s
 
@@ -353,7 +353,7 @@ class UkfBackend:
         sound = is_finite(state) and float(np.abs(bias[:3]).max()) < 0.2 and float(np.abs(bias[3:]).max()) < 1.0
         self._is_lifted = reason == LIFTED
         T = self._memory.poses.last()
-        if self._calibration.robot_kind == "sentinel" and not self._is_lifted and sound:
+        if self._calibration.has_wheels and not self._is_lifted and sound:
             T = state.T_world_body  # dead reckoned through the outage, in which no poses were kept
         if T is None:
             T = np.eye(4)
