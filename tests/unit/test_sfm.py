@@ -11,13 +11,16 @@ from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
+from station.motion.imu_buffer import ImuBuffer
+from station.motion.inertial_track import InertialTrack, exp_many
+from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
-from station.slam.mapping.inertial import InertialTrack, estimate_gyro_bias, exp_many
 from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, bias_at_rest, dead_reckon
 from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, log_many, reprojection_errors
+from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
 from station.slam.mapping.tracks import build_tracks, longest
-from station.slam.sfm.metric import ScaleEstimate, align_to_imu, fuse_scales, scale_from_drive
+from station.slam.sfm.metric import fuse_scales, scale_from_drive
 from station.slam.sfm.trajectory import all_frames
 from station.vision.triangulation import intersect_rays
 
@@ -54,7 +57,7 @@ def test_scale_gravity_and_biases_come_back_from_a_scaled_turned_reconstruction(
     cams = poses[k] @ T_body_cam
     p_model = cams[:, :3, 3] @ R_model_world.T / true_scale
     R_model_body = R_model_world @ poses[k, :3, :3]
-    track, angles = estimate_gyro_bias(imu, t[k], R_model_body)
+    track, angles = gyro_bias_from_rotations(imu, t[k], R_model_body)
     np.testing.assert_allclose(track.gyro_bias, gyro_bias, atol=1e-5)
     assert np.nanmax(angles) < 1e-4
     noise = ImuNoise(gyro_density=1e-4, accel_density=1e-3, gyro_walk=1e-5, accel_walk=1e-4, rate_hz=RATE_HZ)
@@ -73,6 +76,21 @@ def test_increments_reproduce_the_motion() -> None:
     np.testing.assert_allclose(v[100] + GRAVITY * dt + R @ step.velocity[0], v[400], atol=1e-3)
     p = poses[100, :3, 3] + v[100] * dt + 0.5 * GRAVITY * dt**2 + R @ step.position[0]
     np.testing.assert_allclose(p, poses[400, :3, 3], atol=1e-3)
+
+
+def test_both_ways_of_integrating_tell_the_same_motion_and_how_it_depends_on_the_bias() -> None:
+    t, _, _, imu = lively_motion(5.0)
+    buffer = ImuBuffer(REFERENCE_IMU, keep_s=10.0)
+    buffer.add(imu)
+    begin, end, bias = int(t[100]), int(t[400]), np.array([0.01, -0.02, 0.015])
+    step = InertialTrack(imu, bias).increments(np.array([begin, end]))
+    link = preintegrate(buffer.segment(begin, end), np.concatenate([bias, np.zeros(3)]), REFERENCE_IMU)
+    np.testing.assert_allclose(link.dR, step.R[0], atol=1e-12)
+    np.testing.assert_allclose(link.dv, step.velocity[0], atol=2e-5)
+    np.testing.assert_allclose(link.dp, step.position[0], atol=2e-5)
+    np.testing.assert_allclose(link.dR_by_bias, -step.R[0].T @ step.R_sum[0], atol=1e-5)
+    np.testing.assert_allclose(link.dv_by_bias[:, 3:], -step.R_sum[0], atol=1e-5)
+    np.testing.assert_allclose(link.dp_by_bias[:, 3:], -step.R_sum_sum[0], atol=1e-5)
 
 
 def test_contradicting_scales_are_less_certain() -> None:

@@ -11,6 +11,7 @@ from shared.geometry import FloatArray, se3, so3_exp
 from station.experiments.synthetic import observe, room_points, sine_path
 from station.motion import lie
 from station.motion.error_coordinates import ErrorKind, difference_group, pose_jacobian, retract_group
+from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.config import FilterConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace
@@ -29,7 +30,6 @@ from station.slam.ukf.filter.state import (
     retract,
 )
 from station.slam.ukf.filter.update import Gate, Measurements, update
-from station.slam.ukf.inertial import ImuBuffer
 from station.vision.camera_model import CameraModel, project_points
 from station.vision.triangulation import triangulate
 

@@ -14,9 +14,9 @@ from station.experiments.trajectory import relative_pose_error
 from station.model.frames import ImageFrame
 from station.model.navigation import Trajectory
 from station.motion import lie
+from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import preintegrate
 from station.slam.ukf.batch.refine import refine_segment
-from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.pose_log import PoseLog, follow_poses
 from station.vision.camera_model import CameraModel

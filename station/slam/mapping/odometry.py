@@ -9,7 +9,7 @@ import numpy as np
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray, se3
 from station.model.frames import DriveSample, ImuBatch
-from station.slam.mapping.inertial import InertialTrack
+from station.motion.inertial_track import InertialTrack
 
 MOTOR_TIME_CONSTANT_S = 0.15  # wheels follow their command like a first-order lag
 REST_AFTER_S = 0.7  # commands must have been zero this long for the body to stand still

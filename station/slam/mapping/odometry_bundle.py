@@ -18,7 +18,7 @@ from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from shared.geometry import FloatArray, IntArray, so3_log
-from station.slam.mapping.inertial import exp_many
+from station.motion.inertial_track import exp_many
 from station.slam.mapping.odometry import RelativeMotions
 
 NUM_SHARED = 4  # drive scale, gyroscope bias (3)

@@ -15,9 +15,9 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
+from station.motion.inertial_track import InertialTrack, exp_many
 from station.slam.mapping.config import SfmConfig
 from station.slam.mapping.features import Features
-from station.slam.mapping.inertial import InertialTrack, exp_many
 from station.slam.mapping.loops import find_loops
 from station.slam.mapping.odometry import Odometry, RelativeMotions
 from station.slam.mapping.odometry_bundle import (

@@ -19,6 +19,7 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
 from station.motion import lie
+from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.coasting import Coasting
 from station.slam.ukf.config import UkfConfig
@@ -27,7 +28,6 @@ from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
-from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.map.keyframes import is_grey, sample_grey
 from station.slam.ukf.map.views import MapViews
