@@ -11,12 +11,14 @@ from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
+from station.motion.dead_reckoning import bias_at_rest
+from station.motion.drive_commands import MOTOR_LAG_S, SPEED_EFFICIENCY
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.inertial_track import InertialTrack, exp_many
 from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
 from station.slam.mapping.matching import match_descriptors
-from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, bias_at_rest, dead_reckon
+from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
 from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, log_many, reprojection_errors
 from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
 from station.slam.mapping.tracks import build_tracks, longest
@@ -117,7 +119,8 @@ def test_dead_reckoning_follows_the_commands() -> None:
     assert bias is not None
     np.testing.assert_allclose(bias, [0, 0, 0.02])
     odometry = dead_reckon(imu, drive, np.array([0, 6 * 10**9, 9 * 10**9]), REFERENCE_IMU)
-    assert odometry.T_world_body[1, 0, 3] == pytest.approx(0.3 * (4.0 - 0.15), abs=0.01)  # the motors' lag
+    way_m = SPEED_EFFICIENCY * 0.3 * (4.0 - MOTOR_LAG_S)
+    assert odometry.T_world_body[1, 0, 3] == pytest.approx(way_m, abs=1e-3)
     turned = odometry.T_world_body[2, :3, :3]
     np.testing.assert_allclose(turned, yaw_rotation(1.5), atol=5e-3)
 
@@ -125,9 +128,9 @@ def test_dead_reckoning_follows_the_commands() -> None:
 def test_scale_from_straight_pieces_of_the_drive() -> None:
     drive = [DriveSample(0, 0.3, 0.0)]
     t = np.arange(10) * 10**9
-    p = np.column_stack([0.3 * t * 1e-9 / 4.0, np.zeros(10), np.zeros(10)])
+    p = np.column_stack([SPEED_EFFICIENCY * 0.3 * t * 1e-9 / 4.0, np.zeros(10), np.zeros(10)])
     found = scale_from_drive(drive, t, np.broadcast_to(np.eye(3), (10, 3, 3)), p)
-    assert found is not None and found.scale == pytest.approx(4.0, rel=0.05)
+    assert found is not None and found.scale == pytest.approx(4.0, rel=0.01)
     assert scale_from_drive([], t, np.broadcast_to(np.eye(3), (10, 3, 3)), p) is None
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.model.frames import DriveSample
+from station.motion.drive_commands import wheel_motion
 from station.slam.mapping.pose_alignment import ScaleEstimate
 
-MOTOR_LAG_S = 0.15  # the motors follow their command this much later
 DRIVE_SYSTEMATIC = 0.05  # wheels slip and batteries sag: a drive command is not known better than that
 STRAIGHT_RATE = 0.15  # rad/s: faster turns make wheels slip, and the body is not the turning point
 
@@ -23,7 +23,7 @@ def scale_from_drive(
     """
     if not drive:
         return None
-    distance = drive_distance(drive, t_ns)
+    _, distance = wheel_motion(drive, t_ns)
     ratios, lengths = [], []
     i = 0
     for j in range(1, len(t_ns)):
@@ -47,17 +47,6 @@ def scale_from_drive(
     scale = float(values[order][middle])
     spread = 1.4826 * float(np.median(np.abs(values - scale))) / scale
     return ScaleEstimate(scale, float(np.hypot(spread / np.sqrt(len(values)), DRIVE_SYSTEMATIC)), "drive")
-
-
-def drive_distance(drive: list[DriveSample], t_ns: IntArray) -> FloatArray:
-    """Distance (M,) m that the motors were told to have gone by each time, their lag included."""
-    begin = np.array([d.t_robot_ns for d in drive]) * 1e-9 + MOTOR_LAG_S
-    speed = np.array([d.linear_m_s for d in drive])
-    at = t_ns * 1e-9
-    total = np.concatenate([[0.0], np.cumsum(speed[:-1] * np.diff(begin))])
-    k = np.searchsorted(begin, at, side="right") - 1
-    known = np.maximum(k, 0)
-    return np.where(k >= 0, total[known] + speed[known] * (at - begin[known]), 0.0)
 
 
 def fuse_scales(estimates: list[ScaleEstimate]) -> ScaleEstimate | None:

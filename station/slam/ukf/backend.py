@@ -19,6 +19,7 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
 from station.motion import lie
+from station.motion.drive_commands import WheelSpeed, commands_motion
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.coasting import Coasting
@@ -81,6 +82,7 @@ class UkfBackend:
         self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command
         self._speed_since = 0  # when the commanded speed last changed
+        self._wheel_speed = WheelSpeed()
         self._previous_t: int | None = None  # IMU time of the frame before
         self._lost_since: int | None = None
         self._lost_ns = 0
@@ -95,6 +97,7 @@ class UkfBackend:
             if self._drive is None or abs(drive.linear_m_s - self._drive.linear_m_s) > 0.02:
                 self._speed_since = drive.t_robot_ns
             self._drive = drive
+            self._wheel_speed.add_drive(drive)
 
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
         """Take one frame in. Raises ConfigError when the image has another size than the calibration's."""
@@ -114,6 +117,7 @@ class UkfBackend:
                 return self._update(frame, "not initialised yet: needs IMU samples", None)
         previous = self._previous_t if self._previous_t is not None else t_imu
         segment = self._imu.segment(previous, t_imu)
+        rolled_m = self._rolled_m(t_imu)
         tracked = self._tracker.process(grey, self._predicted_turn(segment), self._filter is not None)
         is_still = self._still.update(t_imu, tracked, self._imu.samples(t_imu - 10**9, t_imu))
         self._previous_t = t_imu
@@ -121,7 +125,7 @@ class UkfBackend:
         current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu), rgb)
         if self._filter is None:
             if self._lost_since is not None:
-                self._coasting.advance(segment, t_imu, self._commanded_speed())
+                self._coasting.advance(segment, t_imu, rolled_m)
             update = self._wait_for_start(current, is_still)
         else:
             update = self._track(self._filter, current, segment, is_still)
@@ -321,7 +325,7 @@ class UkfBackend:
         return self._camera.R_body_cam.T @ R @ self._camera.R_body_cam
 
     def _is_commanded_to_move(self) -> bool:
-        return self._drive is not None and (self._drive.linear_m_s != 0.0 or self._drive.angular_rad_s != 0.0)
+        return self._drive is not None and commands_motion(self._drive)
 
     def _wheels(self, segment: ImuSegment, t_imu: int) -> tuple[FloatArray, FloatArray] | None:
         """What the wheels say of the body velocity now."""
@@ -341,11 +345,11 @@ class UkfBackend:
         v_body, sigma = current.wheels
         return v_body if bool(np.isfinite(sigma).all()) else None
 
-    def _commanded_speed(self) -> float | None:
-        """m/s that wheels roll forwards; None where nothing is known of wheels, or the robot is in somebody's hands."""
-        if not self._calibration.has_wheels or self._is_lifted:
-            return None
-        return 0.0 if self._drive is None else self._config.wheels.speed_efficiency * self._drive.linear_m_s
+    def _rolled_m(self, t_imu: int) -> float | None:
+        """Way of the wheels since the last frame; None where there are none, or the robot is in somebody's hands."""
+        before = self._wheel_speed.way_m
+        self._wheel_speed.advance(t_imu)
+        return self._wheel_speed.way_m - before if self._calibration.has_wheels and not self._is_lifted else None
 
     def _anchor(self, reason: str, state: FilterState) -> Anchor:
         """Where the next segment begins: where wheels have carried the robot, else the last known place; and biases."""
