@@ -23,7 +23,7 @@ from station.model.slam_update import SlamUpdate
 from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
-from station.slam.ukf.start import GivenState
+from station.slam.ukf.start.starter import GivenState
 
 
 class Landmarks(StrEnum):

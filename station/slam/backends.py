@@ -11,7 +11,7 @@ from station.config import AUTO, BACKENDS, choose_backend
 from station.slam.backend import SlamBackend
 
 if TYPE_CHECKING:
-    from station.slam.ukf.start import GivenState
+    from station.slam.ukf.start.starter import GivenState
 
 
 def check_backend(name: str) -> None:

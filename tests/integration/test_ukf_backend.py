@@ -19,7 +19,7 @@ from station.model.frames import ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
-from station.slam.ukf.start import GivenState
+from station.slam.ukf.start.starter import GivenState
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not (DATA / "euroc_v1_01_flight").is_dir(), reason="../shared/data is not here")

@@ -15,10 +15,21 @@ from station.slam.mapping.config import SfmConfig
 from station.slam.mapping.features import Features
 from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.tracks import Pairs
-from station.slam.ukf.config import ViewConfig
 from station.slam.ukf.map.keyframes import Keyframe
 from station.vision import features as local
 from station.vision.lens import Lens
+
+
+@dataclass(frozen=True, slots=True)
+class ViewConfig:
+    """Which keyframes become views."""
+
+    min_flow: float = 0.1  # median motion of common features since the last view, as a fraction of the image width
+    min_common: float = 0.6  # or fewer than that share of the last view's features are left
+    max_interval_s: float = 2.0
+    min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
+    num_previous: int = 4  # views before, that each one is matched with
+    capacity: int = 300  # beyond, every second view goes and the spacing grows by half
 
 
 @dataclass(frozen=True, slots=True, eq=False)

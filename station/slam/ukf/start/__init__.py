@@ -1,1 +1,1 @@
-"""Several keyframes solved at once: the start, the refinement."""
+"""From sensor data to the filter's first state, and to where the next segment begins."""
