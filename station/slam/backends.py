@@ -54,8 +54,8 @@ def make_backend(
         raise ConfigError(f"backend {name} has no thesis landmarks and no initial state; use --backend ukf for them")
     try:
         if name == "sfm":
-            from station.slam.mapping.config import SfmConfig
             from station.slam.sfm.backend import SfmBackend
+            from station.slam.sfm.config import SfmConfig
 
             return SfmBackend(calibration, SfmConfig(seed=seed, threads=threads), intrinsics_known)
         if name == "ukf":

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.slam.mapping.config import SfmConfig
+from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.features import Features
 from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.tracks import Pairs
@@ -50,7 +50,7 @@ class MapViews:
 
     def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
         self._lens, self._config = lens, config
-        self.sfm = SfmConfig(seed=seed, threads=1)
+        self.mapping = MappingConfig(seed=seed)
         self._extractor = local.DetailExtractor()
         self._spacing = 1.0
         self._chosen: deque[Keyframe] = deque()  # that wait to be described
@@ -81,7 +81,7 @@ class MapViews:
         for a in range(max(0, b - self._config.num_previous), b):
             if self._items[a].segment == keyframe.segment:
                 before = self._items[a].features.descriptors
-                pairs = match_descriptors(before, descriptors, self.sfm.matching.max_ratio)
+                pairs = match_descriptors(before, descriptors, self.mapping.matching.max_ratio)
                 self._pairs.append((a, b, pairs))
         return True
 
