@@ -17,7 +17,8 @@ from station.model.frames import DriveSample, ImuBatch
 # 0.08 s, one after the other (BodyParameters.lag_s in robot/simulation/config.py): in the mean 0.16 s late. Fitted to
 # the true speed of simulated drives, a single lag is best from 0.16 to 0.17 s.
 MOTOR_LAG_S = 0.16
-SPEED_EFFICIENCY = 0.97  # speed over ground by commanded speed: wheels slip a little; 0.96 in the simulator
+# Speed over ground by commanded speed, where nothing measures it: wheels slip a little (0.96 in the simulator).
+SPEED_EFFICIENCY = 0.97
 # While a robot is followed, a command counts this long at most: where none comes any more, the robot has stopped by
 # itself. In a recorded drive every command holds until the next one, since what the robot did is all there.
 COMMAND_HOLD_S = 0.5
@@ -35,10 +36,11 @@ def commands_motion(drive: DriveSample) -> bool:
 class WheelSpeed:
     """How fast the wheels roll the body forward, and how far they have: the commands through lag and slip."""
 
-    def __init__(self, hold_s: float = COMMAND_HOLD_S) -> None:
+    def __init__(self, hold_s: float = COMMAND_HOLD_S, efficiency: float = SPEED_EFFICIENCY) -> None:
         self.speed_m_s = 0.0
         self.way_m = 0.0  # since the first time or command; backwards counts negative
         self._hold_ns = hold_s * 1e9
+        self._efficiency = efficiency
         self._t_ns: float = -math.inf
         self._target = 0.0
         self._until_ns: float = -math.inf  # when the command ends by itself
@@ -46,7 +48,7 @@ class WheelSpeed:
     def add_drive(self, drive: DriveSample) -> None:
         """A command, from its time on; from now on where it came late."""
         self.advance(drive.t_robot_ns)
-        self._target = SPEED_EFFICIENCY * drive.linear_m_s
+        self._target = self._efficiency * drive.linear_m_s
         self._until_ns = drive.t_robot_ns + self._hold_ns
 
     def advance(self, t_ns: int) -> None:
@@ -70,8 +72,11 @@ class WheelSpeed:
 
 
 def wheel_motion(drive: list[DriveSample], t_ns: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Forward speed (M,) m/s and way (M,) m of a recorded drive at increasing times."""
-    wheels = WheelSpeed(hold_s=math.inf)
+    """Forward speed (M,) m/s and way (M,) m of a recorded drive at increasing times, as if nothing slipped.
+
+    Who has the whole drive finds by itself how much of the commanded way was made: the scale is fused with the IMU's.
+    """
+    wheels = WheelSpeed(hold_s=math.inf, efficiency=1.0)
     speed, way = np.empty(len(t_ns)), np.empty(len(t_ns))
     coming = 0
     for i, t in enumerate(t_ns.tolist()):

@@ -61,8 +61,8 @@ def test_a_command_that_nothing_follows_ends_by_itself_unless_the_drive_is_recor
     wheels.advance(10 * SECOND)
     assert wheels.way_m == pytest.approx(SPEED_EFFICIENCY * 0.3 * COMMAND_HOLD_S, abs=1e-6)
     speed, way = wheel_motion([only], np.array([0, 10 * SECOND]))
-    assert speed[1] == pytest.approx(SPEED_EFFICIENCY * 0.3)
-    assert way[1] == pytest.approx(SPEED_EFFICIENCY * 0.3 * (10 - MOTOR_LAG_S), abs=1e-6)
+    assert speed[1] == pytest.approx(0.3)
+    assert way[1] == pytest.approx(0.3 * (10 - MOTOR_LAG_S), abs=1e-6)
 
 
 def test_a_late_command_counts_from_now() -> None:

@@ -12,7 +12,7 @@ from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_ro
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
 from station.motion.dead_reckoning import bias_at_rest
-from station.motion.drive_commands import MOTOR_LAG_S, SPEED_EFFICIENCY
+from station.motion.drive_commands import MOTOR_LAG_S
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.inertial_track import InertialTrack, exp_many
 from station.motion.preintegration import preintegrate
@@ -119,8 +119,7 @@ def test_dead_reckoning_follows_the_commands() -> None:
     assert bias is not None
     np.testing.assert_allclose(bias, [0, 0, 0.02])
     odometry = dead_reckon(imu, drive, np.array([0, 6 * 10**9, 9 * 10**9]), REFERENCE_IMU)
-    way_m = SPEED_EFFICIENCY * 0.3 * (4.0 - MOTOR_LAG_S)
-    assert odometry.T_world_body[1, 0, 3] == pytest.approx(way_m, abs=1e-3)
+    assert odometry.T_world_body[1, 0, 3] == pytest.approx(0.3 * (4.0 - MOTOR_LAG_S), abs=1e-3)
     turned = odometry.T_world_body[2, :3, :3]
     np.testing.assert_allclose(turned, yaw_rotation(1.5), atol=5e-3)
 
@@ -128,7 +127,7 @@ def test_dead_reckoning_follows_the_commands() -> None:
 def test_scale_from_straight_pieces_of_the_drive() -> None:
     drive = [DriveSample(0, 0.3, 0.0)]
     t = np.arange(10) * 10**9
-    p = np.column_stack([SPEED_EFFICIENCY * 0.3 * t * 1e-9 / 4.0, np.zeros(10), np.zeros(10)])
+    p = np.column_stack([0.3 * t * 1e-9 / 4.0, np.zeros(10), np.zeros(10)])
     found = scale_from_drive(drive, t, np.broadcast_to(np.eye(3), (10, 3, 3)), p)
     assert found is not None and found.scale == pytest.approx(4.0, rel=0.01)
     assert scale_from_drive([], t, np.broadcast_to(np.eye(3), (10, 3, 3)), p) is None
