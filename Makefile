@@ -50,16 +50,16 @@ bench: $(VENV)/.dev
 	@QUICK=$(QUICK) scripts/bench.sh
 
 bench-stop: $(VENV)/.dev
-	@$(BIN)/python benchmarks/bench_stop.py
+	@$(BIN)/python -m benchmarks.bench_stop
 
 bench-slam: $(VENV)/.dev
 	@$(BIN)/python -m benchmarks.slam_studies speed
 
 bench-page: $(VENV)/.dev
-	@$(BIN)/python benchmarks/bench_page.py
+	@$(BIN)/python -m benchmarks.bench_page
 
 soak: $(VENV)/.dev
-	@$(BIN)/python benchmarks/bench_link.py --minutes $(MINUTES)
+	@$(BIN)/python -m benchmarks.bench_link --minutes $(MINUTES)
 	@$(BIN)/python -m benchmarks.bench_disconnects --disconnects 0 --minutes $(MINUTES)
 
 clean:

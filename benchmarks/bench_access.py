@@ -15,8 +15,8 @@ from shared.access import Role
 from shared.pairing import Pake
 from station.access.paired_robots import PairedRobots
 from station.robots.link import RobotLink
-from tests.access_support import guarded_robot
-from tests.link_support import Bench, Notes, running_robot, until
+from tests.support.access import guarded_robot
+from tests.support.link import Bench, Notes, running_robot, until
 
 FRAME_BYTES = 60_000
 

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from shared.clock import RemoteClock
-from tests.property.test_clock import S, feed
+from tests.support.clock import S, feed
 
 DRIFT_PPM = 5000.0
 JITTER = {

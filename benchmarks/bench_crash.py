@@ -24,8 +24,8 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
-from tests.postgres_support import running_postgres
+from tests.support.crashing.runs import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
+from tests.support.postgres import running_postgres
 
 TWO_STATIONS = "two stations"
 RESULTS = Path(__file__).parent / "results" / "crash.jsonl"

@@ -27,7 +27,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.calibration_curve import calibration_bins, draw_calibration
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
 from robot.simulation.config import Faults, SimulationConfig
@@ -49,6 +48,7 @@ from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.places.tracking.tracker import PlaceTracker
 from station.vision.features import FeatureExtractor, to_floats
+from tests.support.calibration_curve import calibration_bins, draw_calibration
 
 START_NS = 1_000_000_000
 KEYFRAME_M, KEYFRAME_RAD = 0.2, 0.2

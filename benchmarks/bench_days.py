@@ -21,14 +21,13 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from benchmarks.places import truth_of
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.config import SimulationConfig
 from robot.simulation.recording import record_drive
 from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from shared.errors import EstimationError
-from shared.geometry import FloatArray, se3, yaw_rotation
+from shared.geometry import FloatArray
 from station.datasets import open_dataset
 from station.experiments.matches import count_duplicates, true_landmarks
 from station.files.navigation_folder import load_navigation, save_navigation
@@ -38,19 +37,10 @@ from station.places.making.extent import half_extent
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.library_jobs import JobServant
-from tests.synthetic_home import Home, drive, furnished_room, navigate
+from tests.support.days import Drive, made_up_days
 
 RESULTS = Path(__file__).parent / "results"
 ROUTES = ("mapping", "second", "mapping")  # of the three days
-DAYS = len(ROUTES)
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A day's navigation in its folder, and where its landmarks truly are."""
-
-    folder: Path
-    p_true: FloatArray  # (M, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,36 +92,6 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
         assert truth is not None
         drives.append(Drive(navigation, true_landmarks(load_navigation(navigation), truth)))
     return drives
-
-
-def made_up_days(seed: int, folder: Path) -> list[Drive]:
-    """The same of points in one room: two pieces of furniture stand elsewhere on each later day."""
-    rng = np.random.default_rng(20_000 + seed)
-    size = (float(rng.uniform(3.5, 6.5)), float(rng.uniform(3.0, 5.0)))
-    home = furnished_room(seed, pieces=int(rng.integers(5, 11)), size=size, density=int(rng.integers(150, 700)))
-    drives = []
-    for day in range(DAYS):
-        poses = drive(home, 10 * seed + day, frames=70, turns=float(rng.uniform(1, 2.5)))
-        T = np.eye(4) if day == 0 else se3(yaw_rotation(rng.uniform(0, 2 * np.pi)), rng.uniform(-3, 3, 3))
-        navigation = navigate(
-            rearranged(home, rng) if day else home,
-            poses,
-            seed=10 * seed + day,
-            name=f"room-{seed}-day-{day}",
-            T_nav_world=T,
-            noise_m=0.02,
-        )
-        save_navigation(navigation, folder / f"day-{day}")
-        drives.append(Drive(folder / f"day-{day}", true_landmarks(navigation, truth_of(poses))))
-    return drives
-
-
-def rearranged(home: Home, rng: np.random.Generator) -> Home:
-    """Two pieces of furniture pushed by up to a metre."""
-    p = home.p.copy()
-    for piece in rng.choice(home.furniture.max() + 1, 2, replace=False):
-        p[home.furniture == piece, :2] += rng.uniform(-0.7, 0.7, 2)
-    return replace(home, p=p)
 
 
 # A person's work over the days

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.flips import flip_once, make_store
+from tests.support.crashing.flips import flip_once, make_store
 
 RESULTS = Path(__file__).parent / "results" / "flips.jsonl"
 LOST = "LOST"

@@ -26,8 +26,8 @@ import typer
 
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.robots.link import LinkState, RobotLink
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 FRAME_RATE_HZ, IMU_RATE_HZ, LOOP_S = 30, 225, 10
 WARM_UP_S = 12.0  # longer than the loop: all pictures are in the robot's cache then
 STALL_S = 5.0

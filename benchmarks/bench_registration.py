@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.registration_clouds import CloudPair, make_pair
 from shared.geometry import FloatArray, so3_log
 from station.places.registration import register_clouds
 from station.places.registration.gicp import align_gicp
 from station.places.registration.kiss import kiss_is_available, match_features
+from tests.support.registration_clouds import CloudPair, make_pair
 
 SETS: dict[str, dict[str, Any]] = {
     "known": {"overlap": (0.5, 1.0)},

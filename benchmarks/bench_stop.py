@@ -26,15 +26,14 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benchmarks import stop_firmware, stop_report  # noqa: E402
-from benchmarks.stop_chain import Chain, LineEntry  # noqa: E402
-from benchmarks.stop_faults import FAULTS, Fault, Instant  # noqa: E402
-from benchmarks.stop_report import Judged  # noqa: E402
-from robot.devices.emulated.board import BoardEvent  # noqa: E402
-from tests.emulator import board  # noqa: E402
+from robot.devices.emulated.board import BoardEvent
+from tests.support.emulator import board
+from tests.support.paths import ROOT
+from tests.support.stopping import firmware as stop_firmware
+from tests.support.stopping import report as stop_report
+from tests.support.stopping.chain import Chain, LineEntry
+from tests.support.stopping.faults import FAULTS, Fault, Instant
+from tests.support.stopping.report import Judged, started_at_us
 
 RESULTS = ROOT / "benchmarks" / "results" / "stop.jsonl"
 GIVE_UP_S = 3.0  # all waits are in the Mega's time
@@ -52,12 +51,6 @@ def pins_zero(events: list[BoardEvent], since_us: int) -> BoardEvent | None:
             if not turning and event.t_mega_us >= since_us:
                 return event
     return None
-
-
-def started_at_us(events: list[BoardEvent], t_us: int) -> int | None:
-    """When the motors first turned again after a moment of rest; None while they did not."""
-    moves = (e.t_mega_us for e in events if e.text.startswith("pins ") and e.text != "pins 0 0" and e.t_mega_us > t_us)
-    return min(moves, default=None)
 
 
 def server_stop(log: list[LineEntry]) -> LineEntry | None:

@@ -20,9 +20,9 @@ from shared.access import Role
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.access.paired_robots import PairedRobots
 from station.robots.link import RobotLink
-from tests.access_support import GuardedBench, set_up
-from tests.fault_proxy import Direction, FaultProxy
-from tests.link_support import Bench
+from tests.support.access import GuardedBench, set_up
+from tests.support.fault_proxy import Direction, FaultProxy
+from tests.support.link import Bench
 
 FEED_S = 0.05
 IMU_PER_FEED, FRAME_EVERY, FRAME_BYTES = 11, 4, 8_000  # 220 Hz, 5 pictures a second

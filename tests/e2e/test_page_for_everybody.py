@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import LAPTOP, PHONE, Room
-from tests.integration.test_station_navigations import keep_navigation
-from tests.link_support import until
-from tests.openapi_support import furnish
-from tests.station_support import store_map
+from tests.support.link import until
+from tests.support.openapi import furnish
+from tests.support.paths import ROOT
+from tests.support.station import store_map
+from tests.support.station_at_work import keep_navigation
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
-AXE = Path(__file__).parents[2] / "station" / "web" / "node_modules" / "axe-core" / "axe.min.js"
+AXE = ROOT / "station" / "web" / "node_modules" / "axe-core" / "axe.min.js"
 
 
 FOCUSED = """() => {

@@ -11,9 +11,9 @@ from playwright.async_api import Page, expect
 
 from station.maps.store import MapStore
 from tests.e2e.conftest import Room
-from tests.integration.test_station_navigations import keep_navigation
-from tests.link_support import WAIT_S, until
-from tests.station_support import store_map
+from tests.support.link import WAIT_S, until
+from tests.support.station import store_map
+from tests.support.station_at_work import keep_navigation
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
 

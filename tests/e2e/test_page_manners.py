@@ -12,10 +12,10 @@ from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import PHONE, Room
 from tests.e2e.test_page_library import hold_gamepad, open_with_gamepad
-from tests.integration.test_station_navigations import keep_navigation
-from tests.link_support import until
-from tests.openapi_support import furnish
-from tests.station_support import store_map
+from tests.support.link import until
+from tests.support.openapi import furnish
+from tests.support.station import store_map
+from tests.support.station_at_work import keep_navigation
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
 

@@ -12,7 +12,7 @@ from playwright.async_api import Page, Route, expect
 from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
 from tests.e2e.conftest import Room
-from tests.station_support import store_map
+from tests.support.station import store_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
 

@@ -34,8 +34,8 @@ from shared.messages import (
 from shared.token_book import TokenBook
 from station.access.connecting import ConnectionRefused, connect, connect_by_tls
 from station.access.paired_robots import PairedRobots
-from tests.access_support import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
-from tests.link_support import running_robot, until
+from tests.support.access import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
+from tests.support.link import running_robot, until
 
 ONE_OF_EACH: list[StationMessage] = [
     JOIN,

@@ -21,8 +21,7 @@ import robot.access_commands
 from shared.errors import ConfigError
 from shared.token_book import TokenBook
 from station.main import app as station_app
-
-ROOT = Path(__file__).parents[2]
+from tests.support.paths import ROOT
 
 
 @asynccontextmanager

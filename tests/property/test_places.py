@@ -15,7 +15,7 @@ from station.places.making.config import PlacesConfig
 from station.places.making.graph import shortest_route
 from station.places.making.modes import climb, smooth_density
 from station.places.making.place_images import gather_evidence
-from tests.synthetic_home import drive, furnished_room, navigate, with_points
+from tests.support.synthetic_home import drive, furnished_room, navigate, with_points
 
 HOME = furnished_room(5, density=80)
 NAVIGATION = navigate(HOME, drive(HOME, 5, frames=40), seed=5, images=False)

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.registration_clouds import make_pair
 from shared.geometry import inverse, se3, so3_exp, transform, yaw_rotation
 from station.places.registration import register_clouds
 from station.places.registration.score import inverse_similarity
 from station.vision.camera_pose import solve_pose
+from tests.support.registration_clouds import make_pair
 
 CLOUD = make_pair(9201, overlap=(1.0, 1.0), points=(2000, 2001), outliers=(0.0, 0.0), noise_m=0.0).target
 

@@ -1,0 +1,39 @@
+"""The page's TypeScript types are those of the API's models, and its lock file names no registry."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+
+from station.web.generate_types import TARGET, generate
+from tests.support.paths import ROOT
+
+WEB = ROOT / "station" / "web"
+
+
+def test_types_of_the_page_are_current() -> None:
+    assert TARGET.read_text() == generate(), "run: python -m station.web.generate_types"
+
+
+def test_the_pages_types_fit() -> None:
+    spec = importlib.util.spec_from_file_location("page_build_hook", WEB / "build_hook.py")
+    assert spec is not None and spec.loader is not None
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    try:
+        wrong = hook.check()
+    except hook.PageNotBuilt as exc:
+        pytest.skip(f"the page's types need TypeScript: {exc}")
+    assert not wrong
+
+
+def test_lock_file_names_no_registry() -> None:
+    assert '"resolved"' not in (WEB / "package-lock.json").read_text()
+
+
+def test_sources_of_the_page_ask_no_other_host() -> None:
+    sources = [WEB / "index.html", *(p for p in (WEB / "src").iterdir() if p.suffix in (".ts", ".css"))]
+    for source in sources:
+        text = source.read_text().replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in text and "https://" not in text, source.name
