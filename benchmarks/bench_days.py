@@ -130,7 +130,7 @@ def judge(name: str, before: PlaceMap, after: PlaceMap, p_true: FloatArray) -> s
     """What became of a name: "kept", "moved" to what truly is another place, or "lost".
 
     The landmarks of `before` are the first of `after`. Kept: the true centroids lie nearer to each other than half the
-    larger one's extent, as for matches (station/evaluation/matches.py).
+    larger one's extent, as for matches (station/experiments/matches.py).
     """
     old = next(place for place in before.places if place.name == name)
     new = next((place for place in after.places if place.name == name), None)

@@ -2,7 +2,7 @@
 
 ```
 map.json               sha256 of its content, names, places, edges, and the sha256 of every other file
-navigation/            the navigation the map was made from (station/navigation_files.py)
+navigation/            the navigation the map was made from (station/files/navigation_folder.py)
 ```
 The map store of the first release kept maps this way too; the present one imports them (opening.py).
 """

@@ -1,7 +1,7 @@
 """What workers need and takes seconds to import: loaded once, by the server process that all workers are forked from.
 
 Importing is all that may happen here. A library that started threads now would leave its locks to children without
-them (tests/unit/test_preloaded.py looks).
+them (tests/unit/station/workers/test_preload.py looks).
 """
 
 from __future__ import annotations

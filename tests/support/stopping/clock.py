@@ -25,7 +25,7 @@ class SettableClock:
                 subprocess.run(command, check=True, capture_output=True)
             except (OSError, subprocess.CalledProcessError) as exc:
                 raise DeviceUnavailable(
-                    f"benchmarks/clock_shift.c cannot be built ({exc}); run firmware/install-deps.sh"
+                    f"tests/support/stopping/clock_shift.c cannot be built ({exc}); run firmware/install-deps.sh"
                 ) from exc
         file.write_bytes(bytes(8))
         with file.open("r+b") as opened:

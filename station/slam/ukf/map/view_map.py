@@ -1,7 +1,7 @@
 """The map from views: loops closed, all views and landmarks refined together (docs/slam.md, sec. 10).
 
 Between views the filter's own relative motions hold what pictures cannot, as dead reckoning does in structure from
-motion; the machinery is the same (station/slam/sfm/odometry_mapping.py).
+motion; the machinery is the same (station/slam/mapping/odometry_mapping.py).
 """
 
 from __future__ import annotations

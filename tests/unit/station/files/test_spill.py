@@ -46,7 +46,7 @@ def test_what_is_put_aside_takes_no_memory() -> None:
 
 
 def test_without_a_disk_arrays_stay_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(station.shelf, "FOLDER", tmp_path / "none")
+    monkeypatch.setattr(station.files.spill, "FOLDER", tmp_path / "none")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
     array = np.arange(5)
     shelf = Shelf()
@@ -54,7 +54,7 @@ def test_without_a_disk_arrays_stay_in_memory(monkeypatch: pytest.MonkeyPatch, t
 
 
 def test_what_others_need_of_the_disk_is_left_to_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station.shelf, "KEPT_FREE_BYTES", 2**62)
+    monkeypatch.setattr(station.files.spill, "KEPT_FREE_BYTES", 2**62)
     array = np.arange(5)
     assert Shelf().put(array) is array
 
