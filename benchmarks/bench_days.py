@@ -31,7 +31,8 @@ from shared.geometry import FloatArray
 from station.datasets import open_dataset
 from station.experiments.matches import count_duplicates, true_landmarks
 from station.files.navigation_folder import load_navigation, save_navigation
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.extent import half_extent
 from station.slam.backends import make_backend

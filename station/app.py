@@ -25,7 +25,7 @@ from station.library.maps import Maps, PlacesChange
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.library.navigations import Navigations
 from station.library.recordings import recover_recordings, retain_recordings
-from station.maps.store import MapSummary, StoreAddress
+from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place
 from station.recordings.recorder import Recorder
 from station.robots.navigation_files import NavigationRecorder

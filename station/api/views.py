@@ -38,7 +38,7 @@ from station.library.bin import BinEntry
 from station.library.comparisons import Comparison
 from station.library.maps import ActiveMap, Maps, PlacesChange
 from station.library.navigation_records import NavigationRecord
-from station.maps.store import MapSummary
+from station.model.map_store import MapSummary
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.model.points import NO_PLACE

@@ -15,7 +15,7 @@ from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events, Latest
-from station.maps.store import StoreAddress
+from station.model.map_store import StoreAddress
 from station.model.frames import DriveSample, ImageFrame
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport, PlaceState
 from station.model.place_map import Place, PlaceEdge

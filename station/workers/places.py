@@ -10,7 +10,8 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import DataError, EstimationError, RobotSystemError
 from shared.geometry import FloatArray
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport
 from station.model.place_map import Place, PlaceEdge, PlaceMap

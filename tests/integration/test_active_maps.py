@@ -17,7 +17,8 @@ from shared.geometry import FloatArray, IntArray
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_answer import MapReading, PlaceReport
 from station.model.place_map import PlaceMap
 from station.places.localisation.index_file import index_of

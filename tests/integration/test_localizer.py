@@ -11,7 +11,8 @@ import pytest
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Navigation
 from station.model.place_answer import HijackNotice, MapReading, PlaceReport

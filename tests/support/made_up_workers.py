@@ -11,7 +11,8 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport

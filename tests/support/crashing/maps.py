@@ -18,7 +18,8 @@ from station.files.navigation_folder import save_navigation
 from station.maps.database import VERSIONS, upgrade
 from station.maps.folder import save_map_folder
 from station.maps.repair.check import verify
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map

@@ -16,7 +16,7 @@ from shared.errors import DataError
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
-from station.maps.store import StoreAddress
+from station.model.map_store import StoreAddress
 from station.model.frames import ImageFrame
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.robots.places import Locating
