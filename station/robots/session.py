@@ -24,7 +24,9 @@ from station.robots.driving import Driving
 from station.robots.link import LinkState, RobotLink
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.places import Locating
-from station.workers.turns import Turns
+from station.workers.place_requests import PlaceEvent, PlaceProgram
+from station.workers.request import ProgramName
+from station.workers.scheduling import ComputeSlots
 
 MAX_STOP_LINES = 8
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
@@ -48,8 +50,8 @@ class Shared:
     navigations: Navigations
     paired: PairedRobots
     make_recorder: Callable[[Path], NavigationRecorder | None]
-    place_servant: str  # the class that the localisation worker runs
-    turns: Turns  # of the localisation workers of all robots
+    place_program: ProgramName[PlaceProgram, PlaceEvent]  # what the localisation workers run
+    slots: ComputeSlots  # of the localisation workers of all robots
 
 
 class RobotSession:
@@ -82,9 +84,9 @@ class RobotSession:
             shared.maps.address,
             config.localization,
             events,
-            shared.place_servant,
+            shared.place_program,
             lambda report: self.recording.on_answer(report),
-            shared.turns,
+            shared.slots,
         )
         self.recording = Recording(
             shared.navigations,

@@ -12,12 +12,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import station.workers.worker
 from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.commands.serve import _settings as serve_settings
-from station.config import ApiConfig, DriveConfig, SlamConfig, StationConfig, choose_backend, load_config, parse_address
+from station.config import (
+    ApiConfig,
+    DriveConfig,
+    SlamConfig,
+    StationConfig,
+    check_backend,
+    choose_backend,
+    load_config,
+    parse_address,
+)
 from station.errors import Conflict, NotDriver, OutOfRange
 from station.events import Latest, MessageHub
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
@@ -26,8 +34,6 @@ from station.model.points import pack_points
 from station.motion.sensor_order import HOLD_BACK_NS, Sequencer
 from station.robots.driving import DriverLease, Driving
 from station.robots.live_slam import PointBuffer
-from station.slam.backends import check_backend
-from station.workers.worker import Outbox, Worker, WorkerDied, WorkerFailed
 
 MS = 1_000_000
 
@@ -192,35 +198,6 @@ def test_commands_out_of_range_are_refused_and_do_not_take_the_wheel(
     with pytest.raises(OutOfRange):
         desk.drive("anna", linear, angular, ttl_ms)
     assert desk.driver is None and link.told == []
-
-
-async def test_outbox_drops_the_oldest_of_a_full_kind_only() -> None:
-    outbox = Outbox({"frame": 2})
-    for n in range(4):
-        outbox.put("frame", (n,))
-        outbox.put("imu", (10 + n,))
-    assert [await outbox.take() for _ in range(6)] == [(10,), (11,), (2,), (12,), (3,), (13,)]
-    assert outbox.dropped["frame"] == 2 and outbox.dropped["imu"] == 0
-    outbox.close()
-    assert await outbox.take() is None
-
-
-async def test_an_outbox_nobody_gave_a_limit_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station.workers, "MAX_WAITING", 2)
-    outbox = Outbox({})
-    assert [outbox.put("add_drive", (n,)) for n in range(3)] == [True, True, False]
-    assert outbox.dropped["add_drive"] == 1 and await outbox.take() == (1,)
-
-
-async def test_a_worker_refuses_calls_beyond_what_can_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station.workers, "MAX_CALLS", 1)
-    worker = Worker("test", "tests.support.made_up_workers:Nobody")
-    waiting = worker.ask("first")
-    with pytest.raises(WorkerFailed, match="1 calls wait"):
-        await worker.call("second")
-    await worker.close()  # never started: nothing to wait for
-    with pytest.raises(WorkerDied):
-        await waiting
 
 
 @given(
