@@ -1,4 +1,4 @@
-"""Measure the rates behind the current place (`station/places/tracking/likelihoods.py`), and print them as it takes them.
+"""Measure the rates behind the current place (`places/tracking/likelihoods.py`), and print them as it takes them.
 
     python -m benchmarks.fit_place_likelihoods [--rows FILE.jsonl] [--flats 101-120] [--drives 1 3]
 

@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 
 from shared.errors import ConfigError, DataError, LocalProtocolError, RobotSystemError
 from station import errors as refusals
-from station.api.models import Problem
+from station.api.schema.base import Problem
 
 logger = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"

@@ -32,7 +32,7 @@ class BeliefConfig:
     other_room_per_m: float = 0.25  # rooms are some 4 m wide
     unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
     # What tells a right pose from a look-alike, and how much rarer an image that shows this is in a room that no map
-    # knows. Measured, as is how often nothing is recognised: docs/localisation.md, `station/places/tracking/likelihoods.py`.
+    # knows. Measured, as is how often nothing is recognised: docs/localisation.md, `likelihoods.py`.
     right: Recognising = RIGHT
     unmapped: Recognising = UNMAPPED
     false_localization_floor: float = 0.02

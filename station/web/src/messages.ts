@@ -1,4 +1,4 @@
-// Made by `python -m station.web.generate_types` from station/api/models.py and messages.py. Do not edit.
+// Made by `python -m station.api.page_types` from station/api/schema and station/api/messages.py. Do not edit.
 
 /** Done. */
 export interface Accepted {

@@ -6,14 +6,14 @@ import importlib.util
 
 import pytest
 
-from station.web.generate_types import TARGET, generate
+from station.api.page_types import TARGET, generate
 from tests.support.paths import ROOT
 
 WEB = ROOT / "station" / "web"
 
 
 def test_types_of_the_page_are_current() -> None:
-    assert TARGET.read_text() == generate(), "run: python -m station.web.generate_types"
+    assert TARGET.read_text() == generate(), "run: python -m station.api.page_types"
 
 
 def test_the_pages_types_fit() -> None:

@@ -1,4 +1,4 @@
-"""Writes the page's TypeScript types from the API's Python models: `python -m station.web.generate_types`.
+"""Writes the page's TypeScript types from the API's Python models: `python -m station.api.page_types`.
 
 A test holds `src/messages.ts` against this, so the two cannot drift apart.
 """
@@ -6,15 +6,20 @@ A test holds `src/messages.ts` against this, so the two cannot drift apart.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from station.api import messages, models
+from station.api import messages
+from station.api.schema import base, comparisons, jobs, maps, navigations, places, robot, slam, station
 
-TARGET = Path(__file__).parent / "src" / "messages.ts"
-HEAD = "// Made by `python -m station.web.generate_types` from station/api/models.py and messages.py. Do not edit.\n"
+BASES = (BaseModel, base.Model, base.Question)
+TARGET = Path(__file__).parents[1] / "web" / "src" / "messages.ts"
+HEAD = (
+    "// Made by `python -m station.api.page_types` from station/api/schema and station/api/messages.py. Do not edit.\n"
+)
 
 
 def generate() -> str:
@@ -30,22 +35,20 @@ def generate() -> str:
         schema = TypeAdapter(union).json_schema(mode="serialization")
         definitions |= schema["$defs"]
         aliases.append(f"export type {name} =\n" + "".join(f"  | {_type(option)}\n" for option in schema["oneOf"])[:-1])
-    for model in vars(models).values():
-        if (
-            isinstance(model, type)
-            and issubclass(model, BaseModel)
-            and model
-            not in (
-                models.Model,
-                models.Question,
-                BaseModel,
-            )
-        ):
-            schema = model.model_json_schema(mode="serialization")
-            definitions |= schema.pop("$defs", {})
-            definitions[model.__name__] = schema
+    for model in _models():
+        schema = model.model_json_schema(mode="serialization")
+        definitions |= schema.pop("$defs", {})
+        definitions[model.__name__] = schema
     interfaces = [_interface(name, definitions[name]) for name in sorted(definitions)]
     return HEAD + "\n" + "\n\n".join([*interfaces, *(alias + ";" for alias in aliases)]) + "\n"
+
+
+def _models() -> Iterator[type[BaseModel]]:
+    """Every model of the schema but the bases."""
+    for module in (base, comparisons, jobs, maps, navigations, places, robot, slam, station):
+        for value in vars(module).values():
+            if isinstance(value, type) and issubclass(value, BaseModel) and value not in BASES:
+                yield value
 
 
 def _interface(name: str, schema: dict[str, Any]) -> str:
