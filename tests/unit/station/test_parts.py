@@ -206,14 +206,14 @@ async def test_outbox_drops_the_oldest_of_a_full_kind_only() -> None:
 
 
 async def test_an_outbox_nobody_gave_a_limit_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station.workers, "MAX_WAITING", 2)
+    monkeypatch.setattr(station.workers.worker, "MAX_WAITING", 2)
     outbox = Outbox({})
     assert [outbox.put("add_drive", (n,)) for n in range(3)] == [True, True, False]
     assert outbox.dropped["add_drive"] == 1 and await outbox.take() == (1,)
 
 
 async def test_a_worker_refuses_calls_beyond_what_can_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station.workers, "MAX_CALLS", 1)
+    monkeypatch.setattr(station.workers.worker, "MAX_CALLS", 1)
     worker = Worker("test", "tests.support.made_up_workers:Nobody")
     waiting = worker.ask("first")
     with pytest.raises(WorkerFailed, match="1 calls wait"):

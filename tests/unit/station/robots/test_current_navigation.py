@@ -138,7 +138,7 @@ class Room:
 
 @pytest.fixture
 async def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Room]:
-    monkeypatch.setattr(station.slam_process, "Worker", FakeWorker)
+    monkeypatch.setattr(station.robots.slam, "Worker", FakeWorker)
     monkeypatch.setattr(FakeWorker, "made", [], raising=False)
     monkeypatch.setattr(FakeWorker, "may_start", asyncio.Event(), raising=False)
     FakeWorker.may_start.set()

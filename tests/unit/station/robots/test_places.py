@@ -69,7 +69,7 @@ def picture(t_robot_ns: int) -> CameraFrame:
 
 @pytest.fixture
 async def locating(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> AsyncIterator[Locating]:
-    monkeypatch.setattr(station.locating, "Worker", FakeWorker)
+    monkeypatch.setattr(station.robots.places, "Worker", FakeWorker)
     monkeypatch.setattr(FakeWorker, "made", [], raising=False)
     monkeypatch.setattr(FakeWorker, "answers", asyncio.Event(), raising=False)
     monkeypatch.setattr(FakeWorker, "error", None)
@@ -157,8 +157,8 @@ async def test_an_answer_does_not_stay_true_by_itself(locating: Locating, monkey
     await until_known(locating, 7)
     locating.refresh()
     assert state_of(locating) == "known"
-    monkeypatch.setattr(station.locating, "OLD_AFTER_S", 0.0)
-    monkeypatch.setattr(station.locating, "OLD_AFTER_PICTURES", 0)
+    monkeypatch.setattr(station.robots.places, "OLD_AFTER_S", 0.0)
+    monkeypatch.setattr(station.robots.places, "OLD_AFTER_PICTURES", 0)
     locating.refresh()
     assert state_of(locating) == "lost"
     assert locating.report is not None and "is the camera working" in locating.report.answer.reason

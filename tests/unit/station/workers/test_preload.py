@@ -16,7 +16,7 @@ LOOK = """
 import os, sys
 import station.workers.preload
 threads = len(os.listdir("/proc/self/task"))
-missing = [name for name in station.preloaded.SERVANTS if name not in sys.modules]
+missing = [name for name in station.workers.preload.SERVANTS if name not in sys.modules]
 print(threads, missing)
 """
 
