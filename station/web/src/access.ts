@@ -38,7 +38,12 @@ function shown(session: SessionModel): SessionModel {
 function login(why: string): Promise<void> {
   const dialog = by<HTMLDialogElement>("ask");
   return new Promise((resolve) => {
-    const input = make("input", { type: "password", autocomplete: "current-password", maxlength: "256", required: true });
+    const input = make("input", {
+      type: "password",
+      autocomplete: "current-password",
+      maxlength: "256",
+      required: true,
+    });
     const note = make("p", { class: "note", role: "alert" }, why);
     const form = make(
       "form",

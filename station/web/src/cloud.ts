@@ -6,8 +6,18 @@ const HEADER_BYTES = 16;
 const STRIDE = 16;
 // A wheel: the station numbers places so that neighbours are far apart on it (station/places/colours.py).
 export const PALETTE = [
-  "#f87171", "#fb923c", "#facc15", "#a3e635", "#4ade80", "#2dd4bf",
-  "#38bdf8", "#7ba0ff", "#a48bfa", "#c884fc", "#f07af0", "#f472b6",
+  "#f87171",
+  "#fb923c",
+  "#facc15",
+  "#a3e635",
+  "#4ade80",
+  "#2dd4bf",
+  "#38bdf8",
+  "#7ba0ff",
+  "#a48bfa",
+  "#c884fc",
+  "#f07af0",
+  "#f472b6",
 ];
 
 export interface Cloud {

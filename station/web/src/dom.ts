@@ -50,7 +50,10 @@ export function toast(text: string, action = "", act: () => Promise<unknown> = a
     node.hidden = true;
     attempt(act);
   };
-  node.replaceChildren(make("span", {}, text), ...(action ? [make("button", { type: "button", class: "small", onclick: run }, action)] : []));
+  node.replaceChildren(
+    make("span", {}, text),
+    ...(action ? [make("button", { type: "button", class: "small", onclick: run }, action)] : []),
+  );
   node.hidden = false;
   clearTimeout(toastTimer);
   toastTimer = window.setTimeout(() => (node.hidden = true), action ? 15_000 : 6000);
@@ -68,16 +71,27 @@ export interface Field {
 }
 
 /** Ask for some texts or numbers, or for consent when there is no field. Null when the person changes their mind. */
-export function askAll(title: string, confirm: string, fields: Field[], note = "", refuse = "Cancel"): Promise<string[] | null> {
+export function askAll(
+  title: string,
+  confirm: string,
+  fields: Field[],
+  note = "",
+  refuse = "Cancel",
+): Promise<string[] | null> {
   const dialog = by<HTMLDialogElement>("ask");
   return new Promise((resolve) => {
     const inputs = fields.map(({ value, isNumber }) =>
-      make("input", isNumber ? { value, type: "number", step: "any", required: true } : { value, maxlength: "80", required: true }));
+      make(
+        "input",
+        isNumber ? { value, type: "number", step: "any", required: true } : { value, maxlength: "80", required: true },
+      ),
+    );
     const form = make(
       "form",
       { method: "dialog" },
       make("h2", {}, title),
-      fields.length > 0 && make("div", { class: "fields" }, ...fields.map(({ label }, i) => make("label", {}, label, inputs[i]!))),
+      fields.length > 0 &&
+        make("div", { class: "fields" }, ...fields.map(({ label }, i) => make("label", {}, label, inputs[i]!))),
       note !== "" && make("p", { class: "note" }, note),
       make(
         "div",
@@ -97,7 +111,12 @@ export function askAll(title: string, confirm: string, fields: Field[], note = "
 }
 
 /** Ask for one text until it is taken: the dialog stays open, and says why, while `take` refuses. False: gave up. */
-export function askUntil(title: string, confirm: string, field: Field, take: (text: string) => Promise<void>): Promise<boolean> {
+export function askUntil(
+  title: string,
+  confirm: string,
+  field: Field,
+  take: (text: string) => Promise<void>,
+): Promise<boolean> {
   const dialog = by<HTMLDialogElement>("ask");
   return new Promise((resolve) => {
     const why = make("p", { class: "note bad", role: "alert", id: "ask-why" });
@@ -109,7 +128,12 @@ export function askUntil(title: string, confirm: string, field: Field, take: (te
       make("h2", {}, title),
       make("label", {}, field.label, input),
       why,
-      make("div", { class: "row end" }, make("button", { type: "button", class: "quiet", onclick: () => dialog.close("") }, "Cancel"), yes),
+      make(
+        "div",
+        { class: "row end" },
+        make("button", { type: "button", class: "quiet", onclick: () => dialog.close("") }, "Cancel"),
+        yes,
+      ),
     );
     form.addEventListener("submit", (event) => {
       event.preventDefault();

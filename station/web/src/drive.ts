@@ -114,7 +114,8 @@ export class DriveControl {
 
   private take(answer: DriveAnswer): void {
     if (answer.type === "time") this.heardMs = answer.t_ms;
-    else if (answer.type === "accepted" && answer.seq > this.saidSeq) show(by("why"), false); // it drives again: why it stopped is past
+    else if (answer.type === "accepted" && answer.seq > this.saidSeq)
+      show(by("why"), false); // it drives again: why it stopped is past
     else if (answer.type === "driver") this.showDriver(answer.driver);
     else if (answer.type === "refused") this.halt(answer.text, false); // a STOP of ours would stop the one who drives
   }

@@ -21,7 +21,9 @@ export class Graph3d {
     this.lines = null;
     this.labels.clear();
     if (!graph) return;
-    const at = new Map(graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]));
+    const at = new Map(
+      graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]),
+    );
     const ends: THREE.Vector3[] = [];
     for (const edge of graph.edges) {
       const [a, b] = [at.get(edge.a)!, at.get(edge.b)!];
@@ -36,7 +38,11 @@ export class Graph3d {
     );
     group.add(this.lines);
     for (const node of graph.nodes) {
-      const button = make("button", { type: "button", class: "place-label", "data-place": node.id, title: node.name }, make("span", {}, node.name));
+      const button = make(
+        "button",
+        { type: "button", class: "place-label", "data-place": node.id, title: node.name },
+        make("span", {}, node.name),
+      );
       button.dataset["named"] = String(node.named);
       button.style.setProperty("--own", PALETTE[node.colour % PALETTE.length]!);
       button.addEventListener("click", () => onPlace(node));

@@ -27,12 +27,20 @@ export class MapView {
   private readonly labels = new Labels(by("labels"));
   private readonly net = new Graph3d(this.labels);
   private readonly software = isSoftware();
-  private readonly renderer = new THREE.WebGLRenderer({ antialias: !this.software, alpha: true, powerPreference: "low-power" });
+  private readonly renderer = new THREE.WebGLRenderer({
+    antialias: !this.software,
+    alpha: true,
+    powerPreference: "low-power",
+  });
   private readonly pixelRatio = Math.min(devicePixelRatio, 2);
   private pixels = 0; // per pixel of the page, as last drawn
   private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
   private readonly controls: OrbitControls;
-  private readonly groups: Record<Layer, THREE.Group> = { map: new THREE.Group(), live: new THREE.Group(), review: new THREE.Group() };
+  private readonly groups: Record<Layer, THREE.Group> = {
+    map: new THREE.Group(),
+    live: new THREE.Group(),
+    review: new THREE.Group(),
+  };
   private readonly scene = new THREE.Scene();
   private readonly robot: Record<"map" | "live", Camera3d>;
   private readonly grid: THREE.GridHelper;
@@ -138,7 +146,13 @@ export class MapView {
     }
   }
 
-  private takeMap(map: { id: string | null; revision: number }, graph: GraphModel | null, places: PlaceModel[], changes: PlacesChangeModel[], cloud: Cloud | null): void {
+  private takeMap(
+    map: { id: string | null; revision: number },
+    graph: GraphModel | null,
+    places: PlaceModel[],
+    changes: PlacesChangeModel[],
+    cloud: Cloud | null,
+  ): void {
     const isOther = map.id !== this.map.id;
     this.map = map;
     this.graph = graph;
@@ -147,7 +161,8 @@ export class MapView {
       this.clear("map");
       if (cloud) this.addCloud("map", cloud);
     }
-    for (const node of graph?.nodes ?? []) // the middle of a place may lie beside its cloud
+    for (const node of graph?.nodes ?? [])
+      // the middle of a place may lie beside its cloud
       this.boxes.map?.expandByPoint(new THREE.Vector3(...(node.centroid_map as [number, number, number])));
     if (isOther) {
       if (!this.chosenLayer) this.setLayer(map.id === null ? "live" : "map");
@@ -364,7 +379,9 @@ export class MapView {
     const box = this.boxes[this.layer];
     if (!box) return true;
     const corners = [0, 1, 2, 3, 4, 5, 6, 7].map(
-      (i) => new THREE.Vector3(i & 1 ? box.max.x : box.min.x, i & 2 ? box.max.y : box.min.y, i & 4 ? box.max.z : box.min.z));
+      (i) =>
+        new THREE.Vector3(i & 1 ? box.max.x : box.min.x, i & 2 ? box.max.y : box.min.y, i & 4 ? box.max.z : box.min.z),
+    );
     return corners.every((p) => Math.max(Math.abs(p.project(this.camera).x), Math.abs(p.y)) <= 1);
   }
 
@@ -379,10 +396,13 @@ export class MapView {
 
   /** For changes that no hand makes: a few pictures a second, so that video and joystick keep the machine. */
   private drawSoon(): void {
-    this.soon ||= window.setTimeout(() => {
-      this.soon = 0;
-      this.draw();
-    }, Math.max(DATA_REDRAW_MS, DATA_SHARE * this.pace.lastMs));
+    this.soon ||= window.setTimeout(
+      () => {
+        this.soon = 0;
+        this.draw();
+      },
+      Math.max(DATA_REDRAW_MS, DATA_SHARE * this.pace.lastMs),
+    );
   }
 
   private draw(): void {

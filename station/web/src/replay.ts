@@ -42,7 +42,9 @@ export class Replay {
     if (cloud?.buffer.count) content.add(toPoints(cloud));
     if (poses && poses.T_world_cam.length > 1) {
       const way = poses.T_world_cam.map((T) => new THREE.Vector3(T[3], T[7], T[11]));
-      content.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints(way), new THREE.LineBasicMaterial({ color: 0x14b8a6 })));
+      content.add(
+        new THREE.Line(new THREE.BufferGeometry().setFromPoints(way), new THREE.LineBasicMaterial({ color: 0x14b8a6 })),
+      );
     }
     this.camera = new Camera3d(this.canvas);
     content.add(this.camera.group);
@@ -66,7 +68,9 @@ export class Replay {
     this.pause();
     const end = Number(this.seek.max);
     if (Number(this.seek.value) > end - 0.2) this.seek.value = "0";
-    const socket = new WebSocket(socketUrl(`/ws/replay?navigation=${encodeURIComponent(navigation.id)}&from_s=${this.seek.value}`));
+    const socket = new WebSocket(
+      socketUrl(`/ws/replay?navigation=${encodeURIComponent(navigation.id)}&from_s=${this.seek.value}`),
+    );
     socket.binaryType = "arraybuffer";
     socket.onmessage = (event) => void this.take(socket, event.data as ArrayBuffer);
     socket.onclose = () => {

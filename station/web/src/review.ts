@@ -65,7 +65,8 @@ export class Review {
     const [first, second] = this.boxes;
     if (!second) return first;
     const moved = second.clone();
-    if (registered && this.T_first_second) moved.applyMatrix4(new THREE.Matrix4().fromArray(this.T_first_second).transpose());
+    if (registered && this.T_first_second)
+      moved.applyMatrix4(new THREE.Matrix4().fromArray(this.T_first_second).transpose());
     return first ? moved.union(first) : moved;
   }
 

@@ -21,11 +21,16 @@ export function offerOthers(robots: RobotEntry[]): void {
   const dialog = by<HTMLDialogElement>("ask");
   if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) return;
   const entries = robots.map((entry) =>
-    make("li", {}, make("a", { class: "small", href: `?robot=${encodeURIComponent(entry.name)}` }, titleOf(entry))));
+    make("li", {}, make("a", { class: "small", href: `?robot=${encodeURIComponent(entry.name)}` }, titleOf(entry))),
+  );
   dialog.setAttribute("aria-label", NO_SUCH);
   dialog.replaceChildren(
     make("h2", {}, `This station has no robot “${chosen}”`),
-    make("p", { class: "note" }, `It was renamed, or left out when the station was started anew. ${robots.length === 1 ? "There is this one:" : "There are these:"}`),
+    make(
+      "p",
+      { class: "note" },
+      `It was renamed, or left out when the station was started anew. ${robots.length === 1 ? "There is this one:" : "There are these:"}`,
+    ),
     make("ul", { class: "list" }, ...entries),
   );
   dialog.oncancel = (event) => event.preventDefault(); // behind it nothing works
@@ -58,9 +63,7 @@ export function toRobot(path: string, method = "GET"): string {
 /** Fills the list of robots; it is shown when there are several. */
 export function showChoice(select: HTMLSelectElement, robots: RobotEntry[]): void {
   shown = chosen ?? robots[0]?.name ?? null;
-  select.replaceChildren(
-    ...robots.map((entry) => new Option(titleOf(entry), entry.name, false, entry.name === shown)),
-  );
+  select.replaceChildren(...robots.map((entry) => new Option(titleOf(entry), entry.name, false, entry.name === shown)));
   select.hidden = robots.length < 2;
   select.onchange = () => location.assign(`?robot=${encodeURIComponent(select.value)}`);
 }
