@@ -106,11 +106,11 @@ export class HealthView {
   }
 
   private drawGuide(): void {
-    const drives = [...this.library.navigations.values()];
-    const hasDrive = drives.some((n) => n.state === "ready");
+    const navigations = [...this.library.navigations.values()];
+    const hasNavigation = navigations.some((n) => n.state === "ready");
     const recordHow = this.library.recording
       ? "Drive slowly through every room, look around, and come back. Then press Stop recording."
-      : drives.some((n) => n.state === "finishing")
+      : navigations.some((n) => n.state === "finishing")
         ? "The recording has ended, and SLAM finishes it: below you see how far it is."
         : "Press Record, drive slowly through every room, look around, and come back. Then stop.";
     const hasMap = this.library.maps.length > 0;
@@ -128,7 +128,7 @@ export class HealthView {
         "Connect a robot",
         `Start \`robot-server\` on it${where}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`,
       ],
-      [hasDrive || hasMap, "Record a navigation", recordHow],
+      [hasNavigation || hasMap, "Record a navigation", recordHow],
       [hasMap, "Build a map", "Press Build map beside the navigation: its landmarks become places."],
       [isUsed, "Ask where it is", "Choose the map, pick the robot up, put it down anywhere: the page names the place."],
     ];

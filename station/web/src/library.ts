@@ -1,7 +1,7 @@
 // Navigations and maps: record, stop, build, choose, name, delete.
 import { call } from "./api";
 import { askAll, askUntil, attempt, by, count, date, duration, make, minutes, setText, show, toast } from "./dom";
-import { openDrive } from "./drive_dialog";
+import { openNavigation } from "./navigation_dialog";
 import { openMap } from "./map_dialog";
 import { Refresh } from "./refresh";
 import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
@@ -173,8 +173,8 @@ export class Library {
     );
     show(by("rec"), Boolean(running));
     this.jobRows.show([...this.jobs.values()].filter((j) => j.state === "running"));
-    const drives = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();
-    this.navigationRows.show(drives.slice(0, 12));
+    const ended = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();
+    this.navigationRows.show(ended.slice(0, 12));
     this.mapRows.show(this.maps);
     this.onChange();
   }
@@ -200,7 +200,7 @@ export class Library {
       actions.append(action("cancel", "Cancel", `Cancel finishing ${n.name}`, () => attempt(() => this.cancel(now()))));
     else
       actions.append(
-        action("more", "More", `More about ${n.name}`, () => this.openDrive(now())),
+        action("more", "More", `More about ${n.name}`, () => this.openNavigation(now())),
         this.deleteButton(n.name, () => [`/navigations/${now().id}`, now().name]),
       );
     return make(
@@ -247,10 +247,10 @@ export class Library {
     );
   }
 
-  private openDrive(n: NavigationModel): void {
+  private openNavigation(n: NavigationModel): void {
     const others = [...this.navigations.values()].filter((other) => other.id !== n.id && other.state === "ready");
     const path = `/navigations/${n.id}`;
-    openDrive(n, others, {
+    openNavigation(n, others, {
       replay: this.onReplay,
       remove: () => this.remove(path, n.name),
       rename: () => this.rename(path, n.name, "navigation"),

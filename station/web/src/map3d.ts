@@ -12,7 +12,7 @@ import { Refresh } from "./refresh";
 import type { CurrentPlace, GraphModel, PlaceModel, PlacesChangeModel, SlamModel, TrajectoryModel } from "./messages";
 
 type View = "follow" | "top" | "free";
-type Layer = "map" | "live" | "review"; // of the active map, of the running or last drive, of what a person looks at again
+type Layer = "map" | "live" | "review"; // of the active map, of the running or last navigation, of what a person looks at again
 const DATA_REDRAW_MS = 250;
 const DATA_SHARE = 4; // such a redraw may keep the machine busy for a quarter of the time at most
 const LET_GO_MS = 100;
@@ -215,7 +215,7 @@ export class MapView {
     if (!cloud) return;
     if (isNew || cloud.first === 0) {
       const trajectory = await call<TrajectoryModel>("GET", "/trajectory?limit=4000");
-      if ((trajectory.source ?? "") !== cloud.source) return; // another drive began, or this one is finished: its event is on the way
+      if ((trajectory.source ?? "") !== cloud.source) return; // another navigation began, or this one is finished: its event is on the way
       this.clear("live");
       live.chunks = 0;
       this.track.push(...trajectory.p_world.map((p) => new THREE.Vector3(p[0], p[1], p[2])));
@@ -233,7 +233,7 @@ export class MapView {
     if (!this.chosenLayer && this.wantedMap.id === null) this.setLayer("live");
   }
 
-  /** Show something beside map and drive until closeReview: a recorded drive, or two that are compared. */
+  /** Show something beside map and navigation until closeReview: a recorded navigation, or two that are compared. */
   openReview(content: THREE.Object3D, box: THREE.Box3 | null, points: number): void {
     if (this.layer !== "review") [this.layerBefore, this.chosenBefore] = [this.layer, this.chosenLayer];
     this.clear("review");

@@ -1,4 +1,4 @@
-// A recorded drive again: its pictures in a corner of the 3D view, its cloud and way, the camera where it was.
+// A recorded navigation again: its pictures in a corner of the 3D view, its cloud and way, the camera where it was.
 import * as THREE from "three";
 import { call, socketUrl } from "./api";
 import { Camera3d } from "./camera3d";

@@ -1,4 +1,4 @@
-// What a person looks at again in the 3D view: a recorded drive, or two drives before and after registration.
+// What a person looks at again in the 3D view: a recorded navigation, or two before and after registration.
 import * as THREE from "three";
 import { call } from "./api";
 import { extent, fetchCloud, toPoints } from "./cloud";

@@ -3,15 +3,15 @@ import { call } from "./api";
 import { attempt, by, count, duration, make, present } from "./dom";
 import type { NavigationModel } from "./messages";
 
-export interface DriveActions {
+export interface NavigationActions {
   replay: (navigation: NavigationModel) => Promise<void>;
   remove: () => Promise<void>;
   rename: () => Promise<void>;
 }
 
 /** The dialog of a navigation; `others` are the ready ones it can be mapped or compared with. */
-export function openDrive(n: NavigationModel, others: NavigationModel[], actions: DriveActions): void {
-  const dialog = by<HTMLDialogElement>("drive-dialog");
+export function openNavigation(n: NavigationModel, others: NavigationModel[], actions: NavigationActions): void {
+  const dialog = by<HTMLDialogElement>("navigation-dialog");
   const button = (text: string, act: () => Promise<unknown>, kind = "") =>
     make(
       "button",
