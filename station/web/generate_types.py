@@ -1,6 +1,6 @@
 """Writes the page's TypeScript types from the API's Python models: `python -m station.web.generate_types`.
 
-A test holds `src/messages.ts` against this, so the two cannot drift apart.
+A test holds `src/link/messages.ts` against this, so the two cannot drift apart.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from station.api import messages, models
 
-TARGET = Path(__file__).parent / "src" / "messages.ts"
+TARGET = Path(__file__).parent / "src" / "link" / "messages.ts"
 HEAD = "// Made by `python -m station.web.generate_types` from station/api/models.py and messages.py. Do not edit.\n"
 
 

@@ -1,16 +1,19 @@
 // The page: parts that show, one event stream that tells them.
-import { call, LastingSocket } from "./api";
-import { attempt, by, show } from "./dom";
-import { DriveControl } from "./drive";
-import { HealthView } from "./health";
-import { openHijack } from "./hijack";
-import { Library } from "./library";
-import { MapView } from "./map3d";
-import type { EventMessage, LogModel, RobotEntry } from "./messages";
-import { PlaceView } from "./place";
-import { Review } from "./review";
-import { isGone, offerNoOthers, offerOthers, showChoice } from "./robots";
-import { VideoView } from "./video";
+import { DriveControl } from "./drive/control";
+import { VideoView } from "./drive/video";
+import { Library } from "./library/library";
+import { isGone } from "./link/address";
+import { call } from "./link/api";
+import type { EventMessage, LogModel, RobotEntry } from "./link/messages";
+import { LastingSocket } from "./link/socket";
+import { MapView } from "./map/view";
+import { PlaceView } from "./places/card";
+import { Review } from "./review/review";
+import { offerNoOthers, offerOthers, showChoice } from "./robots/choice";
+import { openHijack } from "./robots/hijack";
+import { HealthView } from "./status/health";
+import { by, show } from "./ui/dom";
+import { attempt } from "./ui/toast";
 
 const video = new VideoView();
 const drive = new DriveControl(video, document.body.dataset["role"] !== "watch");

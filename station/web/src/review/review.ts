@@ -1,10 +1,10 @@
 // What a person looks at again in the 3D view: a recorded navigation, or two before and after registration.
 import * as THREE from "three";
-import { call } from "./api";
-import { extent, fetchCloud, toPoints } from "./cloud";
-import { by, setText, show } from "./dom";
-import type { MapView } from "./map3d";
-import type { ComparisonModel, NavigationModel } from "./messages";
+import { call } from "../link/api";
+import type { ComparisonModel, NavigationModel } from "../link/messages";
+import { extent, fetchCloud, toPoints } from "../map/cloud";
+import type { MapView } from "../map/view";
+import { by, setText, show } from "../ui/dom";
 import { Replay } from "./replay";
 
 const FIRST = 0x2dd4bf;

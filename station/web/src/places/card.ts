@@ -1,9 +1,12 @@
 // The current place in large letters, why, and where the robot was before.
-import { call } from "./api";
-import { PALETTE } from "./cloud";
-import { askUntil, attempt, by, clock, count, duration, make, percent, present, setText, show, toast } from "./dom";
-import type { CurrentPlace, PlaceChange, PlaceModel, PlacesChangeModel, VisitModel } from "./messages";
-import { action, Rows } from "./rows";
+import { call } from "../link/api";
+import type { CurrentPlace, PlaceChange, PlaceModel, PlacesChangeModel, VisitModel } from "../link/messages";
+import { askUntil } from "../ui/dialogs";
+import { by, make, present, setText, show } from "../ui/dom";
+import { action, Rows } from "../ui/rows";
+import { clock, count, duration, percent } from "../ui/text";
+import { attempt, toast } from "../ui/toast";
+import { colourOf } from "./colours";
 
 const TIMELINE_S = 180;
 
@@ -172,7 +175,7 @@ export class PlaceView {
   /** Answers and the places they name come one by one: whichever is later shows the colour. */
   private showColour(): void {
     const colour = this.current === null ? undefined : this.colours.get(this.current);
-    by("place").style.setProperty("--own", colour === undefined ? "transparent" : PALETTE[colour % PALETTE.length]!);
+    by("place").style.setProperty("--own", colour === undefined ? "transparent" : colourOf(colour));
   }
 
   private showEvidence(place: CurrentPlace): void {
@@ -217,7 +220,7 @@ export class PlaceView {
         piece.style.left = `${left * 100}%`;
         piece.style.width = `${width * 100}%`;
         const colour = v.place ? this.colours.get(v.place.id) : undefined;
-        if (colour !== undefined) piece.style.setProperty("--own", PALETTE[colour % PALETTE.length]!);
+        if (colour !== undefined) piece.style.setProperty("--own", colourOf(colour));
         return piece;
       }),
     );

@@ -1,7 +1,9 @@
 // What can be done with one recorded navigation.
-import { call } from "./api";
-import { attempt, by, count, duration, make, present } from "./dom";
-import type { NavigationModel } from "./messages";
+import { call } from "../link/api";
+import type { NavigationModel } from "../link/messages";
+import { by, make, present } from "../ui/dom";
+import { count, duration } from "../ui/text";
+import { attempt } from "../ui/toast";
 
 export interface NavigationActions {
   replay: (navigation: NavigationModel) => Promise<void>;

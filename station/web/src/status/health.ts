@@ -1,7 +1,8 @@
 // How everything is, in words and numbers, and what to do first.
-import { by, clock, make, percent, prose, setText, show } from "./dom";
-import type { Library } from "./library";
-import type { LogModel, RobotModel, SlamModel } from "./messages";
+import type { Library } from "../library/library";
+import type { LogModel, RobotModel, SlamModel } from "../link/messages";
+import { by, make, prose, setText, show } from "../ui/dom";
+import { clock, percent } from "../ui/text";
 
 const MAX_LINES = 100;
 

@@ -1,15 +1,22 @@
 // The 3D view: cloud, trajectory, camera, places with names, graph. Drawn only when something changed.
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { call } from "./api";
-import { Camera3d } from "./camera3d";
+import { call } from "../link/api";
+import type {
+  CurrentPlace,
+  GraphModel,
+  PlaceModel,
+  PlacesChangeModel,
+  SlamModel,
+  TrajectoryModel,
+} from "../link/messages";
+import { Refresh } from "../link/refresh";
+import { by, setText, show } from "../ui/dom";
+import { Camera3d } from "./camera";
 import { type Cloud, dispose, extent, fetchCloud, setPointSize, thinOut, toPoints } from "./cloud";
-import { by, setText, show } from "./dom";
-import { Graph3d } from "./graph3d";
+import { Graph3d } from "./graph";
 import { Labels } from "./labels";
 import { isSoftware, Pace } from "./pace";
-import { Refresh } from "./refresh";
-import type { CurrentPlace, GraphModel, PlaceModel, PlacesChangeModel, SlamModel, TrajectoryModel } from "./messages";
 
 type View = "follow" | "top" | "free";
 type Layer = "map" | "live" | "review"; // of the active map, of the running or last navigation, of what a person looks at again

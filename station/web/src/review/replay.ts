@@ -1,11 +1,13 @@
 // A recorded navigation again: its pictures in a corner of the 3D view, its cloud and way, the camera where it was.
 import * as THREE from "three";
-import { call, socketUrl } from "./api";
-import { Camera3d } from "./camera3d";
-import { extent, fetchCloud, toPoints } from "./cloud";
-import { by, duration, setText, show } from "./dom";
-import type { MapView } from "./map3d";
-import type { NavigationModel, ReplayModel } from "./messages";
+import { socketUrl } from "../link/address";
+import { call } from "../link/api";
+import type { NavigationModel, ReplayModel } from "../link/messages";
+import { Camera3d } from "../map/camera";
+import { extent, fetchCloud, toPoints } from "../map/cloud";
+import type { MapView } from "../map/view";
+import { by, setText, show } from "../ui/dom";
+import { duration } from "../ui/text";
 
 const HEADER_BYTES = 32;
 const MAX_POSE_GAP_S = 1;

@@ -1,12 +1,15 @@
 // Navigations and maps: record, stop, build, choose, name, delete.
-import { call } from "./api";
-import { askAll, askUntil, attempt, by, count, date, duration, make, minutes, setText, show, toast } from "./dom";
-import { openNavigation } from "./navigation_dialog";
+import { isShown } from "../link/address";
+import { call } from "../link/api";
+import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "../link/messages";
+import { Refresh } from "../link/refresh";
+import { askAll, askUntil } from "../ui/dialogs";
+import { by, make, setText, show } from "../ui/dom";
+import { action, Rows } from "../ui/rows";
+import { count, date, duration, minutes } from "../ui/text";
+import { attempt, toast } from "../ui/toast";
 import { openMap } from "./map_dialog";
-import { Refresh } from "./refresh";
-import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
-import { isShown } from "./robots";
-import { action, Rows } from "./rows";
+import { openNavigation } from "./navigation_dialog";
 
 export class Library {
   navigations = new Map<string, NavigationModel>();

@@ -1,6 +1,8 @@
 // What can be done with one map.
-import { attempt, by, count, make, present } from "./dom";
-import type { MapModel } from "./messages";
+import type { MapModel } from "../link/messages";
+import { by, make, present } from "../ui/dom";
+import { count } from "../ui/text";
+import { attempt } from "../ui/toast";
 
 export interface MapActions {
   use: (id: string | null) => Promise<unknown>;

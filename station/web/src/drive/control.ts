@@ -1,7 +1,10 @@
 // Hold to drive. Commands go out 20 times a second while something is held; anything doubtful stops and says why.
-import { call, driverName, LastingSocket } from "./api";
-import { attempt, by, setText, show } from "./dom";
-import type { CapabilitiesModel, DriveAnswer, DriveRequest, RobotModel } from "./messages";
+import { call } from "../link/api";
+import { driverName } from "../link/driver_name";
+import type { CapabilitiesModel, DriveAnswer, DriveRequest, RobotModel } from "../link/messages";
+import { LastingSocket } from "../link/socket";
+import { by, setText, show } from "../ui/dom";
+import { attempt } from "../ui/toast";
 import type { VideoView } from "./video";
 
 const REPEAT_MS = 50;

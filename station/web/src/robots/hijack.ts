@@ -1,6 +1,7 @@
 // Pick a simulated robot up and put it down elsewhere.
-import { call } from "./api";
-import { attempt, by, make } from "./dom";
+import { call } from "../link/api";
+import { by, make } from "../ui/dom";
+import { attempt } from "../ui/toast";
 
 const FIELDS: [string, string, string][] = [
   ["x", "x, m", "1"],

@@ -1,6 +1,6 @@
 // The live picture: newest frame wins, each one acknowledged, its age measured.
-import { LastingSocket } from "./api";
-import { by, setText, show } from "./dom";
+import { LastingSocket } from "../link/socket";
+import { by, setText, show } from "../ui/dom";
 
 const HEADER_BYTES = 32;
 export const STALE_MS = 500;
