@@ -84,18 +84,17 @@ function take(message: EventMessage): void {
   }
 }
 
-new LastingSocket(
-  "/ws/events",
-  (data) => take(JSON.parse(data as string) as EventMessage),
-  (open) => {
+new LastingSocket("/ws/events", {
+  onMessage: (data) => take(JSON.parse(data as string) as EventMessage),
+  onState: (open) => {
     health.setStation(open);
     if (open) {
       offerNoOthers();
       attempt(load);
-    } else checkRobot().catch(() => {}); // the station is away: the page says so already
+    } else checkRobot().catch(() => undefined); // the station is away: the page says so already
   },
-  true,
-);
+  isSteady: true,
+});
 
 /**
  * What the event stream does not tell from its beginning: lists and the past. After opening the page, and after the

@@ -10,6 +10,13 @@ const GRACE_MS = 400; // for the first word after the network was away
 const sockets: LastingSocket[] = [];
 let resumedMs = -Infinity; // when the steady socket came back after it had been lost
 
+export interface SocketOptions {
+  onMessage: (data: string | ArrayBuffer) => void;
+  onState?: (open: boolean) => void;
+  /** Something comes every second, so that silence means something. */
+  isSteady?: boolean;
+}
+
 /** A WebSocket that comes back by itself, within two seconds after the network does. */
 export class LastingSocket {
   private socket: WebSocket | null = null;
@@ -19,12 +26,9 @@ export class LastingSocket {
   private heardMs = 0;
   private wasOpen = false;
 
-  /** `isSteady`: something comes every second, so that silence means something. */
   constructor(
     private readonly path: string,
-    private readonly onMessage: (data: string | ArrayBuffer) => void,
-    private readonly onState: (open: boolean) => void,
-    private readonly isSteady = false,
+    private readonly options: SocketOptions,
   ) {
     sockets.push(this);
     this.connect();
@@ -36,8 +40,8 @@ export class LastingSocket {
   }
 
   send(data: string): boolean {
-    if (!this.isOpen) return false;
-    this.socket!.send(data);
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(data);
     return true;
   }
 
@@ -49,16 +53,16 @@ export class LastingSocket {
     socket.onopen = () => {
       this.waitMs = 250;
       this.heardMs = performance.now();
-      if (this.isSteady && this.wasOpen) resumedMs = this.heardMs;
+      if (this.options.isSteady && this.wasOpen) resumedMs = this.heardMs;
       this.wasOpen = true;
-      this.onState(true);
+      this.options.onState?.(true);
     };
     socket.onmessage = (event) => {
       this.heardMs = performance.now();
-      this.onMessage(event.data);
+      this.options.onMessage(event.data as string | ArrayBuffer);
     };
     socket.onclose = (event) => {
-      this.onState(false);
+      this.options.onState?.(false);
       if (event.code === REVOKED) location.reload(); // and log in anew
       setTimeout(() => this.connect(), this.waitMs);
       this.waitMs = Math.min(this.waitMs * 2, LONGEST_WAIT_MS);
@@ -71,14 +75,14 @@ export class LastingSocket {
     if (socket === null || socket.readyState > WebSocket.OPEN) return; // its onclose connects
     socket.onopen = socket.onmessage = socket.onclose = null;
     socket.close();
-    this.onState(false);
+    this.options.onState?.(false);
     this.connect();
   }
 
   private look(): void {
     const nowMs = performance.now();
     if (this.socket?.readyState === WebSocket.CONNECTING && nowMs - this.begunMs > PATIENCE_MS) this.renew();
-    const isSilent = this.isSteady && this.isOpen && nowMs - this.heardMs > SILENT_MS;
+    const isSilent = this.options.isSteady && this.isOpen && nowMs - this.heardMs > SILENT_MS;
     if (isSilent && this.probe === null) this.tryAnother();
     // The steady one was told that it ended. What has said nothing since may have ended too, and was not told.
     if (this.isOpen && this.heardMs < resumedMs && nowMs - resumedMs > GRACE_MS) this.renew();

@@ -5,6 +5,16 @@ export function by<T extends HTMLElement = HTMLElement>(id: string): T {
   return found as T;
 }
 
+/** What draws on a canvas. */
+export function context2d(
+  canvas: HTMLCanvasElement,
+  options?: CanvasRenderingContext2DSettings,
+): CanvasRenderingContext2D {
+  const context = canvas.getContext("2d", options);
+  if (!context) throw new Error("this browser draws on no canvas");
+  return context;
+}
+
 type Child = Node | string | null | undefined | false;
 
 export function make<K extends keyof HTMLElementTagNameMap>(
