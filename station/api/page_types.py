@@ -1,6 +1,6 @@
 """Writes the page's TypeScript types from the API's Python models: `python -m station.api.page_types`.
 
-A test holds `src/messages.ts` against this, so the two cannot drift apart.
+A test holds `src/link/messages.ts` against this, so the two cannot drift apart.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from station.api import messages
 from station.api.schema import base, comparisons, jobs, maps, navigations, places, robot, slam, station
 
 BASES = (BaseModel, base.Model, base.Question)
-TARGET = Path(__file__).parents[1] / "web" / "src" / "messages.ts"
+TARGET = Path(__file__).parents[1] / "web" / "src" / "link" / "messages.ts"
 HEAD = (
     "// Made by `python -m station.api.page_types` from station/api/schema and station/api/messages.py. Do not edit.\n"
 )

@@ -33,7 +33,7 @@ def test_lock_file_names_no_registry() -> None:
 
 
 def test_sources_of_the_page_ask_no_other_host() -> None:
-    sources = [WEB / "index.html", *(p for p in (WEB / "src").iterdir() if p.suffix in (".ts", ".css"))]
+    sources = [WEB / "index.html", *(p for p in (WEB / "src").rglob("*") if p.suffix in (".ts", ".css"))]
     for source in sources:
         text = source.read_text().replace("http://www.w3.org/2000/svg", "")
         assert "http://" not in text and "https://" not in text, source.name

@@ -1,10 +1,10 @@
-// What a person looks at again in the 3D view: a recorded drive, or two drives before and after registration.
+// What a person looks at again in the 3D view: a recorded navigation, or two before and after registration.
 import * as THREE from "three";
-import { call } from "./api";
-import { extent, fetchCloud, toPoints } from "./cloud";
-import { by, setText, show } from "./dom";
-import type { MapView } from "./map3d";
-import type { ComparisonModel, NavigationModel } from "./messages";
+import { call } from "../link/api";
+import type { ComparisonModel, NavigationModel } from "../link/messages";
+import { extent, fetchCloud, toPoints } from "../map/cloud";
+import type { MapView } from "../map/view";
+import { by, setText, show } from "../ui/dom";
 import { Replay } from "./replay";
 
 const FIRST = 0x2dd4bf;
@@ -65,7 +65,8 @@ export class Review {
     const [first, second] = this.boxes;
     if (!second) return first;
     const moved = second.clone();
-    if (registered && this.T_first_second) moved.applyMatrix4(new THREE.Matrix4().fromArray(this.T_first_second).transpose());
+    if (registered && this.T_first_second)
+      moved.applyMatrix4(new THREE.Matrix4().fromArray(this.T_first_second).transpose());
     return first ? moved.union(first) : moved;
   }
 

@@ -1,9 +1,12 @@
 // The current place in large letters, why, and where the robot was before.
-import { call } from "./api";
-import { PALETTE } from "./cloud";
-import { askUntil, attempt, by, clock, count, duration, make, percent, present, setText, show, toast } from "./dom";
-import type { CurrentPlace, PlaceChange, PlaceModel, PlacesChangeModel, VisitModel } from "./messages";
-import { action, Rows } from "./rows";
+import { call } from "../link/api";
+import type { CurrentPlace, PlaceChange, PlaceModel, PlacesChangeModel, VisitModel } from "../link/messages";
+import { askUntil } from "../ui/dialogs";
+import { by, make, present, setText, show } from "../ui/dom";
+import { action, Rows } from "../ui/rows";
+import { clock, count, duration, percent } from "../ui/text";
+import { attempt, toast } from "../ui/toast";
+import { colourOf } from "./colours";
 
 const TIMELINE_S = 180;
 
@@ -12,10 +15,14 @@ export class PlaceView {
   private places: PlaceModel[] = [];
   private colours = new Map<string, number>();
   private current: string | null = null;
-  private readonly hiddenRows = new Rows<PlaceModel>(by("hidden-places"), (p) => p.id, (place, now) => {
-    const again = () => attempt(() => change(now(), { hidden: false }));
-    return make("li", {}, make("span", {}, place.name), action("show", "Show", `Show ${place.name} again`, again));
-  });
+  private readonly hiddenRows = new Rows<PlaceModel>(
+    by("hidden-places"),
+    (p) => p.id,
+    (place, now) => {
+      const again = () => attempt(() => change(now(), { hidden: false }));
+      return make("li", {}, make("span", {}, place.name), action("show", "Show", `Show ${place.name} again`, again));
+    },
+  );
 
   constructor() {
     setInterval(() => this.drawTimeline(), 1000);
@@ -52,9 +59,27 @@ export class PlaceView {
     const dialog = by<HTMLDialogElement>("place-dialog");
     const others = this.places.filter((p) => p.id !== place.id && !p.hidden);
     const picture = (path: string | null, text: string) =>
-      path && make("figure", {}, make("img", { src: path, alt: `${text} picture of ${place.name}` }), make("figcaption", {}, text));
+      path &&
+      make(
+        "figure",
+        {},
+        make("img", { src: path, alt: `${text} picture of ${place.name}` }),
+        make("figcaption", {}, text),
+      );
     const button = (text: string, act: () => Promise<unknown>, kind = "") =>
-      make("button", { type: "button", class: kind, autofocus: kind === "primary", onclick: () => { dialog.close(); attempt(act); } }, text);
+      make(
+        "button",
+        {
+          type: "button",
+          class: kind,
+          autofocus: kind === "primary",
+          onclick: () => {
+            dialog.close();
+            attempt(act);
+          },
+        },
+        text,
+      );
     const rename = async () => {
       let changed = false;
       const save = async (name: string) => {
@@ -67,21 +92,43 @@ export class PlaceView {
     };
     const hide = () => undoable(() => change(place, { hidden: true }));
     const nobody = make("option", { value: "", selected: true }, "choose a place");
-    const select = make("select", { id: "merge-with" }, nobody, ...others.map((p) => make("option", { value: p.id }, p.name)));
-    const merge = button("Merge", () => undoable(() => call("POST", "/places/merge", { places: [place.id, select.value] })));
+    const select = make(
+      "select",
+      { id: "merge-with" },
+      nobody,
+      ...others.map((p) => make("option", { value: p.id }, p.name)),
+    );
+    const merge = button("Merge", () =>
+      undoable(() => call("POST", "/places/merge", { places: [place.id, select.value] })),
+    );
     merge.disabled = true;
     select.addEventListener("change", () => (merge.disabled = !select.value));
-    dialog.replaceChildren(...present(
-      make("h2", {}, place.name),
-      make("div", { class: "evidence three" },
-        picture(place.representative_image, "representative"),
-        picture(place.mean_image, "mean"),
-        picture(place.deviation_image, "deviation"),
+    dialog.replaceChildren(
+      ...present(
+        make("h2", {}, place.name),
+        make(
+          "div",
+          { class: "evidence three" },
+          picture(place.representative_image, "representative"),
+          picture(place.mean_image, "mean"),
+          picture(place.deviation_image, "deviation"),
+        ),
+        make(
+          "p",
+          { class: "note" },
+          `${count(place.landmarks, "landmark")} · seen in ${count(place.images, "picture")} · quality ${percent(place.quality)}`,
+        ),
+        others.length > 0 &&
+          make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, merge),
+        make(
+          "div",
+          { class: "row end" },
+          button("Close", async () => {}, "quiet apart"),
+          button("Hide", hide),
+          button("Rename", rename, "primary"),
+        ),
       ),
-      make("p", { class: "note" }, `${count(place.landmarks, "landmark")} · seen in ${count(place.images, "picture")} · quality ${percent(place.quality)}`),
-      others.length > 0 && make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, merge),
-      make("div", { class: "row end" }, button("Close", async () => {}, "quiet apart"), button("Hide", hide), button("Rename", rename, "primary")),
-    ));
+    );
     dialog.showModal();
   }
 
@@ -94,8 +141,12 @@ export class PlaceView {
     setText(by("place-name"), place.place?.name ?? otherwise);
     const shown = place.place ? place.probability : place.preparing;
     setText(by("place-probability"), shown === null ? "" : percent(shown));
-    setText(by("place-kicker"), place.place && place.distance_m !== null
-      ? `Current place · ${place.distance_m.toFixed(1)} m away` : "Current place");
+    setText(
+      by("place-kicker"),
+      place.place && place.distance_m !== null
+        ? `Current place · ${place.distance_m.toFixed(1)} m away`
+        : "Current place",
+    );
     setText(by("place-reason"), place.reason);
     by("place-reason").title = place.reason;
     const preparing = by<HTMLProgressElement>("preparing");
@@ -124,7 +175,7 @@ export class PlaceView {
   /** Answers and the places they name come one by one: whichever is later shows the colour. */
   private showColour(): void {
     const colour = this.current === null ? undefined : this.colours.get(this.current);
-    by("place").style.setProperty("--own", colour === undefined ? "transparent" : PALETTE[colour % PALETTE.length]!);
+    by("place").style.setProperty("--own", colour === undefined ? "transparent" : colourOf(colour));
   }
 
   private showEvidence(place: CurrentPlace): void {
@@ -133,9 +184,18 @@ export class PlaceView {
     setImage(by<HTMLImageElement>("match"), map_image);
     show(by("evidence"), Boolean(query_image && map_image));
     // What was recognised once does not tell where the robot is now: the answer says whether it does.
-    const seen = `${count(inliers, "landmark")} of the map seen where they belong` + (age_s === null ? "" : `, ${duration(age_s)} ago`);
+    const seen =
+      `${count(inliers, "landmark")} of the map seen where they belong` +
+      (age_s === null ? "" : `, ${duration(age_s)} ago`);
     const isNow = place.state === "known";
-    setText(by("evidence-text"), !map_image ? "No picture was recognised yet." : isNow ? seen : `The last picture that was recognised: ${seen}. It does not tell where the robot is now.`);
+    setText(
+      by("evidence-text"),
+      !map_image
+        ? "No picture was recognised yet."
+        : isNow
+          ? seen
+          : `The last picture that was recognised: ${seen}. It does not tell where the robot is now.`,
+    );
   }
 
   private drawTimeline(): void {
@@ -143,17 +203,24 @@ export class PlaceView {
     const from = now - TIMELINE_S;
     const line = by("timeline");
     const recent = this.visits.filter((v) => v.end_unix_s > from);
-    line.setAttribute("aria-label", `Places visited: ${recent.map((v) => v.place?.name ?? v.state).join(", ") || "none"}`);
+    line.setAttribute(
+      "aria-label",
+      `Places visited: ${recent.map((v) => v.place?.name ?? v.state).join(", ") || "none"}`,
+    );
     line.replaceChildren(
       ...recent.map((v) => {
         const left = Math.max(0, (v.start_unix_s - from) / TIMELINE_S);
         const width = Math.max(0.004, (Math.min(v.end_unix_s, now) - Math.max(v.start_unix_s, from)) / TIMELINE_S);
         const name = v.place?.name ?? v.state;
-        const piece = make("span", { class: v.state, title: `${name}, since ${clock(v.start_unix_s)}` }, width > 0.05 ? name : "");
+        const piece = make(
+          "span",
+          { class: v.state, title: `${name}, since ${clock(v.start_unix_s)}` },
+          width > 0.05 ? name : "",
+        );
         piece.style.left = `${left * 100}%`;
         piece.style.width = `${width * 100}%`;
         const colour = v.place ? this.colours.get(v.place.id) : undefined;
-        if (colour !== undefined) piece.style.setProperty("--own", PALETTE[colour % PALETTE.length]!);
+        if (colour !== undefined) piece.style.setProperty("--own", colourOf(colour));
         return piece;
       }),
     );

@@ -1,7 +1,8 @@
 // How everything is, in words and numbers, and what to do first.
-import { by, clock, make, percent, prose, setText, show } from "./dom";
-import type { Library } from "./library";
-import type { LogModel, RobotModel, SlamModel } from "./messages";
+import type { Library } from "../library/library";
+import type { LogModel, RobotModel, SlamModel } from "../link/messages";
+import { by, make, prose, setText, show } from "../ui/dom";
+import { clock, percent } from "../ui/text";
 
 const MAX_LINES = 100;
 
@@ -18,7 +19,11 @@ export class HealthView {
     this.robot = robot;
     show(by("battery"), robot.battery !== null);
     if (robot.battery)
-      setText(by("battery"), `${robot.battery.voltage_v?.toFixed(1)} V` + (robot.battery.fraction === null ? "" : ` · ${percent(robot.battery.fraction)}`));
+      setText(
+        by("battery"),
+        `${robot.battery.voltage_v?.toFixed(1)} V` +
+          (robot.battery.fraction === null ? "" : ` · ${percent(robot.battery.fraction)}`),
+      );
     this.draw();
   }
 
@@ -65,15 +70,36 @@ export class HealthView {
     this.drawGuide();
     if (!robot) return;
     const rows: [string, string, boolean][] = [
-      ["Link", robot.connected ? (robot.clock.rtt_ms === null ? "connected" : `${robot.clock.rtt_ms.toFixed(1)} ms round trip`) : robot.reason, !robot.connected],
-      ["Video", `${robot.rates.frames_hz.toFixed(0)} /s · ${robot.losses.frames_skipped} skipped`, robot.connected && robot.rates.frames_hz < 10],
+      [
+        "Link",
+        robot.connected
+          ? robot.clock.rtt_ms === null
+            ? "connected"
+            : `${robot.clock.rtt_ms.toFixed(1)} ms round trip`
+          : robot.reason,
+        !robot.connected,
+      ],
+      [
+        "Video",
+        `${robot.rates.frames_hz.toFixed(0)} /s · ${robot.losses.frames_skipped} skipped`,
+        robot.connected && robot.rates.frames_hz < 10,
+      ],
       ["IMU", `${robot.rates.imu_hz.toFixed(0)} /s · ${robot.losses.imu_lost} lost`, robot.losses.imu_lost > 0],
       ["Data", `${((robot.rates.bytes_per_s * 8) / 1e6).toFixed(1)} Mbit/s`, false],
-      ["Clock", robot.clock.drift_ppm === null ? "not known yet" : `drift ${robot.clock.drift_ppm.toFixed(0)} ppm`, false],
-      ["Robot CPU", robot.cpu_percent === null ? "–" : `${robot.cpu_percent.toFixed(0)} % of a core`, (robot.cpu_percent ?? 0) > 90],
+      [
+        "Clock",
+        robot.clock.drift_ppm === null ? "not known yet" : `drift ${robot.clock.drift_ppm.toFixed(0)} ppm`,
+        false,
+      ],
+      [
+        "Robot CPU",
+        robot.cpu_percent === null ? "–" : `${robot.cpu_percent.toFixed(0)} % of a core`,
+        (robot.cpu_percent ?? 0) > 90,
+      ],
       ["SLAM", this.slam?.message ?? "–", this.slam?.state === "lost"],
     ];
-    for (const [sensor, celsius] of Object.entries(robot.temperatures_c)) rows.push([sensor, `${celsius.toFixed(0)} °C`, celsius > 80]);
+    for (const [sensor, celsius] of Object.entries(robot.temperatures_c))
+      rows.push([sensor, `${celsius.toFixed(0)} °C`, celsius > 80]);
     for (const fault of robot.faults) rows.push(["Fault", fault, true]);
     by("health").replaceChildren(
       ...rows.flatMap(([name, text, bad]) => [make("dt", {}, name), make("dd", { class: bad ? "bad" : "" }, text)]),
@@ -81,21 +107,29 @@ export class HealthView {
   }
 
   private drawGuide(): void {
-    const drives = [...this.library.navigations.values()];
-    const hasDrive = drives.some((n) => n.state === "ready");
+    const navigations = [...this.library.navigations.values()];
+    const hasNavigation = navigations.some((n) => n.state === "ready");
     const recordHow = this.library.recording
       ? "Drive slowly through every room, look around, and come back. Then press Stop recording."
-      : drives.some((n) => n.state === "finishing")
+      : navigations.some((n) => n.state === "finishing")
         ? "The recording has ended, and SLAM finishes it: below you see how far it is."
         : "Press Record, drive slowly through every room, look around, and come back. Then stop.";
     const hasMap = this.library.maps.length > 0;
     const isUsed = this.library.maps.some((m) => m.active);
     const robot = this.robot;
     const elsewhere = "(elsewhere: `station serve --robot HOST:PORT`, or `--robot auto` to search the network)";
-    const where = !robot ? "" : robot.host === "auto" ? "; this station looks in the whole network" : `; this station looks at ${robot.host}:${robot.port} ${elsewhere}`;
+    const where = !robot
+      ? ""
+      : robot.host === "auto"
+        ? "; this station looks in the whole network"
+        : `; this station looks at ${robot.host}:${robot.port} ${elsewhere}`;
     const steps: [boolean, string, string][] = [
-      [Boolean(robot?.connected), "Connect a robot", `Start \`robot-server\` on it${where}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`],
-      [hasDrive || hasMap, "Record a navigation", recordHow],
+      [
+        Boolean(robot?.connected),
+        "Connect a robot",
+        `Start \`robot-server\` on it${where}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`,
+      ],
+      [hasNavigation || hasMap, "Record a navigation", recordHow],
       [hasMap, "Build a map", "Press Build map beside the navigation: its landmarks become places."],
       [isUsed, "Ask where it is", "Choose the map, pick the robot up, put it down anywhere: the page names the place."],
     ];
@@ -112,7 +146,12 @@ export class HealthView {
         "ol",
         {},
         ...steps.map(([done, title, how], i) =>
-          make("li", { class: done ? "done" : i === next ? "next" : "" }, make("strong", {}, title), i === next && make("p", { class: "note" }, ...prose(how))),
+          make(
+            "li",
+            { class: done ? "done" : i === next ? "next" : "" },
+            make("strong", {}, title),
+            i === next && make("p", { class: "note" }, ...prose(how)),
+          ),
         ),
       ),
     );

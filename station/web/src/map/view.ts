@@ -1,18 +1,25 @@
 // The 3D view: cloud, trajectory, camera, places with names, graph. Drawn only when something changed.
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { call } from "./api";
-import { Camera3d } from "./camera3d";
+import { call } from "../link/api";
+import type {
+  CurrentPlace,
+  GraphModel,
+  PlaceModel,
+  PlacesChangeModel,
+  SlamModel,
+  TrajectoryModel,
+} from "../link/messages";
+import { Refresh } from "../link/refresh";
+import { by, setText, show } from "../ui/dom";
+import { Camera3d } from "./camera";
 import { type Cloud, dispose, extent, fetchCloud, setPointSize, thinOut, toPoints } from "./cloud";
-import { by, setText, show } from "./dom";
-import { Graph3d } from "./graph3d";
+import { Graph3d } from "./graph";
 import { Labels } from "./labels";
 import { isSoftware, Pace } from "./pace";
-import { Refresh } from "./refresh";
-import type { CurrentPlace, GraphModel, PlaceModel, PlacesChangeModel, SlamModel, TrajectoryModel } from "./messages";
 
 type View = "follow" | "top" | "free";
-type Layer = "map" | "live" | "review"; // of the active map, of the running or last drive, of what a person looks at again
+type Layer = "map" | "live" | "review"; // of the active map, of the running or last navigation, of what a person looks at again
 const DATA_REDRAW_MS = 250;
 const DATA_SHARE = 4; // such a redraw may keep the machine busy for a quarter of the time at most
 const LET_GO_MS = 100;
@@ -27,12 +34,20 @@ export class MapView {
   private readonly labels = new Labels(by("labels"));
   private readonly net = new Graph3d(this.labels);
   private readonly software = isSoftware();
-  private readonly renderer = new THREE.WebGLRenderer({ antialias: !this.software, alpha: true, powerPreference: "low-power" });
+  private readonly renderer = new THREE.WebGLRenderer({
+    antialias: !this.software,
+    alpha: true,
+    powerPreference: "low-power",
+  });
   private readonly pixelRatio = Math.min(devicePixelRatio, 2);
   private pixels = 0; // per pixel of the page, as last drawn
   private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
   private readonly controls: OrbitControls;
-  private readonly groups: Record<Layer, THREE.Group> = { map: new THREE.Group(), live: new THREE.Group(), review: new THREE.Group() };
+  private readonly groups: Record<Layer, THREE.Group> = {
+    map: new THREE.Group(),
+    live: new THREE.Group(),
+    review: new THREE.Group(),
+  };
   private readonly scene = new THREE.Scene();
   private readonly robot: Record<"map" | "live", Camera3d>;
   private readonly grid: THREE.GridHelper;
@@ -138,7 +153,13 @@ export class MapView {
     }
   }
 
-  private takeMap(map: { id: string | null; revision: number }, graph: GraphModel | null, places: PlaceModel[], changes: PlacesChangeModel[], cloud: Cloud | null): void {
+  private takeMap(
+    map: { id: string | null; revision: number },
+    graph: GraphModel | null,
+    places: PlaceModel[],
+    changes: PlacesChangeModel[],
+    cloud: Cloud | null,
+  ): void {
     const isOther = map.id !== this.map.id;
     this.map = map;
     this.graph = graph;
@@ -147,7 +168,8 @@ export class MapView {
       this.clear("map");
       if (cloud) this.addCloud("map", cloud);
     }
-    for (const node of graph?.nodes ?? []) // the middle of a place may lie beside its cloud
+    for (const node of graph?.nodes ?? [])
+      // the middle of a place may lie beside its cloud
       this.boxes.map?.expandByPoint(new THREE.Vector3(...(node.centroid_map as [number, number, number])));
     if (isOther) {
       if (!this.chosenLayer) this.setLayer(map.id === null ? "live" : "map");
@@ -200,7 +222,7 @@ export class MapView {
     if (!cloud) return;
     if (isNew || cloud.first === 0) {
       const trajectory = await call<TrajectoryModel>("GET", "/trajectory?limit=4000");
-      if ((trajectory.source ?? "") !== cloud.source) return; // another drive began, or this one is finished: its event is on the way
+      if ((trajectory.source ?? "") !== cloud.source) return; // another navigation began, or this one is finished: its event is on the way
       this.clear("live");
       live.chunks = 0;
       this.track.push(...trajectory.p_world.map((p) => new THREE.Vector3(p[0], p[1], p[2])));
@@ -218,7 +240,7 @@ export class MapView {
     if (!this.chosenLayer && this.wantedMap.id === null) this.setLayer("live");
   }
 
-  /** Show something beside map and drive until closeReview: a recorded drive, or two that are compared. */
+  /** Show something beside map and navigation until closeReview: a recorded navigation, or two that are compared. */
   openReview(content: THREE.Object3D, box: THREE.Box3 | null, points: number): void {
     if (this.layer !== "review") [this.layerBefore, this.chosenBefore] = [this.layer, this.chosenLayer];
     this.clear("review");
@@ -364,7 +386,9 @@ export class MapView {
     const box = this.boxes[this.layer];
     if (!box) return true;
     const corners = [0, 1, 2, 3, 4, 5, 6, 7].map(
-      (i) => new THREE.Vector3(i & 1 ? box.max.x : box.min.x, i & 2 ? box.max.y : box.min.y, i & 4 ? box.max.z : box.min.z));
+      (i) =>
+        new THREE.Vector3(i & 1 ? box.max.x : box.min.x, i & 2 ? box.max.y : box.min.y, i & 4 ? box.max.z : box.min.z),
+    );
     return corners.every((p) => Math.max(Math.abs(p.project(this.camera).x), Math.abs(p.y)) <= 1);
   }
 
@@ -379,10 +403,13 @@ export class MapView {
 
   /** For changes that no hand makes: a few pictures a second, so that video and joystick keep the machine. */
   private drawSoon(): void {
-    this.soon ||= window.setTimeout(() => {
-      this.soon = 0;
-      this.draw();
-    }, Math.max(DATA_REDRAW_MS, DATA_SHARE * this.pace.lastMs));
+    this.soon ||= window.setTimeout(
+      () => {
+        this.soon = 0;
+        this.draw();
+      },
+      Math.max(DATA_REDRAW_MS, DATA_SHARE * this.pace.lastMs),
+    );
   }
 
   private draw(): void {

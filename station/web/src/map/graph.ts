@@ -1,9 +1,10 @@
 // The place graph in the 3D view: lines with bearings, names of places.
 import * as THREE from "three";
-import { dispose, PALETTE } from "./cloud";
-import { make } from "./dom";
+import type { GraphModel, PlaceModel } from "../link/messages";
+import { colourOf } from "../places/colours";
+import { make } from "../ui/dom";
+import { dispose } from "./cloud";
 import type { Labels } from "./labels";
-import type { GraphModel, PlaceModel } from "./messages";
 
 const NAMED = 1e9; // landmarks: more than any place has, so that what a person named is read first
 
@@ -21,7 +22,9 @@ export class Graph3d {
     this.lines = null;
     this.labels.clear();
     if (!graph) return;
-    const at = new Map(graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]));
+    const at = new Map(
+      graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]),
+    );
     const ends: THREE.Vector3[] = [];
     for (const edge of graph.edges) {
       const [a, b] = [at.get(edge.a)!, at.get(edge.b)!];
@@ -36,9 +39,13 @@ export class Graph3d {
     );
     group.add(this.lines);
     for (const node of graph.nodes) {
-      const button = make("button", { type: "button", class: "place-label", "data-place": node.id, title: node.name }, make("span", {}, node.name));
+      const button = make(
+        "button",
+        { type: "button", class: "place-label", "data-place": node.id, title: node.name },
+        make("span", {}, node.name),
+      );
       button.dataset["named"] = String(node.named);
-      button.style.setProperty("--own", PALETTE[node.colour % PALETTE.length]!);
+      button.style.setProperty("--own", colourOf(node.colour));
       button.addEventListener("click", () => onPlace(node));
       this.labels.add(button, at.get(node.id)!, node.landmarks + (node.named ? NAMED : 0));
     }

@@ -1,17 +1,20 @@
-// A recorded drive again: its pictures in a corner of the 3D view, its cloud and way, the camera where it was.
+// A recorded navigation again: its pictures in a corner of the 3D view, its cloud and way, the camera where it was.
 import * as THREE from "three";
-import { call, socketUrl } from "./api";
-import { Camera3d } from "./camera3d";
-import { extent, fetchCloud, toPoints } from "./cloud";
-import { by, duration, setText, show } from "./dom";
-import type { MapView } from "./map3d";
-import type { NavigationModel, ReplayModel } from "./messages";
+import { socketUrl } from "../link/address";
+import { call } from "../link/api";
+import type { NavigationModel, ReplayModel } from "../link/messages";
+import { decodePicture, drawPicture, type Picture } from "../link/picture";
+import { Camera3d } from "../map/camera";
+import { extent, fetchCloud, toPoints } from "../map/cloud";
+import type { MapView } from "../map/view";
+import { by, context2d, setText, show } from "../ui/dom";
+import { duration } from "../ui/text";
 
-const HEADER_BYTES = 32;
 const MAX_POSE_GAP_S = 1;
 
 export class Replay {
   private readonly canvas = by<HTMLCanvasElement>("replay-video");
+  private readonly context = context2d(this.canvas);
   private readonly seek = by<HTMLInputElement>("seek");
   private socket: WebSocket | null = null;
   private navigation: NavigationModel | null = null;
@@ -42,7 +45,9 @@ export class Replay {
     if (cloud?.buffer.count) content.add(toPoints(cloud));
     if (poses && poses.T_world_cam.length > 1) {
       const way = poses.T_world_cam.map((T) => new THREE.Vector3(T[3], T[7], T[11]));
-      content.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints(way), new THREE.LineBasicMaterial({ color: 0x14b8a6 })));
+      content.add(
+        new THREE.Line(new THREE.BufferGeometry().setFromPoints(way), new THREE.LineBasicMaterial({ color: 0x14b8a6 })),
+      );
     }
     this.camera = new Camera3d(this.canvas);
     content.add(this.camera.group);
@@ -66,7 +71,9 @@ export class Replay {
     this.pause();
     const end = Number(this.seek.max);
     if (Number(this.seek.value) > end - 0.2) this.seek.value = "0";
-    const socket = new WebSocket(socketUrl(`/ws/replay?navigation=${encodeURIComponent(navigation.id)}&from_s=${this.seek.value}`));
+    const socket = new WebSocket(
+      socketUrl(`/ws/replay?navigation=${encodeURIComponent(navigation.id)}&from_s=${this.seek.value}`),
+    );
     socket.binaryType = "arraybuffer";
     socket.onmessage = (event) => void this.take(socket, event.data as ArrayBuffer);
     socket.onclose = () => {
@@ -83,25 +90,20 @@ export class Replay {
   }
 
   private async take(socket: WebSocket, data: ArrayBuffer): Promise<void> {
-    const header = new DataView(data, 0, HEADER_BYTES);
     try {
-      const picture = await createImageBitmap(new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" }));
-      if (this.socket === socket) this.draw(picture, Number(header.getBigInt64(8, true)), header.getFloat64(16, true));
-      picture.close();
+      const picture = await decodePicture(data);
+      if (this.socket === socket) this.draw(picture);
+      picture.image.close();
     } catch {
       // One picture that cannot be decoded must not end the replay.
     }
     if (socket.readyState === WebSocket.OPEN) socket.send("next");
   }
 
-  private draw(picture: ImageBitmap, tRobotNs: number, sinceFirstS: number): void {
-    if (this.canvas.width !== picture.width || this.canvas.height !== picture.height) {
-      this.canvas.width = picture.width;
-      this.canvas.height = picture.height;
-    }
-    this.canvas.getContext("2d")!.drawImage(picture, 0, 0);
+  private draw({ image, tRobotNs, seconds }: Picture): void {
+    drawPicture(this.context, image);
     this.canvas.dataset["shown"] = String(Number(this.canvas.dataset["shown"] ?? "0") + 1);
-    if (document.activeElement !== this.seek || !this.seek.matches(":active")) this.seek.value = String(sinceFirstS);
+    if (document.activeElement !== this.seek || !this.seek.matches(":active")) this.seek.value = String(seconds);
     this.showTime();
     this.camera?.place(this.poseAt(tRobotNs));
     this.map?.redraw();

@@ -1,12 +1,15 @@
 // Navigations and maps: record, stop, build, choose, name, delete.
-import { call } from "./api";
-import { askAll, askUntil, attempt, by, count, date, duration, make, minutes, setText, show, toast } from "./dom";
-import { openDrive } from "./drive_dialog";
+import { isShown } from "../link/address";
+import { call } from "../link/api";
+import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "../link/messages";
+import { Refresh } from "../link/refresh";
+import { askAll, askUntil } from "../ui/dialogs";
+import { by, make, setText, show } from "../ui/dom";
+import { action, Rows } from "../ui/rows";
+import { count, date, duration, minutes } from "../ui/text";
+import { attempt, toast } from "../ui/toast";
 import { openMap } from "./map_dialog";
-import { Refresh } from "./refresh";
-import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "./messages";
-import { isShown } from "./robots";
-import { action, Rows } from "./rows";
+import { openNavigation } from "./navigation_dialog";
 
 export class Library {
   navigations = new Map<string, NavigationModel>();
@@ -17,11 +20,31 @@ export class Library {
   private readonly binList = new Refresh(() => this.fetchBin());
   private readonly comparisonList = new Refresh(() => this.fetchComparisons());
   private readonly mapList = new Refresh(() => this.fetchMaps());
-  private readonly jobRows = new Rows<JobModel>(by("jobs"), (j) => j.id, (j, now) => this.jobRow(j, now));
-  private readonly navigationRows = new Rows<NavigationModel>(by("navigations"), (n) => n.id, (n, now) => this.navigationRow(n, now));
-  private readonly mapRows = new Rows<MapModel>(by("maps"), (m) => m.id, (m, now) => this.mapRow(m, now));
-  private readonly comparisonRows = new Rows<ComparisonModel>(by("comparisons"), (c) => c.id, (c, now) => this.comparisonRow(c, now));
-  private readonly binRows = new Rows<BinModel>(by("bin-list"), (b) => `${b.kind} ${b.id}`, (b, now) => this.binRow(b, now));
+  private readonly jobRows = new Rows<JobModel>(
+    by("jobs"),
+    (j) => j.id,
+    (j, now) => this.jobRow(j, now),
+  );
+  private readonly navigationRows = new Rows<NavigationModel>(
+    by("navigations"),
+    (n) => n.id,
+    (n, now) => this.navigationRow(n, now),
+  );
+  private readonly mapRows = new Rows<MapModel>(
+    by("maps"),
+    (m) => m.id,
+    (m, now) => this.mapRow(m, now),
+  );
+  private readonly comparisonRows = new Rows<ComparisonModel>(
+    by("comparisons"),
+    (c) => c.id,
+    (c, now) => this.comparisonRow(c, now),
+  );
+  private readonly binRows = new Rows<BinModel>(
+    by("bin-list"),
+    (b) => `${b.kind} ${b.id}`,
+    (b, now) => this.binRow(b, now),
+  );
   private connected = false;
   onChange: () => void = () => {};
   onReplay: (navigation: NavigationModel) => Promise<void> = async () => {};
@@ -126,7 +149,12 @@ export class Library {
   }
 
   private async removeComparison(c: ComparisonModel): Promise<void> {
-    const sure = await askAll(`Delete “${c.name}”?`, "Delete", [], "For good. Both navigations stay, and can be compared again.");
+    const sure = await askAll(
+      `Delete “${c.name}”?`,
+      "Delete",
+      [],
+      "For good. Both navigations stay, and can be compared again.",
+    );
     if (!sure) return;
     await call("DELETE", `/comparisons/${c.id}`);
     await this.comparisonList.ask();
@@ -142,19 +170,29 @@ export class Library {
     const record = by<HTMLButtonElement>("record");
     record.classList.toggle("on", Boolean(running));
     record.disabled = !running && !this.connected;
-    setText(record.querySelector<HTMLElement>(".text")!, running ? `Stop recording · ${minutes(running.duration_s)}` : "Record");
+    setText(
+      record.querySelector<HTMLElement>(".text")!,
+      running ? `Stop recording · ${minutes(running.duration_s)}` : "Record",
+    );
     show(by("rec"), Boolean(running));
     this.jobRows.show([...this.jobs.values()].filter((j) => j.state === "running"));
-    const drives = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();
-    this.navigationRows.show(drives.slice(0, 12));
+    const ended = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();
+    this.navigationRows.show(ended.slice(0, 12));
     this.mapRows.show(this.maps);
     this.onChange();
   }
 
   private jobRow(job: JobModel, now: () => JobModel): HTMLElement {
-    const cancel = action("cancel", "Cancel", `Cancel: ${job.title}`, () => attempt(() => call("DELETE", `/jobs/${now().id}`)));
+    const cancel = action("cancel", "Cancel", `Cancel: ${job.title}`, () =>
+      attempt(() => call("DELETE", `/jobs/${now().id}`)),
+    );
     const bar = make("progress", { max: "1", value: String(job.progress), "aria-label": job.title });
-    return make("div", { class: "job" }, make("p", {}, `${job.title}: ${job.message}`), make("div", { class: "row" }, bar, cancel));
+    return make(
+      "div",
+      { class: "job" },
+      make("p", {}, `${job.title}: ${job.message}`),
+      make("div", { class: "row" }, bar, cancel),
+    );
   }
 
   private navigationRow(n: NavigationModel, now: () => NavigationModel): HTMLElement {
@@ -165,10 +203,15 @@ export class Library {
       actions.append(action("cancel", "Cancel", `Cancel finishing ${n.name}`, () => attempt(() => this.cancel(now()))));
     else
       actions.append(
-        action("more", "More", `More about ${n.name}`, () => this.openDrive(now())),
+        action("more", "More", `More about ${n.name}`, () => this.openNavigation(now())),
         this.deleteButton(n.name, () => [`/navigations/${now().id}`, now().name]),
       );
-    return make("li", { class: n.state }, make("div", {}, title(n.name), make("span", { class: "note" }, about)), actions);
+    return make(
+      "li",
+      { class: n.state },
+      make("div", {}, title(n.name), make("span", { class: "note" }, about)),
+      actions,
+    );
   }
 
   private async cancel(n: NavigationModel): Promise<void> {
@@ -188,27 +231,56 @@ export class Library {
     }
     if (!m.active) actions.append(this.deleteButton(m.name, () => [`/maps/${now().id}`, now().name]));
     const about = m.damaged || `map · ${count(m.places, "place")}`;
-    return make("li", { class: m.damaged ? "failed" : m.active ? "in-use" : "" }, make("div", {}, title(m.name), make("span", { class: "note" }, about)), actions);
+    return make(
+      "li",
+      { class: m.damaged ? "failed" : m.active ? "in-use" : "" },
+      make("div", {}, title(m.name), make("span", { class: "note" }, about)),
+      actions,
+    );
   }
 
   private binRow(entry: BinModel, now: () => BinModel): HTMLElement {
     const restore = () => attempt(() => call("POST", `/${now().kind}s/${now().id}/restore`));
     const about = `${entry.kind} · gone for good on ${date(entry.gone_unix_s)}`;
-    return make("li", {}, make("div", {}, title(entry.name), make("span", { class: "note" }, about)), action("restore", "Restore", `Restore ${entry.name}`, restore));
+    return make(
+      "li",
+      {},
+      make("div", {}, title(entry.name), make("span", { class: "note" }, about)),
+      action("restore", "Restore", `Restore ${entry.name}`, restore),
+    );
   }
 
-  private openDrive(n: NavigationModel): void {
+  private openNavigation(n: NavigationModel): void {
     const others = [...this.navigations.values()].filter((other) => other.id !== n.id && other.state === "ready");
     const path = `/navigations/${n.id}`;
-    openDrive(n, others, { replay: this.onReplay, remove: () => this.remove(path, n.name), rename: () => this.rename(path, n.name, "navigation") });
+    openNavigation(n, others, {
+      replay: this.onReplay,
+      remove: () => this.remove(path, n.name),
+      rename: () => this.rename(path, n.name, "navigation"),
+    });
   }
 
   private comparisonRow(c: ComparisonModel, now: () => ComparisonModel): HTMLElement {
     const look = action("show", "Show", `Show ${c.name}`, () => attempt(() => this.onCompare(now().id)));
-    const report = make("a", { class: "small", href: c.report, target: "_blank", rel: "noopener", "aria-label": `Report: ${c.name}` }, "Report");
-    const remove = action("delete", "✕", `Delete ${c.name}`, () => attempt(() => this.removeComparison(now())), "quiet");
+    const report = make(
+      "a",
+      { class: "small", href: c.report, target: "_blank", rel: "noopener", "aria-label": `Report: ${c.name}` },
+      "Report",
+    );
+    const remove = action(
+      "delete",
+      "✕",
+      `Delete ${c.name}`,
+      () => attempt(() => this.removeComparison(now())),
+      "quiet",
+    );
     const about = c.accepted ? `${c.matches} of ${c.places} places found again` : "could not be registered";
-    return make("li", { class: c.accepted ? "" : "failed" }, make("div", {}, title(c.name), make("span", { class: "note" }, about)), make("div", { class: "row" }, look, report, remove));
+    return make(
+      "li",
+      { class: c.accepted ? "" : "failed" },
+      make("div", {}, title(c.name), make("span", { class: "note" }, about)),
+      make("div", { class: "row" }, look, report, remove),
+    );
   }
 
   private deleteButton(name: string, what: () => [string, string]): HTMLElement {

@@ -7,7 +7,12 @@ export class Camera3d {
 
   constructor(video: HTMLCanvasElement) {
     const [w, h, d] = [0.24, 0.18, 0.34];
-    const corners = [[-w, -h], [w, -h], [w, h], [-w, h]].map(([x, y]) => new THREE.Vector3(x, y, d));
+    const corners = [
+      [-w, -h],
+      [w, -h],
+      [w, h],
+      [-w, h],
+    ].map(([x, y]) => new THREE.Vector3(x, y, d));
     const line: THREE.Vector3[] = [];
     corners.forEach((corner, i) => line.push(new THREE.Vector3(), corner, corner, corners[(i + 1) % 4]!));
     const edges = new THREE.LineSegments(
@@ -23,7 +28,10 @@ export class Camera3d {
     );
     picture.position.z = d;
     picture.rotation.x = Math.PI; // the camera's y points down
-    const body = new THREE.Mesh(new THREE.SphereGeometry(0.06, 16, 12), new THREE.MeshBasicMaterial({ color: 0xff5a36 }));
+    const body = new THREE.Mesh(
+      new THREE.SphereGeometry(0.06, 16, 12),
+      new THREE.MeshBasicMaterial({ color: 0xff5a36 }),
+    );
     this.group.add(edges, picture, body);
     this.group.visible = false;
   }
@@ -32,7 +40,10 @@ export class Camera3d {
   place(T: number[] | null): void {
     this.group.visible = T !== null;
     if (!T) return;
-    new THREE.Matrix4().fromArray(T).transpose().decompose(this.group.position, this.group.quaternion, new THREE.Vector3());
+    new THREE.Matrix4()
+      .fromArray(T)
+      .transpose()
+      .decompose(this.group.position, this.group.quaternion, new THREE.Vector3());
     this.texture.needsUpdate = true;
   }
 }

@@ -1,15 +1,10 @@
 // Point clouds as the station sends them (docs/api.md): header of 16 bytes, then 16 bytes per point.
 import * as THREE from "three";
-import { fetchBytes } from "./api";
+import { fetchBytes } from "../link/api";
+import { PALETTE } from "../places/colours";
 
 const HEADER_BYTES = 16;
 const STRIDE = 16;
-// A wheel: the station numbers places so that neighbours are far apart on it (station/places/making/colours.py).
-export const PALETTE = [
-  "#f87171", "#fb923c", "#facc15", "#a3e635", "#4ade80", "#2dd4bf",
-  "#38bdf8", "#7ba0ff", "#a48bfa", "#c884fc", "#f07af0", "#f472b6",
-];
-
 export interface Cloud {
   buffer: THREE.InterleavedBuffer;
   first: number;

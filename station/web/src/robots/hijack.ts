@@ -1,8 +1,13 @@
 // Pick a simulated robot up and put it down elsewhere.
-import { call } from "./api";
-import { attempt, by, make } from "./dom";
+import { call } from "../link/api";
+import { by, make } from "../ui/dom";
+import { attempt } from "../ui/toast";
 
-const FIELDS: [string, string, string][] = [["x", "x, m", "1"], ["y", "y, m", "1"], ["yaw", "heading, degrees", "90"]];
+const FIELDS: [string, string, string][] = [
+  ["x", "x, m", "1"],
+  ["y", "y, m", "1"],
+  ["yaw", "heading, degrees", "90"],
+];
 
 export function openHijack(): void {
   const dialog = by<HTMLDialogElement>("ask");
@@ -16,7 +21,11 @@ export function openHijack(): void {
   const refresh = () => inputs.forEach((input) => (input.disabled = !spot.input.checked));
   for (const { input } of [anywhere, spot]) input.addEventListener("change", refresh);
   refresh();
-  const [x, y, degrees] = inputs.map((input) => () => Number(input.value)) as [() => number, () => number, () => number];
+  const [x, y, degrees] = inputs.map((input) => () => Number(input.value)) as [
+    () => number,
+    () => number,
+    () => number,
+  ];
   const form = make(
     "form",
     { method: "dialog" },
@@ -24,10 +33,17 @@ export function openHijack(): void {
     anywhere.label,
     spot.label,
     make("div", { class: "fields" }, ...FIELDS.map(([, label], i) => make("label", {}, label, inputs[i]!))),
-    make("p", { class: "note" }, "In the simulated world's own coordinates, which no map knows. Only free floor is taken."),
-    make("div", { class: "row end" },
+    make(
+      "p",
+      { class: "note" },
+      "In the simulated world's own coordinates, which no map knows. Only free floor is taken.",
+    ),
+    make(
+      "div",
+      { class: "row end" },
       make("button", { type: "button", class: "quiet", onclick: () => dialog.close("") }, "Cancel"),
-      make("button", { type: "submit", class: "primary", value: "yes" }, "Hijack")),
+      make("button", { type: "submit", class: "primary", value: "yes" }, "Hijack"),
+    ),
   );
   dialog.setAttribute("aria-label", "Pick the simulated robot up");
   dialog.replaceChildren(form);

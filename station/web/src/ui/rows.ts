@@ -57,7 +57,8 @@ export function action(act: string, text: string, label: string, run: () => void
 /** Make an element look as another one does, with as few new elements as can be. */
 function renew(old: Element, fresh: Element): void {
   for (const { name } of [...old.attributes]) if (!fresh.hasAttribute(name)) old.removeAttribute(name);
-  for (const { name, value } of [...fresh.attributes]) if (old.getAttribute(name) !== value) old.setAttribute(name, value);
+  for (const { name, value } of [...fresh.attributes])
+    if (old.getAttribute(name) !== value) old.setAttribute(name, value);
   let before: ChildNode | null = old.firstChild;
   for (const wanted of [...fresh.childNodes]) {
     let same: ChildNode | null = before;
