@@ -16,7 +16,7 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-HEAVY = {"open3d", "scipy", "pycolmap", "gtsam", "scikit-learn", "opencv-python-headless", "matplotlib"}
+HEAVY = {"open3d", "scipy", "pycolmap", "scikit-learn", "opencv-python-headless", "matplotlib"}
 DEBIAN_NUMPY = {"3.11": "1.24.2", "3.13": "2.2.4"}  # python3-numpy of bookworm, of trixie
 PLATFORMS = [f"manylinux_2_{minor}_aarch64" for minor in (17, 24, 26, 27, 28, 31, 34)] + ["manylinux2014_aarch64"]
 
