@@ -18,7 +18,7 @@ from pathlib import Path
 from tests.support.debian import DEBIAN_NUMPY
 from tests.support.paths import ROOT
 
-HEAVY = {"open3d", "scipy", "pycolmap", "gtsam", "scikit-learn", "opencv-python-headless", "matplotlib"}
+HEAVY = {"open3d", "scipy", "pycolmap", "scikit-learn", "opencv-python-headless", "matplotlib"}
 PLATFORMS = [f"manylinux_2_{minor}_aarch64" for minor in (17, 24, 26, 27, 28, 31, 34)] + ["manylinux2014_aarch64"]
 
 
