@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from benchmarks.result import Figure
+
 SERVER_BOUND_MS, PINS_BOUND_MS = 300.0, 500.0
 
 
@@ -93,6 +95,29 @@ def table(results: list[Judged]) -> str:
         cells = [name, len(rows), *times, started, never, broken, f"{starved:.0f}", f"{slipped:.0f}"]
         lines.append("| " + " | ".join(str(c) for c in cells) + " |")
     return "\n".join(lines)
+
+
+def figures(results: list[Judged]) -> list[Figure]:
+    """What is asked of every fault, over all kinds of them."""
+    judged = [r for r in results if not r.not_judged]
+    n, kinds = len(judged), len({r.fault for r in judged})
+    server_ms = [r.server_ms for r in judged if r.server_ms is not None]
+    pins_ms = [r.pins_ms for r in judged if r.pins_ms is not None]
+    started, never = sum(bool(r.started) for r in judged), sum(r.never_stopped for r in judged)
+    at_server = f"{kinds} kinds of faults: robot-server's stop, slowest"
+    return [
+        Figure(at_server, max(server_ms, default=None), "ms", SERVER_BOUND_MS, of=len(server_ms)),
+        Figure(
+            f"{kinds} kinds of faults: motors without power, slowest",
+            max(pins_ms, default=None),
+            "ms",
+            PINS_BOUND_MS,
+            of=len(pins_ms),
+        ),
+        Figure("faults that started a motor", started, at_most=0, of=n),
+        Figure("faults after which the motors never stopped", never, at_most=0, of=n),
+        Figure("faults that could not be judged", len(results) - n, at_most=0, of=len(results)),
+    ]
 
 
 def refusals(results: list[Judged], wanted: dict[str, int]) -> list[str]:
