@@ -177,7 +177,7 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
         frames.append(item)
     seen = np.bincount(landmark, minlength=len(points))
     keep = seen >= 2
-    number = np.cumsum(keep) - 1
+    new_number = np.cumsum(keep) - 1
     observed = keep[np.array(landmark)]
     t = np.array([f.t_robot_ns for f in frames])
     T_all = np.stack(poses)
@@ -194,7 +194,7 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
                 np.array(points)[keep],
                 np.full((count, 3), 128, np.uint8),
                 np.zeros((count, 3, 3)),
-                number[np.array(landmark)[observed]],
+                new_number[np.array(landmark)[observed]],
                 np.array(keyframe)[observed],
                 np.array(uv_all)[observed],
             ),
@@ -254,7 +254,9 @@ def judge_drive(
     hijack = planned_hijack(world, robot, unmapped, seed)
     tracker = PlaceTracker(place_map, calibration, localizer)
     driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
-    rows, hijack_ns, noticed = [], None, None
+    rows: list[tuple[str, bool, float, bool, float | None, bool]] = []
+    hijack_ns: int | None = None
+    noticed: tuple[int, str, str] | None = None
     for item in robot.sense(hijack.at_s + 17.0, 0.4, (hijack.at_s, hijack.target)):
         if isinstance(item, ImuBatch):
             tracker.on_imu(item)

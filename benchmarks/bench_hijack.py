@@ -31,8 +31,10 @@ BATCH = 10
 NOTICED_PERCENT = 95.0  # asked
 
 
-def drive(world_seed: int, drive_seed: int, hijack_at_s: float | None, seconds: float) -> Iterator[tuple[str, object]]:
-    """What a robot senses along a tour; yields ("imu", batch), ("drive", sample), ("hijack", t_ns), ("t", t_ns)."""
+def drive(
+    world_seed: int, drive_seed: int, hijack_at_s: float | None, seconds: float
+) -> Iterator[ImuBatch | DriveSample | int]:
+    """What a robot senses along a tour, and when it is lifted, in ns of its clock."""
     config = SimulationConfig()
     world = make_world("home", world_seed, config)
     route = plan_route(world, "tour" if drive_seed % 2 else "mapping", drive_seed, config.body.radius_m)
@@ -50,12 +52,12 @@ def drive(world_seed: int, drive_seed: int, hijack_at_s: float | None, seconds: 
         gyros.append(m.gyro_imu)
         accels.append(m.accel_imu)
         if len(times) == BATCH:
-            yield "imu", ImuBatch(np.array(times), np.array(gyros), np.array(accels))
+            yield ImuBatch(np.array(times), np.array(gyros), np.array(accels))
             times, gyros, accels = [], [], []
         if tick % 15 == 0 and state.t_s > 1.5 and not hijacked:
             command = driver.command(*body.pose, float(state.omega_body[2]))
             body.command(command.linear_m_s, command.angular_rad_s)
-            yield "drive", DriveSample(t_ns, command.linear_m_s, command.angular_rad_s)
+            yield DriveSample(t_ns, command.linear_m_s, command.angular_rad_s)
             if driver.is_done:
                 driver = RouteDriver(route) if np.hypot(*(route.points[0] - body.pose[:2])) < 0.5 else driver
         if hijack_at_s is not None and not hijacked and state.t_s >= hijack_at_s:
@@ -63,20 +65,21 @@ def drive(world_seed: int, drive_seed: int, hijack_at_s: float | None, seconds: 
             target = route.points[rng.integers(len(route.points))]
             body.hijack(float(target[0]), float(target[1]), float(rng.uniform(-math.pi, math.pi)))
             body.command(0.0, 0.0)
-            yield "hijack", t_ns
+            yield t_ns
         state = body.step()
 
 
-def feed(events: Iterator[tuple[str, object]]) -> tuple[list[HijackEvent], int | None]:
-    detector, found, hijack_ns = HijackDetector(), [], None
-    for kind, value in events:
+def feed(events: Iterator[ImuBatch | DriveSample | int]) -> tuple[list[HijackEvent], int | None]:
+    detector, found = HijackDetector(), []
+    hijack_ns: int | None = None
+    for value in events:
         event = None
-        if kind == "imu":
-            event = detector.on_imu(value)  # type: ignore[arg-type]
-        elif kind == "drive":
-            detector.on_drive(value)  # type: ignore[arg-type]
+        if isinstance(value, ImuBatch):
+            event = detector.on_imu(value)
+        elif isinstance(value, DriveSample):
+            detector.on_drive(value)
         else:
-            hijack_ns = value  # type: ignore[assignment]
+            hijack_ns = value
         if event is not None:
             found.append(event)
     return found, hijack_ns

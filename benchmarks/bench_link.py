@@ -201,7 +201,8 @@ async def run_plain(dataset: Path, seconds: float, does_stall: bool) -> Row:
         await asyncio.sleep(WARM_UP_S)
         listener.begin_ns = begin_ns = time.monotonic_ns()
         cpu_begin_s, memory_begin = cpu_s(process), megabytes(process)
-        remark, figures = "", ()
+        remark = ""
+        figures: tuple[Figure, ...] = ()
         if does_stall:
             await asyncio.sleep(seconds / 2)
             seen, skipped = len(listener.frames), link.state.frames_skipped

@@ -22,8 +22,8 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.result import Figure, Run, add_results_option  # noqa: E402
-from tests.integration.test_station import at_work  # noqa: E402
 from tests.openapi_support import ask_everything, furnish  # noqa: E402
+from tests.station_at_work import at_work  # noqa: E402
 
 
 async def run(examples: int, seed: int) -> dict[str, Any]:

@@ -111,6 +111,7 @@ class Spread:
 def stamped(number: int) -> bytes:
     """A JPEG whose top left corner says its number, modulo STAMPS."""
     image = cv2.imdecode(np.frombuffer(picture(number % 10), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
     for cell in range(7):
         image[:16, 16 * cell : 16 * (cell + 1)] = 255 * (number >> cell & 1)
     return cv2.imencode(".jpg", image)[1].tobytes()
@@ -156,7 +157,11 @@ async def measure_drive(page: Page, bench: Bench, presses: int) -> tuple[list[fl
 
 async def run(seconds: float) -> dict[str, Any]:
     """Both parts, one after the other: each with a robot, a station and a browser of its own."""
-    return await _with_station("benchmarks.bench_page:BusySlam", lambda *desk: _measure(*desk, seconds)) | {
+
+    async def measure(address: str, bench: Bench, captured: dict[int, float]) -> dict[str, Any]:
+        return await _measure(address, bench, captured, seconds)
+
+    return await _with_station("benchmarks.bench_page:BusySlam", measure) | {
         "cloud_200k": await _with_station("benchmarks.page_cloud:LargeCloud", _measure_cloud)
     }
 

@@ -29,7 +29,7 @@ from shared.geometry import inverse, skew
 
 STRONG = 4e-4
 FRAME_S = 0.05
-LK = {"winSize": (21, 21), "maxLevel": 4}
+LK_WINDOW_PX, LK_LEVELS = (21, 21), 4
 
 
 def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
@@ -57,8 +57,12 @@ def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
         plain.append(float(is_plain[np.minimum(surface, len(flat.surfaces))].mean()))
         if strong[-1] < 30:
             continue
-        q, found, _ = cv2.calcOpticalFlowPyrLK(first, second, p, None, **LK)
-        r, found_back, _ = cv2.calcOpticalFlowPyrLK(second, first, q, None, **LK)
+        q, found, _ = cv2.calcOpticalFlowPyrLK(
+            first, second, p, np.empty_like(p), winSize=LK_WINDOW_PX, maxLevel=LK_LEVELS
+        )
+        r, found_back, _ = cv2.calcOpticalFlowPyrLK(
+            second, first, q, np.empty_like(q), winSize=LK_WINDOW_PX, maxLevel=LK_LEVELS
+        )
         good = (found[:, 0] > 0) & (found_back[:, 0] > 0) & (np.linalg.norm(r - p, axis=2)[:, 0] < 1.0)
         tracked.append(float(good.mean()))
         if not good.any():

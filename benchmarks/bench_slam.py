@@ -205,8 +205,8 @@ def points_run(
     found_t, found_T = [], []
     for k, frame in enumerate(frames):
         if vio is None:
-            waiting = WaitingFrame(k, int(times[k]), frame, np.zeros(3), np.full(3, np.inf))
-            found = starter.try_start(waiting, buffer, is_resting(buffer, int(times[k]), frames, k), ORIGIN)
+            waiting = WaitingFrame(k, int(times[k]), frame)
+            found = starter.try_start(waiting, buffer, is_resting(buffer, int(times[k]), frames, k), lambda _t: ORIGIN)
             if isinstance(found, str):
                 row["waiting"] = found
                 continue
