@@ -218,7 +218,7 @@ def main(
         outcomes = study(
             names,
             lambda n, f: simulated_days(world, int(n.split()[1]), backend, fps, f),
-            work or work_folder() / "days",
+            work or work_folder() / f"days-{backend}-{fps:g}",
         )
     merged = [outcome for outcome in outcomes if not outcome.refused]
     kept, total = sum(o.kept for o in merged), sum(o.names for o in merged)

@@ -270,7 +270,7 @@ def main(
         raise typer.BadParameter("give --disconnects or --minutes: one of them must end it")
     this_run = Run.begin()
     logging.disable(logging.CRITICAL)  # what garbage does to uvicorn is said by traceback
-    tally = Tally.of_file(rows or work_folder() / "disconnects.jsonl")
+    tally = Tally.of_file(rows or work_folder() / f"disconnects-{links}-{pages}-{seed}.jsonl")
     if not disconnects or tally.disconnects < disconnects:
         asyncio.run(run(tally, disconnects, minutes, links, pages, seed))
     print(table(tally))

@@ -24,6 +24,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "benchmarks" / "results"  # of what is started by hand
 RESULTS_HELP = "Where the figures go, with the commit and the machine they come from."
@@ -132,6 +134,14 @@ def _figure_document(figure: Figure) -> dict[str, object]:
     value = figure.value
     document["value"] = None if value is None or not math.isfinite(value) else float(f"{value:.6g}")
     return document | {"met": figure.is_met}
+
+
+def load(path: Path) -> ResultFile:
+    """Read a result file. Raises ValueError, naming the file, where it is none."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=ResultFile)
+    except msgspec.DecodeError as exc:  # and its child for a wrong or missing field
+        raise ValueError(f"{path.name}: {exc}") from exc
 
 
 def add_results_option(parser: argparse.ArgumentParser, name: str) -> None:
