@@ -52,7 +52,11 @@ class Line(Protocol):
 
     name: str
     proxy: FaultProxy
-    connections: int
+
+    @property
+    def connections(self) -> int:
+        """How many there were so far."""
+        ...
 
     @property
     def finds_garbage(self) -> bool:
