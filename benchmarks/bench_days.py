@@ -10,7 +10,6 @@ judges: a name is kept where the place that bears it truly lies where it lay; a 
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -21,6 +20,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from benchmarks.result import FOLDER, RESULTS_HELP, Run, share, work_folder
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.config import SimulationConfig
 from robot.simulation.recording import record_drive
@@ -40,8 +40,8 @@ from station.slam.run import run_backend
 from station.workers.library_jobs import LibraryJobs
 from tests.support.days import Drive, made_up_days
 
-RESULTS = Path(__file__).parent / "results"
 ROUTES = ("mapping", "second", "mapping")  # of the three days
+NAMES_KEPT_PERCENT, DUPLICATES_PERCENT = 95.0, 5.0  # asked
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +143,8 @@ def judge(name: str, before: PlaceMap, after: PlaceMap, p_true: FloatArray) -> s
     return "kept" if distance <= max(half_extent(p) for p in points) else "moved"
 
 
-def study(names: list[str], make: Callable[[str, Path], list[Drive]], work: Path | None, out: Path) -> list[Outcome]:
-    """All flats, told as they are done and kept in a file."""
+def study(names: list[str], make: Callable[[str, Path], list[Drive]], work: Path | None) -> list[Outcome]:
+    """All flats, told as they are done."""
     outcomes = []
     for name in names:
         folder = Path(tempfile.mkdtemp(prefix="days-")) if work is None else work / name.replace(" ", "-")
@@ -153,9 +153,6 @@ def study(names: list[str], make: Callable[[str, Path], list[Drive]], work: Path
         print(outcomes[-1], flush=True)
         if work is None:
             shutil.rmtree(folder)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    fields = ("name", "names", "kept", "elsewhere", "places", "duplicates", "refused")
-    out.write_text(json.dumps([{key: getattr(o, key) for key in fields} for o in outcomes], indent=1) + "\n")
     return outcomes
 
 
@@ -166,20 +163,23 @@ def main(
     fps: Annotated[float, typer.Option(help="Pictures per second.")] = 10.0,
     made_up: Annotated[int, typer.Option(help="Instead: so many made-up rooms, without pictures and SLAM.")] = 0,
     first: Annotated[int, typer.Option(help="Seed of the first made-up room.")] = 0,
-    work: Annotated[Path, typer.Option(help="Where drives are kept.")] = RESULTS / "days",
+    work: Annotated[
+        Path | None, typer.Option(help="Where drives are kept. Usually in benchmarks/results/work.")
+    ] = None,
+    results: Annotated[Path, typer.Option(help=RESULTS_HELP)] = FOLDER / "days.json",
 ) -> None:
     """Exit code 1 when fewer than 95 % of the names are kept or more than 5 % of the places are duplicates."""
+    run = Run.begin()
     low, _, high = flats.partition("-")
     if made_up:
         names = [f"room {n}" for n in range(first, first + made_up)]
-        outcomes = study(names, lambda n, f: made_up_days(int(n.split()[1]), f), None, RESULTS / "days-made-up.json")
+        outcomes = study(names, lambda n, f: made_up_days(int(n.split()[1]), f), None)
     else:
         names = [f"{world} {n}" for n in range(int(low), int(high or low) + 1)]
         outcomes = study(
             names,
             lambda n, f: simulated_days(world, int(n.split()[1]), backend, fps, f),
-            work,
-            RESULTS / f"days-{world}-{backend}.json",
+            work or work_folder() / f"days-{backend}-{fps:g}",
         )
     merged = [outcome for outcome in outcomes if not outcome.refused]
     kept, total = sum(o.kept for o in merged), sum(o.names for o in merged)
@@ -188,7 +188,16 @@ def main(
         f"{len(merged)} of {len(outcomes)} flats merged; names kept {kept} of {total} = {kept / max(total, 1):.1%};"
         f" duplicates {duplicates} of {places} = {duplicates / max(places, 1):.1%}"
     )
-    if not merged or kept < 0.95 * total or duplicates > 0.05 * places:
+    homes = "made-up rooms" if made_up else "simulated flats"
+    run.write(
+        results,
+        [
+            share(f"three days in {homes}: all days placed in one map", len(merged), len(outcomes)),
+            share(f"three days in {homes}: names kept", kept, total, at_least=NAMES_KEPT_PERCENT),
+            share(f"three days in {homes}: places that are duplicates", duplicates, places, at_most=DUPLICATES_PERCENT),
+        ],
+    )
+    if not merged or 100 * kept < NAMES_KEPT_PERCENT * total or 100 * duplicates > DUPLICATES_PERCENT * places:
         raise SystemExit(1)
 
 

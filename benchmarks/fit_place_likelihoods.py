@@ -1,4 +1,4 @@
-"""Measure the rates behind the current place (`station/places/tracking/likelihoods.py`), and print them as it takes them.
+"""Measure the rates behind the current place (`places/tracking/likelihoods.py`), and print them as it takes them.
 
     python -m benchmarks.fit_place_likelihoods [--rows FILE.jsonl] [--flats 101-120] [--drives 1 3]
 
@@ -130,7 +130,10 @@ def fit_right(rows: list[dict[str, Any]]) -> None:
         def fit(some: list[dict[str, Any]], columns: list[int] = columns) -> FloatArray:
             return minimised(right_pose_losses(some, columns), len(columns))
 
-        loss = each_left_out(mine, fit, lambda some, w, columns=columns: right_pose_losses(some, columns)(w))
+        def losses(some: list[dict[str, Any]], w: FloatArray, columns: list[int] = columns) -> FloatArray:
+            return right_pose_losses(some, columns)(w)
+
+        loss = each_left_out(mine, fit, losses)
         say(f"right ({name})", fit(mine), loss, len(mine))
 
 

@@ -291,7 +291,7 @@ def wait_for(
 
 
 def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, places: list[dict[str, Any]]) -> None:
-    """`results.json`: for scripts, and for the table in docs/results.md."""
+    """`results.json`: for scripts and for benchmarks/bench_demo.py."""
     results = {
         "passed": verdict.passed,
         "seed": options.seed,

@@ -6,7 +6,7 @@ landmarks.ply       x y z (double), red green blue, first_frame, num_observation
 navigation.json     the report
 calibration.json    camera and IMU the navigation was made with
 keyframes/          NNNNNN.jpg|png as recorded, and observations.npz: poses, segments, observations
-pictures.npz        derived, may be missing: what localisation sees in the keyframes (station/places/localisation/described_pictures.py)
+pictures.npz        derived, may be missing: what localisation sees in the keyframes (places/localisation)
 ```
 """
 

@@ -248,7 +248,7 @@ async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> Non
     await expect(page.locator("#place-name")).to_have_text(first.name)
 
 
-async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
+async def test_a_navigation_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
     page = await room.open()
     await expect(page.locator(".guide .next")).to_contain_text("Record a navigation")
     await page.locator("#record").click()

@@ -123,16 +123,16 @@ async def test_the_keyboard_reaches_everything_and_works_it(room: Room) -> None:
 
     await page.get_by_role("button", name="More about Drive nav-1").focus()
     await page.keyboard.press("Enter")
-    await expect(page.locator("#drive-dialog")).to_be_visible()
+    await expect(page.locator("#navigation-dialog")).to_be_visible()
     await page.keyboard.press("Escape")
-    await expect(page.locator("#drive-dialog")).to_be_hidden()
+    await expect(page.locator("#navigation-dialog")).to_be_hidden()
     # Back where the person was; and a key that means driving does so again.
     assert await page.evaluate("document.activeElement.getAttribute('aria-label')") == "More about Drive nav-1"
     await page.keyboard.down("w")
     await until(lambda: room.motors_run)
     await page.keyboard.press("Space")  # STOP, also while a button has the focus
     await until(lambda: room.motors_rest)
-    await expect(page.locator("#drive-dialog")).to_be_hidden()
+    await expect(page.locator("#navigation-dialog")).to_be_hidden()
 
 
 async def tab_through(page: Page) -> set[str]:

@@ -1,6 +1,6 @@
 """Structure from motion on recorded and simulated drives, judged by their truth.
 
-Bounds are about twice what was measured (docs/results.md): they notice a broken step, not a bad day.
+Bounds are about twice what was measured (docs/studies/sfm.md): they notice a broken step, not a bad day.
 """
 
 from __future__ import annotations

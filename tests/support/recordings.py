@@ -81,11 +81,11 @@ def record(path: Path, frames: int = 20) -> RecordingReport:
 
 def recorded_in_small_chunks(path: Path) -> bytes:
     """A recording of some forty chunks, the first of which names all channels."""
-    chunk, station.recorder.CHUNK_BYTES = station.recorder.CHUNK_BYTES, 4096
+    chunk, station.recordings.recorder.CHUNK_BYTES = station.recordings.recorder.CHUNK_BYTES, 4096
     try:
         record(path, frames=40)
     finally:
-        station.recorder.CHUNK_BYTES = chunk
+        station.recordings.recorder.CHUNK_BYTES = chunk
     return path.read_bytes()
 
 

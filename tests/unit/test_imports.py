@@ -1,6 +1,7 @@
 """What import-linter (pyproject.toml, `make lint`) cannot say of imports: parts' libraries, tests and benchmarks."""
 
 import ast
+import functools
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ VENDORS = {  # a part's library → the one file of robot-server that may import
 }
 
 
+@functools.cache
 def imported_modules(source: str) -> set[str]:
     """Full names of all modules imported, and of what is imported from them: it may be a module itself."""
     names: set[str] = set()

@@ -23,8 +23,8 @@ from station.places.tracking.likelihoods import (
 class BeliefConfig:
     """Rates and likelihoods. Probabilities are per independent view, distances in metres."""
 
-    # Of the answer being right, ties within 10 % of distance included. On 62 development drives (docs/results.md) 43 of
-    # 43 answers between 0.85 and 0.9 were right, 21 of 22 between 0.8 and 0.85.
+    # Of the answer being right, ties within 10 % of distance included. On 62 development drives 43 of 43 answers
+    # between 0.85 and 0.9 were right, 21 of 22 between 0.8 and 0.85 (docs/studies/current-place.md).
     known_from: float = 0.85
     unknown_from: float = 0.5
     prior_unmapped: float = 0.4  # of a robot that was just put down somewhere
@@ -32,7 +32,7 @@ class BeliefConfig:
     other_room_per_m: float = 0.25  # rooms are some 4 m wide
     unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
     # What tells a right pose from a look-alike, and how much rarer an image that shows this is in a room that no map
-    # knows. Measured, as is how often nothing is recognised: docs/localisation.md, `station/places/tracking/likelihoods.py`.
+    # knows. Measured, as is how often nothing is recognised: docs/localisation.md, `likelihoods.py`.
     right: Recognising = RIGHT
     unmapped: Recognising = UNMAPPED
     false_localization_floor: float = 0.02
@@ -141,8 +141,8 @@ def begun_anew(h: Hypothesis, share: float) -> Hypothesis:
     )
 
 
-# Errors of right candidates (689 images of development drives, docs/results.md) have long tails: 5 to 19 % of those
-# with fewer than 120 inliers lie beyond four standard deviations. So they are taken to follow Student's t.
+# Errors of right candidates have long tails: 5 to 19 % of those with fewer than 120 inliers lie beyond four standard
+# deviations (689 images, docs/studies/current-place.md). So they are taken to follow Student's t.
 FREEDOM = 3.0
 
 

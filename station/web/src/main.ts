@@ -1,16 +1,19 @@
 // The page: parts that show, one event stream that tells them.
-import { call, LastingSocket } from "./api";
-import { attempt, by, show } from "./dom";
-import { DriveControl } from "./drive";
-import { HealthView } from "./health";
-import { openHijack } from "./hijack";
-import { Library } from "./library";
-import { MapView } from "./map3d";
-import type { EventMessage, LogModel, RobotEntry } from "./messages";
-import { PlaceView } from "./place";
-import { Review } from "./review";
-import { isGone, offerNoOthers, offerOthers, showChoice } from "./robots";
-import { VideoView } from "./video";
+import { DriveControl } from "./drive/control";
+import { VideoView } from "./drive/video";
+import { Library } from "./library/library";
+import { isGone } from "./link/address";
+import { call } from "./link/api";
+import type { EventMessage, LogModel, RobotEntry } from "./link/messages";
+import { LastingSocket } from "./link/socket";
+import { MapView } from "./map/view";
+import { PlaceView } from "./places/card";
+import { Review } from "./review/review";
+import { offerNoOthers, offerOthers, showChoice } from "./robots/choice";
+import { openHijack } from "./robots/hijack";
+import { HealthView } from "./status/health";
+import { by, show } from "./ui/dom";
+import { attempt } from "./ui/toast";
 
 const video = new VideoView();
 const drive = new DriveControl(video, document.body.dataset["role"] !== "watch");
@@ -81,18 +84,17 @@ function take(message: EventMessage): void {
   }
 }
 
-new LastingSocket(
-  "/ws/events",
-  (data) => take(JSON.parse(data as string) as EventMessage),
-  (open) => {
+new LastingSocket("/ws/events", {
+  onMessage: (data) => take(JSON.parse(data as string) as EventMessage),
+  onState: (open) => {
     health.setStation(open);
     if (open) {
       offerNoOthers();
       attempt(load);
-    } else checkRobot().catch(() => {}); // the station is away: the page says so already
+    } else checkRobot().catch(() => undefined); // the station is away: the page says so already
   },
-  true,
-);
+  isSteady: true,
+});
 
 /**
  * What the event stream does not tell from its beginning: lists and the past. After opening the page, and after the

@@ -59,6 +59,7 @@ def number_of(place_map: PlaceMap) -> int:
     number = int(place_map.name.removeprefix("v"))
     shift = place_map.navigation.landmarks.p_world[0, 0] - MAP.navigation.landmarks.p_world[0, 0]
     picture = cv2.imdecode(np.frombuffer(place_map.navigation.keyframes.encoded[0], np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert picture is not None, "a picture that no longer opens"
     assert round(float(shift)) == number and int(picture[0, 0]) == number % 256, "a mixture of two maps"
     return number
 

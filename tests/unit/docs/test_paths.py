@@ -15,6 +15,7 @@ MADE = (
     "station/web/node_modules",
     "station/web/src/api-types.ts",
     "benchmarks/results/",
+    "docs/results/",
     "firmware/build/",
 )
 

@@ -190,7 +190,7 @@ async def test_streams_of_all_recordings_share_their_seats(tmp_path: Path, monke
 
 def test_seats_of_one_kind_are_counted_and_given_back() -> None:
     seats = station.api.limits.Seats()
-    taken = pytest.raises(station.refusals.Busy, match="1 viewers of a")
+    taken = pytest.raises(station.errors.Busy, match="1 viewers of a")
     with seats.take("a", 1), seats.take("b", 1), taken, seats.take("a", 1):
         pass
     with seats.take("a", 1):

@@ -125,9 +125,9 @@ def test_a_disk_that_runs_full_ends_the_file_properly(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.CRITICAL)
-    monkeypatch.setattr(station.recorder, "CHECK_DISK_NS", 0)
+    monkeypatch.setattr(station.recordings.recorder, "CHECK_DISK_NS", 0)
     recorder = Recorder(tmp_path / "d.mcap")
-    monkeypatch.setattr(station.recorder, "_free_bytes", lambda path: 2**20)
+    monkeypatch.setattr(station.recordings.recorder, "_free_bytes", lambda path: 2**20)
     recorder.on_connected(HELLO)
     recorder.on_imu(batch(0))
     report = recorder.close()
@@ -160,7 +160,7 @@ def test_a_disk_that_is_too_far_behind_still_gets_what_was_accepted(
         start(*arguments, **more)
 
     monkeypatch.setattr(Writer, "start", late_start)
-    monkeypatch.setattr(station.recorder, "MAX_LATE", 200)
+    monkeypatch.setattr(station.recordings.recorder, "MAX_LATE", 200)
     recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
     recorder.on_connected(HELLO)
     n = 0
@@ -185,16 +185,16 @@ def test_a_write_error_of_another_kind_is_told_too(
     def unplugged(path: Path) -> int:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(station.recorder, "CHECK_DISK_NS", 0)
+    monkeypatch.setattr(station.recordings.recorder, "CHECK_DISK_NS", 0)
     recorder = Recorder(tmp_path / "d.mcap")
-    monkeypatch.setattr(station.recorder, "_free_bytes", unplugged)
+    monkeypatch.setattr(station.recordings.recorder, "_free_bytes", unplugged)
     recorder.on_connected(HELLO)
     assert "Input/output error" in recorder.close().error
 
 
 def test_what_is_called_closed_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     waited_for: list[int] = []
-    monkeypatch.setattr(station.recorder.os, "fsync", lambda file: waited_for.append(os.fstat(file).st_size))
+    monkeypatch.setattr(station.recordings.recorder.os, "fsync", lambda file: waited_for.append(os.fstat(file).st_size))
     report = record(tmp_path / "d.mcap")
     assert report.error == "" and waited_for[-1] == report.bytes
 
@@ -212,7 +212,7 @@ def test_a_disk_that_fails_at_the_very_end_is_told_with_what_may_be_lost(
     recorder.on_connected(HELLO)
     now_ns = 700_000_000
     recorder.on_imu(batch(0))
-    monkeypatch.setattr(station.recorder.os, "fsync", fails)
+    monkeypatch.setattr(station.recordings.recorder.os, "fsync", fails)
     error = recorder.close().error
     assert "Input/output error" in error and "its last 0.7 s may be missing" in error
 
@@ -230,7 +230,7 @@ def test_a_recording_that_was_being_ended_says_both_reasons(
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(Writer, "finish", fails)
-    monkeypatch.setattr(station.recorder, "MAX_LATE", 0)
+    monkeypatch.setattr(station.recordings.recorder, "MAX_LATE", 0)
     recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
     recorder.on_connected(HELLO)
     assert "messages behind" in recorder.error

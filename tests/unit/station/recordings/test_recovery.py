@@ -379,7 +379,7 @@ def test_a_picture_without_its_frames_record_is_left_out(tmp_path: Path) -> None
 def test_chunks_are_found_across_the_border_of_what_is_read_at_once(
     whole: bytes, chunks: list[tuple[ChunkIndex, list[Told]]], monkeypatch: pytest.MonkeyPatch, window: int
 ) -> None:
-    monkeypatch.setattr(station.recording_parts, "WINDOW_BYTES", window)
+    monkeypatch.setattr(station.recordings.chunks, "WINDOW_BYTES", window)
     found = [part for part in parts_of(BytesIO(whole[:20_000] + whole[-20_000:])) if isinstance(part, SoundChunk)]
     begins = [index.chunk_start_offset for index, _ in chunks]
     moved = len(whole) - 40_000

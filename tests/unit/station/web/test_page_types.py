@@ -6,14 +6,14 @@ import importlib.util
 
 import pytest
 
-from station.web.generate_types import TARGET, generate
+from station.api.page_types import TARGET, generate
 from tests.support.paths import ROOT
 
 WEB = ROOT / "station" / "web"
 
 
 def test_types_of_the_page_are_current() -> None:
-    assert TARGET.read_text() == generate(), "run: python -m station.web.generate_types"
+    assert TARGET.read_text() == generate(), "run: python -m station.api.page_types"
 
 
 def test_the_pages_types_fit() -> None:
@@ -33,7 +33,7 @@ def test_lock_file_names_no_registry() -> None:
 
 
 def test_sources_of_the_page_ask_no_other_host() -> None:
-    sources = [WEB / "index.html", *(p for p in (WEB / "src").iterdir() if p.suffix in (".ts", ".css"))]
+    sources = [WEB / "index.html", *(p for p in (WEB / "src").rglob("*") if p.suffix in (".ts", ".css"))]
     for source in sources:
         text = source.read_text().replace("http://www.w3.org/2000/svg", "")
         assert "http://" not in text and "https://" not in text, source.name
