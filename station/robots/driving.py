@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from shared.lease import DriverLease
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.config import DriveConfig
 from station.errors import Conflict, NoRobot, NotCapable, NotDriver, OutOfRange
@@ -18,69 +19,7 @@ MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 25
 MAX_DRIVER_NAME = 64
 LATE_FOR_NS = 500_000_000
 TAKE_OVER_S = 5.0  # until the first command: time to reach for the joystick, or to type the next line
-LET_GO_NS = 500_000_000  # of silence after the last command's end: whoever was stopped by somebody else let go
 HEAD_TURNS_NS = 1_000_000_000  # servos need half a second from one end to the other; the picture is a little late
-
-
-class DriverLease:
-    """One driver at a time. A driver keeps the wheel by speaking; silence gives it back. Time is an argument."""
-
-    def __init__(self, lease_ns: int) -> None:
-        self._lease_ns = lease_ns
-        self._driver: str | None = None
-        self._heard_ns = 0
-        self._hold_ns = 0  # so long the last command held
-        self._free_ns = 0  # when silence has given the wheel back
-        self._held: str | None = None  # who was stopped by somebody else and has not let go since
-
-    def driver(self, now_ns: int) -> str | None:
-        """Who drives now."""
-        return self._driver if self._driver is not None and now_ns < self._free_ns else None
-
-    def left_ns(self, now_ns: int) -> int:
-        """For how long the driver keeps the wheel without another word."""
-        return max(0, self._free_ns - now_ns)
-
-    def claim(self, driver: str, now_ns: int, hold_ns: int = 0) -> bool:
-        """Take or keep the wheel, by a word that holds for `hold_ns`; False when another one has it."""
-        if self.driver(now_ns) not in (None, driver):
-            return False
-        self.take_over(driver, now_ns, hold_ns)
-        self._hold_ns = hold_ns
-        return True
-
-    def take_over(self, driver: str, now_ns: int, hold_ns: int = 0) -> None:
-        """Take the wheel whoever has it."""
-        free_ns = now_ns + hold_ns + self._lease_ns
-        self._free_ns = max(free_ns, self._free_ns) if driver == self._driver else free_ns
-        self._driver, self._heard_ns, self._hold_ns = driver, now_ns, 0
-
-    def stop(self, by: str | None, now_ns: int) -> None:
-        """A stop by somebody else holds until the driver lets go; our own is letting go.
-
-        The robot has the same rule for its stations (robot/driving.py); to it all pages of this station are one.
-        """
-        if by is not None and by == self._held:
-            self._held = None
-        elif (driver := self.driver(now_ns)) is not None and driver != by:
-            self._held = driver
-            self._heard_ns = now_ns  # the silence that counts begins now
-
-    def must_let_go(self, driver: str, is_zero: bool, now_ns: int) -> bool:
-        """Somebody else stopped this driver, who has held on since. To be asked before the claim, which is a word.
-
-        Silence while the last command would still hold is none: a program that repeats once a second holds on too.
-        """
-        if driver == self._held and (is_zero or now_ns - self._heard_ns >= self._hold_ns + LET_GO_NS):
-            self._held = None
-        return driver == self._held
-
-    def release(self, driver: str) -> None:
-        """Let go, if it is ours."""
-        if self._held == driver:
-            self._held = None
-        if self._driver == driver:
-            self._driver = None
 
 
 class LateOrders:
@@ -147,7 +86,7 @@ class Driving:
         self._on_driver = on_driver
         self._on_silence = on_silence
         self._now_ns = now_ns
-        self._lease = DriverLease(round(config.lease_s * 1e9))
+        self._lease: DriverLease[str] = DriverLease(round(config.lease_s * 1e9))
         self._told: str | None = None
         self._command: _Command | None = None
         self._sent_ns = 0
@@ -197,9 +136,9 @@ class Driving:
         if not 1 <= ttl_ms <= MAX_TTL_MS:
             raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
         is_still = linear == 0.0 and angular == 0.0
-        must_let_go = self._lease.must_let_go(driver, is_still, self._now_ns())
-        self._claim(driver, ttl_ms)
-        if must_let_go:
+        verdict = self._lease.command(_named(driver), is_still, self._now_ns(), ttl_ms * 1_000_000)
+        self._require_wheel(verdict != "taken")
+        if verdict == "stopped":
             raise Conflict("somebody else stopped the robot; let go of the joystick once, then drive on")
         if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
@@ -233,7 +172,7 @@ class Driving:
             raise NotCapable("this robot has no pan-tilt head")
         _check("pan", pan, math.pi, "rad")
         _check("tilt", tilt, math.pi, "rad")
-        self._claim(driver)
+        self._require_wheel(self._lease.claim(_named(driver), self._now_ns()))
         if not self._link.point(pan, tilt):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
         self._turn_head(pan, tilt)
@@ -309,8 +248,9 @@ class Driving:
             raise NotCapable("this robot cannot drive (a recorded one only replays)")
         return able
 
-    def _claim(self, driver: str, ttl_ms: int = 0) -> None:
-        if not self._lease.claim(_named(driver), self._now_ns(), ttl_ms * 1_000_000):
+    def _require_wheel(self, is_ours: bool) -> None:
+        """After a claim. Raises NotDriver."""
+        if not is_ours:
             raise NotDriver(f"{self.driver} drives; take over with POST /drive/take-over")
         self._tell()
 
