@@ -21,7 +21,8 @@ from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
 from station.robots.current_navigation import Recording
 from station.robots.driving import Driving
-from station.robots.link import LinkState, RobotLink
+from station.robots.link import RobotLink
+from station.robots.link_state import LinkState
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.places import Locating
 from station.workers.place_requests import PlaceEvent, PlaceProgram
@@ -68,7 +69,7 @@ class RobotSession:
         self.camera: Broadcast[SeenFrame] = Broadcast()
         self.link = RobotLink(robot.host, robot.port, self, station_name=config.name, robots=shared.paired)
         self.driving = Driving(
-            self.link,
+            self.link.commands,
             config.drive,
             self._capabilities,
             on_driver=self._tell_driver,
@@ -177,7 +178,7 @@ class RobotSession:
             raise NotCapable("this robot cannot be moved by a message; only a simulated one can")
         async with self._hijacking:
             self.driving.stop()
-            refusal = await self.link.hijack(spot)
+            refusal = await self.link.commands.hijack(spot)
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
         self.events.notify("hijack", HIJACK_NOTICE, "warning")

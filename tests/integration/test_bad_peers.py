@@ -78,7 +78,7 @@ async def assert_goes_on(bench: Bench, link: RobotLink, notes: Notes) -> None:
     bench.camera.put(1)
     bench.imu.inject(10)
     await until(lambda: len(notes.frames) == frames + 1 and len(notes.sequences) == samples + 10)
-    await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+    await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
     assert notes.reasons == [] and notes.gaps == []
 
 

@@ -15,7 +15,6 @@ from station.maps.store import MapStore
 from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
-from station.model.place_answer import HijackNotice, MapReading
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_file import FOLDER, SUFFIX
@@ -23,6 +22,7 @@ from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import make_index
 from station.vision.features import Features
 from station.workers.library_jobs import LibraryJobs
+from station.workers.place_requests import PlaceEvent
 from station.workers.places import PlaceFinder
 from station.workers.slam import NavigationSlam
 from tests.support.made_up_workers import StraightSlam
@@ -105,7 +105,7 @@ def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(
     built = job.build_map([folder], address, "wall", None)
     job.index_map([folder], address)
     assert (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
-    told: list[HijackNotice | MapReading] = []
+    told: list[PlaceEvent] = []
     finder = PlaceFinder(told.append)
     finder.load(address, (built.map_id,))
     assert told == []
