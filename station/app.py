@@ -158,13 +158,14 @@ class Station:
         """End the recording of a navigation, whichever robot drives it. Raises Unknown, Conflict."""
         navigation = self.navigations.get(navigation_id)
         for robot in self.robots.values():
-            if robot.recording.running is not None and robot.recording.running.id == navigation_id:
-                return await robot.recording.stop(navigation_id)
+            current = robot.current_navigation
+            if current.running is not None and current.running.id == navigation_id:
+                return await current.stop(navigation_id)
         raise Conflict(f"{navigation.name} is not being recorded (it is {navigation.state})")
 
     def cancel_navigation(self, navigation_id: str) -> NavigationRecord:
         """Give up what SLAM still computes of a navigation whose recording has ended. Raises Unknown, Conflict."""
-        return self._robot_of(self.navigations.get(navigation_id)).recording.cancel(navigation_id)
+        return self._robot_of(self.navigations.get(navigation_id)).current_navigation.cancel(navigation_id)
 
     def build_map(self, navigation_ids: list[str], name: str, mode: PlacesMode | None, activate: bool) -> Job:
         """Places from finished navigations, in the background. Raises Unknown, Conflict."""
@@ -234,7 +235,7 @@ class Station:
                 seed, executor = self.config.slam.seed, self.config.executor
                 report = await worker.call(Reprocess(recording, chosen, seed, navigation_id, folder, executor))
                 navigation = await self.navigations.reprocessed(navigation_id, report)
-                await self._robot_of(navigation).recording.show(navigation_id)
+                await self._robot_of(navigation).current_navigation.show(navigation_id)
             finally:
                 self.navigations.release(navigation_id)
             return {"navigation": navigation_id, "landmarks": report.landmarks}

@@ -78,7 +78,7 @@ async def _send_events(socket: WebSocket, robot: RobotSession) -> None:
 
 def to_message(robot: RobotSession, event: Event) -> Model:
     """What a page is told of an event."""
-    live = robot.recording.live
+    live = robot.current_navigation.live
     active = robot.maps.active
     match event.kind:
         case "robot":
@@ -100,10 +100,10 @@ def to_message(robot: RobotSession, event: Event) -> Model:
         case "job":
             return JobMessage(job=job_model(cast(Job, event.subject)))
         case "place":
-            visits = robot.locating.visits
+            current, last = robot.current_place, robot.current_place.visits.last
             return PlaceMessage(
                 place=current_place(robot),
-                visit=visit_model(visits[-1]) if visits and robot.locating.report else None,
+                visit=visit_model(last) if last is not None and current.report else None,
             )
         case "bin":
             return BinMessage()

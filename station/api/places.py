@@ -45,7 +45,7 @@ async def place_current(robot: RobotDep) -> CurrentPlace:
 
 @of_robot.get("/place/timeline", summary="Places visited since the station started, oldest first")
 async def timeline(robot: RobotDep) -> list[VisitModel]:
-    return [visit_model(visit) for visit in robot.locating.visits]
+    return [visit_model(visit) for visit in robot.current_place.visits]
 
 
 @of_robot.get(
@@ -55,7 +55,7 @@ async def timeline(robot: RobotDep) -> list[VisitModel]:
     responses={200: IMAGE, **responses(404)},
 )
 async def query_image(t_robot_ns: int, robot: RobotDep) -> Response:
-    image = robot.locating.query_image(t_robot_ns)
+    image = robot.current_place.query_image(t_robot_ns)
     if image is None:
         raise Unknown("this picture is not kept any more; only the newest ones are")
     return image_response(image)

@@ -57,7 +57,7 @@ class LinkListeners:
     """A LinkListener that hands everything to several others, in their order."""
 
     def __init__(self, *listeners: LinkListener) -> None:
-        self.listeners = listeners
+        self.listeners: tuple[LinkListener, ...] = listeners
 
     def on_connected(self, hello: Hello) -> None:
         for listener in self.listeners:

@@ -1,4 +1,4 @@
-"""SLAM of one drive in a worker process; when that dies, another takes its place and knows what comes from then on."""
+"""SLAM of one navigation in a worker; when that dies, another takes its place and knows what comes from then on."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from station.workers.worker import Worker
 LIVE_BACKENDS = ("ukf",)
 MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
 QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes
-HEAD_START_S = 10.0  # a drive waits for its first word
-MAX_TOLD_FAILURES = 20  # different sentences; some hold numbers that never repeat
+HEAD_START_S = 10.0  # somebody waits for its first update
+MAX_NOTED_FAILURES = 20  # different sentences; some hold numbers that never repeat
 
 
-class SlamProcess:
-    """Starts its worker, replaces one that dies, hands on what SLAM says. All methods belong on the event loop."""
+class SlamWorker:
+    """Starts the worker, replaces one that dies, hands on its updates. All methods belong on the event loop."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class SlamProcess:
     ) -> None:
         """`on_trouble` gets a sentence on how SLAM is when no update can say it.
 
-        `on_restart` is told that what comes from now on is in another frame than what came before.
+        After `on_restart` everything is in another frame than what came before.
         """
         self._name = name
         self._config = config
@@ -58,7 +58,7 @@ class SlamProcess:
         self._first_segment = self._segment = 0
         self.restarts = 0
         self._dropped: Counter[Hashable] = Counter()  # by the workers that died
-        self._told: set[str] = set()
+        self._noted: set[str] = set()
         self.failures = 0  # requests that the backend refused
         self.failure = ""  # the first one's sentence
         self.trouble = ""  # why SLAM does not run, or did not until a moment ago; empty while it does
@@ -122,7 +122,7 @@ class SlamProcess:
             SLAM,
             limits={AddFrame: frames, AddImu: Limit(config.imu_backlog)},
             head_start_s=HEAD_START_S,
-            on_event=self._take,
+            on_event=self._receive,
             on_death=self._on_death,
             on_failure=self._on_failure,
         )
@@ -136,11 +136,11 @@ class SlamProcess:
             await begun
             self.trouble = ""
         except WorkerDied:
-            pass  # told by _on_death, unless we closed it
+            pass  # _on_death notifies of it, unless we closed it
         except (RobotSystemError, OSError) as exc:
-            # The recording goes on: a drive without live SLAM is better than none.
+            # The recording goes on: a navigation without live SLAM is better than none.
             begun.cancel()
-            self._say("slam", f"SLAM does not run: {exc}")
+            self._report_trouble("slam", f"SLAM does not run: {exc}")
 
     def _on_death(self, reason: str) -> None:
         self.trouble = reason
@@ -150,7 +150,9 @@ class SlamProcess:
             self._deaths = 0
         self._deaths += 1
         if self._deaths >= MAX_DEATHS:
-            self._say("worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it")
+            self._report_trouble(
+                "worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it"
+            )
             return
         self._on_trouble("SLAM was lost; the recording goes on")
         self._events.notify("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
@@ -160,7 +162,7 @@ class SlamProcess:
         self._on_restart()
         self._worker, self._starting = self._launch()
 
-    def _take(self, update: SlamUpdate) -> None:
+    def _receive(self, update: SlamUpdate) -> None:
         """A new worker counts its segments from 0 again, and its world is another one."""
         if self._first_segment:
             update = replace(update, segment=update.segment + self._first_segment)
@@ -170,11 +172,11 @@ class SlamProcess:
     def _on_failure(self, sentence: str) -> None:
         self.failures += 1
         self.failure = self.failure or sentence
-        if sentence not in self._told and len(self._told) < MAX_TOLD_FAILURES:
-            self._told.add(sentence)
+        if sentence not in self._noted and len(self._noted) < MAX_NOTED_FAILURES:
+            self._noted.add(sentence)
             self._events.notify("slam", f"SLAM refused what it was given: {sentence}", "warning")
 
-    def _say(self, topic: str, sentence: str) -> None:
+    def _report_trouble(self, topic: str, sentence: str) -> None:
         self.trouble = sentence
         self._on_trouble(sentence)
         self._events.notify(topic, sentence, "error")

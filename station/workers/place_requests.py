@@ -69,7 +69,7 @@ class UseCalibration(Request[PlaceProgram, None]):
 
 
 @dataclass(frozen=True, slots=True)
-class ReplacePlaces(Request[PlaceProgram, None]):
+class RegroupPlaces(Request[PlaceProgram, None]):
     """A map's places are others, or have other names; what is known of the robot's pose stays."""
 
     map_id: str

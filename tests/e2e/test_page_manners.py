@@ -57,7 +57,7 @@ async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(r
     await expect(page.locator("#map-count")).to_contain_text("places")
     navigation = (await room.desk.http.post("/navigations")).json()["id"]
     await expect(page.locator("#slam")).to_have_text("going straight")
-    recording = room.desk.station.first.recording
+    recording = room.desk.station.first.current_navigation
     await until(lambda: recording.live is not None and len(recording.live.points) > 100)
     await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
     await page.locator("[data-layer=live]").click()
@@ -102,7 +102,7 @@ async def test_what_slam_has_left_to_do_is_told_and_can_be_given_up(room: Room) 
     page = await room.open()
     await page.locator("#record").click()
     await expect(page.locator("#slam")).to_have_text("going straight")
-    pid = room.desk.station.first.recording.slam_pid
+    pid = room.desk.station.first.current_navigation.slam_pid
     assert pid is not None and pid != os.getpid()
     os.kill(pid, signal.SIGSTOP)  # a busy machine
     await page.locator("#record").click()

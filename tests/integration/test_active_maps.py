@@ -25,7 +25,7 @@ from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import make_index
 from station.places.making.build import build_map
-from station.robots.places import Locating
+from station.robots.current_place import CurrentPlace
 from station.vision.appearance import AppearanceIndex
 from station.vision.features import DescriptorArray
 from station.workers.places import PlaceFinder
@@ -107,16 +107,16 @@ class Robot:
     def __init__(self, root: Path) -> None:
         self.events = Events()
         self.reports: list[PlaceReport] = []
-        self.locating = Locating(
+        self.place = CurrentPlace(
             StoreAddress(root), LocalizationConfig(rate_hz=30), self.events, on_report=self.reports.append
         )
         self._seq = 0
 
     async def look_in(self, *maps: PlaceMap) -> None:
         """Until the worker is ready: the first one of a busy machine loads its libraries for half a minute."""
-        await self.locating.use(tuple(one.id for one in maps))
+        await self.place.use_maps(tuple(one.id for one in maps))
         first = CameraFrame(seq=0, t_robot_ns=0, exposure_ns=0, width=640, height=480, skipped=0, jpeg=b"")
-        self.locating.offer(first)
+        self.place.on_frame(first, 0)
         async with asyncio.timeout(WORKER_S):
             while "localisation is ready" not in self.said("place"):
                 await asyncio.sleep(0.02)
@@ -129,13 +129,13 @@ class Robot:
             shown = CameraFrame(
                 seq=self._seq, t_robot_ns=t_robot_ns, exposure_ns=0, width=640, height=480, skipped=0, jpeg=view
             )
-            wanted = self.locating.answers + 1
-            self.locating.offer(shown)
+            wanted = self.place.answers + 1
+            self.place.on_frame(shown, 0)
             await until(partial(self._has_answered, wanted))
         return self.reports[-1]
 
     def _has_answered(self, times: int) -> bool:
-        return self.locating.answers >= times
+        return self.place.answers >= times
 
     def said(self, topic: str) -> list[str]:
         return [line.text for line in self.events.log if line.topic == topic]
@@ -145,12 +145,12 @@ class Robot:
 async def robot(tmp_path: Path, indexed: Path) -> AsyncIterator[Robot]:
     shutil.copytree(indexed, tmp_path, dirs_exist_ok=True)
     robot = Robot(tmp_path)
-    running = asyncio.create_task(robot.locating.run())
-    robot.locating.on_connected(msgspec.structs.replace(hello(), calibration=CALIBRATION))
+    running = asyncio.create_task(robot.place.run())
+    robot.place.on_connected(msgspec.structs.replace(hello(), calibration=CALIBRATION))
     yield robot
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
-    await robot.locating.close()
+    await robot.place.close()
 
 
 async def test_a_robot_carried_off_to_another_map_is_found_there_and_the_event_says_so(

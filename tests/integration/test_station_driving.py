@@ -226,8 +226,8 @@ async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> 
         # It may look around all the same: then the place is not looked for, and the answer says so.
         await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
         assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0})).status_code == 200
-        answers = desk.station.first.locating.answers
+        answers = desk.station.first.current_place.answers
         assert "looks aside" in (await desk.http.get("/place/current")).json()["reason"]
         await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})
-        await until(lambda: desk.station.first.locating.answers > answers + 2)
+        await until(lambda: desk.station.first.current_place.answers > answers + 2)
         assert "looks aside" not in (await desk.http.get("/place/current")).json()["reason"]

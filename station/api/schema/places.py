@@ -13,8 +13,8 @@ from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
 from station.places.making.names import has_own_name
-from station.robots.places import Visit
 from station.robots.session import RobotSession
+from station.robots.visits import Visit
 
 
 class PlaceName(Model):
@@ -165,7 +165,7 @@ class RouteModel(Model):
 
 def current_place(robot: RobotSession) -> CurrentPlace:
     """The answer to the question all this is for."""
-    report = robot.locating.report
+    report = robot.current_place.report
     first = robot.maps.active
     active = None if report is None else robot.maps.among_active(report.map_id)
     # Places may have been renamed, hidden or merged since the answer was made: what they are now counts.
@@ -183,7 +183,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             alternatives=[],
             evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
             reason=_no_answer_yet(robot),
-            preparing=robot.locating.progress if first else None,
+            preparing=robot.current_place.progress if first else None,
             t_robot_ns=None,
             pose_map=None,
         )
@@ -191,7 +191,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
     is_metric = active.place_map.navigation.is_metric
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
-    has_query = evidence_ns is not None and robot.locating.query_image(evidence_ns) is not None
+    has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
     return CurrentPlace(
         state=answer.state,
         place=PlaceName(id=answer.place.id, name=known[answer.place.id][0].name) if answer.place else None,
@@ -224,9 +224,9 @@ def _no_answer_yet(robot: RobotSession) -> str:
         return "no map is active; record a navigation, build a map from it and choose it"
     if not robot.state.connected:
         return "no robot is connected"
-    if robot.locating.progress is not None:
-        return f"getting the map ready: {robot.locating.status}"
-    return robot.looks_aside or f"no picture was looked at yet ({robot.locating.status})"
+    if robot.current_place.progress is not None:
+        return f"getting the map ready: {robot.current_place.status}"
+    return robot.looks_aside or f"no picture was looked at yet ({robot.current_place.status})"
 
 
 def _probability(p: float) -> float:

@@ -185,7 +185,7 @@ def robot_model(robot: RobotSession) -> RobotModel:
 
 
 def robot_entry(robot: RobotSession) -> RobotEntry:
-    running = robot.recording.running
+    running = robot.current_navigation.running
     here = current_place(robot)
     return RobotEntry(
         name=robot.name,

@@ -36,7 +36,7 @@ class TrajectoryModel(Model):
 
 
 def slam_model(robot: RobotSession) -> SlamModel:
-    live = robot.recording.live
+    live = robot.current_navigation.live
     if live is None:
         return SlamModel(
             navigation=None,
@@ -53,8 +53,8 @@ def slam_model(robot: RobotSession) -> SlamModel:
     hello = robot.state.hello
     camera = hello.calibration.camera if hello else None
     T_body_cam = camera.T_body_cam_matrix if camera else np.eye(4)
-    is_running = robot.recording.running is not None and robot.recording.running.id == live.navigation_id
-    left_to_do = robot.recording.left_to_do
+    running, left_to_do = robot.current_navigation.running, robot.current_navigation.left_to_do
+    is_running = running is not None and running.id == live.navigation_id
     return SlamModel(
         navigation=live.navigation_id,
         state=(live.state or "initialising") if is_running else "finishing" if left_to_do else "finished",

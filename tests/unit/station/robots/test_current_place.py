@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import station.robots.places
+import station.robots.current_place
 from shared.errors import DataError
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
@@ -19,7 +19,7 @@ from station.events import Events
 from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
-from station.robots.places import Locating
+from station.robots.current_place import CurrentPlace
 from station.workers.place_requests import LocatePicture, UseCalibration
 from station.workers.request import WorkerFailed
 from tests.support.link import hello, until
@@ -69,59 +69,73 @@ def picture(t_robot_ns: int) -> CameraFrame:
 
 
 @pytest.fixture
-async def locating(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> AsyncIterator[Locating]:
-    monkeypatch.setattr(station.robots.places, "Worker", FakeWorker)
+async def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> AsyncIterator[CurrentPlace]:
+    monkeypatch.setattr(station.robots.current_place, "Worker", FakeWorker)
     monkeypatch.setattr(FakeWorker, "made", [], raising=False)
     monkeypatch.setattr(FakeWorker, "answers", asyncio.Event(), raising=False)
     monkeypatch.setattr(FakeWorker, "error", None)
     FakeWorker.answers.set()
-    locating = Locating(StoreAddress(tmp_path), LocalizationConfig(rate_hz=30), Events())
-    task = asyncio.create_task(locating.run())
-    locating.on_connected(hello())
-    await locating.use(("map",))
-    yield locating
+    place = CurrentPlace(StoreAddress(tmp_path), LocalizationConfig(rate_hz=30), Events())
+    task = asyncio.create_task(place.run())
+    place.on_connected(hello())
+    await place.use_maps(("map",))
+    yield place
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
 
 
-def state_of(locating: Locating) -> str:
-    return "none" if locating.report is None else locating.report.answer.state
+def last_state(place: CurrentPlace) -> str:
+    """Of the time line."""
+    return "" if place.visits.last is None else place.visits.last.state
 
 
-async def until_known(locating: Locating, t_robot_ns: int) -> None:
-    def offered() -> bool:
-        locating.offer(picture(t_robot_ns))
-        return state_of(locating) == "known"
-
-    await until(offered)
+def state_of(place: CurrentPlace) -> str:
+    return "none" if place.report is None else place.report.answer.state
 
 
-async def test_without_a_robot_the_place_is_lost_and_says_why(locating: Locating) -> None:
-    locating.on_disconnected("no map, no answer, nothing to lose")
-    assert state_of(locating) == "none"
-    locating.on_connected(hello())
-    await until_known(locating, 7)
-    locating.on_disconnected("the cable came off")
-    report = locating.report
+async def looking(place: CurrentPlace, t_robot_ns: int, condition: Callable[[], bool]) -> None:
+    """Pictures of this time come until the condition is met."""
+
+    def is_met() -> bool:
+        if condition():
+            return True
+        place.on_frame(picture(t_robot_ns), 0)
+        return False
+
+    await until(is_met)
+
+
+async def until_known(place: CurrentPlace, t_robot_ns: int) -> None:
+    place.on_frame(picture(t_robot_ns), 0)
+    await looking(place, t_robot_ns, lambda: state_of(place) == "known")
+
+
+async def test_without_a_robot_the_place_is_lost_and_says_why(place: CurrentPlace) -> None:
+    place.on_disconnected("no map, no answer, nothing to lose")
+    assert state_of(place) == "none"
+    place.on_connected(hello())
+    await until_known(place, 7)
+    place.on_disconnected("the cable came off")
+    report = place.report
     assert report is not None and report.answer.state == "lost" and "the cable came off" in report.answer.reason
     assert report.answer.place is None and report.answer.alternatives == () and report.answer.position_map is None
-    assert locating.visits[-1].state == "lost"
-    locating.on_connected(hello())  # the same run: what was known comes back with the next picture
-    assert state_of(locating) == "lost"
-    await until_known(locating, 8)
-    assert locating.query_image(7) == b"jpeg"
+    assert last_state(place) == "lost"
+    place.on_connected(hello())  # the same run: what was known comes back with the next picture
+    assert state_of(place) == "lost"
+    await until_known(place, 8)
+    assert place.query_image(7) == b"jpeg"
 
 
-async def test_an_answer_that_comes_after_the_robot_went_is_no_answer(locating: Locating) -> None:
-    await until_known(locating, 7)
+async def test_an_answer_that_comes_after_the_robot_went_is_no_answer(place: CurrentPlace) -> None:
+    await until_known(place, 7)
     FakeWorker.answers.clear()
     asked = FakeWorker.made[-1].calls.count(LocatePicture)
-    await until(lambda: FakeWorker.made[-1].calls.count(LocatePicture) > asked or locating.offer(picture(8)))
-    locating.on_disconnected("the cable came off")
-    answers = locating.answers
+    await looking(place, 8, lambda: FakeWorker.made[-1].calls.count(LocatePicture) > asked)
+    place.on_disconnected("the cable came off")
+    answers = place.answers
     FakeWorker.answers.set()
-    await until(lambda: locating.answers > answers)
-    assert state_of(locating) == "lost" and locating.visits[-1].state == "lost"
+    await until(lambda: place.answers > answers)
+    assert state_of(place) == "lost" and last_state(place) == "lost"
 
 
 def lifted(t_robot_ns: int) -> HijackNotice:
@@ -131,75 +145,75 @@ def lifted(t_robot_ns: int) -> HijackNotice:
     return HijackNotice(event, PlaceReport("map", nowhere, None, None, "lifted", num_hijacks=1))
 
 
-async def test_whoever_is_told_of_a_hijack_is_not_told_the_old_place_any_more(locating: Locating) -> None:
-    await until_known(locating, 7)
+async def test_whoever_is_told_of_a_hijack_is_not_told_the_old_place_any_more(place: CurrentPlace) -> None:
+    await until_known(place, 7)
     FakeWorker.answers.clear()  # a busy machine: the next answer takes seconds
     FakeWorker.made[-1].tell(lifted(8))
-    assert locating._events.log[-1].text == "the robot was picked up: lifted"
-    assert state_of(locating) == "lost" and locating.visits[-1].state == "lost"
+    assert place._events.log[-1].text == "the robot was picked up: lifted"
+    assert state_of(place) == "lost" and last_state(place) == "lost"
 
 
 async def test_the_answer_to_a_picture_from_before_a_hijack_does_not_bring_the_old_place_back(
-    locating: Locating,
+    place: CurrentPlace,
 ) -> None:
-    await until_known(locating, 7)
+    await until_known(place, 7)
     FakeWorker.answers.clear()
     worker = FakeWorker.made[-1]
     asked = worker.calls.count(LocatePicture)
-    await until(lambda: worker.calls.count(LocatePicture) > asked or locating.offer(picture(8)))
+    await looking(place, 8, lambda: worker.calls.count(LocatePicture) > asked)
     FakeWorker.answers.set()  # the answer is there, and in the same moment the notice
     worker.tell(lifted(9))
     asked += 1
-    await until(lambda: worker.calls.count(LocatePicture) > asked or locating.offer(picture(10)))
-    assert state_of(locating) == "lost"
+    await looking(place, 10, lambda: worker.calls.count(LocatePicture) > asked)
+    assert state_of(place) == "lost"
 
 
-async def test_an_answer_does_not_stay_true_by_itself(locating: Locating, monkeypatch: pytest.MonkeyPatch) -> None:
-    await until_known(locating, 7)
-    locating.refresh()
-    assert state_of(locating) == "known"
-    monkeypatch.setattr(station.robots.places, "OLD_AFTER_S", 0.0)
-    monkeypatch.setattr(station.robots.places, "OLD_AFTER_PICTURES", 0)
-    locating.refresh()
-    assert state_of(locating) == "lost"
-    assert locating.report is not None and "is the camera working" in locating.report.answer.reason
+async def test_an_answer_does_not_stay_true_by_itself(place: CurrentPlace, monkeypatch: pytest.MonkeyPatch) -> None:
+    await until_known(place, 7)
+    place.refresh()
+    assert state_of(place) == "known"
+    monkeypatch.setattr(station.robots.current_place, "OLD_AFTER_S", 0.0)
+    monkeypatch.setattr(station.robots.current_place, "OLD_AFTER_PICTURES", 0)
+    place.refresh()
+    assert state_of(place) == "lost"
+    assert place.report is not None and "is the camera working" in place.report.answer.reason
 
 
 @pytest.mark.parametrize("other", [hello(session="two"), hello(robot="b")])
-async def test_another_robot_or_run_begins_from_nothing(locating: Locating, other: Any) -> None:
-    await until_known(locating, 7)
+async def test_another_robot_or_run_begins_from_nothing(place: CurrentPlace, other: Any) -> None:
+    await until_known(place, 7)
     FakeWorker.answers.clear()
-    locating.offer(picture(8))
+    place.on_frame(picture(8), 0)
     worker = FakeWorker.made[-1]
     asked = worker.calls.count(LocatePicture)
-    await until(lambda: worker.calls.count(LocatePicture) > asked or locating.offer(picture(8)))
-    locating.on_connected(other)
-    assert state_of(locating) == "none" and locating.query_image(7) is None
+    await looking(place, 8, lambda: worker.calls.count(LocatePicture) > asked)
+    place.on_connected(other)
+    assert state_of(place) == "none" and place.query_image(7) is None
     assert worker.calls[-1] is UseCalibration
     FakeWorker.answers.set()  # the answer about the old run's picture
-    answers = locating.answers
-    await until_known(locating, 9)
-    assert locating.answers == answers + 1 and locating.query_image(8) is None
+    answers = place.answers
+    await until_known(place, 9)
+    assert place.answers == answers + 1 and place.query_image(8) is None
 
 
 @pytest.mark.parametrize("error", [DataError("image 1 is not a readable JPEG"), WorkerFailed("answer failed")])
 async def test_a_picture_that_cannot_be_looked_at_does_not_end_localisation(
-    locating: Locating, error: Exception
+    place: CurrentPlace, error: Exception
 ) -> None:
-    await until_known(locating, 7)
+    await until_known(place, 7)
     monkey = FakeWorker.made[-1]
     monkey.error = error
-    await until(lambda: locating.offer(picture(8)) or str(error) in locating.status)
+    await looking(place, 8, lambda: str(error) in place.status)
     monkey.error = None
-    answers = locating.answers
-    await until(lambda: locating.offer(picture(9)) or locating.answers > answers)
-    assert locating.status == "looking" and FakeWorker.made == [monkey]
+    answers = place.answers
+    await looking(place, 9, lambda: place.answers > answers)
+    assert place.status == "looking" and FakeWorker.made == [monkey]
 
 
-async def test_a_map_that_cannot_be_read_is_given_up(locating: Locating, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_map_that_cannot_be_read_is_given_up(place: CurrentPlace, monkeypatch: pytest.MonkeyPatch) -> None:
     async def broken(self: FakeWorker, request: object) -> None:
         raise DataError("the map is broken")
 
     monkeypatch.setattr(FakeWorker, "call", broken)
-    await locating.use(("other",))
-    await until(lambda: locating.offer(picture(7)) or locating.status == "no localisation: the map is broken")
+    await place.use_maps(("other",))
+    await looking(place, 7, lambda: place.status == "no localisation: the map is broken")

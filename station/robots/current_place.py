@@ -1,13 +1,13 @@
-"""The current place: offers the newest pictures to the localisation worker and keeps what it answers."""
+"""The current place of a robot: its newest pictures go to the localisation worker, and the last answer is here."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import time
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
@@ -17,8 +17,10 @@ from station.config import LocalizationConfig
 from station.events import Events, Latest
 from station.model.frames import DriveSample, ImageFrame
 from station.model.map_store import StoreAddress
-from station.model.place_answer import MapLeftOut, MapReading, PlaceAnswer, PlaceReport, PlaceState
+from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
 from station.model.place_map import Place, PlaceEdge
+from station.robots.link_events import IgnoringListener
+from station.robots.visits import Visits
 from station.workers.place_requests import (
     PLACES,
     AddDrive,
@@ -28,7 +30,7 @@ from station.workers.place_requests import (
     LocatePicture,
     PlaceEvent,
     PlaceProgram,
-    ReplacePlaces,
+    RegroupPlaces,
     UseCalibration,
 )
 from station.workers.request import ProgramName, Request, WorkerDied
@@ -36,26 +38,17 @@ from station.workers.scheduling import ComputeSlots
 from station.workers.worker import Worker
 
 logger = logging.getLogger(__name__)
-KEPT_QUERY_IMAGES = 32
-KEPT_VISITS = 200
+MAX_QUERY_IMAGES = 32
 RESTART_S = 1.0
 OLD_AFTER_S = 15.0  # an answer about a picture of so long ago says nothing of now; a busy machine needs seconds for one
 OLD_AFTER_PICTURES = 3  # or about one so many pictures ago, where few are asked for
 
 
-@dataclass(frozen=True, slots=True)
-class Visit:
-    """A stretch of time with one answer, for the time line."""
+class CurrentPlace(IgnoringListener):
+    """One localisation worker, given the newest picture a few times a second while maps are active.
 
-    state: PlaceState
-    place_id: str | None
-    place_name: str
-    start_wall_s: float
-    end_wall_s: float
-
-
-class Locating:
-    """One localisation worker, given the newest picture a few times a second while maps are active."""
+    Inertial samples and drive commands notice a hijack and carry the estimate.
+    """
 
     def __init__(
         self,
@@ -65,8 +58,13 @@ class Locating:
         program: ProgramName[PlaceProgram, PlaceEvent] = PLACES,
         on_report: Callable[[PlaceReport], None] = lambda _: None,
         slots: ComputeSlots | None = None,
+        looks_ahead: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`slots` are shared by the robots of a station: whose pictures are looked at now."""
+        """`on_report` gets every answer. `slots` are shared by the robots of a station: whose pictures are looked at.
+
+        `looks_ahead`: whether the camera is where the calibration has it; only then a picture tells the place.
+        """
+        self._looks_ahead = looks_ahead
         self._on_report = on_report
         self._slots = slots or ComputeSlots()
         self._program = program
@@ -81,16 +79,16 @@ class Locating:
         self._robot_run: tuple[str, str] | None = None  # robot, session: another one has another clock
         self._runs = 0
         self._is_ready = False
-        self._generation = 0  # counts the calls of use(): a worker that was killed for another map did not die
+        self._generation = 0  # counts the calls of use_maps(): a worker that was killed for another map did not die
         self._lost = 0  # inertial samples
-        self._groups: Latest[ReplacePlaces] = Latest()
+        self._groups: Latest[RegroupPlaces] = Latest()
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self._report: PlaceReport | None = None
-        self._taken_s = 0.0  # when the report came
-        self._hijacks_told = 0  # by the worker there is now
+        self._report_s = 0.0  # when it came
+        self._num_hijacks = 0  # that the worker there is now has noticed
         self._gone = ""  # why there is no robot, in a sentence
         self._absent = ""  # why there can be no answer about now, in a sentence
-        self.visits: deque[Visit] = deque(maxlen=KEPT_VISITS)
+        self.visits = Visits(events)
         self.status = "no map is active"
         self.progress: float | None = None  # 0..1 while a map is prepared
         self.answers = 0
@@ -115,7 +113,7 @@ class Locating:
         )
         return replace(self._report, answer=nowhere, T_map_cam=None)
 
-    async def use(self, map_ids: tuple[str, ...]) -> None:
+    async def use_maps(self, map_ids: tuple[str, ...]) -> None:
         """Look in these maps from now on; in none, and nowhere."""
         self._map_ids = map_ids
         self._generation += 1
@@ -131,11 +129,11 @@ class Locating:
             await worker.close()
 
     def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
-        """Tell the worker of changed places of the first of its maps: only those can be changed while it is in use.
+        """Give the worker changed places of the first of its maps: only those can be changed while it is in use.
 
         It may be busy: its next answer counts, nobody waits for it.
         """
-        self._groups.put(ReplacePlaces(map_id, places, edges))
+        self._groups.put(RegroupPlaces(map_id, places, edges))
         self._events.changed("place")
 
     def on_connected(self, hello: Hello) -> None:
@@ -152,49 +150,49 @@ class Locating:
     def on_disconnected(self, reason: str) -> None:
         """The answer is about a robot that may be anywhere by now."""
         self._gone = f"the robot is not connected: {reason}"
-        self._be_absent(self._gone)
+        self._lose(self._gone)
 
     def refresh(self, why: str = "") -> None:
-        """Now and then: an answer does not stay true by itself. `why`: no pictures are offered, in a sentence."""
-        age_s = time.monotonic() - self._taken_s
+        """Now and then: an answer does not stay true by itself. `why`: no picture is looked at, in a sentence."""
+        age_s = time.monotonic() - self._report_s
         if not self._absent and age_s > max(OLD_AFTER_S, OLD_AFTER_PICTURES / self._config.rate_hz):
-            self._be_absent(why or "no picture was looked at for a while; is the camera working?")
+            self._lose(why or "no picture was looked at for a while; is the camera working?")
 
-    def _be_absent(self, reason: str) -> None:
+    def _lose(self, reason: str) -> None:
         if self._report is None:
             return
         self._absent = reason
         if (report := self.report) is not None:
-            self._note_visit(report.answer)
+            self.visits.add(report.answer)
         self._events.changed("place")
 
     def _forget(self) -> None:
         self._report, self._absent = None, ""
         self._queries.clear()
 
-    def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
+    def receive_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation; when they come too quickly the oldest is left out."""
         self._post(AddPose(t_robot_ns, T_nav_body, segment))
 
     def on_imu(self, batch: ImuBatch) -> None:
-        """Inertial samples notice a hijack and carry the estimate."""
         s = batch.samples
         self._post(AddImu([x.t_robot_ns for x in s], [x.gyro_imu for x in s], [x.accel_imu for x in s]))
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self._post(AddDrive(DriveSample(applied.t_robot_ns, applied.linear, applied.angular)))
 
-    def offer(self, frame: CameraFrame) -> None:
-        """A new picture; the worker gets the newest one when it is free."""
-        if self._map_ids:
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:  # noqa: ARG002
+        """The worker gets the newest picture when it is free."""
+        if self._map_ids and self._looks_ahead():
             self._frames.put((self._runs, frame))
 
     def _post(self, request: Request[PlaceProgram, None]) -> None:
         """To the worker, once it knows the map and the robot."""
-        if self._worker is not None and self._is_ready and not self._worker.post(request):
-            is_imu = isinstance(request, AddImu)
-            self._lost += is_imu
-            if is_imu and self._lost == 1:
+        if self._worker is None or not self._is_ready or self._worker.post(request):
+            return
+        if isinstance(request, AddImu):
+            self._lost += 1
+            if self._lost == 1:
                 self._events.notify("place", "localisation is too slow: inertial samples are lost to it", "warning")
 
     def query_image(self, t_robot_ns: int) -> bytes | None:
@@ -218,7 +216,7 @@ class Locating:
                     await asyncio.sleep(RESTART_S)
             except RobotSystemError as exc:
                 if self._generation == generation:
-                    self._tell(f"no localisation: {exc}", None)
+                    self._set_status(f"no localisation: {exc}", None)
                     self._events.notify("place", self.status, "error")
                     self._map_ids = ()
 
@@ -234,16 +232,16 @@ class Locating:
             on_event=lambda event: self._on_event(event) if self._generation == generation else None,
         )
         self._worker = worker
-        self._hijacks_told = 0
+        self._num_hijacks = 0
         try:
             await worker.start()
             await worker.call(LoadMaps(self._store, map_ids))
-            self._tell("waiting for a picture of the robot", None)
+            self._set_status("waiting for a picture of the robot", None)
             await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
                 await worker.call(UseCalibration(self._calibration))
             self._is_ready = True
-            self._tell("looking at the first picture", None)
+            self._set_status("looking at the first picture", None)
             self._events.notify("place", "localisation is ready")
             interval_s = 1.0 / self._config.rate_hz
             while self._generation == generation:
@@ -257,8 +255,8 @@ class Locating:
                     report = await self._answer(worker, frame)
                 is_of_now = self._generation == generation and self._runs == run
                 # The answer to a picture from before a hijack may be read after the notice of it.
-                if report is not None and is_of_now and report.num_hijacks >= self._hijacks_told:
-                    self._take(report, frame)
+                if report is not None and is_of_now and report.num_hijacks >= self._num_hijacks:
+                    self._receive_report(report, frame)
                 await asyncio.sleep(max(0.0, interval_s - (time.monotonic() - started_s)))
         finally:
             self._is_ready = False
@@ -281,47 +279,33 @@ class Locating:
         self.status = "looking"
         return report
 
-    def _on_event(self, told: PlaceEvent) -> None:
-        if isinstance(told, MapReading):
-            self._tell(told.text, told.fraction)
-            return
-        if isinstance(told, MapLeftOut):
-            self._events.notify("place", f"the robot is not looked for in {told.map_id}: {told.reason}", "error")
-            return
-        self._hijacks_told = told.report.num_hijacks
-        if self._report is not None:  # else of another run of the robot, or nothing was known yet
-            self._show(told.report)
-        self._events.notify("hijack", f"the robot was picked up: {told.event.reason}", "warning")
+    def _on_event(self, event: PlaceEvent) -> None:
+        match event:
+            case MapReading(fraction, text):
+                self._set_status(text, fraction)
+            case MapLeftOut(map_id, reason):
+                self._events.notify("place", f"the robot is not looked for in {map_id}: {reason}", "error")
+            case HijackNotice(hijack, report):
+                self._num_hijacks = report.num_hijacks
+                if self._report is not None:  # else of another run of the robot, or nothing was known yet
+                    self._publish(report)
+                self._events.notify("hijack", f"the robot was picked up: {hijack.reason}", "warning")
 
-    def _tell(self, status: str, progress: float | None) -> None:
+    def _set_status(self, status: str, progress: float | None) -> None:
         self.status, self.progress = status, progress
         self._events.changed("place")
 
-    def _take(self, report: PlaceReport, frame: CameraFrame) -> None:
+    def _receive_report(self, report: PlaceReport, frame: CameraFrame) -> None:
         self.answers += 1
         if report.t_evidence_ns is not None:
             self._queries[report.t_evidence_ns] = frame.jpeg
-            while len(self._queries) > KEPT_QUERY_IMAGES:
+            while len(self._queries) > MAX_QUERY_IMAGES:
                 self._queries.popitem(last=False)
-        self._show(report)
+        self._publish(report)
 
-    def _show(self, report: PlaceReport) -> None:
+    def _publish(self, report: PlaceReport) -> None:
         # The picture may have come before the robot went, and its answer after.
-        self._report, self._absent, self._taken_s = report, self._gone, time.monotonic()
+        self._report, self._absent, self._report_s = report, self._gone, time.monotonic()
         self._on_report(report)
-        self._note_visit((self.report or report).answer)
+        self.visits.add((self.report or report).answer)
         self._events.changed("place")
-
-    def _note_visit(self, answer: PlaceAnswer) -> None:
-        now_s = time.time()
-        place_id = answer.place.id if answer.place else None
-        name = answer.place.name if answer.place else ""
-        last = self.visits[-1] if self.visits else None
-        if last is not None and (last.state, last.place_id) == (answer.state, place_id):
-            self.visits[-1] = Visit(last.state, place_id, name, last.start_wall_s, now_s)
-            return
-        self.visits.append(Visit(answer.state, place_id, name, now_s, now_s))
-        if answer.state == "known":
-            self._events.notify("place", f"at {name} ({answer.place.probability:.0%})" if answer.place else "known")
-        elif last is not None:
-            self._events.notify("place", answer.reason, "warning" if answer.state == "lost" else "info")
