@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import time
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from shared.advice import complete
 from shared.errors import DataError
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
@@ -42,20 +42,14 @@ def store_address(data: Path | None, config: Path | None) -> StoreAddress:
     return StoreAddress(root, settings.store.database, settings.store.blobs, settings.name)
 
 
-def options(data: Path | None, config: Path | None) -> str:
-    """What a command that we advise needs, to reach the same maps."""
-    return "".join(f" {name} {path}" for name, path in (("--data", data), ("--config", config)) if path is not None)
-
-
 def hint(sentence: str, data: Path | None, config: Path | None) -> str:
     """A sentence in which every command that it advises reaches the same maps."""
-    return re.sub(r"`(station map [^`]+)`", rf"`\1{options(data, config)}`", sentence)
+    return complete(sentence, "station", {"--data": data, "--config": config})
 
 
 def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
     """The maps of a station, and those that were deleted but not purged."""
     store = open_store(data, config)
-    more = options(data, config)
     maps, deleted = store.list(), store.deleted()
     if as_json:
         shown = [
@@ -67,7 +61,8 @@ def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -
     for summary in maps:
         print(f"{summary.id}  {summary.name}: {summary.damaged or f'{summary.places} places'}")
     for summary in deleted:
-        print(f"{summary.id}  {summary.name}: deleted; `station map undo {summary.id}{more}` brings it back")
+        undeleted = hint(f"`station map undo {summary.id}` brings it back", data, config)
+        print(f"{summary.id}  {summary.name}: deleted; {undeleted}")
     if not maps and not deleted:
         is_there = "://" in store.bucket.place or Path(store.bucket.place).is_dir()
         print(
@@ -102,12 +97,13 @@ def undo(
 
 
 def delete(map_id: MapId, data: Data = None, config: Config = None) -> None:
-    """Delete a map; `station map undo` brings it back until it is purged."""
+    """Delete a map; `station map undo MAP` brings it back until it is purged."""
     open_store(data, config).delete(map_id)
-    print(
-        f"{map_id} is deleted; `station map undo {map_id}{options(data, config)}` brings it back,"
-        f" `station map purge {map_id}{options(data, config)} --yes` frees its space"
+    sentence = (
+        f"{map_id} is deleted; `station map undo {map_id}` brings it back,"
+        f" `station map purge {map_id} --yes` frees its space"
     )
+    print(hint(sentence, data, config))
 
 
 def purge_map(

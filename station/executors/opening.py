@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shared.advice import install
 from shared.errors import ConfigError
 from station.executors.port import Executor
 from station.executors.processes import ProcessExecutor
@@ -26,7 +27,5 @@ def open_executor(address: str = PROCESSES) -> Executor:
     try:
         from station.executors.dask import DaskExecutor
     except ImportError as exc:
-        raise ConfigError(
-            f"{address} needs {exc.name}, which is missing; run: pip install '.[station,fleet]' in Sentinel's folder"
-        ) from exc
+        raise ConfigError(f"{address} needs {exc.name}, which is missing; run: {install('station', 'fleet')}") from exc
     return DaskExecutor(f"tcp://{address.removeprefix(DASK)}")
