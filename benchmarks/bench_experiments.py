@@ -31,7 +31,7 @@ import numpy as np
 
 from benchmarks.places import changed_share
 from shared.errors import RobotSystemError
-from station.commands.experiment import reconstruct, say
+from station.commands.experiment import reconstruct
 from station.datasets import Dataset, Truth
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
@@ -114,7 +114,7 @@ def _open_drive(preset: Preset, number: int, folder: Path) -> Input:
         return Input(path, load_navigation(navigation), open_truth(path))
     if not (path / "mav0" / "cam0" / "data").is_dir():
         shutil.rmtree(path, ignore_errors=True)
-    return open_input(make_dataset(preset.drives[number], path, say), preset.frames[number], None)
+    return open_input(make_dataset(preset.drives[number], path), preset.frames[number], None)
 
 
 def _take_first_drive(other: Path, folder: Path) -> None:

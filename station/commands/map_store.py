@@ -12,6 +12,7 @@ import typer
 
 from shared.advice import complete
 from shared.errors import DataError
+from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
 from station.maps.store import MapStore, StoreAddress
@@ -127,7 +128,8 @@ def verify_maps(data: Data = None, config: Config = None, as_json: Json = False)
 
     found: list[str] = []
     store = existing_store(data, config, found)
-    damages = verify(store)
+    with working("comparing checksums"):
+        damages = verify(store)
     if as_json:
         print(json.dumps({"repaired": found, "damaged": [damage.sentence for damage in damages]}))
     else:
@@ -155,7 +157,9 @@ def repair_maps(
     found: list[str] = []
     address = store_address(data, config)
     folders = [folder for folder in (address.root.parent / "navigations", *(copies or [])) if folder.is_dir()]
-    result = repair(existing_store(data, config, found), folders)
+    store = existing_store(data, config, found)
+    with working("repairing"):
+        result = repair(store, folders)
     for sentence in dict.fromkeys((*found, *result.done)):
         print(hint(sentence, data, config))
     for damage in result.left:
@@ -174,7 +178,9 @@ def backup(
     """All maps with their history in one file."""
     from station.maps.backup import write_backup
 
-    report = write_backup(existing_store(data, config), out)
+    store = existing_store(data, config)
+    with working(f"writing {out}"):
+        report = write_backup(store, out)
     for sentence in report.damaged:
         print(f"not in the backup: {sentence}", file=sys.stderr)
     print(f"{report.maps} maps, {report.versions} versions, {report.bytes / 1e6:.1f} MB, written to {out}")
@@ -190,7 +196,9 @@ def restore(
     """Bring the maps of a backup into this station; what it has already stays in the history."""
     from station.maps.backup import restore_backup
 
-    report = restore_backup(open_store(data, config), file)
+    store = open_store(data, config)
+    with working(f"reading {file}"):
+        report = restore_backup(store, file)
     for sentence in report.damaged:
         print(sentence, file=sys.stderr)
     print(f"{report.maps} maps read from {file}, {report.versions} versions added")
