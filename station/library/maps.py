@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shared.advice import complete
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
@@ -284,6 +285,8 @@ class Maps:
 
     def _found_damage(self, sentence: str) -> None:
         """The store found something wrong, in whatever thread it was read."""
+        if not (self.address.database or self.address.blobs):  # they are named by a file that we do not know
+            sentence = complete(sentence, "station", {"--data": self.address.root.parent})
         logger.warning("%s", sentence)
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._events.notify, "map", sentence, "warning")

@@ -15,6 +15,7 @@ from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
 from sqlalchemy.pool import NullPool
 
+from shared.advice import install
 from shared.errors import ConfigError, DataError
 from station.files.disk import Unwritable, cannot_write, why_unwritable
 
@@ -240,9 +241,7 @@ def _engine(url: URL) -> Engine:
         try:
             return create_engine(url, poolclass=NullPool, connect_args={"connect_timeout": 10})
         except (NoSuchModuleError, ImportError) as exc:
-            raise ConfigError(
-                "store.database: PostgreSQL needs psycopg; run: pip install 'sentinel-robot[fleet]'"
-            ) from exc
+            raise ConfigError(f"store.database: PostgreSQL needs psycopg; run: {install('fleet')}") from exc
     # A connection per transaction: no process keeps a file open that another one may set aside.
     engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": LOCK_WAIT_S})
 

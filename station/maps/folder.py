@@ -1,4 +1,4 @@
-"""One map as a folder of its own, as `station map build --out` writes it.
+"""One map as a folder of its own, as `station map build` writes it.
 
 ```
 map.json               sha256 of its content, names, places, edges, and the sha256 of every other file

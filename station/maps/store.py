@@ -131,7 +131,7 @@ class MapStore:
         if number is not None:
             rows = [row for row in rows if row.number == number]
             if not rows:
-                raise DataError(f"map {map_id} has no version {number}; `station map history` lists them")
+                raise DataError(f"map {map_id} has no version {number}; `station map history {map_id}` lists them")
         elif not rows or rows[0].kind == "deleted":
             raise self.no_map(map_id)
         failure: Damaged | None = None
@@ -226,7 +226,7 @@ class MapStore:
             row = next((row for row in rows if row.number == target), None)
             if row is None:
                 wanted = f"has no version {to}" if to is not None else "has no earlier version"
-                raise DataError(f"map {map_id} {wanted}; `station map history` lists them")
+                raise DataError(f"map {map_id} {wanted}; `station map history {map_id}` lists them")
             record = self.record(row)
             why = f"version {record.content} again"
             name = newest.name if keeps_name else record.name

@@ -6,6 +6,7 @@ import importlib.util
 
 import numpy as np
 
+from shared.advice import install
 from shared.errors import ConfigError, EstimationError
 from shared.geometry import FloatArray, se3
 from station.places.registration.cloud import NEIGHBOURS
@@ -18,7 +19,7 @@ def require_backend(backend: Backend) -> None:
     if backend not in ("small_gicp", "open3d"):
         raise ConfigError(f"backend {backend!r} is not known; choose small_gicp or open3d")
     if importlib.util.find_spec(backend) is None:
-        raise ConfigError(f"backend {backend} is missing; pip install '.[{_extra(backend)}]' in Sentinel's folder")
+        raise ConfigError(f"backend {backend} is missing; run: {install(_extra(backend))}")
 
 
 def _extra(backend: Backend) -> str:
