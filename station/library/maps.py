@@ -16,7 +16,7 @@ from shared.advice import complete
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
-from station.files.disk import Unwritable
+from station.files.unwritable import Unwritable
 from station.library.active_maps import keep_choice, kept_choice, why_not_together
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.record import MapRecord, says_same_of_places

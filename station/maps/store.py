@@ -13,13 +13,14 @@ from pathlib import Path
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.files.disk import Unwritable, cannot_write, why_unwritable
 from station.files.navigation_folder import REPORT, encode_navigation
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps import versions
 from station.maps.blobs import Blobs, Damaged, Tell, read_checked
 from station.maps.bucket import Bucket, open_bucket
 from station.maps.database import Database
 from station.maps.editing import with_place_renamed
+from station.maps.index_copy import IndexCopy
 from station.maps.record import (
     MAP_ID,
     FileRef,
@@ -33,7 +34,6 @@ from station.maps.record import (
     record_name,
 )
 from station.maps.repair import opening
-from station.maps.unwritable import IndexCopy
 from station.maps.versions import Rows, VersionRow, row_of
 from station.model.place_map import PlaceMap
 
@@ -64,7 +64,7 @@ class MapStore:
     """Maps by id. Methods block: call them in a thread. Several stores, processes and stations may share one address.
 
     All methods raise DataError when the store cannot be read or written, in a sentence; nothing is left half-written.
-    In a folder that takes no writes the maps can still be seen (unwritable.py).
+    In a folder that takes no writes the maps can still be seen (index_copy.py).
     """
 
     def __init__(self, where: Path | StoreAddress, tell: Tell = logger.warning) -> None:

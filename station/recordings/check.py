@@ -15,8 +15,8 @@ from mcap.records import Footer, Message
 from mcap.stream_reader import StreamReader
 
 from shared.mcap_recording import DAMAGE, MAX_RECORD_BYTES
-from station.files.lock import is_being_written
 from station.recordings.chunks import MAGIC, Survey, has_end, parts_of
+from station.recordings.writer_lock import is_being_written
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,6 @@ import station.recordings.chunks
 from shared.errors import DataError
 from shared.mcap_recording import FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC
 from station.datasets import open_dataset
-from station.files.lock import hold, is_being_written
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.main import app
 from station.recordings.check import check_recording
@@ -28,6 +27,7 @@ from station.recordings.chunks import SoundChunk, parts_of
 from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
 from station.recordings.topics import LIBRARY, register_channels
+from station.recordings.writer_lock import hold, is_being_written
 from tests.support.recordings import HELLO, batch, finish, frame, messages_in, record, recorded_in_small_chunks
 
 Told = tuple[str, int, int, bytes]

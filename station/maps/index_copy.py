@@ -16,7 +16,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
-from station.files.disk import Unwritable, cannot_write, why_unwritable
+from shared.disk import lock
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps.bucket import Bucket, FolderBucket
 from station.maps.database import Database
 
@@ -110,30 +111,20 @@ def _private_folder(because: Unwritable) -> tuple[Path, IO[bytes]]:
         with contextlib.suppress(OSError):
             folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
             claim = (folder / IN_USE).open("ab")
-            _lock(claim)
+            with contextlib.suppress(OSError):  # files have no locks there: nobody removes it then
+                lock(claim, timeout_s=0)
             _sweep(folder.parent)
             return folder, claim
     raise because
 
 
-def _lock(file: IO[bytes]) -> bool:
-    """Whether it could be had."""
-    try:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (ImportError, OSError):
-        return False
-    return True
-
-
 def _sweep(parent: Path) -> None:
     """Remove what a program that was killed could not."""
     for folder in parent.glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError, AttributeError):  # Windows has no owners by number
+        with contextlib.suppress(OSError):
             if time.time() - folder.stat().st_mtime > FORGOTTEN_S and folder.stat().st_uid == os.getuid():
                 with (folder / IN_USE).open("ab") as file:
-                    if _lock(file):
+                    if lock(file, timeout_s=0):
                         shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import logging
 from typing import BinaryIO
+
+from shared.disk import lock, unlock
 
 logger = logging.getLogger(__name__)
 
 
 def hold(file: BinaryIO) -> bool:
     """Hold this file until it is closed. False: another program, or another part of this one, writes it."""
-    return _is_free(file, fcntl.LOCK_EX)
+    return _could_lock(file, shared=False)
 
 
 def is_being_written(file: BinaryIO) -> bool:
     """Whether somebody holds this file."""
-    if not _is_free(file, fcntl.LOCK_SH):
+    if not _could_lock(file, shared=True):
         return True
     with contextlib.suppress(OSError):
-        fcntl.flock(file, fcntl.LOCK_UN)
+        unlock(file)
     return False
 
 
-def _is_free(file: BinaryIO, kind: int) -> bool:
+def _could_lock(file: BinaryIO, *, shared: bool) -> bool:
     """Where files cannot be locked (some network disks) each counts as free."""
     try:
-        fcntl.flock(file, kind | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        return lock(file, shared=shared, timeout_s=0)
     except OSError as exc:
         logger.warning("%s cannot be locked (%s)", file.name, exc.strerror)
-    return True
+        return True

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from shared.errors import DataError
-from station.files.disk import Unwritable
+from station.files.unwritable import Unwritable
 from station.maps.backup import restore_backup, write_backup
 from station.maps.folder import save_map_folder
+from station.maps.index_copy import FORGOTTEN_S, IN_USE, PREFIX
 from station.maps.repair.check import purge_versions, repair, verify
 from station.maps.repair.purging import purge
 from station.maps.store import MapStore
-from station.maps.unwritable import FORGOTTEN_S, IN_USE, PREFIX
 from station.model.place_map import PlaceMap
 from tests.support.disk import unwritable
 
@@ -200,7 +200,7 @@ def test_what_another_user_changes_is_seen(root: Path, place_map: PlaceMap, monk
     with unwritable(root):
         store = MapStore(root, lambda _: None)
         assert store.list() and store.is_copy
-        monkeypatch.setattr("station.maps.unwritable.why_unwritable", lambda _: OSError(13, "Permission denied"))
+        monkeypatch.setattr("station.maps.index_copy.why_unwritable", lambda _: OSError(13, "Permission denied"))
     MapStore(root).rename_place(place_map.id, place_map.places[0].id, "Desk")
     assert name_of_place(store, place_map) == "Desk"
     store.close()
@@ -223,7 +223,7 @@ def test_copies_of_programs_that_were_killed_are_cleared_up(
     left = scratch / f"{PREFIX}left"
     left.mkdir()
     (left / IN_USE).touch()
-    monkeypatch.setattr("station.maps.unwritable.FORGOTTEN_S", -1.0)
+    monkeypatch.setattr("station.maps.index_copy.FORGOTTEN_S", -1.0)
     with unwritable(root):
         store, other = MapStore(root, lambda _: None), MapStore(root, lambda _: None)
         assert store.list() and other.list()

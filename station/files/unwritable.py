@@ -1,4 +1,4 @@
-"""Writing so that it survives a power cut, and saying why a place takes no writes."""
+"""Why a place takes no writes, in a sentence with a remedy."""
 
 from __future__ import annotations
 
@@ -7,14 +7,10 @@ import os
 import tempfile
 from pathlib import Path
 
+from shared.disk import SCRATCH
 from shared.errors import DataError
 
-SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
-
-
 PROBE_BYTES = 64 * 1024  # an empty file can be made on many a full disk
-
-
 _REMEDIES = {
     errno.EROFS: "make its disk writable again (one that fails is mounted read-only: check it)",
     errno.EIO: "check the disk",
@@ -48,12 +44,3 @@ def why_unwritable(folder: Path) -> OSError | None:
     except OSError as exc:
         return exc
     return None
-
-
-def flush(path: Path) -> None:
-    """Wait until a file or folder is on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
