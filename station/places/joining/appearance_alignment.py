@@ -114,12 +114,10 @@ def keyframes_with_news(navigation: Navigation) -> list[bool]:
     a map of rooms that somebody drove through nearly all are needed.
     """
     landmarks = navigation.landmarks
-    order = np.argsort(landmarks.observed_keyframe, kind="stable")
-    begin = np.searchsorted(landmarks.observed_keyframe[order], np.arange(len(navigation.keyframes) + 1))
     sightings = np.zeros(len(landmarks), dtype=np.int64)
     has_news = []
-    for k in range(len(navigation.keyframes)):
-        seen = landmarks.observed_landmark[order[begin[k] : begin[k + 1]]]
+    for observed in landmarks.observations_by_keyframe(len(navigation.keyframes)):
+        seen = landmarks.observed_landmark[observed]
         has_news.append(bool(len(seen)) and float((sightings[seen] < MAX_SIGHTINGS).mean()) >= MIN_NEWS)
         sightings[seen] += has_news[-1]
     return has_news
