@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.errors import ConfigError
-from shared.geometry import FloatArray, IntArray, inverse
+from shared.geometry import FloatArray, IntArray, inverse, rotation_angle, transform
 from station.model.frames import ImageFrame
 from station.model.place_answer import Localization
 from station.model.place_map import PlaceMap
@@ -245,8 +245,8 @@ class Localizer:
         if a.map_index != b.map_index:
             return True
         A, B = a.pose.T_map_cam, b.pose.T_map_cam
-        cosine = (np.trace(A[:3, :3].T @ B[:3, :3]) - 1) / 2
-        return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or cosine < np.cos(np.radians(15.0)))
+        angle = rotation_angle(A[:3, :3].T @ B[:3, :3])
+        return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or angle > np.radians(15.0))
 
     def _support(self, found: _FoundPose, camera: CameraCalibration) -> float:
         """Of the landmarks that the keyframes most like this view saw and that fall into it, the share found."""
@@ -341,7 +341,7 @@ def _match_guided(
 ) -> tuple[IntArray, IntArray]:
     """Matches between features and map points that the pose projects near them: the best row per feature."""
     T_cam_map = inverse(pose.T_map_cam)
-    p_cam = p_map @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
+    p_cam = transform(T_cam_map, p_map)
     ahead = np.flatnonzero(p_cam[:, 2] > 1e-6)
     if not len(ahead):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

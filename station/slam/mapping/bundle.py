@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from shared.geometry import FloatArray, IntArray, so3_log
+from shared.geometry import FloatArray, IntArray, so3_log, transform
 from station.slam.mapping.inertial import exp_many
 from station.slam.mapping.odometry import RelativeMotions
 
@@ -118,7 +118,7 @@ def _projection_jacobian(p_cam: FloatArray, depth: FloatArray, focal_px: float) 
 def _project(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
     R = state.R_world_body[seen.keyframe]
     p_body = np.einsum("nji,nj->ni", R, state.points[seen.point] - state.p_world_body[seen.keyframe])
-    p_cam = p_body @ seen.T_cam_body[:3, :3].T + seen.T_cam_body[:3, 3]
+    p_cam = transform(seen.T_cam_body, p_body)
     depth = p_cam[:, 2]
     safe = np.where(np.abs(depth) < 0.02, 0.02, depth)
     residual = (p_cam[:, :2] / safe[:, None] - seen.xy) * seen.focal_px
