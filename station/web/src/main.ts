@@ -25,15 +25,16 @@ const map = makeMap();
 /** Without WebGL everything but the 3D view works. */
 function makeMap(): MapView | null {
   try {
-    return new MapView(video.canvas);
+    return new MapView(video.canvas, {
+      onPlace: (place) => places.open(place),
+      onPlaces: (all, changes) => places.setPlaces(all, changes),
+    });
   } catch {
     by("scene-empty").textContent = "This browser shows no 3D graphics (WebGL is off).";
     return null;
   }
 }
 
-if (map) map.onPlace = (place) => places.open(place);
-if (map) map.onPlaces = (all, changes) => places.setPlaces(all, changes);
 const review = new Review(map);
 library.onReplay = (navigation) => review.replay(navigation);
 library.onCompare = (id) => review.compare(id);

@@ -29,7 +29,7 @@ export function askAll(
       { method: "dialog" },
       make("h2", {}, title),
       fields.length > 0 &&
-        make("div", { class: "fields" }, ...fields.map(({ label }, i) => make("label", {}, label, inputs[i]!))),
+        make("div", { class: "fields" }, ...fields.map(({ label }, i) => make("label", {}, label, inputs[i]))),
       note !== "" && make("p", { class: "note" }, note),
       make(
         "div",

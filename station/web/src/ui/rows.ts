@@ -83,5 +83,5 @@ function remove(node: ChildNode): ChildNode | null {
 
 function isSame(a: ChildNode, b: ChildNode): boolean {
   if (a.nodeName !== b.nodeName) return false;
-  return !(a instanceof HTMLElement) || a.dataset["act"] === (b as HTMLElement).dataset["act"];
+  return !(a instanceof HTMLElement) || a.dataset.act === (b as HTMLElement).dataset.act;
 }
