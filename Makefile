@@ -34,6 +34,7 @@ lint: $(VENV)/.dev
 	@$(BIN)/ruff check .
 	@$(BIN)/bandit -q -c pyproject.toml -r robot station shared
 	@$(BIN)/mypy
+	@$(BIN)/python station/web/build_hook.py --check
 
 audit: $(VENV)/.dev
 	@ADVISORIES=$(ADVISORIES) scripts/audit.sh

@@ -16,8 +16,12 @@ import { by, show } from "./ui/dom";
 import { attempt } from "./ui/toast";
 
 const video = new VideoView();
-const drive = new DriveControl(video, document.body.dataset["role"] !== "watch");
-const library = new Library();
+const drive = new DriveControl(video, document.body.dataset.role !== "watch");
+const library = new Library({
+  onChange: () => health.draw(),
+  onReplay: (navigation) => review.replay(navigation),
+  onCompare: (id) => review.compare(id),
+});
 const health = new HealthView(library);
 const places = new PlaceView();
 const map = makeMap();
@@ -36,9 +40,6 @@ function makeMap(): MapView | null {
 }
 
 const review = new Review(map);
-library.onReplay = (navigation) => review.replay(navigation);
-library.onCompare = (id) => review.compare(id);
-library.onChange = () => health.draw();
 
 function take(message: EventMessage): void {
   switch (message.type) {
@@ -107,7 +108,7 @@ async function load(): Promise<void> {
     library.reload(),
     places.reload(),
     call<LogModel[]>("GET", "/log").then((lines) => health.addLines(lines)),
-    call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots"), robots)),
+    call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots", HTMLSelectElement), robots)),
   ]);
 }
 

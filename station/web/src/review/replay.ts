@@ -15,9 +15,9 @@ import { duration } from "../ui/text";
 const MAX_POSE_GAP_S = 1;
 
 export class Replay {
-  private readonly canvas = by<HTMLCanvasElement>("replay-video");
+  private readonly canvas = by("replay-video", HTMLCanvasElement);
   private readonly context = context2d(this.canvas);
-  private readonly seek = by<HTMLInputElement>("seek");
+  private readonly seek = by("seek", HTMLInputElement);
   private socket: WebSocket | null = null;
   private navigation: NavigationModel | null = null;
   private poses: ReplayModel | null = null;

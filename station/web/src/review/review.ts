@@ -44,8 +44,8 @@ export class Review {
       ? `${comparison.matches} of ${comparison.places} places found again. First navigation turquoise, second orange.`
       : `They could not be registered: ${comparison.reasons.join("; ")}.`;
     this.show(comparison.name, "compare", said);
-    by<HTMLAnchorElement>("report").href = comparison.report;
-    const download = by<HTMLAnchorElement>("report-download");
+    by("report", HTMLAnchorElement).href = comparison.report;
+    const download = by("report-download", HTMLAnchorElement);
     download.href = comparison.report;
     download.download = `${comparison.id}.html`;
     this.T_first_second = comparison.T_first_second;
