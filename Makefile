@@ -16,7 +16,7 @@ help:
 	@echo "make setup           only install, into .venv"
 	@echo "make lint | audit | firmware | bench (QUICK=1: a try) | bench-stop | bench-slam | bench-page | soak (MINUTES=10) | clean | clean-cache"
 
-WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -type f -print 2>/dev/null)
+WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -path '*/__pycache__' -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.run: pyproject.toml constraints.txt $(WEB_SOURCES)
 	@scripts/setup.sh run

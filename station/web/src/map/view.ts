@@ -44,6 +44,7 @@ export class MapView {
   private numDrawn = 0;
 
   constructor(video: HTMLCanvasElement, events: MapViewEvents) {
+    this.host.prepend(this.painter.canvas);
     const layerEvents = { onGrown: (layer: SceneLayer) => this.fit(layer), onPoints: () => this.describePoints() };
     this.map = new MapLayer(video, { ...layerEvents, ...events, onMap: (isOther) => this.takeMap(isOther) });
     this.live = new LiveLayer(video, { ...layerEvents, onAnew: () => this.frameAll() });
@@ -53,7 +54,6 @@ export class MapView {
       onMove: () => this.painter.drawSoon(),
       onView: (view) => this.viewSwitch.show(view),
     });
-    this.host.prepend(this.painter.canvas);
     this.painter.add(this.ground.grid, this.map.group, this.live.group, this.review.group);
     new ResizeObserver(() => this.resize()).observe(this.host);
     this.showLayer("map");
