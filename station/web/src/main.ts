@@ -16,8 +16,12 @@ import { by, show } from "./ui/dom";
 import { attempt } from "./ui/toast";
 
 const video = new VideoView();
-const drive = new DriveControl(video, document.body.dataset["role"] !== "watch");
-const library = new Library();
+const drive = new DriveControl(video, document.body.dataset.role !== "watch");
+const library = new Library({
+  onChange: () => health.draw(),
+  onReplay: (navigation) => review.replay(navigation),
+  onCompare: (id) => review.compare(id),
+});
 const health = new HealthView(library);
 const places = new PlaceView();
 const map = makeMap();
@@ -25,19 +29,17 @@ const map = makeMap();
 /** Without WebGL everything but the 3D view works. */
 function makeMap(): MapView | null {
   try {
-    return new MapView(video.canvas);
+    return new MapView(video.canvas, {
+      onPlace: (place) => places.open(place),
+      onPlaces: (all, changes) => places.setPlaces(all, changes),
+    });
   } catch {
     by("scene-empty").textContent = "This browser shows no 3D graphics (WebGL is off).";
     return null;
   }
 }
 
-if (map) map.onPlace = (place) => places.open(place);
-if (map) map.onPlaces = (all, changes) => places.setPlaces(all, changes);
 const review = new Review(map);
-library.onReplay = (navigation) => review.replay(navigation);
-library.onCompare = (id) => review.compare(id);
-library.onChange = () => health.draw();
 
 function take(message: EventMessage): void {
   switch (message.type) {
@@ -106,7 +108,7 @@ async function load(): Promise<void> {
     library.reload(),
     places.reload(),
     call<LogModel[]>("GET", "/log").then((lines) => health.addLines(lines)),
-    call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots"), robots)),
+    call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots", HTMLSelectElement), robots)),
   ]);
 }
 

@@ -7,7 +7,7 @@ const NO_SUCH = "No such robot"; // the dialog's name
 
 /** Say that there is no such robot, and which there are. */
 export function offerOthers(robots: RobotEntry[]): void {
-  const dialog = by<HTMLDialogElement>("ask");
+  const dialog = by("ask", HTMLDialogElement);
   if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) return;
   const entries = robots.map((entry) =>
     make("li", {}, make("a", { class: "small", href: `?robot=${encodeURIComponent(entry.name)}` }, titleOf(entry))),
@@ -29,7 +29,7 @@ export function offerOthers(robots: RobotEntry[]): void {
 
 /** The robot of this address is there: no other one need be chosen (any more). */
 export function offerNoOthers(): void {
-  const dialog = by<HTMLDialogElement>("ask");
+  const dialog = by("ask", HTMLDialogElement);
   if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) dialog.close("");
 }
 

@@ -1,7 +1,7 @@
 // How everything is, in words and numbers, and what to do first.
 import type { Library } from "../library/library";
 import type { LogModel, RobotModel, SlamModel } from "../link/messages";
-import { by, make, prose, setText, show } from "../ui/dom";
+import { by, make, prose, setText, show, within } from "../ui/dom";
 import { clock, percent } from "../ui/text";
 
 const MAX_LINES = 100;
@@ -43,7 +43,7 @@ export class HealthView {
     const newest = [...this.lines.values()].sort((a, b) => b.number - a.number).slice(0, MAX_LINES);
     this.lines = new Map(newest.map((line) => [line.number, line]));
     const log = by("log");
-    const shown = new Map([...log.children].map((item) => [Number((item as HTMLElement).dataset["number"]), item]));
+    const shown = new Map([...log.children].map((item) => [Number((item as HTMLElement).dataset.number), item]));
     for (const [number, item] of shown) if (!this.lines.has(number)) item.remove();
     let before: Element | null = null; // the log is a live region: only what is new may be added to it
     for (const line of newest.reverse()) {
@@ -62,9 +62,9 @@ export class HealthView {
   draw(): void {
     const robot = this.robot;
     const link = by("link");
-    link.dataset["state"] = !this.stationOpen ? "bad" : robot?.connected ? "good" : "warn";
+    link.dataset.state = !this.stationOpen ? "bad" : robot?.connected ? "good" : "warn";
     setText(
-      link.querySelector<HTMLElement>(".text")!,
+      within(link, ".text"),
       !this.stationOpen ? "station does not answer" : robot?.connected ? (robot.name ?? "robot") : "no robot",
     );
     this.drawGuide();
@@ -160,7 +160,7 @@ export class HealthView {
 
 function logItem(line: LogModel): HTMLElement {
   const item = make("li", { class: line.level }, make("time", {}, clock(line.unix_s)), line.text);
-  item.dataset["topic"] = line.topic;
-  item.dataset["number"] = String(line.number);
+  item.dataset.topic = line.topic;
+  item.dataset.number = String(line.number);
   return item;
 }
