@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PROGRAMS = ("__init__", "result", "results_page", "run_suite", "suite")
 BENCHMARK = """
 import argparse, sys

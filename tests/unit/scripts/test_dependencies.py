@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 IMPORTED_BY_OTHERS = {"lz4"}  # by mcap, for the chunks of recordings
 EXTRAS = ("robot", "simulation", "station")  # the others: only tools, and a driver that SQLAlchemy imports

@@ -24,7 +24,7 @@ from shared.command_line import USAGE_ERROR
 from station.main import app as station
 from station.main import main as station_main
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
 

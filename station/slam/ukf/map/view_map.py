@@ -18,9 +18,9 @@ from station.motion import lie
 from station.slam.mapping.assemble import Reconstructed, read_odometry_map
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import map_with_motions
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
+from station.vision.camera_model import CameraModel
 
 MIN_VIEWS = 3
 MIN_LANDMARKS_PER_VIEW = 10  # a furnished flat gives a hundred

@@ -24,7 +24,7 @@ def imu(turn_rate: float) -> ImuSegment:
 def coast(anchor: Anchor, turn_rate: float, speed: float | None, frames: int) -> Coasting:
     coasting = Coasting(anchor, 0)
     for k in range(1, frames + 1):
-        coasting.advance(imu(turn_rate), k * FRAME_NS, speed)
+        coasting.advance(imu(turn_rate), k * FRAME_NS, None if speed is None else speed * FRAME_NS * 1e-9)
     return coasting
 
 

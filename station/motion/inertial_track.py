@@ -1,5 +1,7 @@
-"""Inertial samples integrated over the whole drive once, so that any two times can be compared at once.
+"""Inertial samples of a whole drive integrated once, so that any two times can be compared at once.
 
+For a recorded drive, many pairs of times, and one bias. Of each pair it says the motion and how the motion depends on
+the bias, not how sure it is: preintegration.py gives one interval with its covariance.
 Source: Forster et al., On-manifold preintegration, IEEE T-RO 33(1), 2017, eqs. 33-38, as cumulative sums: with
 R(t) = R_start_body(t), V = int R a, P = int V, what happened between two times is a difference of V and P.
 """
@@ -11,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, so3_log
+from shared.geometry import FloatArray, IntArray
 from station.model.frames import ImuBatch
 
 MAX_GAP_S = 0.1  # samples further apart: what happened between is unknown
@@ -137,44 +139,6 @@ def _integrate(values: FloatArray, dt: FloatArray) -> FloatArray:
     shape = (-1, *([1] * (values.ndim - 1)))
     steps = 0.5 * (values[1:] + values[:-1]) * dt.reshape(shape)
     return np.concatenate([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)])
-
-
-def estimate_gyro_bias(
-    imu: ImuBatch, t_ns: IntArray, R_world_body: FloatArray, max_interval_s: float = 3.0
-) -> tuple[InertialTrack, FloatArray]:
-    """The constant gyroscope bias that best explains the rotations seen by the camera.
-
-    Args:
-        t_ns: (N,) times of the rotations, the IMU's clock, increasing.
-        R_world_body: (N, 3, 3) from structure from motion.
-    Returns:
-        The track under that bias, and the angles (N-1,) rad by which camera and gyroscope differ per interval (NaN
-        where an interval is too long or not covered).
-    Source: Qin et al., VINS-Mono, IEEE T-RO 34(4), 2018, eq. 15, with Huber weights.
-    """
-    track = InertialTrack(imu, np.zeros(3))
-    usable = usable_intervals(track, t_ns, max_interval_s)
-    residual = np.full((len(t_ns) - 1, 3), np.nan)
-    for _ in range(3):
-        step = track.increments(t_ns)
-        seen = np.swapaxes(R_world_body[:-1], 1, 2) @ R_world_body[1:]
-        error = np.swapaxes(step.R, 1, 2) @ seen
-        residual = np.array([so3_log(R) for R in error])
-        residual[~usable] = np.nan
-        if not usable.any():
-            break
-        J = np.swapaxes(step.R, 1, 2) @ step.R_sum
-        size = np.linalg.norm(residual[usable], axis=1)
-        cut = 2.0 * max(float(np.median(size)), 1e-4)
-        weight = np.sqrt(np.minimum(1.0, cut / np.maximum(size, 1e-12)))
-        A = (J[usable] * weight[:, None, None]).reshape(-1, 3)
-        b = (-residual[usable] * weight[:, None]).ravel()
-        # A bias beyond a few degrees per second is no bias: the weak prior only matters without motion data.
-        A = np.vstack([A, 1e-3 * np.eye(3)])
-        b = np.concatenate([b, -1e-3 * track.gyro_bias])
-        change = np.linalg.lstsq(A, b, rcond=None)[0]
-        track = track.with_bias(track.gyro_bias + change)
-    return track, np.linalg.norm(residual, axis=1)
 
 
 def usable_intervals(

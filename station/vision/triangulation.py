@@ -1,4 +1,8 @@
-"""Points from their observations in known poses, batched (docs/slam.md, sec. 5)."""
+"""Points from observations in known poses, batched.
+
+`triangulate` gives the most likely points with their covariance (docs/slam.md, sec. 5); `intersect_rays` those nearest
+to their rays, in one linear step, for tracks of any length.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray
-from station.slam.ukf.filter.measurement import CameraModel
+from shared.geometry import FloatArray, IntArray
+from station.vision.camera_model import CameraModel
 from station.vision.lens import BoolArray
 
 MIN_INVERSE_DEPTH = 1.0 / 200.0
 MAX_INVERSE_DEPTH = 1.0 / 0.1
+MIN_PARALLAX_RAD = 0.004  # of intersect_rays
+MIN_DEPTH_M = 0.05
 DONE = 1e-4  # a step that changes no point's squared error by more moves none by a hundredth of its sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
+    """F points and how well they are known."""
+
     p: FloatArray  # (F, 3) world
     is_good: BoolArray  # (F,) in front of every camera that saw it, and the iteration came to rest
     depth_sigma: FloatArray  # (F,) relative standard deviation of the depth in the anchor view
@@ -138,3 +146,30 @@ def _normal_equations(views: _Views, u: FloatArray) -> tuple[FloatArray, FloatAr
     rows, columns = r.reshape(F, 2 * M), J.reshape(F, 3, 2 * M)
     H = columns @ np.swapaxes(columns, 1, 2)
     return np.einsum("fk,fk->f", rows, rows), H, (columns @ rows[..., None])[..., 0], q[2]
+
+
+def intersect_rays(
+    point: IntArray, num_points: int, centres: FloatArray, rays: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Points nearest to all their rays, and whether they are well enough defined.
+
+    Args:
+        point: (K,) which point each ray belongs to; centres, rays: (K, 3) in the world, rays of length 1.
+    Returns:
+        (num_points, 3) and (num_points,): False where the rays are nearly parallel or the point lies behind.
+    """
+    A_each = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    A = np.zeros((num_points, 3, 3))
+    b = np.zeros((num_points, 3))
+    np.add.at(A, point, A_each)
+    np.add.at(b, point, np.einsum("nij,nj->ni", A_each, centres))
+    # The smallest eigenvalue is about the squared parallax: parallel rays leave a direction open.
+    count = np.maximum(np.bincount(point, minlength=num_points), 1)
+    smallest = np.linalg.eigvalsh(A)[:, 0] / count
+    good = smallest > MIN_PARALLAX_RAD**2
+    A[~good] = np.eye(3)
+    found = np.asarray(np.linalg.solve(A, b[:, :, None])[:, :, 0], dtype=np.float64)
+    depth = ((found[point] - centres) * rays).sum(axis=1)
+    nearest = np.full(num_points, np.inf)
+    np.minimum.at(nearest, point, depth)
+    return found, good & (nearest > MIN_DEPTH_M)

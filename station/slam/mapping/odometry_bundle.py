@@ -1,7 +1,9 @@
-"""Bundle adjustment that also listens to odometry: poses, landmarks, drive scale and gyroscope bias together.
+"""Bundle adjustment of a whole drive with odometry: poses, landmarks, drive scale and gyroscope bias together.
 
 COLMAP's bundle adjustment knows cameras only. A robot that turns on the spot before a blank wall is held together by
-its gyroscope and wheels, so their relative motions are residuals here, next to the reprojection errors.
+its odometry, so relative motions between keyframes are residuals here, next to the reprojection errors: those of
+gyroscope and wheels, or the filter's. Poses have neither velocities nor accelerometer biases: inertial_bundle.py
+estimates those, over a window of some twenty poses.
 Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000, sections 4.3 (robust weights) and 6.1 (Schur
 complement); Levenberg-Marquardt after Madsen, Nielsen and Tingleff, Methods for non-linear least squares, 2004.
 """
@@ -16,7 +18,7 @@ from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from shared.geometry import FloatArray, IntArray, so3_log, transform
-from station.slam.mapping.inertial import exp_many
+from station.motion.inertial_track import exp_many
 from station.slam.mapping.odometry import RelativeMotions
 
 NUM_SHARED = 4  # drive scale, gyroscope bias (3)
