@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,6 +15,7 @@ from shared.errors import ConfigError
 from station.commands.outputs import check_out_folder
 from station.commands.progress import working
 from station.commands.slam import run_with_progress
+from station.commands.verdict import verdict
 from station.datasets import Dataset
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, open_input
@@ -140,18 +142,26 @@ def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
 
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:
-    """Write the files and say what came out."""
+    """Write the files and say what came out. Exit code 2 when registration was refused, as of `station register`."""
     with working("drawing the report"):
         write_experiment(done, out)
     results = results_dict(done)
     if as_json:
         print(json.dumps(results, default=str))
-        return
+    else:
+        _tell(done, results, out)
+    if not done.result.registration.accepted:
+        why = done.result.registration.reasons[0]
+        print(f"station: nothing was matched, since registration is refused: {why}", file=sys.stderr)
+        raise typer.Exit(2)
+
+
+def _tell(done: Experiment, results: dict[str, Any], out: Path) -> None:
     print(f"{results['places']} places, {results['locations']} locations, {len(results['matches'])} matches")
     if not results["places"]:
         print("the map holds no place, so there was nothing to match with")
-    if not results["registration"]["accepted"]:
-        print(f"registration refused: {'; '.join(results['registration']['reasons'])}")
+    if not done.result.registration.accepted:
+        print(f"registration {verdict(False, done.result.registration.reasons)}")
     if done.not_judged:
         print(done.not_judged)
     if results["precision"] is not None:
