@@ -33,6 +33,9 @@ const FOLDERS = Object.entries(MAY_IMPORT).map(([folder, others]) => ({
   },
 }));
 
+// What the strict rules do not take for text in a template either.
+const NO_TEXT = { allowAny: false, allowBoolean: false, allowNever: false, allowNullish: false, allowRegExp: false };
+
 export default defineConfig(
   globalIgnores(["dist"]),
   { linterOptions: { reportUnusedDisableDirectives: "error" } },
@@ -43,7 +46,7 @@ export default defineConfig(
     languageOptions: { parserOptions: { projectService: { allowDefaultProject: ["*.js", "*.ts"] } } },
     rules: {
       "@typescript-eslint/no-confusing-void-expression": ["error", { ignoreArrowShorthand: true }],
-      "@typescript-eslint/restrict-template-expressions": ["error", { allowNumber: true }],
+      "@typescript-eslint/restrict-template-expressions": ["error", { ...NO_TEXT, allowNumber: true }],
     },
   },
   FOLDERS,

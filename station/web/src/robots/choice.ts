@@ -1,12 +1,12 @@
 // Choosing among the station's robots: a list of them, and a dialog for an address that names none of them.
-import { findShown, named } from "../link/address";
+import { findShown } from "../link/address";
 import type { RobotEntry } from "../link/messages";
 import { by, make } from "../ui/dom";
 
 const NO_SUCH = "No such robot"; // the dialog's name
 
-/** Say that there is no such robot, and which there are. */
-export function offerOthers(robots: RobotEntry[]): void {
+/** Say that there is no robot of that name, and which there are. */
+export function offerOthers(missing: string, robots: RobotEntry[]): void {
   const dialog = by("ask", HTMLDialogElement);
   if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) return;
   const entries = robots.map((entry) =>
@@ -14,7 +14,7 @@ export function offerOthers(robots: RobotEntry[]): void {
   );
   dialog.setAttribute("aria-label", NO_SUCH);
   dialog.replaceChildren(
-    make("h2", {}, `This station has no robot “${named}”`),
+    make("h2", {}, `This station has no robot “${missing}”`),
     make(
       "p",
       { class: "note" },
