@@ -20,7 +20,7 @@ from station.model.navigation import Navigation
 from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
-from station.slam.ukf.start import GivenState
+from station.slam.ukf.start.starter import GivenState
 
 
 class Landmarks(StrEnum):

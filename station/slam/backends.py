@@ -12,7 +12,7 @@ from station.config import AUTO, BACKENDS, choose_backend
 from station.slam.backend import SlamBackend
 
 if TYPE_CHECKING:
-    from station.slam.ukf.start import GivenState
+    from station.slam.ukf.start.starter import GivenState
 
 
 def check_backend(name: str) -> None:
@@ -55,8 +55,8 @@ def make_backend(
         raise ConfigError(f"backend {name} has no thesis landmarks and no initial state; use --backend ukf for them")
     try:
         if name == "sfm":
-            from station.slam.mapping.config import SfmConfig
             from station.slam.sfm.backend import SfmBackend
+            from station.slam.sfm.config import SfmConfig
 
             return SfmBackend(calibration, SfmConfig(seed=seed, threads=threads), intrinsics_known)
         if name == "ukf":

@@ -16,7 +16,7 @@ import numpy as np
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
 from station.motion.inertial_track import InertialTrack, exp_many
-from station.slam.mapping.config import SfmConfig
+from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.features import Features
 from station.slam.mapping.loops import find_loops
 from station.slam.mapping.odometry import Odometry, RelativeMotions
@@ -58,7 +58,7 @@ def map_with_odometry(
     t_imu_ns: IntArray,
     odometry: Odometry,
     camera: CameraCalibration,
-    config: SfmConfig,
+    config: MappingConfig,
 ) -> OdometryMap:
     """Reconstruct one drive.
 
@@ -76,7 +76,7 @@ def map_with_motions(
     matches: Sequence[Pairs],
     odometry: RelativeMotions,
     camera: CameraCalibration,
-    config: SfmConfig,
+    config: MappingConfig,
 ) -> OdometryMap:
     """The same for relative motions from anywhere.
 

@@ -22,10 +22,10 @@ from station.motion import lie
 from station.motion.drive_commands import WheelSpeed, commands_motion
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.coasting import Coasting
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
+from station.slam.ukf.filter.standstill import Standstill
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
@@ -34,8 +34,9 @@ from station.slam.ukf.map.keyframes import is_grey, sample_grey
 from station.slam.ukf.map.views import MapViews
 from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
 from station.slam.ukf.monitor import LIFTED, TrackingMonitor
-from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
-from station.slam.ukf.stillness import Standstill, StillnessDetector
+from station.slam.ukf.start.coasting import Coasting
+from station.slam.ukf.start.starter import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
+from station.slam.ukf.start.stillness import StillnessDetector
 from station.vision.camera_model import CameraModel
 from station.vision.features import Features
 from station.vision.klt import Tracker
@@ -77,7 +78,9 @@ class UkfBackend:
         self._filter: VioFilter | None = None
         self._monitor = TrackingMonitor(self._config)
         self._messages: list[str] = []
-        self._memory = NavigationMemory(self._camera, calibration.imu, self._config, self._make_views())
+        self._memory = NavigationMemory(
+            self._camera, calibration.imu, self._config.quality, self._config.max_keyframes, self._make_views()
+        )
         self._coasting = Coasting(ORIGIN, 0)
         self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command
@@ -169,7 +172,11 @@ class UkfBackend:
         wheels = self._config.wheels
         if is_still and wheels.use_zero_velocity and not self._is_commanded_to_move():
             still = BodyVelocity(np.zeros(3), np.full(3, wheels.sigma_still_m_s))
-            same = self._standstill.same_place(self._memory.recent, state, current, self._camera.R_body_cam, wheels)
+            since = self._standstill.since
+            then = self._memory.recent.get(since) if since is not None else None
+            same = self._standstill.same_place(
+                None if then is None else then.tracked, current.tracked, state, self._camera.R_body_cam, wheels
+            )
             return (still,) if same is None else (still, same)
         return () if current.wheels is None else (BodyVelocity(*current.wheels, gate=4.0),)
 

@@ -107,6 +107,7 @@ class WheelConfig:
     sigma_lateral_m_s: float = 0.03  # plus what the unknown turning centre makes of a turn:
     lateral_per_turn_m: float = 0.05
     sigma_vertical_m_s: float = 0.02
+    speed_efficiency: float = SPEED_EFFICIENCY
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
     settle_s: float = 0.35  # a command is believed that long after it changed: motors have made 93 % of the change then
@@ -128,6 +129,6 @@ def wheel_velocity(
         sigma[1] = config.sigma_lateral_m_s + config.lateral_per_turn_m * abs(turn_rate)
         sigma[2] = config.sigma_vertical_m_s
     if config.use_commanded_speed and command_m_s is not None and since_change_s > config.settle_s:
-        v[0] = SPEED_EFFICIENCY * command_m_s
+        v[0] = config.speed_efficiency * command_m_s
         sigma[0] = config.sigma_speed_m_s + config.sigma_speed_share * abs(command_m_s)
     return BodyVelocity(v, sigma, gate=4.0) if np.isfinite(sigma).any() else None

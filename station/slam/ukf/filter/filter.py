@@ -15,7 +15,7 @@ from shared.errors import ConfigError
 from shared.geometry import FloatArray, IntArray, se3
 from station.motion.error_coordinates import ErrorKind
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.config import FilterConfig
+from station.slam.ukf.filter.config import FilterConfig
 from station.slam.ukf.filter.landmarks import add_landmarks, measure_landmarks
 from station.slam.ukf.filter.propagation import PropagationConfig, propagate
 from station.slam.ukf.filter.state import FilterState, add_clone, keep_landmarks, remove_clone

@@ -65,11 +65,11 @@ def map_views(
         motions = relative_motions(items, noise)
         features = [v.features for v in items]
         rays = [straight_rays(v, camera) for v in items]
-        made = map_with_motions(features, rays, pairs, motions, calibration, views.sfm)
+        made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping)
         if made.tracks.num_points == 0:
             continue
         frames = [v.keyframe.image for v in items]
-        part = read_odometry_map(made, frames, features, calibration, views.sfm)
+        part = read_odometry_map(made, frames, features, calibration, views.mapping)
         parts.append((level(part, motions.T_world_body, calibration), items, motions.T_world_body))
         loops += made.num_loops
         errors.append(made.median_error_px)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.coasting import Coasting
-from station.slam.ukf.start import Anchor
+from station.slam.ukf.start.coasting import Coasting
+from station.slam.ukf.start.starter import Anchor
 
 FRAME_NS = 50_000_000
 

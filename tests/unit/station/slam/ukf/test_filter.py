@@ -13,7 +13,7 @@ from station.motion import lie
 from station.motion.error_coordinates import ErrorKind, difference_group, pose_jacobian, retract_group
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.config import FilterConfig
+from station.slam.ukf.filter.config import FilterConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace
 from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.landmarks import measure_landmarks

@@ -11,9 +11,9 @@ from station.model.frames import ImuBatch
 from station.motion import lie
 from station.motion.error_coordinates import ErrorKind, difference_group
 from station.motion.imu_buffer import ImuBuffer
-from station.slam.ukf.batch.motion_start import MotionStart, StartConfig
 from station.slam.ukf.filter.state import PHI, XI_V, FilterState
-from station.slam.ukf.start import Anchor, Starter, WaitingFrame, state_rolling
+from station.slam.ukf.start.motion_start import MotionStart, StartConfig
+from station.slam.ukf.start.starter import Anchor, Starter, WaitingFrame, state_rolling
 from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from shared.geometry import FloatArray
 from station.motion.dead_reckoning import advance_on_floor
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.start import Anchor
+from station.slam.ukf.start.starter import Anchor
 
 REMEMBERED = 400  # frames: a start in motion begins a window of a few seconds ago
 

@@ -15,8 +15,8 @@ from station.motion import lie
 from station.motion.error_coordinates import ErrorKind
 from station.motion.imu_buffer import ImuBuffer
 from station.slam.mapping.inertial_bundle import N
-from station.slam.ukf.batch.motion_start import MotionStart, StartConfig, start_in_motion, upright_rotation
 from station.slam.ukf.filter.state import CORE, PHI, XI_V, XI_X, FilterState, add_clone, initial_state
+from station.slam.ukf.start.motion_start import MotionStart, StartConfig, start_in_motion, upright_rotation
 from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 

@@ -1,4 +1,4 @@
-"""Is the robot standing still? Image and IMU must both say so. And since when: its pose then is its pose now."""
+"""Is the robot standing still? Image and IMU must both say so (commands may be wrong, and hands move robots)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,8 @@ from collections import deque
 
 import numpy as np
 
-from shared.geometry import FloatArray
 from station.model.frames import ImuBatch
-from station.slam.ukf.batch.motion_start import StartConfig
-from station.slam.ukf.filter.constraints import SamePlace, WheelConfig, turn_between
-from station.slam.ukf.filter.state import FilterState
-from station.slam.ukf.memory import RecentFrame
+from station.slam.ukf.start.motion_start import StartConfig
 from station.vision.klt import TrackedFrame
 
 
@@ -60,44 +56,3 @@ def _means_of_ten(
     count = max(1, len(values) // 10)
     size = len(values) // count
     return values[: count * size].reshape(count, size, 3).mean(axis=1)
-
-
-class Standstill:
-    """Remembers the frame with which standing still began."""
-
-    def __init__(self) -> None:
-        self._since: int | None = None  # ImageFrame.index
-        self._newest = -1
-
-    def reset(self) -> None:
-        self._since, self._newest = None, -1
-
-    @property
-    def began_with_previous(self) -> bool:
-        """Whether the newest frame is the one that the following ones refer to, so that it must stay in the window."""
-        return self._since == self._newest
-
-    def update(self, frame_index: int, is_still: bool) -> None:
-        if not is_still:
-            self._since = None
-        elif self._since is None:
-            self._since = frame_index
-        self._newest = frame_index
-
-    def same_place(
-        self,
-        recent: dict[int, RecentFrame],
-        state: FilterState,
-        current: RecentFrame,
-        R_body_cam: FloatArray,
-        config: WheelConfig,
-    ) -> SamePlace | None:
-        """The pose of the frame with which standing still began, and the turn since then by the image."""
-        since = self._since
-        if since is None or since not in recent or since not in state.clone_frame:
-            self._since = None
-            return None
-        then, now = recent[since].tracked, current.tracked
-        _, i, j = np.intersect1d(then.ids, now.ids, assume_unique=True, return_indices=True)
-        turn = turn_between(then.xy[i], now.xy[j], R_body_cam)
-        return None if turn is None else SamePlace(since, turn, config.sigma_still_rad, config.sigma_still_m)
