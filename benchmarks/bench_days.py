@@ -31,12 +31,13 @@ from shared.geometry import FloatArray
 from station.datasets import open_dataset
 from station.experiments.matches import count_duplicates, true_landmarks
 from station.files.navigation_folder import load_navigation, save_navigation
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.extent import half_extent
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
-from station.workers.library_jobs import JobServant
+from station.workers.library_jobs import LibraryJobs
 from tests.support.days import Drive, made_up_days
 
 ROUTES = ("mapping", "second", "mapping")  # of the three days
@@ -100,12 +101,12 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
 def live_there(name: str, drives: list[Drive], folder: Path) -> Outcome:
     """Build, name, merge, name, merge; judged after each merge."""
     address = StoreAddress(folder / "maps")
-    store, servant = MapStore(address), JobServant(lambda _: None)
+    store, library = MapStore(address), LibraryJobs(lambda _: None)
     named = kept = elsewhere = 0
     before: PlaceMap | None = None
     for count in range(1, len(drives) + 1):
         try:
-            built = servant.build_map([drive.folder for drive in drives[:count]], address, name, None)
+            built = library.build_map([drive.folder for drive in drives[:count]], address, name, None)
         except EstimationError as exc:
             return Outcome(name, named, kept, elsewhere, 0, 0, refused=str(exc))
         place_map = store.load(built.map_id)

@@ -177,7 +177,7 @@ async def measure(seconds: float) -> dict[str, object]:
 
 async def drive(link: RobotLink) -> None:
     while True:
-        link.drive(0.2, 0.0, 250)
+        link.commands.drive(0.2, 0.0, 250)
         await asyncio.sleep(0.05)
 
 

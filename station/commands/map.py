@@ -16,7 +16,7 @@ from station.commands import map_store
 from station.commands.experiment import places_config
 from station.commands.outputs import check_out_folder
 from station.commands.progress import Bar, working
-from station.config import check_executor
+from station.config import check_backend, check_executor
 from station.datasets import open_dataset
 from station.files.navigation_folder import load_navigation
 from station.maps.folder import load_map_folder, save_map_folder
@@ -26,7 +26,6 @@ from station.places.joining.growing import keep_places
 from station.places.making.changes import shown
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
-from station.slam.backends import check_backend
 from station.workers.executors.opening import open_executor
 from station.workers.executors.port import Executor
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all

@@ -16,7 +16,8 @@ from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
 from station.maps.repair.unclaimed import ASIDE, record_files
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 
 Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
 Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file, where maps lie elsewhere.")]

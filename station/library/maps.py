@@ -22,7 +22,8 @@ from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.record import MapRecord, says_same_of_places
 from station.maps.repair.check import collect_garbage
 from station.maps.repair.purging import purge
-from station.maps.store import MapStore, MapSummary, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.localisation.index_file import forget_index

@@ -7,7 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from sqlalchemy.engine import Connection
@@ -35,29 +35,10 @@ from station.maps.record import (
 )
 from station.maps.repair import opening
 from station.maps.versions import Rows, VersionRow, row_of
+from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import PlaceMap
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class StoreAddress:
-    """Where a store is. Picklable: worker processes are given it."""
-
-    root: Path  # the folder of maps.db, blobs and records where no URL says otherwise
-    database: str = ""  # postgresql://user@host/name; empty: SQLite in the folder
-    blobs: str = ""  # a URL that fsspec knows; empty: in the folder
-    author: str = ""  # the station's name, kept with every version it writes
-
-
-@dataclass(frozen=True, slots=True)
-class MapSummary:
-    """What a list of maps shows, without reading clouds and images."""
-
-    id: str
-    name: str
-    places: int
-    damaged: str = ""  # a sentence, where the map cannot be read
 
 
 class MapStore:

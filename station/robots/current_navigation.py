@@ -25,6 +25,7 @@ from station.model.slam_update import SlamUpdate
 from station.robots.live_slam import LiveSlam
 from station.robots.navigation_files import MakeRecorder, NavigationRecorder, make_navigation, unmake_navigation
 from station.robots.slam import SlamProcess
+from station.workers.slam_requests import AddDrive, AddFrame, AddImu
 
 logger = logging.getLogger(__name__)
 POSE_EVENT_INTERVAL_S = 0.1
@@ -250,7 +251,7 @@ class Recording:
         running.last_frame_ns = frame.t_robot_ns
         image = ImageFrame(running.num_frames, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
         running.num_frames += 1
-        running.slam.post("add_frame", image, kind="frame")
+        running.slam.post(AddFrame(image))
 
     def on_imu(self, batch: ImuBatch) -> None:
         running = self._running
@@ -259,13 +260,8 @@ class Recording:
         if running.recorder is not None:
             running.recorder.on_imu(batch)
         running.num_imu += len(batch.samples)
-        kept = running.slam.post(
-            "add_imu",
-            [s.t_robot_ns for s in batch.samples],
-            [s.gyro_imu for s in batch.samples],
-            [s.accel_imu for s in batch.samples],
-            kind="imu",
-        )
+        s = batch.samples
+        kept = running.slam.post(AddImu([x.t_robot_ns for x in s], [x.gyro_imu for x in s], [x.accel_imu for x in s]))
         if not kept and "imu" not in running.lost_announced:
             running.lost_announced.add("imu")
             self._events.notify(
@@ -285,7 +281,7 @@ class Recording:
             return
         if running.recorder is not None:
             running.recorder.on_drive_applied(applied)
-        running.slam.post("add_drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
+        running.slam.post(AddDrive(DriveSample(applied.t_robot_ns, applied.linear, applied.angular)))
 
     def on_connected(self, hello: Hello) -> None:
         running, beginning = self._running, self._beginning

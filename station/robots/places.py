@@ -15,12 +15,25 @@ from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events, Latest
-from station.maps.store import StoreAddress
 from station.model.frames import DriveSample, ImageFrame
-from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport, PlaceState
+from station.model.map_store import StoreAddress
+from station.model.place_answer import MapLeftOut, MapReading, PlaceAnswer, PlaceReport, PlaceState
 from station.model.place_map import Place, PlaceEdge
-from station.workers.turns import Turns
-from station.workers.worker import Worker, WorkerDied
+from station.workers.place_requests import (
+    PLACES,
+    AddDrive,
+    AddImu,
+    AddPose,
+    LoadMaps,
+    LocatePicture,
+    PlaceEvent,
+    PlaceProgram,
+    ReplacePlaces,
+    UseCalibration,
+)
+from station.workers.request import ProgramName, Request, WorkerDied
+from station.workers.scheduling import ComputeSlots
+from station.workers.worker import Worker
 
 logger = logging.getLogger(__name__)
 KEPT_QUERY_IMAGES = 32
@@ -28,7 +41,6 @@ KEPT_VISITS = 200
 RESTART_S = 1.0
 OLD_AFTER_S = 15.0  # an answer about a picture of so long ago says nothing of now; a busy machine needs seconds for one
 OLD_AFTER_PICTURES = 3  # or about one so many pictures ago, where few are asked for
-LIMITS = {"odometry": 300, "imu": 30_000, "drive": 2400}  # what waits for a busy worker: IMU and drive for two minutes
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +62,19 @@ class Locating:
         store: StoreAddress,
         config: LocalizationConfig,
         events: Events,
-        servant: str = "station.workers.places:PlaceServant",
+        program: ProgramName[PlaceProgram, PlaceEvent] = PLACES,
         on_report: Callable[[PlaceReport], None] = lambda _: None,
-        turns: Turns | None = None,
+        slots: ComputeSlots | None = None,
     ) -> None:
-        """`turns` are shared by the robots of a station: whose pictures are looked at now."""
+        """`slots` are shared by the robots of a station: whose pictures are looked at now."""
         self._on_report = on_report
-        self._turns = turns or Turns()
-        self._servant = servant
+        self._slots = slots or ComputeSlots()
+        self._program = program
         self._store = store
         self._config = config
         self._events = events
         self._frames: Latest[tuple[int, CameraFrame]] = Latest()  # with the robot run they belong to
-        self._worker: Worker | None = None
+        self._worker: Worker[PlaceProgram, PlaceEvent] | None = None
         self._map_ids: tuple[str, ...] = ()
         self._wanted = asyncio.Event()
         self._calibration: Calibration | None = None
@@ -71,7 +83,7 @@ class Locating:
         self._is_ready = False
         self._generation = 0  # counts the calls of use(): a worker that was killed for another map did not die
         self._lost = 0  # inertial samples
-        self._groups: Latest[tuple[str, tuple[Place, ...], tuple[PlaceEdge, ...]]] = Latest()
+        self._groups: Latest[ReplacePlaces] = Latest()
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self._report: PlaceReport | None = None
         self._taken_s = 0.0  # when the report came
@@ -123,7 +135,7 @@ class Locating:
 
         It may be busy: its next answer counts, nobody waits for it.
         """
-        self._groups.put((map_id, places, edges))
+        self._groups.put(ReplacePlaces(map_id, places, edges))
         self._events.changed("place")
 
     def on_connected(self, hello: Hello) -> None:
@@ -134,7 +146,7 @@ class Locating:
             self._robot_run, self._calibration = run, hello.calibration
             self._runs += 1
             self._forget()
-            self._post("calibrate", hello.calibration)
+            self._post(UseCalibration(hello.calibration))
             self._events.changed("place")
 
     def on_disconnected(self, reason: str) -> None:
@@ -162,26 +174,27 @@ class Locating:
 
     def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation; when they come too quickly the oldest is left out."""
-        self._post("odometry", t_robot_ns, T_nav_body, segment)
+        self._post(AddPose(t_robot_ns, T_nav_body, segment))
 
     def on_imu(self, batch: ImuBatch) -> None:
         """Inertial samples notice a hijack and carry the estimate."""
         s = batch.samples
-        self._post("imu", [x.t_robot_ns for x in s], [x.gyro_imu for x in s], [x.accel_imu for x in s])
+        self._post(AddImu([x.t_robot_ns for x in s], [x.gyro_imu for x in s], [x.accel_imu for x in s]))
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        self._post("drive", DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
+        self._post(AddDrive(DriveSample(applied.t_robot_ns, applied.linear, applied.angular)))
 
     def offer(self, frame: CameraFrame) -> None:
         """A new picture; the worker gets the newest one when it is free."""
         if self._map_ids:
             self._frames.put((self._runs, frame))
 
-    def _post(self, method: str, *arguments: object) -> None:
+    def _post(self, request: Request[PlaceProgram, None]) -> None:
         """To the worker, once it knows the map and the robot."""
-        if self._worker is not None and self._is_ready and not self._worker.post(method, *arguments):
-            self._lost += method == "imu"
-            if method == "imu" and self._lost == 1:
+        if self._worker is not None and self._is_ready and not self._worker.post(request):
+            is_imu = isinstance(request, AddImu)
+            self._lost += is_imu
+            if is_imu and self._lost == 1:
                 self._events.notify("place", "localisation is too slow: inertial samples are lost to it", "warning")
 
     def query_image(self, t_robot_ns: int) -> bytes | None:
@@ -217,19 +230,18 @@ class Locating:
         """One worker, until it dies or other maps are wanted."""
         worker = Worker(
             "localisation",
-            self._servant,
-            limits=LIMITS,
+            self._program,
             on_event=lambda event: self._on_event(event) if self._generation == generation else None,
         )
         self._worker = worker
         self._hijacks_told = 0
         try:
             await worker.start()
-            await worker.call("load", self._store, map_ids)
+            await worker.call(LoadMaps(self._store, map_ids))
             self._tell("waiting for a picture of the robot", None)
             await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
-                await worker.call("calibrate", self._calibration)
+                await worker.call(UseCalibration(self._calibration))
             self._is_ready = True
             self._tell("looking at the first picture", None)
             self._events.notify("place", "localisation is ready")
@@ -237,11 +249,11 @@ class Locating:
             while self._generation == generation:
                 run, frame = await self._frames.get()
                 started_s = time.monotonic()
-                async with self._turns.turn():
-                    if self._frames.is_fresh:  # it came while others had their turn
+                async with self._slots.hold():
+                    if self._frames.is_fresh:  # it came while others computed
                         run, frame = await self._frames.get()
                     if self._groups.is_fresh:
-                        await worker.call("regroup", *await self._groups.get())
+                        await worker.call(await self._groups.get())
                     report = await self._answer(worker, frame)
                 is_of_now = self._generation == generation and self._runs == run
                 # The answer to a picture from before a hijack may be read after the notice of it.
@@ -253,12 +265,11 @@ class Locating:
             worker.kill()  # it keeps nothing, and nobody wants the answer that it may be looking for
             await worker.close()
 
-    async def _answer(self, worker: Worker, frame: CameraFrame) -> PlaceReport | None:
+    async def _answer(self, worker: Worker[PlaceProgram, PlaceEvent], frame: CameraFrame) -> PlaceReport | None:
         """None when this picture could not be looked at; the next one may be better. Raises WorkerDied."""
         try:
-            report: PlaceReport = await worker.call(
-                "answer", ImageFrame(frame.seq, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
-            )
+            image = ImageFrame(frame.seq, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
+            report = await worker.call(LocatePicture(image))
         except WorkerDied:
             raise
         except RobotSystemError as exc:
@@ -270,7 +281,7 @@ class Locating:
         self.status = "looking"
         return report
 
-    def _on_event(self, told: HijackNotice | MapReading | MapLeftOut) -> None:
+    def _on_event(self, told: PlaceEvent) -> None:
         if isinstance(told, MapReading):
             self._tell(told.text, told.fraction)
             return

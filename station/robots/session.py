@@ -21,10 +21,13 @@ from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
 from station.robots.current_navigation import Recording
 from station.robots.driving import Driving
-from station.robots.link import LinkState, RobotLink
+from station.robots.link import RobotLink
+from station.robots.link_state import LinkState
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.places import Locating
-from station.workers.turns import Turns
+from station.workers.place_requests import PlaceEvent, PlaceProgram
+from station.workers.request import ProgramName
+from station.workers.scheduling import ComputeSlots
 
 MAX_STOP_LINES = 8
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
@@ -48,8 +51,8 @@ class Shared:
     navigations: Navigations
     paired: PairedRobots
     make_recorder: Callable[[Path], NavigationRecorder | None]
-    place_servant: str  # the class that the localisation worker runs
-    turns: Turns  # of the localisation workers of all robots
+    place_program: ProgramName[PlaceProgram, PlaceEvent]  # what the localisation workers run
+    slots: ComputeSlots  # of the localisation workers of all robots
 
 
 class RobotSession:
@@ -66,7 +69,7 @@ class RobotSession:
         self.camera: Broadcast[SeenFrame] = Broadcast()
         self.link = RobotLink(robot.host, robot.port, self, station_name=config.name, robots=shared.paired)
         self.driving = Driving(
-            self.link,
+            self.link.commands,
             config.drive,
             self._capabilities,
             on_driver=self._tell_driver,
@@ -82,9 +85,9 @@ class RobotSession:
             shared.maps.address,
             config.localization,
             events,
-            shared.place_servant,
+            shared.place_program,
             lambda report: self.recording.on_answer(report),
-            shared.turns,
+            shared.slots,
         )
         self.recording = Recording(
             shared.navigations,
@@ -175,7 +178,7 @@ class RobotSession:
             raise NotCapable("this robot cannot be moved by a message; only a simulated one can")
         async with self._hijacking:
             self.driving.stop()
-            refusal = await self.link.hijack(spot)
+            refusal = await self.link.commands.hijack(spot)
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
         self.events.notify("hijack", HIJACK_NOTICE, "warning")

@@ -10,11 +10,15 @@ import contextlib
 import gc
 import importlib
 
-SERVANTS = ("station.workers.slam", "station.workers.places", "station.workers.library_jobs")
-BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
-PROGRAM = ("shared.command_line",)  # and with it Typer: multiprocessing imports station.main in every child
+from station.workers.library_requests import LIBRARY
+from station.workers.place_requests import PLACES
+from station.workers.slam_requests import SLAM
 
-for _name in (*SERVANTS, *BACKENDS, *PROGRAM):
+PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module)
+BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
+MAIN = ("shared.command_line",)  # and with it Typer: multiprocessing imports station.main in every child
+
+for _name in (*PROGRAMS, *BACKENDS, *MAIN):
     with contextlib.suppress(ImportError):  # who needs it says what is missing
         importlib.import_module(_name)
 gc.collect()

@@ -7,15 +7,12 @@ worker is free.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 
-import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from shared.errors import ConfigError
 from shared.geometry import FloatArray
@@ -27,11 +24,13 @@ from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.build import build_map
-from station.workers.places import PlaceServant
-from station.workers.slam import SlamServant
+from station.workers.place_requests import PlaceEvent
+from station.workers.places import PlaceFinder
+from station.workers.repeatable import repeatable
+from station.workers.slam import NavigationSlam
 
-Pace = Callable[[int], None]  # told the recorded time before something of it is used; may wait
-Say = Callable[[str], None]  # told what is done next
+Pace = Callable[[int], None]  # given the recorded time before something of it is used; may wait
+Say = Callable[[str], None]  # given what is done next
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +93,7 @@ def follow(
     """The SLAM worker's part."""
     say("following the robot")
     updates: list[SlamUpdate] = []
-    slam = SlamServant(updates.append)
+    slam = NavigationSlam(updates.append)
     slam.begin(options.backend, data.calibration, options.seed, 1, data.intrinsics_known)
     for event in _paced(data.events(), pace):
         if isinstance(event, ImuBatch):
@@ -116,8 +115,13 @@ def locate(
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
     """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
     hijacks: list[HijackEvent] = []
-    places = PlaceServant(lambda told: hijacks.append(told.event) if isinstance(told, HijackNotice) else None)
-    places.use(place_map)
+
+    def receive(event: PlaceEvent) -> None:
+        if isinstance(event, HijackNotice):
+            hijacks.append(event.event)
+
+    places = PlaceFinder(receive)
+    places.use([place_map])
     places.calibrate(data.calibration)
     poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
     following: Iterator[tuple[int, FloatArray, int]] = iter(poses)
@@ -127,18 +131,14 @@ def locate(
     answers = []
     for event in _paced(data.events(), pace):
         if isinstance(event, ImuBatch):
-            places.imu(
-                event.t_robot_ns.tolist(),
-                [(x, y, z) for x, y, z in event.gyro_imu.tolist()],
-                [(x, y, z) for x, y, z in event.accel_imu.tolist()],
-            )
+            places.add_imu(event.t_robot_ns.tolist(), event.gyro_imu.tolist(), event.accel_imu.tolist())
         elif isinstance(event, DriveSample):
-            places.drive(event)
+            places.add_drive(event)
         elif next_ns is None or event.t_robot_ns >= next_ns:
             next_ns = event.t_robot_ns + interval_ns
             answers.append(places.answer(event).answer)
         while pose is not None and pose[0] <= _begin(event):
-            places.odometry(*pose)
+            places.add_pose(*pose)
             pose = next(following, None)
     return tuple(answers), tuple(hijacks)
 
@@ -172,14 +172,3 @@ def _paced(
 
 def _begin(event: ImuBatch | DriveSample | ImageFrame) -> int:
     return int(event.t_robot_ns[0]) if isinstance(event, ImuBatch) else event.t_robot_ns
-
-
-@contextlib.contextmanager
-def repeatable(threads: int) -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(threads)
-    try:
-        with threadpool_limits(limits=1):
-            yield
-    finally:
-        cv2.setNumThreads(before)

@@ -195,9 +195,9 @@ async def test_a_revoked_station_is_thrown_out_its_motors_stop_and_it_stays_out(
     async with guarded_robot(tmp_path / "robot") as bench:
         bench.admit("desk", Role.DRIVE, robots)
         async with linked(bench.port, robots) as (link, _):
-            await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
             TokenBook(bench.folder).revoke("desk", time.time())  # as `robot-server access revoke` does
-            await until(lambda: link.drive(0.2, 0.0, 250) is False)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) is False)
             assert "revoked" in link.state.reason
             await until(lambda: bench.motors.are_off)
             await until(lambda: "not valid" in link.state.reason)

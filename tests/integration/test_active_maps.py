@@ -17,7 +17,8 @@ from shared.geometry import FloatArray, IntArray
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_answer import MapReading, PlaceReport
 from station.model.place_map import PlaceMap
 from station.places.localisation.index_file import index_of
@@ -27,7 +28,7 @@ from station.places.making.build import build_map
 from station.robots.places import Locating
 from station.vision.appearance import AppearanceIndex
 from station.vision.features import DescriptorArray
-from station.workers.places import PlaceServant
+from station.workers.places import PlaceFinder
 from tests.support.link import hello, until
 from tests.support.station import store_map
 from tests.support.station_at_work import at_work, is_problem, wait_for
@@ -188,16 +189,16 @@ def test_the_worker_tells_how_far_all_maps_are_and_takes_the_new_names_of_one(
 ) -> None:
     keep(tmp_path, rooms)
     told: list[object] = []
-    servant = PlaceServant(told.append)
-    servant.load(StoreAddress(tmp_path), tuple(room.id for room in rooms.values()))
+    finder = PlaceFinder(told.append)
+    finder.load(StoreAddress(tmp_path), tuple(room.id for room in rooms.values()))
     readings = [event for event in told if isinstance(event, MapReading)]
     assert [reading.fraction for reading in readings] == sorted(reading.fraction for reading in readings)
     assert readings[0].text == "looking at picture 1 of 7 of Hall" and readings[-1].text.endswith("7 of 7 of Attic")
-    servant.calibrate(CALIBRATION)
+    finder.calibrate(CALIBRATION)
     attic = rooms["Attic"]
-    servant.regroup(attic.id, tuple(replace(place, name=f"{place.name} up") for place in attic.places), attic.edges)
+    finder.regroup(attic.id, tuple(replace(place, name=f"{place.name} up") for place in attic.places), attic.edges)
     frames = [replace(frame(view), t_robot_ns=4_000_000_000 * k) for k, view in enumerate(views(WALLS["Attic"])[:4])]
-    answers = [servant.answer(one).answer for one in frames]
+    answers = [finder.answer(one).answer for one in frames]
     names = {candidate.name for candidate in answers[-1].alternatives}
     assert answers[-1].place is not None and answers[-1].place.name.endswith(" up")
     assert {place.name for place in rooms["Hall"].places} <= names

@@ -11,8 +11,9 @@ import pytest
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
 from station.model.frames import ImageFrame
+from station.model.map_store import StoreAddress
 from station.model.navigation import Keyframes, Navigation
 from station.model.place_answer import HijackNotice, MapReading, PlaceReport
 from station.model.place_map import PlaceMap
@@ -20,7 +21,7 @@ from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.vision.appearance import AppearanceIndex
 from station.vision.features import FeatureExtractor
-from station.workers.places import PlaceServant
+from station.workers.places import PlaceFinder
 from tests.support.motion import imu, lift, seconds
 from tests.support.walls import CALIBRATION, CAMERA, camera_at, frame, make_map, picture
 
@@ -35,38 +36,38 @@ def test_evidence_carries_the_pictures_own_time_whatever_the_cameras_shift(tmp_p
     place_map = build_map(make_map("wall", 1).navigation, name="wall")
     MapStore(tmp_path).save(place_map)
     told: list[object] = []
-    servant = PlaceServant(told.append)
-    servant.load(StoreAddress(tmp_path), (place_map.id,))
+    finder = PlaceFinder(told.append)
+    finder.load(StoreAddress(tmp_path), (place_map.id,))
     progress = [event.fraction for event in told if isinstance(event, MapReading)]
     assert progress == sorted(progress) and 0.0 <= progress[0] < 1.0  # who waits is told how far it is
     camera = msgspec.structs.replace(CAMERA, time_shift_s=0.03)
-    servant.calibrate(Calibration(camera=camera, imu=None))
+    finder.calibrate(Calibration(camera=camera, imu=None))
     for n in range(3):
         view = ImageFrame(n, n * 500_000_000, 0, picture(1, camera_at(0.3, 0.1, -0.2, 0.1)))
-        report = servant.answer(view)
+        report = finder.answer(view)
         assert report.t_evidence_ns == view.t_robot_ns, report.attempt
         assert report.answer.evidence_t_robot_ns == view.t_robot_ns
-    broken = servant.answer(ImageFrame(3, 1_500_000_000, 0, b"no picture"))
+    broken = finder.answer(ImageFrame(3, 1_500_000_000, 0, b"no picture"))
     assert "not a readable JPEG" in broken.attempt and broken.t_evidence_ns is None
     assert broken.answer.t_robot_ns == 1_500_000_000
-    after = servant.answer(ImageFrame(4, 2_000_000_000, 0, picture(1, camera_at(0.3))))
+    after = finder.answer(ImageFrame(4, 2_000_000_000, 0, picture(1, camera_at(0.3))))
     assert after.t_evidence_ns == 2_000_000_000
 
 
 def test_a_lift_ends_what_was_known_at_once_and_no_picture_from_before_brings_it_back(tmp_path: Path) -> None:
     place_map = build_map(make_map("wall", 1).navigation, name="wall")
     told: list[object] = []
-    servant = PlaceServant(told.append)
-    servant.use(place_map)
-    servant.calibrate(CALIBRATION)
+    finder = PlaceFinder(told.append)
+    finder.use([place_map])
+    finder.calibrate(CALIBRATION)
 
     def feel(rotation: FloatArray, acceleration: FloatArray, start_s: float) -> None:
         for batch in imu(rotation, acceleration, start_s):
-            servant.imu(batch.t_robot_ns.tolist(), batch.gyro_imu.tolist(), batch.accel_imu.tolist())
+            finder.add_imu(batch.t_robot_ns.tolist(), batch.gyro_imu.tolist(), batch.accel_imu.tolist())
 
     def look(t_s: float) -> PlaceReport:
         views = [camera_at(0.3), camera_at(0.35, 0.1, -0.2, 0.1)]
-        return servant.answer(ImageFrame(0, round(t_s * 1e9), 0, picture(1, views[round(10 * t_s) % 2])))
+        return finder.answer(ImageFrame(0, round(t_s * 1e9), 0, picture(1, views[round(10 * t_s) % 2])))
 
     feel(seconds(3), seconds(3), 0.0)
     assert [look(t_s) for t_s in (2.5, 2.6, 2.7, 2.8, 2.9)][-1].answer.state == "known"

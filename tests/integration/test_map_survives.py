@@ -13,7 +13,8 @@ import pytest
 
 from shared.errors import DataError
 from station.maps.repair.check import verify
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from tests.support.crashing.disks import NoDisk
 from tests.support.crashing.flips import flip_many
 from tests.support.crashing.maps import MAP, variant

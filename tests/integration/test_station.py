@@ -14,6 +14,9 @@ import pytest
 import websockets
 
 from shared.listening import bind
+from station.model.map_store import StoreAddress
+from station.workers.jobs import JobWorker
+from station.workers.library_requests import LibraryProgram, MeasurePlaces
 from tests.support.link import until
 from tests.support.paths import ROOT
 from tests.support.station import running_station, store_map
@@ -310,10 +313,11 @@ async def test_a_robot_that_goes_takes_the_current_place_with_it(tmp_path: Path)
 
 async def test_a_running_job_can_be_cancelled(tmp_path: Path) -> None:
     async with running_station(1, tmp_path) as desk:
-        # Cancelled while its process starts: it would fail later, with no navigation to build from.
-        job = desk.station.jobs.start(
-            "test", "map of nothing", lambda worker: worker.call("build_map", [], tmp_path, "", None)
-        )
+        # Cancelled while its process starts: it would fail later, without a map to measure.
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, float]:
+            return await worker.call(MeasurePlaces(StoreAddress(tmp_path), "none"))
+
+        job = desk.station.jobs.start("test", "places of nothing", work)
         cancelled = (await desk.http.delete(f"/jobs/{job.id}")).json()
         assert cancelled["state"] == "cancelled"
 

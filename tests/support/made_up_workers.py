@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +11,16 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.changes import shown
 from station.vision.features import Features
+from station.workers.place_requests import PlaceEvent, PlaceProgram, Vectors
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
 
@@ -89,10 +91,10 @@ class DyingSlam(StraightSlam):
         return super().add_frame(frame)
 
 
-class PlaceByLight:
-    """A localisation servant: light pictures show the first map's first place, dark ones the last map's second one."""
+class PlaceByLight(PlaceProgram):
+    """Light pictures show the first map's first place, dark ones the last map's second one."""
 
-    def __init__(self, emit: Callable[[object], None]) -> None:
+    def __init__(self, emit: Callable[[PlaceEvent], None]) -> None:
         self._emit = emit
         self._maps: list[PlaceMap] = []
         self._was_dark = False
@@ -108,13 +110,13 @@ class PlaceByLight:
     def calibrate(self, calibration: Calibration) -> None:
         pass
 
-    def imu(self, *samples: object) -> None:
+    def add_imu(self, t_robot_ns: Sequence[int], gyro: Vectors, accel: Vectors) -> None:
         pass
 
-    def drive(self, sample: DriveSample) -> None:
+    def add_drive(self, sample: DriveSample) -> None:
         pass
 
-    def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
+    def add_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         pass
 
     def answer(self, frame: ImageFrame) -> PlaceReport:

@@ -22,8 +22,9 @@ from station.config import AccessConfig, ApiConfig, LocalizationConfig, RobotCon
 from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map
+from station.workers.request import ProgramName
 from tests.support.link import Bench, until
-from tests.support.made_up_workers import made_up_navigation
+from tests.support.made_up_workers import PlaceByLight, made_up_navigation
 
 FRAME_S = 0.05
 
@@ -105,7 +106,7 @@ async def running_station(
         slam=SlamConfig(backend=backend),
         localization=LocalizationConfig(rate_hz=4),
     )
-    station = Station(config, place_servant="tests.support.made_up_workers:PlaceByLight")
+    station = Station(config, place_program=ProgramName.of(PlaceByLight))
     listener = bind(config.api.host, config.api.port)
     address = f"{'https' if verify else 'http'}://127.0.0.1:{listener.getsockname()[1]}"
     started = asyncio.Event()

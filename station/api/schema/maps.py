@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from station.api.schema.base import Model, Question
 from station.config import MAX_ACTIVE_MAPS
 from station.library.maps import Maps
-from station.maps.store import MapSummary
+from station.model.map_store import MapSummary
 
 
 class MapModel(Model):

@@ -18,12 +18,13 @@ from station.files.navigation_folder import save_navigation
 from station.maps.database import VERSIONS, upgrade
 from station.maps.folder import save_map_folder
 from station.maps.repair.check import verify
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map
 from station.places.making.changes import with_places_merged
-from station.workers.library_jobs import JobServant
+from station.workers.library_jobs import LibraryJobs
 from tests.support.crashing.child import Child, Scenario
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
@@ -250,11 +251,11 @@ def build_on(kinds: tuple[tuple[int, ...], ...]) -> Callable[[Path, Child], None
     """Maps of these drives in turn, over and over, by the code of the station's job."""
 
     def work(folder: Path, child: Child) -> None:
-        servant = JobServant(lambda _: None)
+        library = LibraryJobs(lambda _: None)
         for number in range(10_000):
             kind = number % len(kinds)
             folders = [folder / DRIVES[k] for k in kinds[kind]]
-            child.do(functools.partial(servant.build_map, folders, address(folder), f"v{number}", None))
+            child.do(functools.partial(library.build_map, folders, address(folder), f"v{number}", None))
             child.promise(number)
 
     return work
@@ -309,7 +310,7 @@ def built_once(drives: tuple[int, ...], after: tuple[int, ...] = ()) -> PlaceMap
         for number in drives:
             save_navigation(made_up_navigation(number), folder / DRIVES[number])
         for kind in filter(None, (after, drives)):
-            built = JobServant(lambda _: None).build_map(
+            built = LibraryJobs(lambda _: None).build_map(
                 [folder / DRIVES[number] for number in kind], StoreAddress(folder / "maps"), "v0", None
             )
         return MapStore(folder / "maps").load(built.map_id)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from robot.commands import CommandDesk
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
-from robot.driving import LEASE_NS, RELEASE_NS, CommandOrder, DriverLease
+from robot.driving import CommandOrder
 from robot.watchdog import MotorWatchdog
 from shared.calibration import REFERENCE_ROBOT
-from shared.messages import Drive, Heartbeat
+from shared.messages import Drive, Heartbeat, Stop
 from tests.support.motors import FakeMotors
 
 MS = 1_000_000
@@ -19,51 +19,20 @@ def command(seq: int, t_station_ns: int, ttl_ms: int = 200) -> Drive:
     return Drive(seq=seq, t_station_ns=t_station_ns, linear=0.1, angular=0.0, ttl_ms=ttl_ms)
 
 
-def test_the_first_to_command_drives_and_others_are_told() -> None:
-    lease = DriverLease()
-    assert lease.request(1, False, 10 * S) == ""
-    assert "another station drives" in lease.request(2, False, 10 * S + 1)
-
-
-def test_the_wheel_is_free_after_silence() -> None:
-    lease = DriverLease()
-    lease.request(1, False, 10 * S)
-    assert lease.request(2, False, 10 * S + LEASE_NS - 1)
-    assert lease.request(2, False, 10 * S + LEASE_NS) == ""
-
-
-def test_who_leaves_gives_the_wheel_away() -> None:
-    lease = DriverLease()
-    lease.request(1, False, 10 * S)
-    assert not lease.release(2)
-    assert lease.release(1)
-    assert lease.request(2, False, 10 * S + 1) == ""
-
-
-def test_a_stop_by_somebody_else_holds_until_the_driver_lets_go() -> None:
-    lease = DriverLease()
-    lease.request(1, False, 10 * S)
-    lease.stop(2)
-    now_ns = 10 * S
-    for _ in range(100):  # the joystick is still held
-        now_ns += 50 * MS
-        assert "let go" in lease.request(1, False, now_ns)
-    assert lease.request(1, True, now_ns + 50 * MS) == ""
-    assert lease.request(1, False, now_ns + 100 * MS) == ""
-
-
-def test_half_a_second_of_silence_is_letting_go() -> None:
-    lease = DriverLease()
-    lease.request(1, False, 10 * S)
-    lease.stop(2)
-    assert lease.request(1, False, 10 * S + RELEASE_NS) == ""
-
-
-def test_the_drivers_own_stop_needs_no_letting_go() -> None:
-    lease = DriverLease()
-    lease.request(1, False, 10 * S)
-    lease.stop(1)
-    assert lease.request(1, False, 10 * S + 50 * MS) == ""
+def test_the_first_to_command_drives_and_others_hear_why_they_do_not() -> None:
+    command_desk, _ = desk(9 * S)
+    for t in (8 * S, 9 * S):
+        command_desk.handle(2, Heartbeat(seq=0, t_station_ns=t), t)
+    assert command_desk.handle(1, command(1, 9 * S), 9 * S) is None
+    refused = command_desk.handle(2, command(1, 9 * S), 9 * S + 1)
+    assert refused is not None and refused.code == "not_driver" and "another station drives" in refused.message
+    assert command_desk.handle(2, Stop(seq=2), 9 * S + 2) is None  # anybody may
+    refused = command_desk.handle(1, command(2, 9 * S + 50 * MS), 9 * S + 50 * MS)
+    assert refused is not None and refused.code == "not_driver" and "let go of the joystick" in refused.message
+    assert command_desk.watchdog is not None and command_desk.refused == 2
+    command_desk.leave(1)
+    assert command_desk.handle(2, command(3, 9 * S + 60 * MS), 9 * S + 60 * MS) is None
+    command_desk.watchdog.close()
 
 
 def known(station_ahead_ns: int = 0) -> CommandOrder:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from shared.messages import MAX_DRIVE_TTL_MS
 from station.api.messages import DriveCommand
 from station.api.robot import UNDATED_MS, life_left_ms
-from station.robots.driving import LATE_FOR_NS, LateOrders
+from station.robots.late_commands import LATE_FOR_NS, LateCommands
 
 
 def order(ttl_ms: int, heard_ms: int | None) -> DriveCommand:
@@ -39,21 +39,21 @@ MS = 1_000_000
 
 
 def test_a_link_that_is_always_too_slow_is_told_again_and_again_while_it_is_used() -> None:
-    late = LateOrders()
-    told = [ms for ms in range(0, 2000, 50) if late.late(ms * MS)]
+    late = LateCommands()
+    told = [ms for ms in range(0, 2000, 50) if late.note_late(ms * MS)]
     assert told == [500, 1050, 1600]
 
 
 def test_a_burst_after_a_standstill_is_not_a_slow_link() -> None:
-    late = LateOrders()
-    assert not any(late.late(1000 * MS + k) for k in range(60))
-    late.fresh()
-    assert not any(late.late(1000 * MS + LATE_FOR_NS + k) for k in range(60))
+    late = LateCommands()
+    assert not any(late.note_late(1000 * MS + k) for k in range(60))
+    late.note_fresh()
+    assert not any(late.note_late(1000 * MS + LATE_FOR_NS + k) for k in range(60))
 
 
 def test_one_late_command_now_and_then_is_not_a_slow_link() -> None:
-    late = LateOrders()
+    late = LateCommands()
     for second in range(10):
-        assert not late.late(second * 1000 * MS)
-        late.fresh()
-    assert not any(late.late(second * 1000 * MS) for second in range(20, 30))  # each after a long silence
+        assert not late.note_late(second * 1000 * MS)
+        late.note_fresh()
+    assert not any(late.note_late(second * 1000 * MS) for second in range(20, 30))  # each after a long silence

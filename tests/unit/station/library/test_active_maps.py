@@ -13,7 +13,8 @@ from station.errors import Conflict, Unknown
 from station.events import Events
 from station.library.active_maps import FILE, keep_choice, kept_choice, why_not_together
 from station.library.maps import Maps
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from tests.support.places import make_map
 

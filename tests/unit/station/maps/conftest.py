@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from station.maps.store import StoreAddress
+from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map
 from tests.support.postgres import PostgresServer, running_postgres

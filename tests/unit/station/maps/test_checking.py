@@ -21,7 +21,8 @@ from station.maps.backup import restore_backup, write_backup
 from station.maps.blobs import Damaged
 from station.maps.record import map_content_hash
 from station.maps.repair.check import purge_versions, repair, verify
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from tests.support.store import blobs, cut, largest_blob, newest_record
 

@@ -14,7 +14,8 @@ from shared.errors import DataError
 from station.main import app
 from station.maps.blobs import RENEWED_AFTER_S, blob_name
 from station.maps.repair.check import UNUSED_S, purge_versions, repair, verify
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from tests.support.store import blobs, cut, largest_blob, newest_record
 

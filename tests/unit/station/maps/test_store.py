@@ -14,7 +14,8 @@ from station.maps import bucket as bucket_module
 from station.maps import store as store_module
 from station.maps.folder import save_map_folder
 from station.maps.record import map_content_hash
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.build import carry_names
 

@@ -22,7 +22,8 @@ from station.library.navigations import Navigations
 from station.robots.current_navigation import CANCELLED, Recording
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.slam import MAX_DEATHS, SlamProcess
-from station.workers.worker import WorkerDied
+from station.workers.request import WorkerDied
+from station.workers.slam_requests import AddFrame, FinishNavigation
 from tests.support.link import Notes, hello, until
 
 
@@ -32,11 +33,11 @@ class FakeWorker:
     made: list[FakeWorker]
     may_start: asyncio.Event
 
-    def __init__(self, name: str, servant: str, *, on_death: Any, on_failure: Any, **_: Any) -> None:
+    def __init__(self, name: str, program: object, *, on_death: Any, on_failure: Any, **_: Any) -> None:
         self.on_death: Callable[[str], None] = on_death
         self.on_failure: Callable[[str], None] = on_failure
-        self.dropped: dict[str, int] = {}
-        self.posted: list[str] = []
+        self.dropped: dict[type, int] = {}
+        self.posted: list[type] = []
         self.num_waiting = 0
         self.may_finish = asyncio.Event()
         self.may_finish.set()
@@ -44,8 +45,8 @@ class FakeWorker:
         self._begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.made.append(self)
 
-    def ask(self, method: str, *arguments: object) -> asyncio.Future[Any]:
-        return asyncio.ensure_future(self.call(method, *arguments)) if method == "finish" else self._begun
+    def ask(self, request: object) -> asyncio.Future[Any]:
+        return asyncio.ensure_future(self.call(request)) if isinstance(request, FinishNavigation) else self._begun
 
     async def start(self) -> None:
         await self.may_start.wait()
@@ -53,18 +54,18 @@ class FakeWorker:
         if not self._begun.done():
             self._begun.set_result(None)
 
-    def post(self, method: str, *_: object, kind: str = "") -> bool:
-        self.posted.append(method)
+    def post(self, request: object) -> bool:
+        self.posted.append(type(request))
         return not self.is_dead
 
-    def waiting(self, kind: str) -> int:
+    def waiting(self, kind: type) -> int:
         return self.num_waiting
 
     def kill(self) -> None:
         self.is_closed = True
         self.may_finish.set()
 
-    async def call(self, method: str, *_: object) -> Any:
+    async def call(self, request: object) -> Any:
         await self.may_finish.wait()
         if self.is_dead or self.is_closed:
             raise WorkerDied("dead")
@@ -225,7 +226,7 @@ async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(
         FakeWorker.made[-1].die()
         assert len(FakeWorker.made) == deaths + 1
     room.recording.on_frame(CameraFrame(seq=1, t_robot_ns=1, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b""), 1)
-    assert FakeWorker.made[-1].posted == ["add_frame"]
+    assert FakeWorker.made[-1].posted == [AddFrame]
     FakeWorker.made[-1].die()
     assert len(FakeWorker.made) == MAX_DEATHS and room.said("goes on without it") == 1
     assert room.recording.running is not None and not room.recorder.is_closed

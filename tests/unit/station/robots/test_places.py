@@ -16,11 +16,12 @@ from shared.errors import DataError
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
-from station.maps.store import StoreAddress
 from station.model.frames import ImageFrame
+from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.robots.places import Locating
-from station.workers.worker import WorkerFailed
+from station.workers.place_requests import LocatePicture, UseCalibration
+from station.workers.request import WorkerFailed
 from tests.support.link import hello, until
 
 
@@ -33,7 +34,7 @@ class FakeWorker:
 
     def __init__(self, *_: object, on_event: Callable[[object], None], **__: object) -> None:
         self.tell = on_event
-        self.calls: list[str] = []
+        self.calls: list[type] = []
         self.made.append(self)
 
     async def start(self) -> None: ...
@@ -42,18 +43,18 @@ class FakeWorker:
 
     def kill(self) -> None: ...
 
-    def post(self, method: str, *_: object) -> bool:
-        self.calls.append(method)
+    def post(self, request: object) -> bool:
+        self.calls.append(type(request))
         return True
 
-    async def call(self, method: str, *arguments: Any) -> Any:
-        self.calls.append(method)
-        if method != "answer":
+    async def call(self, request: object) -> PlaceReport | None:
+        self.calls.append(type(request))
+        if not isinstance(request, LocatePicture):
             return None
         await self.answers.wait()
         if self.error is not None:
             raise self.error
-        return kitchen(arguments[0])
+        return kitchen(request.frame)
 
 
 def kitchen(frame: ImageFrame) -> PlaceReport:
@@ -114,8 +115,8 @@ async def test_without_a_robot_the_place_is_lost_and_says_why(locating: Locating
 async def test_an_answer_that_comes_after_the_robot_went_is_no_answer(locating: Locating) -> None:
     await until_known(locating, 7)
     FakeWorker.answers.clear()
-    asked = FakeWorker.made[-1].calls.count("answer")
-    await until(lambda: FakeWorker.made[-1].calls.count("answer") > asked or locating.offer(picture(8)))
+    asked = FakeWorker.made[-1].calls.count(LocatePicture)
+    await until(lambda: FakeWorker.made[-1].calls.count(LocatePicture) > asked or locating.offer(picture(8)))
     locating.on_disconnected("the cable came off")
     answers = locating.answers
     FakeWorker.answers.set()
@@ -144,12 +145,12 @@ async def test_the_answer_to_a_picture_from_before_a_hijack_does_not_bring_the_o
     await until_known(locating, 7)
     FakeWorker.answers.clear()
     worker = FakeWorker.made[-1]
-    asked = worker.calls.count("answer")
-    await until(lambda: worker.calls.count("answer") > asked or locating.offer(picture(8)))
+    asked = worker.calls.count(LocatePicture)
+    await until(lambda: worker.calls.count(LocatePicture) > asked or locating.offer(picture(8)))
     FakeWorker.answers.set()  # the answer is there, and in the same moment the notice
     worker.tell(lifted(9))
     asked += 1
-    await until(lambda: worker.calls.count("answer") > asked or locating.offer(picture(10)))
+    await until(lambda: worker.calls.count(LocatePicture) > asked or locating.offer(picture(10)))
     assert state_of(locating) == "lost"
 
 
@@ -170,11 +171,11 @@ async def test_another_robot_or_run_begins_from_nothing(locating: Locating, othe
     FakeWorker.answers.clear()
     locating.offer(picture(8))
     worker = FakeWorker.made[-1]
-    asked = worker.calls.count("answer")
-    await until(lambda: worker.calls.count("answer") > asked or locating.offer(picture(8)))
+    asked = worker.calls.count(LocatePicture)
+    await until(lambda: worker.calls.count(LocatePicture) > asked or locating.offer(picture(8)))
     locating.on_connected(other)
     assert state_of(locating) == "none" and locating.query_image(7) is None
-    assert worker.calls[-1] == "calibrate"
+    assert worker.calls[-1] is UseCalibration
     FakeWorker.answers.set()  # the answer about the old run's picture
     answers = locating.answers
     await until_known(locating, 9)
@@ -196,7 +197,7 @@ async def test_a_picture_that_cannot_be_looked_at_does_not_end_localisation(
 
 
 async def test_a_map_that_cannot_be_read_is_given_up(locating: Locating, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def broken(self: FakeWorker, method: str, *_: Any) -> Any:
+    async def broken(self: FakeWorker, request: object) -> None:
         raise DataError("the map is broken")
 
     monkeypatch.setattr(FakeWorker, "call", broken)

@@ -9,14 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from station.workers.worker import Outbox
 from tests.support.paths import ROOT
 
 LOOK = """
 import os, sys
 import station.workers.preload
 threads = len(os.listdir("/proc/self/task"))
-missing = [name for name in station.workers.preload.SERVANTS if name not in sys.modules]
+missing = [name for name in station.workers.preload.PROGRAMS if name not in sys.modules]
 before = set(sys.modules)
 import station.main
 print(threads, missing, sorted(sys.modules.keys() - before))
@@ -31,14 +30,3 @@ def test_workers_find_all_they_need_imported_and_no_thread_but_those_of_linear_a
         [sys.executable, "-c", LOOK], cwd=ROOT, env=one, capture_output=True, text=True, timeout=120, check=True
     )
     assert seen.stdout == "1 [] ['station.main']\n"
-
-
-async def test_what_waits_too_long_goes_when_the_next_of_its_kind_comes_and_nothing_else_does() -> None:
-    now_s = [0.0]
-    outbox = Outbox({"frame": 10, "imu": 10}, {"frame": 5.0}, lambda: now_s[0])
-    assert outbox.put("frame", ("f0",)) and outbox.put("imu", ("i0",)) and outbox.put("frame", ("f1",))
-    now_s[0] = 5.5
-    assert outbox.put("imu", ("i1",))
-    assert not outbox.put("frame", ("f2",))
-    assert outbox.dropped["frame"] == 2 and outbox.dropped["imu"] == 0
-    assert [await outbox.take() for _ in range(3)] == [("i0",), ("i1",), ("f2",)]
