@@ -1,4 +1,4 @@
-"""Measure the rates behind the current place (`station/places/likelihoods.py`), and print them as it takes them.
+"""Measure the rates behind the current place (`station/places/tracking/config.py`), and print them as it takes them.
 
     python -m benchmarks.fit_place_likelihoods [--rows FILE.jsonl] [--flats 101-120] [--drives 1 3]
 
@@ -34,16 +34,14 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse
 from station.model.frames import ImageFrame
 from station.places.localisation.localizer import Attempt
-from station.places.tracking.belief import BeliefConfig
-from station.places.tracking.likelihoods import (
-    LEAST_EXTENT_M,
-    NONE_IN_VIEW,
+from station.places.tracking.config import (
     USUAL_EXTENT_M,
     USUAL_FEATURES,
     USUAL_INLIERS,
     USUAL_SUPPORT,
-    support,
+    BeliefConfig,
 )
+from station.places.tracking.image_model import LEAST_EXTENT_M, NONE_IN_VIEW, support
 from station.places.tracking.map_view import MapView
 
 RIGHT_M = 0.25  # from the true position
@@ -151,7 +149,7 @@ def minimised(losses: Callable[[FloatArray], FloatArray], count: int) -> FloatAr
 
 
 def recognising(pose: dict[str, Any], features: int) -> list[float]:
-    """A row of figures, as `Recognising` takes them."""
+    """A row of figures, as `RecognisedOdds` weighs them."""
     return [
         1.0,
         float(np.log(max(pose["extent"], LEAST_EXTENT_M) / USUAL_EXTENT_M)),
@@ -162,7 +160,7 @@ def recognising(pose: dict[str, Any], features: int) -> list[float]:
 
 
 def failing(rows: list[dict[str, Any]], columns: str) -> FloatArray:
-    """Rows of figures, as `Failing` takes them: f features, a again, v in view."""
+    """Rows of figures, as `FailureOdds` weighs them: f features, a again, v in view."""
     made = {
         "f": [np.log(r["features"] / USUAL_FEATURES) for r in rows],
         "a": [r["failed_before"] for r in rows],

@@ -78,10 +78,9 @@ class PlaceServant:
             store.root, place_map, tell, lambda: self._emit(MapReading(0.9 * before / max(all_total, 1), WAITING))
         )
 
-    def use(self, maps: PlaceMap | Sequence[PlaceMap], indexes: Sequence[MapIndex] | None = None) -> None:
+    def use(self, maps: Sequence[PlaceMap], indexes: Sequence[MapIndex] | None = None) -> None:
         """Answer from these maps; `indexes`: of each of them, else they are made."""
-        given = (maps,) if isinstance(maps, PlaceMap) else maps
-        self._maps = tuple(shown(place_map) for place_map in given)
+        self._maps = tuple(shown(place_map) for place_map in maps)
         self._localizer = Localizer(self._maps, index=indexes)
 
     def calibrate(self, calibration: Calibration) -> None:

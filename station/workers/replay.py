@@ -106,7 +106,7 @@ def locate(
     """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
     hijacks: list[HijackEvent] = []
     places = PlaceServant(lambda told: hijacks.append(told.event) if isinstance(told, HijackNotice) else None)
-    places.use(place_map)
+    places.use([place_map])
     places.calibrate(data.calibration)
     poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
     following: Iterator[tuple[int, FloatArray, int]] = iter(poses)

@@ -138,7 +138,7 @@ def test_a_lift_ends_what_was_known_at_once_and_no_picture_from_before_brings_it
     place_map = build_map(make_map("wall", 1).navigation, name="wall")
     told: list[object] = []
     servant = PlaceServant(told.append)
-    servant.use(place_map)
+    servant.use([place_map])
     servant.calibrate(CALIBRATION)
 
     def feel(rotation: FloatArray, acceleration: FloatArray, start_s: float) -> None:
@@ -202,7 +202,7 @@ def test_a_map_without_readable_images_answers_no() -> None:
         good.navigation.landmarks,
         good.navigation.report,
     )
-    empty = Localizer(PlaceMap("broken", "broken", navigation, (), (), {}))
+    empty = Localizer([PlaceMap("broken", "broken", navigation, (), (), {})])
     assert empty.localize(frame(picture(1, camera_at(0.0))), CALIBRATION) is None
 
 

@@ -102,11 +102,11 @@ def test_a_place_stays_hidden_when_the_map_is_made_anew(place_map: PlaceMap) -> 
 
 
 def test_a_hidden_place_is_no_candidate_and_the_pose_is_kept(place_map: PlaceMap) -> None:
-    estimator = CurrentPlaceEstimator(place_map)
-    before = estimator.belief()
+    estimator = CurrentPlaceEstimator([place_map])
+    before = estimator.place_probabilities()
     gone = place_map.places[0]
-    estimator.regroup(shown(with_place_hidden(place_map, gone.id, True)))
+    estimator.regroup([shown(with_place_hidden(place_map, gone.id, True))])
     answer = estimator.answer(1)
     assert gone.id not in {candidate.id for candidate in answer.alternatives}
-    assert len(estimator.belief().place) == len(place_map.places) - 1
-    assert estimator.belief().lost == pytest.approx(before.lost)
+    assert len(estimator.place_probabilities().place) == len(place_map.places) - 1
+    assert estimator.place_probabilities().lost == pytest.approx(before.lost)
