@@ -16,7 +16,7 @@ from station.experiments.inputs import open_truth
 from station.files.navigation_folder import load_navigation
 from station.maps.folder import load_map_folder
 from station.places.joining.match import match_navigation
-from station.places.making.changes import shown
+from station.places.making.changes import without_hidden
 
 
 def register(app: typer.Typer) -> None:
@@ -44,7 +44,7 @@ def match(
     config = places_config(mode, eps, min_pts, inlier_ratio, align_by)
     truths = open_truth(truth1), open_truth(truth2)
     # A place that a person has hidden is no answer here either.
-    place_map, second = shown(load_map_folder(path)), load_navigation(navigation)
+    place_map, second = without_hidden(load_map_folder(path)), load_navigation(navigation)
     with working(f"matching {second.id} with {place_map.name}"):
         result = match_navigation(place_map, second, config, seed=seed)
         judgement, not_judged = judge(place_map, second, truths, result)
