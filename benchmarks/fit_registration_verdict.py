@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.bench_registration import FIRST_SEED, SETS, errors, is_right
-from benchmarks.registration_clouds import make_pair
 from shared.geometry import FloatArray
 from station.places.registration import register_clouds
 from station.places.registration.verify import WEIGHTS
+from tests.support.registration_clouds import make_pair
 
 # A wrong unit has a check of its own in verify.py; the seven figures cannot see it.
 LEARNED = [name for name in SETS if "unit_error" not in SETS[name]]

@@ -20,7 +20,7 @@ sys.path.insert(0, str(ROOT))
 from station.model.frames import ImageFrame  # noqa: E402  (found by the line above)
 from station.places.making.build import build_map  # noqa: E402
 from station.places.tracking.tracker import PlaceTracker  # noqa: E402
-from tests.synthetic_home import drive, furnished_room, navigate  # noqa: E402
+from tests.support.synthetic_home import drive, furnished_room, navigate  # noqa: E402
 
 ROOM = ROOT / "station" / "places"
 TRACED = 21  # the image that is followed: by then the robot is known, and the view is another one than the last

@@ -1,4 +1,8 @@
-"""Rigid motions and rotations as plain arrays: `T_a_b` (4, 4) maps b to a. docs/conventions.md has the rules."""
+"""Motions and rotations as plain arrays: `T_a_b` (4, 4) maps b to a. docs/conventions.md has the rules.
+
+A similarity, Sim(3), is a rigid motion whose upper-left block carries a scale too: scale * R. Products and `transform`
+are the same for both; what differs is here.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +34,39 @@ def inverse(T: FloatArray) -> FloatArray:
 
 
 def transform(T_a_b: FloatArray, p_b: FloatArray) -> FloatArray:
-    """Points (N, 3) of frame b in frame a; T may carry a scale in its upper-left block."""
+    """Points (..., 3) of frame b in frame a; T may be a similarity."""
     return p_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def sim3(scale: float, R: FloatArray, t: FloatArray) -> FloatArray:
+    """The similarity (4, 4) p -> scale * R p + t."""
+    return se3(scale * R, t)
+
+
+def scale_of(T: FloatArray) -> float:
+    """The scale of a similarity (4, 4); 1 of a rigid motion."""
+    return float(np.cbrt(np.linalg.det(T[:3, :3])))
+
+
+def rotation_of(T: FloatArray) -> FloatArray:
+    """The rotation (3, 3) of a similarity (4, 4)."""
+    return T[:3, :3] / scale_of(T)
+
+
+def inverse_sim3(T: FloatArray) -> FloatArray:
+    """Inverse of a similarity (4, 4)."""
+    scale = scale_of(T)
+    back = inverse(se3(rotation_of(T), T[:3, 3] / scale))
+    back[:3, :3] /= scale
+    return back
+
+
+def carry_poses(T_a_b: FloatArray, T_b_c: FloatArray) -> FloatArray:
+    """Rigid poses (N, 4, 4) of c in frame a; the scale of T_a_b moves positions and leaves rotations rigid."""
+    out = T_b_c.copy()
+    out[:, :3, :3] = rotation_of(T_a_b) @ T_b_c[:, :3, :3]
+    out[:, :3, 3] = transform(T_a_b, T_b_c[:, :3, 3])
+    return out
 
 
 def skew(v: FloatArray) -> FloatArray:
@@ -43,6 +78,11 @@ def orthonormal(M: FloatArray) -> FloatArray:
     """The rotation (3, 3) nearest to M in the Frobenius norm. Source: Umeyama, IEEE TPAMI 13(4), 1991, lemma."""
     U, _, Vt = np.linalg.svd(M)
     return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+
+
+def rotation_angle(R: FloatArray) -> FloatArray:
+    """Angles (...) rad, 0 to pi, of rotations (..., 3, 3). Near 0 and pi `so3_log` is more exact: here 1e-8 is lost."""
+    return np.asarray(np.arccos(np.clip((np.trace(R, axis1=-2, axis2=-1) - 1.0) / 2.0, -1.0, 1.0)))
 
 
 def so3_exp(phi: FloatArray) -> FloatArray:

@@ -22,16 +22,13 @@ from station.api.messages import (
     PoseMessage,
     RobotMessage,
 )
-from station.api.models import LogModel, Model
-from station.api.views import (
-    current_place,
-    job_model,
-    log_model,
-    navigation_model,
-    robot_model,
-    slam_model,
-    visit_model,
-)
+from station.api.schema.base import Model
+from station.api.schema.jobs import job_model
+from station.api.schema.navigations import navigation_model
+from station.api.schema.places import current_place, visit_model
+from station.api.schema.robot import robot_model
+from station.api.schema.slam import slam_model
+from station.api.schema.station import LogModel, log_model
 from station.errors import Busy
 from station.events import Event, LogLine
 from station.library.navigation_records import NavigationRecord

@@ -14,7 +14,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 
 from station.api.deps import StationDep
-from station.api.models import HealthModel
+from station.api.schema.station import HealthModel
 from station.app import Station
 from station.robots.session import RobotSession
 

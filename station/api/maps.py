@@ -7,10 +7,11 @@ import asyncio
 from fastapi import APIRouter, Response
 
 from station.api.deps import StationDep
-from station.api.models import JobModel, MapChoice, MapModel, MapOrder, NewName
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.views import job_model, map_model
+from station.api.schema.base import NewName
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.maps import MapChoice, MapModel, MapOrder, map_model
 from station.errors import Unknown
 from station.library.maps import keyframe_image
 from station.model.points import pack_points

@@ -9,10 +9,11 @@ from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep, StationDep
 from station.api.maps import image_response
-from station.api.models import (
+from station.api.problems import responses
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.places import (
     CurrentPlace,
     GraphModel,
-    JobModel,
     PlaceChange,
     PlaceMerge,
     PlaceModel,
@@ -20,9 +21,13 @@ from station.api.models import (
     RouteModel,
     UndoOrder,
     VisitModel,
+    change_model,
+    current_place,
+    edge_model,
+    place_model,
+    route_model,
+    visit_model,
 )
-from station.api.problems import responses
-from station.api.views import change_model, current_place, edge_model, job_model, place_model, route_model, visit_model
 from station.errors import Conflict, Unknown
 from station.library.maps import deviation_image, keyframe_image, mean_image
 from station.places.making.changes import without_hidden

@@ -15,10 +15,10 @@ from shared.errors import RobotSystemError
 from station.api.camera import BOUNDARY, HEADER, STREAM, SeatedStream
 from station.api.deps import StationDep
 from station.api.limits import refuse, seated
-from station.api.models import JobModel, ReplayModel, ReprocessOrder
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.views import job_model, replay_model
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.navigations import ReplayModel, ReprocessOrder, replay_model
 from station.app import Station
 from station.errors import Busy, Conflict, OutOfRange
 from station.files.navigation_folder import load_navigation

@@ -26,9 +26,18 @@ from station.api.messages import (
     TimeReply,
     drive_request,
 )
-from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotEntry, RobotModel
 from station.api.problems import kind_of, responses
-from station.api.views import robot_entry, robot_model
+from station.api.schema.base import Accepted
+from station.api.schema.robot import (
+    DriveOrder,
+    DriverModel,
+    HijackOrder,
+    PanTiltOrder,
+    RobotEntry,
+    RobotModel,
+    robot_entry,
+    robot_model,
+)
 from station.errors import Busy, NoRobot
 from station.events import Event, MessageReader
 from station.robots.driving import MAX_DRIVER_NAME, LateOrders

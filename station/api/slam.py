@@ -9,10 +9,9 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep
-from station.api.models import SlamModel, TrajectoryModel
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.views import slam_model
+from station.api.schema.slam import SlamModel, TrajectoryModel, slam_model
 from station.errors import Conflict
 from station.files.navigation_folder import format_tum
 from station.model.navigation import Trajectory

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -88,7 +87,7 @@ def experiment(
         raise ConfigError("judging needs the true poses of both navigations; give --truth1 and --truth2, or neither")
     seconds: dict[str, float] = {}
     first, second = reconstruct(inputs, backend or "sfm", seed, threads, out, seconds)
-    with working("clustering Navigation1 into places") as say_step:
+    with working("clustering Navigation1 into places") as bar:
         done = run_experiment(
             first,
             second,
@@ -96,7 +95,7 @@ def experiment(
             truths=(inputs[0].truth, inputs[1].truth),
             seed=seed,
             story=story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}"),
-            say=say_step,
+            say=bar.step,
         )
     done.seconds.update(seconds)
     finish(done, out, as_json)
@@ -119,7 +118,6 @@ def reconstruct(
     for number, opened in enumerate(inputs, start=1):
         start = time.perf_counter()
         if isinstance(opened.source, Dataset):
-            say(f"reconstructing {opened.path.name}: {len(opened.source.frame_times_ns)} frames")
             made = run_with_progress(backends[number], opened.source)
             made = replace(made, id=f"{opened.path.resolve().name}-{made.id}")
             save_navigation(made, out / f"navigation{number}")
@@ -131,10 +129,14 @@ def reconstruct(
 
 
 def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
-    """The two datasets of a preset; one where both navigations are parts of one navigation."""
+    """The two datasets of a preset; one where both navigations are parts of one drive."""
     first, second = preset.navigations
-    made = make_dataset(first, folder / "drive1", say)
-    return made, made if first == second else make_dataset(second, folder / "drive2", say)
+    with working("simulating the first drive") as bar:
+        made = make_dataset(first, folder / "drive1")
+        if first == second:
+            return made, made
+        bar.step("simulating the second drive")
+        return made, make_dataset(second, folder / "drive2")
 
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:
@@ -195,9 +197,3 @@ def align_by_mode(text: str) -> AlignBy:
         if text == known:
             return known
     raise ConfigError(f'--align-by is "{text}", must be "both", "geometry" or "appearance"')
-
-
-def say(text: str) -> None:
-    """One line of progress, for people: stderr, and only on a terminal."""
-    if sys.stderr.isatty():
-        print(text, file=sys.stderr)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from shared.disk import replace_file
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.demo.folder import alone_in, fresh_folder, require_free
@@ -291,7 +292,7 @@ def wait_for(
 
 
 def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, places: list[dict[str, Any]]) -> None:
-    """`results.json`: for scripts, and for the table in docs/results.md."""
+    """`results.json`: for scripts and for benchmarks/bench_demo.py."""
     results = {
         "passed": verdict.passed,
         "seed": options.seed,
@@ -305,9 +306,7 @@ def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, plac
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Whole or not at all: a reader never sees half a file."""
-    draft = path.with_suffix(".tmp")
-    draft.write_text(json.dumps(content, indent=1) + "\n")
-    draft.replace(path)
+    replace_file(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def describe(verdict: Verdict) -> str:

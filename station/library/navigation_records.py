@@ -15,9 +15,10 @@ from typing import Literal
 
 import msgspec
 
+from shared.disk import make_folder, replace_file
 from shared.errors import DataError
 from station.errors import Unknown
-from station.files.disk import Unwritable, cannot_write, flush, why_unwritable
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.library.retention import KeptRecording
 
 NavigationState = Literal["recording", "finishing", "ready", "failed"]
@@ -132,16 +133,10 @@ class NavigationLibrary:
         """Write a record, whole or not at all; when this returns it survives a power cut. Raises Unwritable."""
         folder = self.folder(navigation.id)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            scratch = folder / f".{RECORD}"
-            with scratch.open("w", encoding="utf-8") as file:
-                file.write(json.dumps(msgspec.to_builtins(navigation), indent=1) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(scratch, folder / RECORD)
+            make_folder(folder)
+            content = json.dumps(msgspec.to_builtins(navigation), indent=1) + "\n"
+            replace_file(folder / RECORD, content.encode())
             (folder / OLD_RECORD).unlink(missing_ok=True)
-            for changed in (folder, self._root):  # the names too survive a power cut
-                flush(changed)
         except OSError as exc:
             raise cannot_write(folder, exc) from exc
 

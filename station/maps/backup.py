@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import io
-import os
 import tarfile
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from shared.disk import PRIVATE, make_folder, replacing
 from shared.errors import DataError
-from station.files.disk import flush
 from station.maps import versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
 from station.maps.blobs import Damaged, blob_name
@@ -44,21 +42,14 @@ def write_backup(store: MapStore, path: Path) -> BackupReport:
     damaged: list[str] = []
     records = list(_readable(store, damaged))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, scratch = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as file, tarfile.open(fileobj=file, mode="w|") as archive:
-                _add(archive, "README.txt", README)
-                written: set[str] = set()
-                for record, data in records:  # first: a file that is cut later still says what there was
-                    _add(archive, record_name(record, data), data)
-                for record, _ in records:
-                    _add_blobs(store, archive, record, written, damaged)
-            flush(Path(scratch))
-            os.replace(scratch, path)
-            flush(path.parent)
-        finally:
-            Path(scratch).unlink(missing_ok=True)
+        make_folder(path.parent)
+        with replacing(path, mode=PRIVATE) as file, tarfile.open(fileobj=file, mode="w|") as archive:
+            _add(archive, "README.txt", README)
+            written: set[str] = set()
+            for record, data in records:  # first: a file that is cut later still says what there was
+                _add(archive, record_name(record, data), data)
+            for record, _ in records:
+                _add_blobs(store, archive, record, written, damaged)
     except OSError as exc:
         raise DataError(f"{path} cannot be written ({exc.strerror}); free space or choose another place") from exc
     return BackupReport(len({r.map_id for r, _ in records}), len(records), path.stat().st_size, tuple(damaged))

@@ -13,13 +13,14 @@ from pathlib import Path
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.files.disk import Unwritable, cannot_write, why_unwritable
 from station.files.navigation_folder import REPORT, encode_navigation
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps import versions
 from station.maps.blobs import Blobs, Damaged, Tell, read_checked
 from station.maps.bucket import Bucket, open_bucket
 from station.maps.database import Database
 from station.maps.editing import with_place_renamed
+from station.maps.index_copy import IndexCopy
 from station.maps.record import (
     MAP_ID,
     FileRef,
@@ -33,7 +34,6 @@ from station.maps.record import (
     record_name,
 )
 from station.maps.repair import opening
-from station.maps.unwritable import IndexCopy
 from station.maps.versions import Rows, VersionRow, row_of
 from station.model.place_map import PlaceMap
 
@@ -64,7 +64,7 @@ class MapStore:
     """Maps by id. Methods block: call them in a thread. Several stores, processes and stations may share one address.
 
     All methods raise DataError when the store cannot be read or written, in a sentence; nothing is left half-written.
-    In a folder that takes no writes the maps can still be seen (unwritable.py).
+    In a folder that takes no writes the maps can still be seen (index_copy.py).
     """
 
     def __init__(self, where: Path | StoreAddress, tell: Tell = logger.warning) -> None:
@@ -131,7 +131,7 @@ class MapStore:
         if number is not None:
             rows = [row for row in rows if row.number == number]
             if not rows:
-                raise DataError(f"map {map_id} has no version {number}; `station map history` lists them")
+                raise DataError(f"map {map_id} has no version {number}; `station map history {map_id}` lists them")
         elif not rows or rows[0].kind == "deleted":
             raise self.no_map(map_id)
         failure: Damaged | None = None
@@ -226,7 +226,7 @@ class MapStore:
             row = next((row for row in rows if row.number == target), None)
             if row is None:
                 wanted = f"has no version {to}" if to is not None else "has no earlier version"
-                raise DataError(f"map {map_id} {wanted}; `station map history` lists them")
+                raise DataError(f"map {map_id} {wanted}; `station map history {map_id}` lists them")
             record = self.record(row)
             why = f"version {record.content} again"
             name = newest.name if keeps_name else record.name

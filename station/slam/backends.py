@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Literal
 
+from shared.advice import install
 from shared.calibration import Calibration
 from shared.errors import ConfigError
 from station.config import AUTO, BACKENDS, choose_backend
@@ -64,7 +65,5 @@ def make_backend(
 
             return UkfBackend(calibration, UkfConfig(landmarks=landmarks), seed, initial_state)
     except ImportError as exc:
-        raise ConfigError(
-            f"backend {name} needs {exc.name}, which is missing; run: pip install '.[station]' in Sentinel's folder"
-        ) from exc
+        raise ConfigError(f"backend {name} needs {exc.name}, which is missing; run: {install('station')}") from exc
     raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join((AUTO, *BACKENDS))}")

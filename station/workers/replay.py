@@ -31,6 +31,7 @@ from station.workers.places import PlaceServant
 from station.workers.slam import SlamServant
 
 Pace = Callable[[int], None]  # told the recorded time before something of it is used; may wait
+Say = Callable[[str], None]  # told what is done next
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,11 @@ class Replay:
 
 
 def replay(
-    data: Dataset, options: ReplayOptions, known_map: PlaceMap | None = None, pace: Pace = lambda _: None
+    data: Dataset,
+    options: ReplayOptions,
+    known_map: PlaceMap | None = None,
+    pace: Pace = lambda _: None,
+    say: Say = lambda _: None,
 ) -> Replay:
     """Run SLAM over a recorded drive, make its map, and ask at every moment which place the robot is at.
 
@@ -75,14 +80,19 @@ def replay(
         DataError: the recording has no images, or one that cannot be read.
     """
     with repeatable(options.threads):
-        navigation, updates = follow(data, options, pace)
+        navigation, updates = follow(data, options, pace, say)
+        say("clustering landmarks into places")
         place_map = build_map(navigation)
+        say("looking for the current place")
         answers, hijacks = locate(data, known_map or place_map, updates, options, pace)
     return Replay(navigation, place_map, answers, hijacks)
 
 
-def follow(data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None) -> tuple[Navigation, list[SlamUpdate]]:
+def follow(
+    data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None, say: Say = lambda _: None
+) -> tuple[Navigation, list[SlamUpdate]]:
     """The SLAM worker's part."""
+    say("following the robot")
     updates: list[SlamUpdate] = []
     slam = SlamServant(updates.append)
     slam.begin(options.backend, data.calibration, options.seed, 1, data.intrinsics_known)
@@ -93,6 +103,7 @@ def follow(data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None) -
             slam.add_drive(event)
         else:
             slam.add_frame(event)
+    say("making the navigation")
     return slam.complete(f"replay-{data.path.stem}"), updates
 
 

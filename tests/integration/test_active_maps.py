@@ -28,12 +28,11 @@ from station.robots.places import Locating
 from station.vision.appearance import AppearanceIndex
 from station.vision.features import DescriptorArray
 from station.workers.places import PlaceServant
-from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
-from tests.link_support import until
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import store_map
-from tests.synthetic_home import drive, furnished_room, navigate
-from tests.unit.test_navigation_recording import hello
+from tests.support.link import hello, until
+from tests.support.station import store_map
+from tests.support.station_at_work import at_work, is_problem, wait_for
+from tests.support.synthetic_home import drive, furnished_room, navigate
+from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
 
 WORKER_S = 120.0
 WALLS = {"Hall": 1, "Attic": 2}  # what is painted on the wall of each

@@ -34,7 +34,7 @@ from shared.messages import (
 )
 from shared.session import State
 from station.robots.link import RobotLink
-from tests.link_support import Bench, Notes, linked, running_robot, until
+from tests.support.link import Bench, Notes, linked, running_robot, until
 
 Wire = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 

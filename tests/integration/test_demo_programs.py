@@ -20,8 +20,8 @@ from station.demo.folder import alone_in, fresh_folder, require_free
 from station.demo.processes import Programs
 from station.demo.simulator_client import SimulatorClient
 from station.demo.station_client import StationClient
-from tests.integration.test_station_navigations import keep_navigation
-from tests.station_support import running_station
+from tests.support.station import running_station
+from tests.support.station_at_work import keep_navigation
 
 SCRIPT = """
 import signal, sys

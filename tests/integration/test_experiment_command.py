@@ -17,7 +17,7 @@ from station.main import app
 from station.maps.folder import load_map_folder, save_map_folder
 from station.places.making.build import build_map
 from station.places.making.changes import with_place_hidden
-from tests.synthetic_home import drive, furnished_room, navigate, with_points
+from tests.support.synthetic_home import drive, furnished_room, navigate, with_points
 
 
 def write_asl_truth(poses: FloatArray, folder: Path) -> None:

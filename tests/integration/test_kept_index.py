@@ -16,8 +16,8 @@ from station.model.place_map import PlaceMap
 from station.places.localisation.index_file import FOLDER, KEPT, LOCK, SUFFIX, forget_index, index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import fingerprint, make_index
-from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
-from tests.link_support import until
+from tests.support.link import until
+from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
 
 VIEWS = [picture(1, camera_at(x, 0.1, -0.2, 0.1)) for x in (-0.7, 0.3, 0.9)]
 

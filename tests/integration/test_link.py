@@ -10,7 +10,7 @@ import pytest
 from shared.errors import DeviceLost, LocalProtocolError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Status
 from station.robots.link import RobotLink
-from tests.link_support import Bench, Notes, Proxy, linked, running_robot, until
+from tests.support.link import Bench, Notes, Proxy, linked, running_robot, until
 
 
 async def test_frames_imu_and_reports_arrive_as_the_devices_made_them() -> None:

@@ -18,8 +18,8 @@ import websockets
 from shared.errors import ConfigError
 from station.app import Station
 from station.config import StationConfig, load_config, parse_robot
-from tests.link_support import Bench, running_robot, until
-from tests.station_support import Desk, Film, running_station, store_map
+from tests.support.link import Bench, running_robot, until
+from tests.support.station import Desk, Film, running_station, store_map
 
 
 @dataclass
@@ -42,7 +42,7 @@ class Lab:
 
 
 @asynccontextmanager
-async def lab(data_dir: Path, backend: str = "tests.made_up_workers:StraightSlam") -> AsyncIterator[Lab]:
+async def lab(data_dir: Path, backend: str = "tests.support.made_up_workers:StraightSlam") -> AsyncIterator[Lab]:
     async with AsyncExitStack() as stack:
         benches = [await stack.enter_async_context(running_robot()) for _ in range(2)]
         ports = tuple(bench.port for bench in benches)

@@ -28,8 +28,8 @@ from shared.token_book import TokenBook
 from station.access.connecting import connect_by_tls
 from station.access.paired_robots import PairedRobots
 from station.access.pairing import PairingFailed, pair
-from tests.access_support import GuardedBench, guarded_robot, linked, set_up, talking
-from tests.link_support import until
+from tests.support.access import GuardedBench, guarded_robot, linked, set_up, talking
+from tests.support.link import until
 
 
 async def test_pairing_gives_a_token_that_joins_and_pins_the_robot(tmp_path: Path) -> None:

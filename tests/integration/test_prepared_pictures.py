@@ -24,8 +24,8 @@ from station.vision.features import Features
 from station.workers.library_jobs import JobServant
 from station.workers.places import PlaceServant
 from station.workers.slam import SlamServant
-from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
-from tests.made_up_workers import StraightSlam
+from tests.support.made_up_workers import StraightSlam
+from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
 
 VIEWS = [picture(1, camera_at(x, 0.1, -0.2, 0.1)) for x in (-0.7, 0.3, 0.9)]
 BACKEND = "tests.integration.test_prepared_pictures:WallSlam"

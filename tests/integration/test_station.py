@@ -14,9 +14,10 @@ import pytest
 import websockets
 
 from shared.listening import bind
-from tests.link_support import until
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import running_station, store_map
+from tests.support.link import until
+from tests.support.paths import ROOT
+from tests.support.station import running_station, store_map
+from tests.support.station_at_work import at_work, is_problem, wait_for
 
 
 async def test_every_error_is_a_problem_document(tmp_path: Path) -> None:
@@ -255,7 +256,7 @@ async def test_a_drive_too_short_to_map_says_so(tmp_path: Path) -> None:
 
 
 async def test_a_dead_slam_worker_is_announced_and_the_recording_goes_on(tmp_path: Path) -> None:
-    async with at_work(tmp_path, backend="tests.made_up_workers:DyingSlam") as (desk, _, _film):
+    async with at_work(tmp_path, backend="tests.support.made_up_workers:DyingSlam") as (desk, _, _film):
         drive = (await desk.http.post("/navigations")).json()
         lines = await wait_for(desk, "/log", lambda log: sum("unexpectedly" in line["text"] for line in log) > 1)
         assert sum(line["level"] == "error" and "started again" in line["text"] for line in lines) > 1
@@ -326,7 +327,7 @@ def test_a_port_in_use_is_one_sentence() -> None:
 
 async def test_the_example_client_says_the_place(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
-    script = Path(__file__).parents[2] / "examples" / "place_client.py"
+    script = ROOT / "examples" / "place_client.py"
 
     async def run(address: str) -> tuple[int | None, str]:
         process = await asyncio.create_subprocess_exec(

@@ -10,9 +10,9 @@ import pytest
 import websockets
 
 from station.robots.session import MAX_STOP_LINES
-from tests.link_support import until
-from tests.station_at_work import at_work, drive_off, heard, is_problem, wait_for
-from tests.station_support import Desk, running_station, store_map
+from tests.support.link import until
+from tests.support.station import Desk, running_station, store_map
+from tests.support.station_at_work import at_work, drive_off, heard, is_problem, wait_for
 
 
 async def test_drive_moves_the_motors_until_the_driver_goes_silent(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from station.files.disk import SCRATCH
+from shared.disk import SCRATCH
 from station.maps import versions
 from station.maps.address import is_whole
 from station.maps.blobs import Damaged, blob_name

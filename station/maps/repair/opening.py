@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shared.errors import DataError
-from station.files.disk import Unwritable
+from station.files.unwritable import Unwritable
 from station.maps import versions
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder

@@ -6,7 +6,6 @@ Features are found by the picture's content, so whoever describes a picture firs
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from station.files.disk import flush
+from shared.disk import replacing
 from station.files.spill import Shelf
 from station.vision.features import FeatureExtractor, Features, extract_encoded
 
@@ -84,21 +83,18 @@ class DescribedPictures:
         """
         features = list(self._known.values())
         counts = [len(f) for f in features]
-        scratch = path.with_name(f".{path.name}")
-        try:
-            with scratch.open("wb") as file, zipfile.ZipFile(file, "w") as archive:
-                described_by = np.array(DESCRIBED_BY)
-                _write_array(archive, "described_by", described_by.dtype, (), [described_by])
-                digests = (np.frombuffer(digest, np.uint8) for digest in self._known)
-                _write_array(archive, "digest", DIGEST.dtype, (len(features), DIGEST.size), digests)
-                _write_array(archive, "count", np.dtype(np.int64), (len(features),), [np.array(counts, np.int64)])
-                _write_array(archive, "uv_px", UV.dtype, (sum(counts), UV.size), (f.uv_px for f in features))
-                descriptors = (f.descriptors for f in features)
-                _write_array(archive, "descriptors", DESCRIPTOR.dtype, (sum(counts), DESCRIPTOR.size), descriptors)
-            flush(scratch)
-            os.replace(scratch, path)
-        finally:
-            scratch.unlink(missing_ok=True)
+        with (
+            replacing(path, scratch=path.with_name(f".{path.name}")) as file,
+            zipfile.ZipFile(file, "w") as archive,
+        ):
+            described_by = np.array(DESCRIBED_BY)
+            _write_array(archive, "described_by", described_by.dtype, (), [described_by])
+            digests = (np.frombuffer(digest, np.uint8) for digest in self._known)
+            _write_array(archive, "digest", DIGEST.dtype, (len(features), DIGEST.size), digests)
+            _write_array(archive, "count", np.dtype(np.int64), (len(features),), [np.array(counts, np.int64)])
+            _write_array(archive, "uv_px", UV.dtype, (sum(counts), UV.size), (f.uv_px for f in features))
+            descriptors = (f.descriptors for f in features)
+            _write_array(archive, "descriptors", DESCRIPTOR.dtype, (sum(counts), DESCRIPTOR.size), descriptors)
 
     def add(self, path: Path) -> bool:
         """Take over what `write` wrote; False, and nothing is added, when it is gone, damaged or of another version."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.errors import ConfigError
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, rotation_angle
 from station.model.frames import ImageFrame
 from station.model.place_answer import Localization
 from station.model.place_map import PlaceMap
@@ -204,8 +204,8 @@ class Localizer:
         if a.map_index != b.map_index:
             return True
         A, B = a.pose.T_map_cam, b.pose.T_map_cam
-        cosine = (np.trace(A[:3, :3].T @ B[:3, :3]) - 1) / 2
-        return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or cosine < np.cos(np.radians(15.0)))
+        angle = rotation_angle(A[:3, :3].T @ B[:3, :3])
+        return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or angle > np.radians(15.0))
 
     def _support(self, found: FoundPose, camera: CameraCalibration) -> float:
         """Of the landmarks that the keyframes most like this view saw and that fall into it, the share found."""

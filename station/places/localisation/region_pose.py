@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, IntArray, inverse, median_radius
+from shared.geometry import FloatArray, IntArray, inverse, median_radius, transform
 from station.places.localisation.keyframe_features import KeyframeFeatures
 from station.vision.camera_pose import CameraPose, solve_pose, solve_pose_from
 from station.vision.features import Features, Float32Array, to_floats
@@ -106,7 +106,7 @@ def _match_guided(
 ) -> tuple[IntArray, IntArray]:
     """Matches between features and map points that the pose projects near them: the best row per feature."""
     T_cam_map = inverse(pose.T_map_cam)
-    p_cam = p_map @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
+    p_cam = transform(T_cam_map, p_map)
     ahead = np.flatnonzero(p_cam[:, 2] > 1e-6)
     if not len(ahead):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

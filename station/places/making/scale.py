@@ -19,8 +19,8 @@ def viewing_distance(navigation: Navigation) -> float | None:
     landmarks, keyframes = navigation.landmarks, navigation.keyframes
     distance = observation_distances(navigation)
     medians = []
-    for k in range(len(keyframes)):
-        seen = distance[(landmarks.observed_keyframe == k) & np.isfinite(distance)]
+    for observed in landmarks.observations_by_keyframe(len(keyframes)):
+        seen = distance[observed][np.isfinite(distance[observed])]
         if len(seen):
             medians.append(float(np.median(seen)))
     if medians and np.median(medians) > 0:

@@ -174,12 +174,13 @@ class _Seen:
         count = len(place_map.navigation.keyframes)
         every = max(1, len(landmarks.observed_landmark) // max(1, THINNED_VIEW * count))
         somewhere = np.asarray(np.isfinite(landmarks.p_world).all(axis=1), dtype=np.bool_)
-        kept = np.flatnonzero((landmarks.observed_landmark % every == 0) & somewhere[landmarks.observed_landmark])
-        kept = kept[np.argsort(landmarks.observed_keyframe[kept], kind="stable")]
+        kept = (landmarks.observed_landmark % every == 0) & somewhere[landmarks.observed_landmark]
         self.p_map = landmarks.p_world
-        self._landmark = landmarks.observed_landmark[kept]
-        self._first = np.searchsorted(landmarks.observed_keyframe[kept], np.arange(count + 1))
-        self.per_keyframe = float(np.median(np.diff(self._first))) if count else 0.0
+        self._landmarks = [
+            landmarks.observed_landmark[observed[kept[observed]]]
+            for observed in landmarks.observations_by_keyframe(count)
+        ]
+        self.per_keyframe = float(np.median([len(seen) for seen in self._landmarks])) if count else 0.0
         self.usual = max(1.0, self.per_keyframe * every)  # landmarks in a keyframe, those that were left out included
 
     @property
@@ -189,7 +190,5 @@ class _Seen:
 
     def by(self, keyframes: IntArray) -> tuple[IntArray, IntArray]:
         """Every (landmark, keyframe) that these keyframes (k,) saw: arrays (n,), (n,)."""
-        length = self._first[keyframes + 1] - self._first[keyframes]
-        begin = np.cumsum(length) - length
-        at = np.repeat(self._first[keyframes] - begin, length) + np.arange(length.sum())
-        return self._landmark[at], np.repeat(keyframes, length)
+        seen = [self._landmarks[k] for k in keyframes]
+        return np.concatenate(seen), np.repeat(keyframes, [len(landmarks) for landmarks in seen])

@@ -18,9 +18,9 @@ from station.files.spill import Shelf, ShelvedFiles
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Keyframes, Navigation, NavigationReport
 from station.model.slam_update import SlamUpdate
+from station.motion.inertial_track import concatenate_imu
 from station.slam.mapping.assemble import Reconstructed, read_odometry_map
 from station.slam.mapping.config import SfmConfig
-from station.slam.mapping.inertial import concatenate_imu
 from station.slam.mapping.matching import Shortlist, match_descriptors
 from station.slam.mapping.odometry import dead_reckon
 from station.slam.mapping.odometry_mapping import map_with_odometry

@@ -11,17 +11,16 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, IntArray, inverse, se3, transform
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Landmarks, Trajectory
+from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.assemble import Reconstructed
-from station.slam.mapping.inertial import InertialTrack, estimate_gyro_bias
-from station.slam.sfm.metric import (
-    DRIVE_SYSTEMATIC,
+from station.slam.mapping.pose_alignment import (
     ScaleEstimate,
     align_to_imu,
-    fuse_scales,
     gravity_from_accelerometer,
-    scale_from_drive,
+    gyro_bias_from_rotations,
     spaced,
 )
+from station.slam.sfm.metric import DRIVE_SYSTEMATIC, fuse_scales, scale_from_drive
 from station.slam.sfm.trajectory import all_frames
 
 METRIC_SIGMA = 0.10  # a scale less certain than 10 % is not called metric
@@ -112,7 +111,7 @@ def _measure(model: Reconstructed, calibration: Calibration, imu: ImuBatch | Non
     track, down = None, None
     t_imu = keyframes.t_robot_ns + round(model.camera.time_shift_s * 1e9)
     if imu is not None and calibration.imu is not None:
-        track, angles = estimate_gyro_bias(imu, t_imu, R_body)
+        track, angles = gyro_bias_from_rotations(imu, t_imu, R_body)
         numbers["gyro_bias_rad_s"] = track.gyro_bias.tolist()
         if np.isfinite(angles).any():
             numbers["gyro_camera_median_rad"] = float(np.nanmedian(angles))

@@ -1,13 +1,12 @@
-"""Where a robot on wheels has got to while nothing was tracked: dead reckoning by gyroscope and commanded speed."""
+"""Where a robot on wheels has got to while nothing was tracked: dead reckoning with the filter's bias."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
 
-import numpy as np
-
 from shared.geometry import FloatArray
+from station.motion.dead_reckoning import advance_on_floor
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.start import Anchor
 
@@ -26,14 +25,13 @@ class Coasting:
         """(3,) rad/s, as last estimated."""
         return None if self._now.bias is None else self._now.bias[:3]
 
-    def advance(self, segment: ImuSegment, t_imu_ns: int, speed_m_s: float | None) -> None:
-        """Go on by the IMU since the last frame and a forward speed; None (wheels tell nothing): stay in place."""
-        if speed_m_s is not None:
+    def advance(self, segment: ImuSegment, t_imu_ns: int, rolled_m: float | None) -> None:
+        """Go on by IMU and wheels from the last frame on; stay in place where nothing is known of wheels (None)."""
+        if rolled_m is not None:
             bias = 0.0 if self._now.bias is None else float(self._now.bias[2])
             turn = float(((segment.gyro[:, 2] - bias) * segment.dt_s).sum())
-            middle = self._now.yaw_rad + turn / 2
-            step = speed_m_s * float(segment.dt_s.sum()) * np.array([np.cos(middle), np.sin(middle), 0.0])
-            self._now = replace(self._now, x_world=self._now.x_world + step, yaw_rad=self._now.yaw_rad + turn)
+            x_world, yaw_rad = advance_on_floor(self._now.x_world, self._now.yaw_rad, turn, rolled_m)
+            self._now = replace(self._now, x_world=x_world, yaw_rad=yaw_rad)
         self._past.append((t_imu_ns, self._now))
 
     def at(self, t_imu_ns: int) -> Anchor:

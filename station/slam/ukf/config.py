@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from station.motion.error_coordinates import ErrorKind
 from station.slam.ukf.batch.motion_start import StartConfig
 from station.slam.ukf.filter.constraints import WheelConfig
-from station.slam.ukf.filter.state import ErrorKind
 from station.slam.ukf.map.landmark_map import LandmarkQuality
 from station.vision.klt import TrackerConfig
 
@@ -55,7 +55,7 @@ class UkfConfig:
     filter: FilterConfig = field(default_factory=FilterConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     start: StartConfig = field(default_factory=StartConfig)
-    wheels: WheelConfig = field(default_factory=WheelConfig)  # used for robot_kind "sentinel" only, but standstill
+    wheels: WheelConfig = field(default_factory=WheelConfig)  # without wheels, only what it says of standing still
     quality: LandmarkQuality = field(default_factory=LandmarkQuality)
     landmarks: Literal["default", "thesis"] = "default"  # thesis: each landmark as it first entered the filter
     # views: loops are closed and landmarks come from SIFT features; it costs about as much as the filter does.
@@ -80,9 +80,9 @@ class UkfConfig:
     # spot contradicted it and it gave up; at 1.5 px it follows all of 101 to 106. EuRoC's flight is best at 1.0.
     sigma_px_wheels: float = 1.5
 
-    def for_robot(self, kind: str) -> UkfConfig:
-        """The settings for this kind of robot (calibration's robot_kind)."""
-        if kind != "sentinel":
+    def for_robot(self, has_wheels: bool) -> UkfConfig:
+        """The settings for a robot that has wheels, or none."""
+        if not has_wheels:
             return self
         calmer = replace(self.filter, sigma_px=max(self.filter.sigma_px, self.sigma_px_wheels))
         return replace(self, filter=calmer, refine=False)

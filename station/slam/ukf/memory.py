@@ -11,17 +11,17 @@ import numpy.typing as npt
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, se3
 from station.model.frames import ImageFrame
+from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.filter import RetiredClone, VioFilter
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
-from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.map.keyframes import Keyframe, KeyframeStore, sample_colours
 from station.slam.ukf.map.live_map import LiveMap
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews
+from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU

@@ -12,11 +12,12 @@ from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray, yaw_rotation
 from station.model.frames import ImuBatch
 from station.motion import lie
+from station.motion.error_coordinates import ErrorKind
+from station.motion.imu_buffer import ImuBuffer
 from station.slam.mapping.inertial_bundle import N
 from station.slam.ukf.batch.motion_start import MotionStart, StartConfig, start_in_motion, upright_rotation
-from station.slam.ukf.filter.measurement import CameraModel
-from station.slam.ukf.filter.state import CORE, PHI, XI_V, XI_X, ErrorKind, FilterState, add_clone, initial_state
-from station.slam.ukf.inertial import ImuBuffer
+from station.slam.ukf.filter.state import CORE, PHI, XI_V, XI_X, FilterState, add_clone, initial_state
+from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 
 SIGMA_FRAME = 1e-4  # rad and m: position and yaw of a start are definitions

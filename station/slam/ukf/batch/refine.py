@@ -15,11 +15,10 @@ from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, se3
 from station.motion.preintegration import Preintegration, chain
-from station.slam.mapping.inertial_bundle import Prior, WindowStates, solve_window
-from station.slam.ukf.batch.motion_start import WindowTracks, collect_tracks
-from station.slam.ukf.filter.measurement import CameraModel
+from station.slam.mapping.inertial_bundle import Prior, WindowStates, WindowTracks, collect_tracks, solve_window
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.pose_log import follow_poses
+from station.vision.camera_model import CameraModel
 
 WINDOW = 24
 STEP = 12
@@ -141,7 +140,7 @@ def _refine_window(
         v_body=np.array([(w or nothing)[0] for w in wheels]) if has_wheels else None,
         sigma_v_body=np.array([(w or nothing)[1] for w in wheels]) if has_wheels else None,
     )
-    solution = solve_window(camera, noise, gravity, states, links, tracks.uv_px, tracks.xy, tracks.seen, prior)
+    solution = solve_window(camera, noise, gravity, states, links, tracks, prior)
     known = solution.points.is_good & (solution.points.depth_sigma < MAX_DEPTH_SIGMA)
     if known.sum() < MIN_POINTS or solution.rms > MAX_RMS or not solution.has_converged:
         raise DegenerateGeometry("the features show too little parallax")

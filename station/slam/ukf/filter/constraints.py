@@ -8,7 +8,9 @@ import numpy as np
 
 from shared.geometry import FloatArray, orthonormal
 from station.motion import lie
-from station.slam.ukf.filter.state import PHI, XI_V, XI_X, ErrorKind, FilterState
+from station.motion.drive_commands import SPEED_EFFICIENCY
+from station.motion.error_coordinates import ErrorKind
+from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
 from station.slam.ukf.filter.update import Measurements
 
 
@@ -105,10 +107,9 @@ class WheelConfig:
     sigma_lateral_m_s: float = 0.03  # plus what the unknown turning centre makes of a turn:
     lateral_per_turn_m: float = 0.05
     sigma_vertical_m_s: float = 0.02
-    speed_efficiency: float = 0.97  # wheels slip a little
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
-    settle_s: float = 0.35  # the motors follow a new command that late
+    settle_s: float = 0.35  # a command is believed that long after it changed: motors have made 93 % of the change then
 
 
 def wheel_velocity(
@@ -127,6 +128,6 @@ def wheel_velocity(
         sigma[1] = config.sigma_lateral_m_s + config.lateral_per_turn_m * abs(turn_rate)
         sigma[2] = config.sigma_vertical_m_s
     if config.use_commanded_speed and command_m_s is not None and since_change_s > config.settle_s:
-        v[0] = config.speed_efficiency * command_m_s
+        v[0] = SPEED_EFFICIENCY * command_m_s
         sigma[0] = config.sigma_speed_m_s + config.sigma_speed_share * abs(command_m_s)
     return BodyVelocity(v, sigma, gate=4.0) if np.isfinite(sigma).any() else None

@@ -1,7 +1,7 @@
 """The map from views: loops closed, all views and landmarks refined together (docs/slam.md, sec. 10).
 
 Between views the filter's own relative motions hold what pictures cannot, as dead reckoning does in structure from
-motion; the machinery is the same (station/slam/sfm/odometry_mapping.py).
+motion; the machinery is the same (station/slam/mapping/odometry_mapping.py).
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from station.motion import lie
 from station.slam.mapping.assemble import Reconstructed, read_odometry_map
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import map_with_motions
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
+from station.vision.camera_model import CameraModel
 
 MIN_VIEWS = 3
 MIN_LANDMARKS_PER_VIEW = 10  # a furnished flat gives a hundred
