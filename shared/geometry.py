@@ -137,3 +137,8 @@ def yaw_rotation(yaw_rad: float) -> FloatArray:
     """Rotation (3, 3) about the vertical (z) axis."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def median_radius(p: FloatArray) -> float:
+    """Median distance of points (N, 3) from their middle: how large a cloud is, whatever a few points do."""
+    return float(np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)))

@@ -23,7 +23,7 @@ from station.maps.folder import load_map_folder, save_map_folder
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceEdge, PlaceMap
 from station.places.joining.growing import keep_places
-from station.places.making.changes import shown
+from station.places.making.changes import without_hidden
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
 from station.workers.executors.opening import open_executor
@@ -189,7 +189,7 @@ def route(
     as_json: Annotated[bool, typer.Option("--json", help="Print the route as JSON on stdout.")] = False,
 ) -> None:
     """The shortest way between two places, and each leg's bearing: in the ground plane, from +x towards +y."""
-    place_map = shown(open_map(which, data, config))
+    place_map = without_hidden(open_map(which, data, config))
     found = shortest_route(place_map, start, goal)
     if found is None:
         raise DataError(f"no edges lead from {start} to {goal}")

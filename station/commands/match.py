@@ -17,7 +17,7 @@ from station.experiments.experiment import Experiment, Story, judge
 from station.experiments.inputs import open_truth
 from station.files.navigation_folder import load_navigation
 from station.places.joining.match import match_navigation
-from station.places.making.changes import shown
+from station.places.making.changes import without_hidden
 
 
 def register(app: typer.Typer) -> None:
@@ -47,7 +47,7 @@ def match(
     config = places_config(mode, eps, min_pts, inlier_ratio, align_by)
     truths = open_truth(truth1), open_truth(truth2)
     # A place that a person has hidden is no answer here either.
-    place_map, second = shown(open_map(which, data, config_file)), load_navigation(navigation)
+    place_map, second = without_hidden(open_map(which, data, config_file)), load_navigation(navigation)
     with working(f"matching {second.id} with {place_map.name}"):
         result = match_navigation(place_map, second, config, seed=seed)
         judgement, not_judged = judge(place_map, second, truths, result)

@@ -102,7 +102,7 @@ def _localize(place_map: PlaceMap, navigation: Navigation) -> tuple[FloatArray, 
         place_map.navigation.keyframes,
         encoded=tuple(picture if news else b"" for picture, news in zip(pictures, described, strict=True)),
     )
-    localizer = Localizer(replace(place_map, navigation=replace(place_map.navigation, keyframes=thinned)))
+    localizer = Localizer([replace(place_map, navigation=replace(place_map.navigation, keyframes=thinned))])
     chosen = np.unique(np.linspace(0, len(usable) - 1, min(MAX_QUERIES, len(usable))).round().astype(int))
     in_map, in_nav = [], []
     for k in (usable[i] for i in chosen):

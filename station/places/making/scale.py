@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, median_radius
 from station.model.navigation import Navigation
 
 UP_PRIOR = 0.02  # weight of the cameras' mean up against their lack of roll
@@ -29,7 +29,7 @@ def viewing_distance(navigation: Navigation) -> float | None:
     if not len(finite):
         return None
     # Without observations: half the cloud's radius is about how far one stands from what one looks at in one room.
-    radius = float(np.median(np.linalg.norm(finite - np.median(finite, axis=0), axis=1)))
+    radius = median_radius(finite)
     return radius if radius > 0 else None
 
 
