@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, IntArray, rotation_angle, se3
+from shared.geometry import FloatArray, IntArray, rotation_angle, se3, upright
 from station.model.frames import DriveSample, ImuBatch
 from station.slam.mapping.inertial import InertialTrack
 
@@ -86,10 +86,7 @@ def level(imu: ImuBatch, track: InertialTrack, drive: list[DriveSample]) -> Floa
     rest = resting_samples(imu, drive)
     use = rest if rest.sum() > 50 else np.ones(len(imu), dtype=bool)  # a whole drive's mean: accelerations cancel
     up = np.einsum("nij,nj->i", track.R[use], imu.accel_imu[use])
-    up /= np.linalg.norm(up)
-    x = np.array([1.0, 0.0, 0.0]) - up * up[0]
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
+    return upright(up, np.eye(3))
 
 
 def wheel_speed(drive: list[DriveSample], t_ns: IntArray) -> FloatArray:
