@@ -12,6 +12,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+MIN_LEVEL = 0.31  # an axis whose horizontal part is shorter, 18 degrees from the vertical, has no yaw to speak of
 SMALL_ANGLE_RAD = 1e-6  # below it the series of Rodrigues' formula is exact to double precision
 
 
@@ -142,3 +143,25 @@ def yaw_rotation(yaw_rad: float) -> FloatArray:
 def median_radius(p: FloatArray) -> float:
     """Median distance of points (N, 3) from their middle: how large a cloud is, whatever a few points do."""
     return float(np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)))
+
+
+def upright(up: FloatArray, R_a_body: FloatArray | None = None) -> FloatArray:
+    """Rotation (3, 3) from frame a to axes whose z points along `up` (3,), given in a, of any length.
+
+    It is the shortest one. Or, given a body's axes R_a_body (3, 3), the one that puts the body's x axis at yaw 0; where
+    that is too steep to have a yaw, the z axis, else the y axis.
+    """
+    up = up / np.linalg.norm(up)
+    if R_a_body is None:
+        axis = np.cross(up, [0.0, 0.0, 1.0])
+        sine = float(np.linalg.norm(axis))
+        if sine < 1e-12:
+            return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+        return so3_exp(axis * (float(np.arctan2(sine, up[2])) / sine))
+    for forward in R_a_body.T[[0, 2, 1]]:
+        x = forward - up * (forward @ up)
+        length = float(np.linalg.norm(x))
+        if length > MIN_LEVEL:
+            break
+    x /= length
+    return np.stack([x, np.cross(up, x), up])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, median_radius
+from shared.geometry import FloatArray, median_radius, upright
 from station.model.navigation import Navigation
 
 UP_PRIOR = 0.02  # weight of the cameras' mean up against their lack of roll
@@ -44,7 +44,7 @@ def observation_distances(navigation: Navigation) -> FloatArray:
 
 
 def ground_rotation(navigation: Navigation) -> FloatArray:
-    """Rotation R_ground_map (3, 3) to axes whose z is up.
+    """Rotation R_ground_map (3, 3) to axes whose z is up, the map's x axis at yaw 0.
 
     Identity where gravity is known. Elsewhere up is what the cameras' horizontal axes are most perpendicular to:
     people and robots hold cameras without roll on the whole, but look down. Good enough to draw and to give
@@ -57,8 +57,4 @@ def ground_rotation(navigation: Navigation) -> FloatArray:
     # A drive that never turned leaves a circle of directions open: the mean of the cameras' up decides among them.
     M = right.T @ right / len(T) - UP_PRIOR * np.outer(mean_up, mean_up)
     z = np.linalg.eigh(M)[1][:, 0]
-    z = z if z @ mean_up >= 0 else -z
-    x = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = x - z * (x @ z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
+    return upright(z if z @ mean_up >= 0 else -z, np.eye(3))
