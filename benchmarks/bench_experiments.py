@@ -165,7 +165,7 @@ def _reconstruct_with_prefix(
                 if child == 0:
                     is_copy = True
                     return
-                os.waitpid(child, 0)  # waited for: what is put on the shelf is shared
+                os.waitpid(child, 0)  # waited for: what is spilled is shared
                 has_branched = True
             yield event
 

@@ -15,8 +15,8 @@ from shared.errors import DataError
 from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
-from station.maps.repair.unclaimed import ASIDE, record_files
 from station.maps.store import MapStore
+from station.maps.unclaimed import ASIDE, record_files
 from station.model.map_store import StoreAddress
 
 Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
@@ -66,10 +66,9 @@ def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -
         undeleted = hint(f"`station map undo {summary.id}` brings it back", data, config)
         print(f"{summary.id}  {summary.name}: deleted; {undeleted}")
     if not maps and not deleted:
-        is_there = "://" in store.bucket.place or Path(store.bucket.place).is_dir()
-        print(
-            f"no maps in {store.bucket.place}" + ("" if is_there else ", which is not there: is it the right folder?")
-        )
+        place = store.contents.bucket.place
+        is_there = "://" in place or Path(place).is_dir()
+        print(f"no maps in {place}" + ("" if is_there else ", which is not there: is it the right folder?"))
 
 
 def history(map_id: MapId, data: Data = None, config: Config = None, as_json: Json = False) -> None:
@@ -117,7 +116,7 @@ def purge_map(
     """Forget the earlier versions of a map for good; a deleted map altogether."""
     if not yes:
         raise DataError(f"purging {map_id} cannot be undone; add --yes")
-    from station.maps.repair.check import purge_versions
+    from station.maps.repair.purging import purge_versions
 
     for sentence in purge_versions(open_store(data, config), map_id):
         print(sentence)
@@ -137,9 +136,9 @@ def verify_maps(data: Data = None, config: Config = None, as_json: Json = False)
         for sentence in dict.fromkeys((*found, *(damage.sentence for damage in damages))):
             print(hint(sentence, data, config))
         if not damages:
-            print("all maps are as they were written" if store.list() else f"no maps in {store.bucket.place}")
-        for aside in record_files(store, ASIDE):
-            print(f"version {aside.number} of map {aside.map_id} was lost: {store.bucket.place}/{aside.name}")
+            print("all maps are as they were written" if store.list() else f"no maps in {store.contents.bucket.place}")
+        for aside in record_files(store.contents, ASIDE):
+            print(f"version {aside.number} of map {aside.map_id} was lost: {store.contents.bucket.place}/{aside.name}")
     if damages:
         sys.exit(1)
 
@@ -212,7 +211,7 @@ def restore(
 def existing_store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:
     """Raises DataError where nobody ever kept anything: a mistyped folder must not look like a sound one."""
     store = open_store(data, config, found)
-    if store.database.is_sqlite and not store.address.root.parent.is_dir():
+    if store.contents.database.is_sqlite and not store.address.root.parent.is_dir():
         raise DataError(f"{store.address.root.parent} is not there; name the station's data folder with --data")
     return store
 

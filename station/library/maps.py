@@ -20,8 +20,7 @@ from station.files.unwritable import Unwritable
 from station.library.active_maps import keep_choice, kept_choice, why_not_together
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.record import MapRecord, says_same_of_places
-from station.maps.repair.check import collect_garbage
-from station.maps.repair.purging import purge
+from station.maps.repair.purging import collect_garbage, purge
 from station.maps.store import MapStore
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap

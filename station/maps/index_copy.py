@@ -19,6 +19,7 @@ from typing import IO
 from shared.disk import lock
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps.bucket import Bucket, FolderBucket
+from station.maps.contents import Contents
 from station.maps.database import Database
 
 PREFIX = "sentinel-maps-"
@@ -58,23 +59,24 @@ class Overlay:
 class IndexCopy:
     """A copy of a store's SQLite index, and its files with those that only the copy has."""
 
-    def __init__(self, root: Path, original: Database, files: Bucket, because: Unwritable) -> None:
+    def __init__(self, root: Path, original: Contents, because: Unwritable) -> None:
         """Raises DataError: there is nothing to copy from, or nowhere to copy to."""
-        assert original.path is not None
+        assert original.database.path is not None
         self._root = root
-        self._original = original.path
+        self._original = original.database.path
         folder, claim = _private_folder(because)
         self._removal = weakref.finalize(self, _remove, folder, os.getpid(), claim)
-        with original.held_still():
+        with original.database.held_still():
             self._stamp = self._stamp_now()
             try:
                 for path in self._parts():
                     with contextlib.suppress(FileNotFoundError):
                         shutil.copyfile(path, folder / path.name.replace(self._original.name, "maps.db", 1))
             except OSError as exc:  # cannot be read either, or there is no room for a copy
-                raise Unwritable(f"{because} ({original.path} cannot be copied: {exc.strerror})") from exc
-        self.database = Database("", folder, place=original.place)
-        self.bucket: Bucket = Overlay(files, FolderBucket(folder))
+                raise Unwritable(f"{because} ({self._original} cannot be copied: {exc.strerror})") from exc
+        database = Database("", folder, place=original.database.place)
+        files = Overlay(original.bucket, FolderBucket(folder))
+        self.contents = Contents(database, files, original.author, original.tell)
         told = why_unwritable(root)
         self.refusal = f"{cannot_write(root, told) if told else because}; until then its maps can be seen, not changed"
 
@@ -84,7 +86,7 @@ class IndexCopy:
         return why_unwritable(self._root) is not None and self._stamp == self._stamp_now()
 
     def remove(self) -> None:
-        self.database.close()
+        self.contents.database.close()
         self._removal()
 
     def _parts(self) -> list[Path]:

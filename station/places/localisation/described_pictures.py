@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.disk import replacing
-from station.files.spill import Shelf
+from station.files.spill import Spill
 from station.vision.features import FeatureExtractor, Features, extract_encoded
 
 A = TypeVar("A", bound=np.generic)
@@ -45,7 +45,7 @@ class DescribedPictures:
 
     def __init__(self) -> None:
         self._extractor = FeatureExtractor()
-        self._shelf = Shelf()
+        self._spill = Spill()
         self._known: dict[bytes, Features] = {}
 
     def __len__(self) -> int:
@@ -68,7 +68,7 @@ class DescribedPictures:
             self._keep(digest, features)
 
     def _keep(self, digest: bytes, features: Features) -> None:
-        self._known[digest] = Features(self._shelf.put(features.uv_px), self._shelf.put(features.descriptors))
+        self._known[digest] = Features(self._spill.put(features.uv_px), self._spill.put(features.descriptors))
 
     def keep_only(self, pictures: Iterable[bytes]) -> None:
         """Forget all others."""
@@ -122,7 +122,7 @@ class DescribedPictures:
                 raise ValueError(f"{name} has shape {shape} of {dtype}")
             for count in counts:
                 data = member.read(count * row.size * row.dtype.itemsize)
-                parts.append(self._shelf.put(np.frombuffer(data, row.dtype).reshape(count, row.size)))
+                parts.append(self._spill.put(np.frombuffer(data, row.dtype).reshape(count, row.size)))
             if member.read(1):  # the checksum is compared at the end only
                 raise ValueError(f"{name} is longer than its header says")
         return parts

@@ -17,8 +17,8 @@ from station.files.unwritable import Unwritable
 from station.maps.backup import restore_backup, write_backup
 from station.maps.folder import save_map_folder
 from station.maps.index_copy import FORGOTTEN_S, IN_USE, PREFIX
-from station.maps.repair.check import purge_versions, repair, verify
-from station.maps.repair.purging import purge
+from station.maps.repair.check import repair, verify
+from station.maps.repair.purging import purge, purge_versions
 from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
 from tests.support.disk import unwritable
