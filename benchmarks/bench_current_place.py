@@ -216,7 +216,7 @@ def flat_to_drive(
     world = make_world(name, flat)
     renderer = Renderer(world, calibration.camera, default_cache_dir())
     place_map = map_flat(world, renderer, calibration, flat, None if whole else unmapped_room(world))
-    return world, renderer, place_map, Localizer(place_map)
+    return world, renderer, place_map, Localizer([place_map])
 
 
 def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
@@ -252,7 +252,7 @@ def judge_drive(
     """One drive with a hijack; answers once per image."""
     robot = Robot(world, renderer, calibration, "second", seed)
     hijack = planned_hijack(world, robot, unmapped, seed)
-    tracker = PlaceTracker(place_map, calibration, localizer)
+    tracker = PlaceTracker([place_map], calibration, localizer)
     driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
     rows: list[tuple[str, bool, float, bool, float | None, bool]] = []
     hijack_ns: int | None = None

@@ -33,7 +33,7 @@ import numpy as np
 from benchmarks.places import changed_share
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
-from station.commands.experiment import reconstruct, say
+from station.commands.experiment import reconstruct
 from station.datasets import Dataset, Truth
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
@@ -133,7 +133,7 @@ def _open_navigation(preset: Preset, number: int, folder: Path) -> Input:
         return Input(path, load_navigation(navigation), open_truth(path))
     if not (path / "mav0" / "cam0" / "data").is_dir():
         shutil.rmtree(path, ignore_errors=True)
-    return open_input(make_dataset(preset.navigations[number], path, say), preset.frames[number], None)
+    return open_input(make_dataset(preset.navigations[number], path), preset.frames[number], None)
 
 
 def _take_first_navigation(other: Path, folder: Path) -> None:
@@ -165,7 +165,7 @@ def _reconstruct_with_prefix(
                 if child == 0:
                     is_copy = True
                     return
-                os.waitpid(child, 0)  # waited for: what is put on the shelf is shared
+                os.waitpid(child, 0)  # waited for: what is spilled is shared
                 has_branched = True
             yield event
 

@@ -46,7 +46,7 @@ def undisturbed_drive(
     """One drive to its end, at most 2 minutes; answers once per image."""
     assert calibration.camera is not None
     robot = Robot(world, renderer, calibration, "second" if seed % 2 else "tour", seed)
-    tracker = PlaceTracker(place_map, calibration, localizer)
+    tracker = PlaceTracker([place_map], calibration, localizer)
     states = {"known": 0, "unknown": 0, "lost": 0}
     alarms, wrong, seconds = [], 0, 0.0
     for item in robot.sense(120.0, 0.4, None, CONDITIONS[condition]):

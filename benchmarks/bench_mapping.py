@@ -103,7 +103,7 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
     camera = data.calibration.camera
     assert camera is not None
     shift_ns = round(1e9 * camera.time_shift_s)
-    tracker = PlaceTracker(place_map, data.calibration, Localizer(place_map))
+    tracker = PlaceTracker([place_map], data.calibration, Localizer([place_map]))
     live = make_backend(backend, data.calibration, 0, 1) if backend == "ukf" else None  # gives the odometry
     centroids = {p.id: transform(T_truth_map, p.centroid_map[None])[0] for p in place_map.places}
     looked = localised = 0

@@ -174,9 +174,9 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
     """One map size: build the index, then answer images from random rooms of it."""
     place_map, described = build_copies(rooms, count)
     start = time.perf_counter()
-    localizer = Localizer(place_map, described=[described])
+    localizer = Localizer([place_map], described=[described])
     build_s = time.perf_counter() - start
-    estimator = CurrentPlaceEstimator(place_map, calibration)
+    estimator = CurrentPlaceEstimator([place_map], calibration)
     centroids = np.array([place.centroid_map for place in place_map.places])
     rng = np.random.default_rng(count)
     asked = Asked(localizer, estimator, calibration, FeatureExtractor())

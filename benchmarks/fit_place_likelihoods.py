@@ -1,4 +1,4 @@
-"""Measure the rates behind the current place (`places/tracking/likelihoods.py`), and print them as it takes them.
+"""Measure the rates behind the current place (`places/tracking/config.py`), and print them as it takes them.
 
     python -m benchmarks.fit_place_likelihoods [--rows FILE.jsonl] [--flats 101-120] [--drives 1 3]
 
@@ -33,9 +33,7 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse
 from station.model.frames import ImageFrame
 from station.places.localisation.localizer import Attempt
-from station.places.tracking.likelihoods import (
-    support,
-)
+from station.places.tracking.image_model import support
 from station.places.tracking.map_view import MapView
 from tests.support.likelihood_fit import (
     each_left_out,

@@ -245,7 +245,7 @@ def choose_backend(name: str, calibration: Calibration) -> str:
     if name != AUTO:
         return name
     is_measured = calibration.camera is not None and calibration.camera.is_measured
-    return "ukf" if is_measured and calibration.imu is not None and calibration.robot_kind == "sentinel" else "sfm"
+    return "ukf" if is_measured and calibration.imu is not None and calibration.has_wheels else "sfm"
 
 
 def check_backend(name: str) -> None:

@@ -30,7 +30,7 @@ from station.api.schema.places import (
 )
 from station.errors import Conflict, Unknown
 from station.library.maps import deviation_image, keyframe_image, mean_image
-from station.places.making.changes import shown
+from station.places.making.changes import without_hidden
 from station.places.making.graph import places_called, shortest_route, to_graphml
 
 router = APIRouter(tags=["places"])
@@ -141,7 +141,7 @@ async def graph(
 ) -> GraphModel | Response:
     active = station.maps.require_active()
     if format == "graphml":
-        return Response(to_graphml(shown(active.place_map)), media_type="application/graphml+xml")
+        return Response(to_graphml(without_hidden(active.place_map)), media_type="application/graphml+xml")
     return GraphModel(
         map=active.place_map.id,
         metric=active.place_map.navigation.is_metric,
@@ -156,7 +156,7 @@ Called = Annotated[str, Query(min_length=1, max_length=80, description="id or na
 @router.get("/graph/route", summary="The shortest way between two places", responses=responses(404, 409))
 async def route(start: Called, goal: Called, station: StationDep) -> RouteModel:
     """Along the edges of the graph, with the bearing of each leg; by names, in which upper and lower case are one."""
-    place_map = shown(station.maps.require_active().place_map)
+    place_map = without_hidden(station.maps.require_active().place_map)
     for word in (start, goal):
         if not places_called(place_map, word):
             raise Unknown(f"the graph has no place {word!r}; GET /graph lists them")

@@ -13,6 +13,7 @@ from typing import Any
 
 import uvicorn
 
+from shared.advice import complete, option
 from shared.certificates import HANDSHAKE_WITHIN_S
 from shared.errors import ConfigError
 from shared.listening import is_loopback
@@ -88,7 +89,7 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
     if station.access.door.is_open and not station.config.access.insecure and not is_loopback(bound):
         raise ConfigError(
             f"{station.config.api.host} means {bound} here, which others reach; give --host 127.0.0.1, or run"
-            " `station access init` and give --host 0.0.0.0"
+            f" `station access init{option('--data', station.config.data_dir)}` and give --host 0.0.0.0"
         )
     api = make_api(station)
     identity = station.access.identity
@@ -110,9 +111,10 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
     opened = asyncio.Event()  # before it the last active map is not active yet
     running = asyncio.create_task(station.run(opened.set), name="station")
     serving = asyncio.create_task(server.serve(sockets=[listener]), name="API")
+    data = {"--data": station.config.data_dir}
     watching = asyncio.create_task(
-        watch_expiry(identity, lambda sentence: _warn(station, sentence)), name="certificate"
-    )  # fmt: skip
+        watch_expiry(identity, lambda sentence: _warn(station, complete(sentence, "station", data))), name="certificate"
+    )
     try:
         while not (server.started and opened.is_set()) and not serving.done() and not running.done():
             await asyncio.sleep(0.01)

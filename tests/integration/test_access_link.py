@@ -157,14 +157,15 @@ async def test_another_certificate_at_a_known_address_is_refused_before_a_word_i
 
 
 async def test_a_robot_that_was_never_paired_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    robots = PairedRobots(tmp_path / "station")
+    robots = PairedRobots(tmp_path / "station", data_dir=tmp_path)
     async with guarded_robot(tmp_path / "a") as known, guarded_robot(tmp_path / "b") as stranger:
         known.admit("desk", Role.DRIVE, robots)
         # As a robot beyond loopback would be met.
         connection = await connect_by_tls("127.0.0.1", stranger.port)
         said = robots.recognise(connection.fingerprint, "192.168.1.20", stranger.port)
         connection.writer.transport.abort()
-        assert isinstance(said, str) and "station pair 192.168.1.20" in said
+        assert isinstance(said, str) and "`station pair 192.168.1.20" in said
+        assert f" --code CODE --data {tmp_path}`" in said
 
 
 def test_beyond_loopback_robots_are_met_by_tls_only(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def test_each_room_is_found_by_the_indexes_made_for_it_alone_as_if_it_was_the_on
     indexes = {name: make_index(room) for name, room in rooms.items()}
     together = Localizer(list(rooms.values()), index=list(indexes.values()))
     for name, room in rooms.items():
-        alone = Localizer(room, index=indexes[name])
+        alone = Localizer([room], index=[indexes[name]])
         for view in views(WALLS[name])[::3]:
             found, expected = (one.localize(frame(view), CALIBRATION) for one in (together, alone))
             assert found is not None and expected is not None and found.map_id == room.id

@@ -122,7 +122,7 @@ def test_a_map_without_readable_images_answers_no() -> None:
         good.navigation.landmarks,
         good.navigation.report,
     )
-    empty = Localizer(PlaceMap("broken", "broken", navigation, (), (), {}))
+    empty = Localizer([PlaceMap("broken", "broken", navigation, (), (), {})])
     assert empty.localize(frame(picture(1, camera_at(0.0))), CALIBRATION) is None
 
 

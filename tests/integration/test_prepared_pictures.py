@@ -110,7 +110,7 @@ def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(
     finder.load(address, (built.map_id,))
     assert told == []
     finder.calibrate(CALIBRATION)
-    alone = Localizer(MapStore(address).load(built.map_id))
+    alone = Localizer([MapStore(address).load(built.map_id)])
     for number, view in enumerate(VIEWS):
         report = finder.answer(replace(frame(view), t_robot_ns=number * 500_000_000))
         direct = alone.attempt(frame(view), CALIBRATION).localization

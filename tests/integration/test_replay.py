@@ -10,7 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from station.commands.replay import Metronome
+from station.datasets import open_dataset
 from station.main import app
+from station.workers.replay import ReplayOptions
+from station.workers.replay import replay as replay_drive
 from tests.support.paths import RECORDINGS
 from tests.support.recordings import record_made_up_room
 
@@ -50,6 +53,29 @@ def test_real_images_give_the_same_bits_on_one_and_two_threads() -> None:
     one = replay(KEYFRAMES, "--last", "11", "--threads", "1")
     assert replay(KEYFRAMES, "--last", "11", "--threads", "2") == one
     assert one["places"]
+
+
+def test_a_replay_says_what_it_does_and_how_far_it_is(tmp_path: Path) -> None:
+    told: list[str | int] = []
+    replay_drive(
+        open_dataset(record_made_up_room(tmp_path / "drive.mcap")),
+        ReplayOptions(MADE_UP),
+        pace=told.append,
+        say=told.append,
+    )
+    steps = [one for one in told if isinstance(one, str)]
+    assert len(steps) == 4 and told[0] == steps[0]
+    # Recorded time goes by twice: while it follows the robot, and while it looks for the place.
+    for step, ends in ((steps[0], steps[1]), (steps[3], None)):
+        times = told[told.index(step) + 1 : None if ends is None else told.index(ends)]
+        assert len(times) > 12 and times == sorted(times)
+
+
+def test_nothing_of_the_progress_gets_into_files_and_pipes(tmp_path: Path) -> None:
+    result = CliRunner().invoke(
+        app, ["replay", str(record_made_up_room(tmp_path / "drive.mcap")), "--backend", MADE_UP]
+    )
+    assert result.exit_code == 0 and result.stderr == ""
 
 
 def test_recorded_time_is_kept_at_the_speed_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

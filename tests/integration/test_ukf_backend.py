@@ -18,7 +18,7 @@ from station.model.frames import ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
-from station.slam.ukf.start import GivenState
+from station.slam.ukf.start.starter import GivenState
 from tests.support.paths import RECORDINGS
 
 DATA = RECORDINGS

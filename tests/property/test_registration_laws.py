@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.geometry import inverse, se3, so3_exp, transform, yaw_rotation
+from shared.geometry import inverse, inverse_sim3, se3, so3_exp, transform, yaw_rotation
 from station.places.registration import register_clouds
-from station.places.registration.score import inverse_similarity
 from station.vision.camera_pose import solve_pose
 from tests.support.registration_clouds import make_pair
 
@@ -29,7 +28,7 @@ def test_any_yaw_and_translation_of_a_cloud_is_recovered(yaw: float, x: float, y
 @given(scale=st.floats(0.82, 1.2), yaw=st.floats(-3.1, 3.1))
 def test_any_scale_in_range_is_recovered(scale: float, yaw: float) -> None:
     T = se3(scale * yaw_rotation(yaw), np.array([1.0, 2.0, 0.1]))
-    result = register_clouds(CLOUD, transform(inverse_similarity(T), CLOUD), scale="free")
+    result = register_clouds(CLOUD, transform(inverse_sim3(T), CLOUD), scale="free")
     assert result.accepted, result.reasons
     assert abs(result.scale / scale - 1) < 2e-3
 

@@ -9,15 +9,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from shared.geometry import FloatArray
-from station.places.tracking.belief import BeliefConfig
-from station.places.tracking.likelihoods import (
-    LEAST_EXTENT_M,
-    NONE_IN_VIEW,
+from station.places.tracking.config import (
     USUAL_EXTENT_M,
     USUAL_FEATURES,
     USUAL_INLIERS,
     USUAL_SUPPORT,
+    BeliefConfig,
 )
+from station.places.tracking.image_model import LEAST_EXTENT_M, NONE_IN_VIEW
 
 # On the coefficients, against the mean loss. It draws them to zero: without it extent and features of the right pose
 # come out as 3.39 and -2.09 instead of 2.86 and -1.54, features of an unmapped room as 2.70 instead of 2.03, the others
@@ -54,7 +53,7 @@ def minimised(losses: Callable[[FloatArray], FloatArray], count: int) -> FloatAr
 
 
 def recognising(pose: dict[str, Any], features: int) -> list[float]:
-    """A row of figures, as `Recognising` takes them."""
+    """A row of figures, as `RecognisedOdds` weighs them."""
     return [
         1.0,
         float(np.log(max(pose["extent"], LEAST_EXTENT_M) / USUAL_EXTENT_M)),
@@ -65,7 +64,7 @@ def recognising(pose: dict[str, Any], features: int) -> list[float]:
 
 
 def failing(rows: list[dict[str, Any]], columns: str) -> FloatArray:
-    """Rows of figures, as `Failing` takes them: f features, a again, v in view."""
+    """Rows of figures, as `FailureOdds` weighs them: f features, a again, v in view."""
     made = {
         "f": [np.log(r["features"] / USUAL_FEATURES) for r in rows],
         "a": [r["failed_before"] for r in rows],

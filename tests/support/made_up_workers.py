@@ -18,7 +18,7 @@ from station.model.navigation import Navigation
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.model.slam_update import SlamUpdate
-from station.places.making.changes import shown
+from station.places.making.changes import without_hidden
 from station.vision.features import Features
 from station.workers.place_requests import PlaceEvent, PlaceProgram, Vectors
 from tests.support.synthetic_home import drive, furnished_room, navigate
@@ -101,11 +101,11 @@ class PlaceByLight(PlaceProgram):
         self._num_hijacks = 0
 
     def load(self, store: StoreAddress, map_ids: tuple[str, ...]) -> None:
-        self._maps = [shown(MapStore(store).load(map_id)) for map_id in map_ids]
+        self._maps = [without_hidden(MapStore(store).load(map_id)) for map_id in map_ids]
 
     def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
         assert self._maps[0].id == map_id
-        self._maps[0] = shown(replace(self._maps[0], places=places, edges=edges))
+        self._maps[0] = without_hidden(replace(self._maps[0], places=places, edges=edges))
 
     def calibrate(self, calibration: Calibration) -> None:
         pass

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from shared.advice import install
+
 START_S = 60
 
 
@@ -51,7 +53,7 @@ def running_postgres() -> Iterator[PostgresServer]:
     initdb, postgres = find_program("initdb"), find_program("postgres")
     if initdb is None or postgres is None:
         pytest.skip("PostgreSQL is not installed; run: sudo apt-get install postgresql")
-    pytest.importorskip("psycopg", reason="needs psycopg; run: pip install 'sentinel-robot[fleet]'")
+    pytest.importorskip("psycopg", reason=f"needs psycopg; run: {install('fleet')}")
     user = _user()
     folder = Path(tempfile.mkdtemp(prefix="postgres-"))
     try:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from shared.calibration import Calibration, CameraCalibration
-from shared.geometry import FloatArray, IntArray, inverse, se3, transform, yaw_rotation
+from shared.geometry import FloatArray, IntArray, carry_poses, inverse, se3, transform, yaw_rotation
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 
 CAMERA = CameraCalibration(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
@@ -91,7 +91,6 @@ def navigate(
     """
     rng = np.random.default_rng(seed)
     T = np.eye(4) if T_nav_world is None else T_nav_world
-    scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
     chosen = np.flatnonzero(rng.random(len(home.p)) < seen_share)
     p_cam = np.array([transform(inverse(pose), home.p[chosen]) for pose in T_world_cam])  # (F, n, 3)
     uv = p_cam[..., :2] / np.maximum(p_cam[..., 2:], 1e-6) * 120.0 + [79.5, 59.5]
@@ -103,9 +102,7 @@ def navigate(
     p = home.p[chosen[landmark]] + rng.normal(0, noise_m, (len(landmark), 3))
     wrong = rng.random(len(p)) < outlier_share
     p[wrong] += rng.normal(0, 1.0, (int(wrong.sum()), 3))
-    poses = T_world_cam.copy()
-    poses[:, :3, :3] = T[:3, :3] / scale @ poses[:, :3, :3]
-    poses[:, :3, 3] = transform(T, poses[:, :3, 3])
+    poses = carry_poses(T, T_world_cam)
     t = np.arange(len(poses), dtype=np.int64) * 100_000_000
     rgb = home.rgb[chosen[landmark]].astype(np.uint8)
     encoded = tuple(_picture(uv[k, landmark[point[frame == k]]], rgb[point[frame == k]]) for k in range(len(poses)))

@@ -15,6 +15,7 @@ import numpy as np
 from shared.geometry import FloatArray
 from station.model.frames import DriveSample, ImuBatch
 from station.model.place_answer import HijackEvent
+from station.motion.drive_commands import CommandedRest
 from station.vision.features import Features, to_floats
 
 
@@ -32,8 +33,6 @@ class HijackConfig:
     tilt_rad: float = 0.12
     turn_rad_s: float = 0.35
     turn_bins: int = 15
-    rest_after_s: float = 0.7  # since the last command that moved the robot
-    command_hold_s: float = 0.5  # a command without successor counts this long (its time to live)
     still_s: float = 0.5  # put down: this long without motion
     still_gyro_rad_s: float = 0.06
     still_accel_m_s2: float = 0.6
@@ -103,15 +102,10 @@ class _InertialCue:
         self._tilt = np.zeros(3)
         self._lift_count = self._turn_count = 0
         self._still_s = 0.0
-        self._moving_until_ns = 0
+        self._rest = CommandedRest()
 
     def command(self, drive: DriveSample) -> None:
-        if abs(drive.linear_m_s) > 1e-3 or abs(drive.angular_rad_s) > 1e-3:
-            hold = self._c.command_hold_s + self._c.rest_after_s
-            self._moving_until_ns = drive.t_robot_ns + round(hold * 1e9)
-        else:
-            rest = drive.t_robot_ns + round(self._c.rest_after_s * 1e9)
-            self._moving_until_ns = min(self._moving_until_ns, rest)
+        self._rest.add_drive(drive)
 
     def add(self, imu: ImuBatch) -> HijackEvent | None:
         event = None
@@ -145,7 +139,7 @@ class _InertialCue:
         level = rate - vertical * (vertical @ rate)
         self._tilt = (self._tilt + level * seconds) * float(np.exp(-seconds / c.tilt_tau_s))
         self._lift_count = self._lift_count + 1 if abs(self._velocity) > c.lift_m_s else 0
-        resting = t > self._moving_until_ns
+        resting = self._rest.is_resting(t)
         self._turn_count = self._turn_count + 1 if resting and abs(float(vertical @ rate)) > c.turn_rad_s else 0
         if self.is_carried:
             self._wait_for_rest(seconds, rate, surplus)
@@ -173,7 +167,7 @@ class _InertialCue:
             return
         share = 1 - float(np.exp(-seconds / (0.3 if settling else self._c.gravity_tau_s)))
         self._up = self._up + share * (accel - self._up)
-        if t > self._moving_until_ns and float(np.linalg.norm(gyro - self._bias)) < (0.2 if settling else 0.05):
+        if self._rest.is_resting(t) and float(np.linalg.norm(gyro - self._bias)) < (0.2 if settling else 0.05):
             self._bias = self._bias + share * (gyro - self._bias)
 
     def _wait_for_rest(self, seconds: float, rate: FloatArray, surplus: float) -> None:

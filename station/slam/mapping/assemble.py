@@ -12,7 +12,7 @@ from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
 from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Landmarks
-from station.slam.mapping.config import SfmConfig
+from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.features import Features
 from station.slam.mapping.odometry_mapping import OdometryMap
 
@@ -32,7 +32,7 @@ def read_odometry_map(
     frames: Sequence[ImageFrame],
     features: Sequence[Features],
     camera: CameraCalibration,
-    config: SfmConfig,
+    config: MappingConfig,
 ) -> Reconstructed:
     """Of a map made with odometry: every keyframe has a pose there."""
     T_world_body = np.zeros((len(frames), 4, 4))
@@ -77,7 +77,7 @@ def make_landmarks(
 
 
 def good_landmarks(
-    points: FloatArray, owner: IntArray, seen_from: IntArray, centres: FloatArray, config: SfmConfig
+    points: FloatArray, owner: IntArray, seen_from: IntArray, centres: FloatArray, config: MappingConfig
 ) -> npt.NDArray[np.bool_]:
     """(M,) landmarks seen often enough and from directions far enough apart to have a sure depth."""
     length = np.bincount(owner, minlength=len(points))

@@ -1,7 +1,9 @@
-"""Visual-inertial least squares over a window of poses (docs/slam.md, sec. 7; thesis eqs. 2.10-2.13).
+"""Bundle adjustment of a window with the IMU: poses, velocities and biases (docs/slam.md, sec. 7; thesis 2.10-2.13).
 
-Unknown per pose: (phi, v, x, b_omega, b_a) with R = exp(phi) R_mean and the rest added. Points are solved for given the
-poses in every iteration and projected out of the Jacobian (variable projection), so that only poses remain.
+Unknown per pose: (phi, v, x, b_omega, b_a) with R = exp(phi) R_mean and the rest added; preintegrated readings link the
+poses. Points are solved for given the poses in every iteration and projected out of the Jacobian (variable projection),
+so that only poses remain: dense, for windows of some twenty poses, with their joint covariance. odometry_bundle.py
+adjusts whole drives of hundreds of keyframes and their landmarks, with relative motions in place of readings.
 """
 
 from __future__ import annotations
@@ -13,15 +15,39 @@ from scipy.linalg import cho_factor, cho_solve
 
 from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, IntArray
 from station.motion import lie
+from station.motion.error_coordinates import ErrorKind, pose_jacobian
 from station.motion.preintegration import Preintegration
-from station.slam.ukf.filter.measurement import CameraModel, jacobians, observation_pose, pose_jacobian
-from station.slam.ukf.filter.state import ErrorKind
-from station.slam.ukf.filter.triangulation import Triangulation, triangulate
+from station.slam.mapping.rolling_shutter import observation_pose
+from station.vision.camera_model import CameraModel, project_points
+from station.vision.klt import TrackedFrame
 from station.vision.lens import BoolArray
+from station.vision.triangulation import Triangulation, triangulate
 
 N = 15  # unknowns per pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowTracks:
+    """Tracks over the K frames of a window."""
+
+    ids: IntArray  # (F,)
+    uv_px: FloatArray  # (F, K, 2)
+    xy: FloatArray  # (F, K, 2)
+    seen: BoolArray  # (F, K)
+
+
+def collect_tracks(frames: list[TrackedFrame], min_views: int) -> WindowTracks:
+    """Tracks that at least min_views of the frames saw."""
+    ids = np.unique(np.concatenate([f.ids for f in frames]))
+    F, K = len(ids), len(frames)
+    uv, xy, seen = np.zeros((F, K, 2)), np.zeros((F, K, 2)), np.zeros((F, K), dtype=bool)
+    for k, frame in enumerate(frames):
+        row = np.searchsorted(ids, frame.ids)
+        uv[row, k], xy[row, k], seen[row, k] = frame.uv_px, frame.xy, True
+    keep = seen.sum(axis=1) >= min_views
+    return WindowTracks(ids[keep], uv[keep], xy[keep], seen[keep])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,14 +115,12 @@ def solve_window(
     gravity: float,
     states: WindowStates,
     links: list[Preintegration],
-    uv_px: FloatArray,
-    xy: FloatArray,
-    seen: BoolArray,
+    tracks: WindowTracks,
     prior: Prior,
     iterations: int = 8,
     huber: float = 2.0,
 ) -> WindowSolution:
-    """Most likely poses, velocities, biases given IMU links (K - 1) and tracks (F, K, 2).
+    """Most likely poses, velocities, biases given K - 1 IMU links and tracks.
 
     Raises:
         DegenerateGeometry: fewer than 8 usable tracks, or the normal equations are singular.
@@ -109,7 +133,7 @@ def solve_window(
     for _ in range(iterations):
         trial = best.moved(step)
         H, g, trial_cost, points, used, rms = _normal_equations(
-            camera, noise, gravity, trial, stacked, uv_px, xy, seen, prior, huber
+            camera, noise, gravity, trial, stacked, tracks, prior, huber
         )
         if trial_cost <= cost * (1.0 + 1e-9):
             has_converged = cost - trial_cost < 3e-3 * max(1.0, trial_cost)
@@ -145,9 +169,7 @@ def _normal_equations(
     gravity: float,
     states: WindowStates,
     links: _Links,
-    uv_px: FloatArray,
-    xy: FloatArray,
-    seen: BoolArray,
+    tracks: WindowTracks,
     prior: Prior,
     huber: float,
 ) -> tuple[FloatArray, FloatArray, float, Triangulation, BoolArray, float]:
@@ -156,7 +178,7 @@ def _normal_equations(
     H, g = np.zeros((N * K, N * K)), np.zeros(N * K)
     cost = _add_prior(H, g, states, prior)
     cost += _add_links(H, g, states, links, noise, gravity)
-    visual_cost, points, used, rms = _add_tracks(H, g, camera, states, uv_px, xy, seen, huber)
+    visual_cost, points, used, rms = _add_tracks(H, g, camera, states, tracks, huber)
     return H, g, cost + visual_cost, points, used, rms
 
 
@@ -294,11 +316,11 @@ def _add_tracks(
     g: FloatArray,
     camera: CameraModel,
     states: WindowStates,
-    uv_px: FloatArray,
-    xy: FloatArray,
-    seen: BoolArray,
+    tracks: WindowTracks,
     huber: float,
 ) -> tuple[float, Triangulation, BoolArray, float]:
+    """Reprojections of the points that these poses give; their robust cost, the points, what was used, its rms."""
+    uv_px, xy, seen = tracks.uv_px, tracks.xy, tracks.seen
     F, K = seen.shape
     if camera.line_delay_s:
         R, x = observation_pose(
@@ -313,7 +335,7 @@ def _add_tracks(
     used = seen & good[:, None]
     p = np.where(good[:, None], points.p, 0.0)
     spread = np.broadcast_to(p[:, None], (F, K, 3))
-    predicted, D, in_front, _ = jacobians(camera, R, x, spread)
+    predicted, D, in_front = project_points(camera, R, x, spread)
     used = used & in_front
     W = camera.lens.whitening(xy, camera.sigma_px)
     r = (W @ (xy - predicted)[..., None])[..., 0] * used[..., None]

@@ -2,7 +2,8 @@
 
 A narrow camera that turns in rooms sees little parallax and, at times, a blank wall: images alone come apart there.
 Gyroscope and wheels never do. So every keyframe starts at its dead-reckoned pose, tracks are triangulated from
-there, and bundle adjustment (bundle.py) refines all, odometry included; then loops are closed and all is refined again.
+there, and bundle adjustment (odometry_bundle.py) refines all, odometry included; then loops are closed and all is
+refined again.
 """
 
 from __future__ import annotations
@@ -14,14 +15,21 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
-from station.slam.mapping.bundle import BundleState, Observations, adjust, landmark_covariances, reprojection_errors
-from station.slam.mapping.config import SfmConfig
+from station.motion.inertial_track import InertialTrack, exp_many
+from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.features import Features
-from station.slam.mapping.inertial import InertialTrack, exp_many
 from station.slam.mapping.loops import find_loops
 from station.slam.mapping.odometry import Odometry, RelativeMotions
-from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest, triangulate
+from station.slam.mapping.odometry_bundle import (
+    BundleState,
+    Observations,
+    adjust,
+    landmark_covariances,
+    reprojection_errors,
+)
+from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
 from station.vision.lens import Lens
+from station.vision.triangulation import intersect_rays
 from station.vision.two_view import epipolar_inliers
 
 # Cauchy scales (px): wide while poses are dead reckoned or a loop has just been closed, then as sharp as the pictures.
@@ -50,7 +58,7 @@ def map_with_odometry(
     t_imu_ns: IntArray,
     odometry: Odometry,
     camera: CameraCalibration,
-    config: SfmConfig,
+    config: MappingConfig,
 ) -> OdometryMap:
     """Reconstruct one drive.
 
@@ -68,7 +76,7 @@ def map_with_motions(
     matches: Sequence[Pairs],
     odometry: RelativeMotions,
     camera: CameraCalibration,
-    config: SfmConfig,
+    config: MappingConfig,
 ) -> OdometryMap:
     """The same for relative motions from anywhere.
 
@@ -171,7 +179,7 @@ def triangulate_tracks(
         xy = gather(current, rays)
         directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], np.column_stack([xy, np.ones(len(xy))]))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        points, defined = triangulate(current.point, current.num_points, centre[current.keyframe], directions)
+        points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
         error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
         good = defined[current.point] & (error < gate_px)
         if good.all():

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import IntArray
 
 Pairs = tuple[int, int, IntArray]  # keyframe a, keyframe b, (M, 2) features of a and b
 
@@ -59,36 +59,6 @@ def build_tracks(num_features: Sequence[int], matches: Iterable[Pairs]) -> Track
     order = np.lexsort((point, keyframe))
     tracks = Tracks(keyframe[order], point[order], feature[order], int(point.max()) + 1 if len(point) else 0)
     return tracks.only(once[order])
-
-
-def triangulate(
-    point: IntArray, num_points: int, centres: FloatArray, rays: FloatArray
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Points nearest to all their rays, and whether they are well enough defined.
-
-    Args:
-        point: (K,) which point each ray belongs to; centres, rays: (K, 3) in the world, rays of length 1.
-    Returns:
-        (num_points, 3) and (num_points,): False where the rays are nearly parallel or the point lies behind.
-    """
-    A_each = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    A = np.zeros((num_points, 3, 3))
-    b = np.zeros((num_points, 3))
-    np.add.at(A, point, A_each)
-    np.add.at(b, point, np.einsum("nij,nj->ni", A_each, centres))
-    # The smallest eigenvalue is about the squared parallax: parallel rays leave a direction open.
-    count = np.maximum(np.bincount(point, minlength=num_points), 1)
-    smallest = np.linalg.eigvalsh(A)[:, 0] / count
-    good = smallest > MIN_PARALLAX_RAD**2
-    A[~good] = np.eye(3)
-    found = np.asarray(np.linalg.solve(A, b[:, :, None])[:, :, 0], dtype=np.float64)
-    depth = ((found[point] - centres) * rays).sum(axis=1)
-    nearest = np.full(num_points, np.inf)
-    np.minimum.at(nearest, point, depth)
-    return found, good & (nearest > 0.05)
-
-
-MIN_PARALLAX_RAD = 0.004
 
 
 def longest(tracks: Tracks, per_keyframe: int) -> npt.NDArray[np.bool_]:

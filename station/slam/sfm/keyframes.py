@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from station.model.frames import ImageArray
-from station.slam.mapping.config import KeyframeConfig
+from station.slam.sfm.config import KeyframeConfig
 
 MIN_CORNERS = 12  # fewer cannot say how far the picture moved
 LK_WINDOW = (15, 15)

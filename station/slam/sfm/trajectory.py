@@ -7,7 +7,7 @@ from scipy.interpolate import PchipInterpolator
 
 from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
 from station.model.navigation import Trajectory
-from station.slam.mapping.inertial import InertialTrack
+from station.motion.inertial_track import InertialTrack
 
 MAX_GAP_NS = 4_000_000_000  # keyframes further apart say little of the time between
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from shared.calibration import CameraCalibration
-from station.slam.mapping.config import SfmConfig
 from station.slam.sfm.colmap import COLMAP_PIXEL_CENTRE, pycolmap
+from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.sift import PinholeFeatures
 from station.slam.sfm.two_view import Match
 

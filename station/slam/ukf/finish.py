@@ -14,15 +14,15 @@ import scipy
 from shared.calibration import Calibration
 from shared.geometry import se3
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.slam.ukf.batch.refine import refine_segment
+from station.motion.imu_buffer import ImuCounts
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter.measurement import CameraModel
-from station.slam.ukf.inertial import ImuCounts
 from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.landmark_map import Observations, assemble, make_landmarks
+from station.slam.ukf.map.refine import refine_segment
 from station.slam.ukf.map.view_map import map_views
 from station.slam.ukf.memory import NavigationMemory
+from station.vision.camera_model import CameraModel
 
 
 def make_navigation(

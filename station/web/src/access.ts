@@ -37,7 +37,7 @@ function shown(session: SessionModel): SessionModel {
 }
 
 function login(why: string): Promise<void> {
-  const dialog = by<HTMLDialogElement>("ask");
+  const dialog = by("ask", HTMLDialogElement);
   return new Promise((resolve) => {
     const input = make("input", {
       type: "password",

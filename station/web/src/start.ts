@@ -5,6 +5,6 @@ import { dress } from "./ui/theme";
 
 dress();
 const session = await enter();
-document.body.dataset["role"] = session.role;
-document.body.dataset["controlled"] = String(session.controlled);
+document.body.dataset.role = session.role;
+document.body.dataset.controlled = String(session.controlled);
 await import("./main");

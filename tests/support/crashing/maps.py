@@ -325,18 +325,18 @@ def prepare_old(folder: Path) -> None:
     """A store of the first migration, and beside it two folders of the format before it."""
     store = MapStore(address(folder))
     (folder / "maps").mkdir(exist_ok=True)
-    with store.database.writing("migrations") as connection:
+    with store.contents.database.writing("migrations") as connection:
         upgrade(connection, "0001")
     newer = MapStore(folder / "newer")
     newer.save(replace(variant(1), id="map-a"))
     newer.rename_place("map-a", MAP.places[0].id, NAMED)
     for part in ("blobs", "records"):
         shutil.copytree(folder / "newer" / part, folder / "maps" / part)
-    with newer.database.reading() as connection:
+    with newer.reading() as connection:
         rows = [dict(row._mapping) for row in connection.execute(VERSIONS.select())]
     for row in rows:
         row.pop("author")
-    with store.database.writing("rows") as connection:
+    with store.contents.database.writing("rows") as connection:
         columns = ", ".join(rows[0])
         values = ", ".join(f":{key}" for key in rows[0])
         connection.execute(text(f"INSERT INTO map_version ({columns}) VALUES ({values})"), rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import socket
 import stat
 import threading
@@ -32,7 +33,7 @@ from station.access.expiry import expiry_sentence, watch_expiry
 from station.access.visitors import Door, open_access
 from station.config import AccessConfig as StationAccessConfig
 from station.config import ApiConfig, StationConfig
-from station.errors import TooManyGuesses, WrongToken
+from station.errors import Conflict, TooManyGuesses, WrongToken
 from tests.support.access import NOW, set_up
 
 
@@ -391,6 +392,12 @@ def test_a_robot_beyond_loopback_does_not_start_unless_it_is_set_up(
     with pytest.raises(ConfigError, match="not set up"):  # its name meant another address when the port was taken
         open_gate(RobotConfig(server=ServerConfig(host="localhost")), "192.168.1.20")
     assert open_gate(RobotConfig(server=beyond, access=AccessConfig(insecure=True))) is None
+
+
+def test_a_station_that_asks_nobody_says_how_that_is_changed(tmp_path: Path) -> None:
+    access = open_access(StationConfig(data_dir=tmp_path))
+    with pytest.raises(Conflict, match=re.escape(f"`station access init --data {tmp_path}` sets it up")):
+        _ = access.door.book
 
 
 def test_a_station_beyond_loopback_does_not_start_unless_it_is_set_up(tmp_path: Path) -> None:

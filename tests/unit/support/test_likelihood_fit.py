@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.geometry import FloatArray
-from station.places.tracking.likelihoods import FAILS_AT_POSE, RIGHT, Failing, Shown
+from station.places.tracking.config import FAILS_AT_POSE, RIGHT, FailureOdds
+from station.places.tracking.image_model import MatchFigures, failure_probability, log_odds
 from tests.support import likelihood_fit
 from tests.support.likelihood_fit import (
     each_left_out,
@@ -43,11 +44,11 @@ def test_what_is_fitted_is_what_the_estimator_computes(
     w = np.array([RIGHT.usual, RIGHT.extent, RIGHT.inliers, RIGHT.support, RIGHT.features])
     pose = {"extent": extent, "inliers": inliers, "support": support}
     assert np.dot(recognising(pose, features), w) == pytest.approx(
-        RIGHT.log_odds(Shown(extent, inliers, support, features))
+        log_odds(RIGHT, MatchFigures(extent, inliers, support, features))
     )
     f = FAILS_AT_POSE
     [X] = failing([row(features=features, failed_before=failed_before, in_view=in_view)], "fav")
-    p = f.probability(features, failed_before, in_view)
+    p = failure_probability(f, features, failed_before, in_view)
     assert np.dot(X, [f.usual, f.features, f.again, f.in_view]) == pytest.approx(np.log(p / (1 - p)), abs=1e-6)
 
 
@@ -56,7 +57,7 @@ def test_the_rates_that_made_images_up_are_found_again(monkeypatch: pytest.Monke
     rng = np.random.default_rng(0)
     rows, failed = [], []
     true = np.array([RIGHT.usual, RIGHT.extent, RIGHT.inliers, RIGHT.support, RIGHT.features])
-    f = Failing(-1.0, features=-1.0, again=2.0, in_view=-0.8)
+    f = FailureOdds(-1.0, features=-1.0, again=2.0, in_view=-0.8)
     for _ in range(6000):
         features = int(rng.integers(80, 800))
         poses = [
@@ -69,7 +70,7 @@ def test_the_rates_that_made_images_up_are_found_again(monkeypatch: pytest.Monke
             pose["error_m"] = 0.1 if k == right else 2.0
         before = float(rng.random() < 0.4)
         rows.append(row(features=features, poses=poses, failed_before=before, in_view=float(rng.exponential(1.0))))
-        failed.append(float(rng.random() < f.probability(features, before, rows[-1]["in_view"])))
+        failed.append(float(rng.random() < failure_probability(f, features, before, rows[-1]["in_view"])))
     found = minimised(right_pose_losses(rows, [0, 1, 2, 3, 4]), 5)
     np.testing.assert_allclose(found, true, atol=0.2)
     fails = logistic(failing(rows, "fav"), np.array(failed))

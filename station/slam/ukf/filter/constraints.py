@@ -8,7 +8,9 @@ import numpy as np
 
 from shared.geometry import FloatArray, orthonormal
 from station.motion import lie
-from station.slam.ukf.filter.state import PHI, XI_V, XI_X, ErrorKind, FilterState
+from station.motion.drive_commands import SPEED_EFFICIENCY
+from station.motion.error_coordinates import ErrorKind
+from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
 from station.slam.ukf.filter.update import Measurements
 
 
@@ -105,10 +107,10 @@ class WheelConfig:
     sigma_lateral_m_s: float = 0.03  # plus what the unknown turning centre makes of a turn:
     lateral_per_turn_m: float = 0.05
     sigma_vertical_m_s: float = 0.02
-    speed_efficiency: float = 0.97  # wheels slip a little
+    speed_efficiency: float = SPEED_EFFICIENCY
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
-    settle_s: float = 0.35  # the motors follow a new command that late
+    settle_s: float = 0.35  # a command is believed that long after it changed: motors have made 93 % of the change then
 
 
 def wheel_velocity(

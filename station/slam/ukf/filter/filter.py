@@ -13,15 +13,16 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, IntArray, se3
+from station.motion.error_coordinates import ErrorKind
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.config import FilterConfig
+from station.slam.ukf.filter.config import FilterConfig
 from station.slam.ukf.filter.landmarks import add_landmarks, measure_landmarks
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.filter.propagation import PropagationConfig, propagate
-from station.slam.ukf.filter.state import ErrorKind, FilterState, add_clone, keep_landmarks, remove_clone
+from station.slam.ukf.filter.state import FilterState, add_clone, keep_landmarks, remove_clone
 from station.slam.ukf.filter.tracks import TrackTable
 from station.slam.ukf.filter.update import Gate, Measurements, stack, update
 from station.slam.ukf.filter.window import gated_window_rows, triangulate_window, window_rows
+from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 
 

@@ -8,10 +8,13 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.motion import lie
-from station.slam.ukf.filter.measurement import CameraModel, linearise, observation_pose, regress
-from station.slam.ukf.filter.state import PHI, XI_X, ErrorKind, FilterState
+from station.motion.error_coordinates import ErrorKind
+from station.slam.mapping.rolling_shutter import observation_pose
+from station.slam.ukf.filter.measurement import linearise, regress
+from station.slam.ukf.filter.state import PHI, XI_X, FilterState
 from station.slam.ukf.filter.update import Gate, Measurements, huber_weights, mahalanobis, select
 from station.slam.ukf.filter.window import WindowRows
+from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 from station.vision.lens import BoolArray
 

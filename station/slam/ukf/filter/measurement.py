@@ -10,45 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray
 from station.motion import lie
-from station.slam.ukf.filter.state import ErrorKind, retract_group
-from station.vision.lens import BoolArray, Lens
-
-MIN_DEPTH_M = 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraModel:
-    """Camera on its body, with pixel noise."""
-
-    lens: Lens
-    R_body_cam: FloatArray  # (3, 3)
-    t_body_cam: FloatArray  # (3,)
-    sigma_px: float
-    line_delay_s: float
-    middle_row: float
-
-    @classmethod
-    def of(cls, camera: CameraCalibration, sigma_px: float) -> CameraModel:
-        T = camera.T_body_cam_matrix
-        return cls(Lens(camera), T[:3, :3], T[:3, 3], sigma_px, camera.line_delay_s, 0.5 * (camera.height - 1))
-
-    def row_delay_s(self, v_px: FloatArray) -> FloatArray:
-        """When a row is exposed, relative to the middle row; clones are taken at the middle row's time."""
-        return (v_px - self.middle_row) * self.line_delay_s
-
-    def to_camera(self, p_body: FloatArray) -> FloatArray:
-        return (p_body - self.t_body_cam) @ self.R_body_cam
-
-
-def observation_pose(
-    R: FloatArray, x: FloatArray, v: FloatArray, omega: FloatArray, delay_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Poses (..., 3, 3), (..., 3) of the rows' own exposure: the clone's pose moved on by its velocity."""
-    turned = R @ lie.so3_exp(omega * delay_s[..., None])
-    return turned, x + v * delay_s[..., None]
+from station.motion.error_coordinates import ErrorKind, pose_jacobian, retract_group
+from station.vision.camera_model import CameraModel, project_points
+from station.vision.lens import BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,35 +25,6 @@ class Regression:
     H: FloatArray  # (N, 2, 9) by (phi, xi_x, xi_p)
     extra: FloatArray  # (N, 2, 2) covariance the linear function leaves unexplained; zero for Jacobians
     in_front: BoolArray  # (N,)
-
-
-def jacobians(
-    camera: CameraModel, R: FloatArray, x: FloatArray, p: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray]:
-    """Normalised projections (..., 2), d/dp_body (..., 2, 3), in-front flags and body points for poses and points."""
-    p_body = np.einsum("...ji,...j->...i", R, p - x)
-    p_cam = camera.to_camera(p_body)
-    z = p_cam[..., 2]
-    in_front = z > MIN_DEPTH_M
-    z = np.where(in_front, z, 1.0)
-    xy = p_cam[..., :2] / z[..., None]
-    D = np.zeros((*xy.shape, 3))
-    D[..., 0, 0] = D[..., 1, 1] = 1.0 / z
-    D[..., 0, 2], D[..., 1, 2] = -xy[..., 0] / z, -xy[..., 1] / z
-    return xy, D @ camera.R_body_cam.T, in_front, p_body
-
-
-def pose_jacobian(kind: ErrorKind, R: FloatArray, x: FloatArray, p: FloatArray) -> FloatArray:
-    """d p_body / d(phi, xi_x) (..., 3, 6), the point p (..., 3) held still in the world."""
-    Rt = np.swapaxes(R, -1, -2)
-    out = np.empty((*Rt.shape[:-1], 6))
-    if kind is ErrorKind.LEFT:  # R exp(phi), x + R xi: p_body = exp(-phi)(p_body - xi)
-        out[..., :3] = lie.skew((Rt @ (p - x)[..., None])[..., 0])
-        out[..., 3:] = -np.eye(3)
-    else:
-        out[..., :3] = Rt @ lie.skew(p if kind is ErrorKind.RIGHT else p - x)
-        out[..., 3:] = -Rt
-    return out
 
 
 def point_coordinates(kind: ErrorKind, R: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -108,7 +45,7 @@ def linearise(
     camera: CameraModel, kind: ErrorKind, R: FloatArray, x: FloatArray, p: FloatArray, xy: FloatArray, W: FloatArray
 ) -> Regression:
     """Analytic version (invariant EKF): observations xy (N, 2) of landmarks p (N, 3) from the current pose R, x."""
-    predicted, D, in_front, _ = jacobians(camera, R, x, p)
+    predicted, D, in_front = project_points(camera, R, x, p)
     by_pose = pose_jacobian(kind, np.broadcast_to(R, (len(p), 3, 3)), x, p)
     by_phi, by_xi = point_coordinates(kind, R, p)
     H = np.empty((len(p), 2, 9))
@@ -142,8 +79,8 @@ def regress(
     steps = np.concatenate([L, -L], axis=2).swapaxes(1, 2) * spread  # (N, 18, 9)
     X = np.stack([np.broadcast_to(x, p.shape), p], axis=1)[:, None]  # (N, 1, 2, 3)
     R_pts, X_pts = retract_group(kind, R, X, steps[..., :3], steps[..., 3:].reshape(N, 18, 2, 3))
-    points, _, front, _ = jacobians(camera, R_pts, X_pts[..., 0, :], X_pts[..., 1, :])
-    mean, _, in_front, _ = jacobians(camera, R, x, p)
+    points, _, front = project_points(camera, R_pts, X_pts[..., 0, :], X_pts[..., 1, :])
+    mean, _, in_front = project_points(camera, R, x, p)
     y_mean = (W @ mean[..., None])[..., 0]
     y = (W[:, None] @ points[..., None])[..., 0] - y_mean[:, None]  # (N, 18, 2)
     odd = (y[:, :9] - y[:, 9:]) / (2.0 * spread)  # (N, 9, 2): P_zy in whitened coordinates

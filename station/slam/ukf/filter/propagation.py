@@ -16,20 +16,10 @@ import numpy as np
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray
 from station.motion import lie
+from station.motion.error_coordinates import ErrorKind, difference_group, retract_group
 from station.motion.preintegration import ImuSegment, integrate
 from station.slam.ukf.filter.roots import shrink, triangular
-from station.slam.ukf.filter.state import (
-    BIAS_ACCEL,
-    BIAS_GYRO,
-    CORE,
-    PHI,
-    XI_V,
-    XI_X,
-    ErrorKind,
-    FilterState,
-    difference_group,
-    retract_group,
-)
+from station.slam.ukf.filter.state import BIAS_ACCEL, BIAS_GYRO, CORE, PHI, XI_V, XI_X, FilterState
 
 
 @dataclass(frozen=True, slots=True)

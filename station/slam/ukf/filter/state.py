@@ -8,12 +8,11 @@ Biases come first so that, S being lower triangular, only its first six columns 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray, se3
-from station.motion import lie
+from station.motion.error_coordinates import ErrorKind, retract_group
 
 BIAS_GYRO = slice(0, 3)
 BIAS_ACCEL = slice(3, 6)
@@ -21,14 +20,6 @@ PHI = slice(6, 9)
 XI_V = slice(9, 12)
 XI_X = slice(12, 15)
 CORE = 15  # biases and group element without landmarks
-
-
-class ErrorKind(Enum):
-    """What the error coordinates of the state mean."""
-
-    RIGHT = "right"  # chi = exp(xi) chi_mean: invariant, world frame (thesis eq. 2.7)
-    LEFT = "left"  # chi = chi_mean exp(xi): invariant, body frame
-    PLAIN = "plain"  # R = exp(phi) R_mean, everything else added: the conventional filter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,31 +107,6 @@ def initial_state(
         landmark_id=np.zeros(0, dtype=np.int64),
         landmark_p=np.zeros((0, 3)),
     )
-
-
-def retract_group(
-    kind: ErrorKind, R: FloatArray, X: FloatArray, phi: FloatArray, xi: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Move R (3, 3), X (k, 3) by errors phi (..., 3), xi (..., k, 3): thesis eq. 2.7 and its two variants."""
-    E, Z = lie.exp(phi, xi)
-    if kind is ErrorKind.RIGHT:
-        return E @ R, X @ np.swapaxes(E, -1, -2) + Z
-    if kind is ErrorKind.LEFT:
-        return R @ E, Z @ np.swapaxes(R, -1, -2) + X
-    return E @ R, X + xi
-
-
-def difference_group(
-    kind: ErrorKind, R_mean: FloatArray, X_mean: FloatArray, R: FloatArray, X: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """The errors that retract_group needs to go from the mean to (R, X); inverse of retract_group."""
-    R_mean_t = np.swapaxes(R_mean, -1, -2)
-    if kind is ErrorKind.RIGHT:
-        E = R @ R_mean_t
-        return lie.log(E, X - X_mean @ np.swapaxes(E, -1, -2))
-    if kind is ErrorKind.LEFT:
-        return lie.log(R_mean_t @ R, (X - X_mean) @ R_mean)
-    return lie.so3_log(R @ R_mean_t), X - X_mean
 
 
 def retract(kind: ErrorKind, state: FilterState, dx: FloatArray) -> FilterState:

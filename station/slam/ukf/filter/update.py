@@ -13,8 +13,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from shared.geometry import FloatArray
+from station.motion.error_coordinates import ErrorKind
 from station.slam.ukf.filter.roots import InformationRoot
-from station.slam.ukf.filter.state import ErrorKind, FilterState, retract
+from station.slam.ukf.filter.state import FilterState, retract
 from station.vision.lens import BoolArray
 
 MAX_DOF = 120

@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Landmarks
-from station.slam.ukf.filter.measurement import CameraModel, observation_pose
-from station.slam.ukf.filter.triangulation import Triangulation, triangulate
+from station.slam.mapping.rolling_shutter import observation_pose
 from station.slam.ukf.map.keyframes import Keyframe
+from station.vision.camera_model import CameraModel
 from station.vision.lens import BoolArray
+from station.vision.triangulation import Triangulation, triangulate
 
 MIN_VIEWS = 3
 MAX_VIEWS = 24  # per landmark; more add little

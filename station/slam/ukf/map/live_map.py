@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.landmark_map import MAX_VIEWS, LandmarkQuality, Observations, triangulate_tracks
+from station.vision.camera_model import CameraModel
 
 
 class LiveMap:

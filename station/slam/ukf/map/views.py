@@ -11,14 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.slam.mapping.config import SfmConfig
+from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.features import Features
 from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.tracks import Pairs
-from station.slam.ukf.config import ViewConfig
 from station.slam.ukf.map.keyframes import Keyframe
 from station.vision import features as local
 from station.vision.lens import Lens
+
+
+@dataclass(frozen=True, slots=True)
+class ViewConfig:
+    """Which keyframes become views."""
+
+    min_flow: float = 0.1  # median motion of common features since the last view, as a fraction of the image width
+    min_common: float = 0.6  # or fewer than that share of the last view's features are left
+    max_interval_s: float = 2.0
+    min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
+    num_previous: int = 4  # views before, that each one is matched with
+    capacity: int = 300  # beyond, every second view goes and the spacing grows by half
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +50,7 @@ class MapViews:
 
     def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
         self._lens, self._config = lens, config
-        self.sfm = SfmConfig(seed=seed, threads=1)
+        self.mapping = MappingConfig(seed=seed)
         self._extractor = local.DetailExtractor()
         self._spacing = 1.0
         self._chosen: deque[Keyframe] = deque()  # that wait to be described
@@ -70,7 +81,7 @@ class MapViews:
         for a in range(max(0, b - self._config.num_previous), b):
             if self._items[a].segment == keyframe.segment:
                 before = self._items[a].features.descriptors
-                pairs = match_descriptors(before, descriptors, self.sfm.matching.max_ratio)
+                pairs = match_descriptors(before, descriptors, self.mapping.matching.max_ratio)
                 self._pairs.append((a, b, pairs))
         return True
 

@@ -3,9 +3,9 @@ import type { RobotModel } from "../link/messages";
 import { by, show } from "../ui/dom";
 
 export class HeadControl {
-  private readonly pan = by<HTMLInputElement>("pan");
-  private readonly tilt = by<HTMLInputElement>("tilt");
-  private readonly ahead = by<HTMLButtonElement>("head-ahead");
+  private readonly pan = by("pan", HTMLInputElement);
+  private readonly tilt = by("tilt", HTMLInputElement);
+  private readonly ahead = by("head-ahead", HTMLButtonElement);
 
   /** `point`: rad, left and up. */
   constructor(private readonly point: (pan: number, tilt: number) => void) {

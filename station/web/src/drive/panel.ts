@@ -6,7 +6,7 @@ const WHY_MS = 5000;
 export class DrivePanel {
   private readonly driver = by("driver");
   private readonly why = by("why");
-  private readonly limit = by<HTMLInputElement>("speed");
+  private readonly limit = by("speed", HTMLInputElement);
   private whyTimer = 0;
   private saidSeq = 0; // the command before the sentence on the screen
 

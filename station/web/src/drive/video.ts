@@ -5,7 +5,7 @@ import { by, context2d, setText, show } from "../ui/dom";
 import { STALE_MS } from "./safety";
 
 export class VideoView {
-  readonly canvas = by<HTMLCanvasElement>("video");
+  readonly canvas = by("video", HTMLCanvasElement);
   private readonly context = context2d(this.canvas, { alpha: false, desynchronized: true });
   private readonly socket: LastingSocket;
   private ageAtArrivalMs = 0;

@@ -3,13 +3,19 @@ import { isShown } from "../link/address";
 import { call } from "../link/api";
 import type { BinModel, ComparisonModel, JobModel, MapModel, NavigationModel, SlamModel } from "../link/messages";
 import { Refresh } from "../link/refresh";
-import { askAll, askUntil } from "../ui/dialogs";
-import { by, make, setText, show } from "../ui/dom";
+import { askConsent, askUntil } from "../ui/dialogs";
+import { by, make, setText, show, within } from "../ui/dom";
 import { action, Rows } from "../ui/rows";
 import { count, date, duration, minutes } from "../ui/text";
 import { attempt, toast } from "../ui/toast";
 import { openMap } from "./map_dialog";
 import { openNavigation } from "./navigation_dialog";
+
+export interface LibraryEvents {
+  onChange: () => void;
+  onReplay: (navigation: NavigationModel) => Promise<void>;
+  onCompare: (id: string) => Promise<void>;
+}
 
 export class Library {
   navigations = new Map<string, NavigationModel>();
@@ -46,11 +52,8 @@ export class Library {
     (b, now) => this.binRow(b, now),
   );
   private connected = false;
-  onChange: () => void = () => {};
-  onReplay: (navigation: NavigationModel) => Promise<void> = async () => {};
-  onCompare: (id: string) => Promise<void> = async () => {};
 
-  constructor() {
+  constructor(private readonly events: LibraryEvents) {
     by("record").addEventListener("click", () => attempt(() => this.toggleRecording()));
   }
 
@@ -134,11 +137,11 @@ export class Library {
   }
 
   private tellEnd(job: JobModel): void {
-    const comparison = job.result?.["comparison"];
+    const comparison = job.result?.comparison;
     if (job.state === "failed") toast(`${job.title}: ${job.message}`);
     if (job.state !== "done" || typeof comparison !== "string") return;
     attempt(() => this.comparisonList.ask());
-    toast(`${job.title}: done`, "Show", () => this.onCompare(comparison));
+    toast(`${job.title}: done`, { label: "Show", act: () => this.events.onCompare(comparison) });
   }
 
   private async rename(path: string, name: string, what: string): Promise<void> {
@@ -149,10 +152,9 @@ export class Library {
   }
 
   private async removeComparison(c: ComparisonModel): Promise<void> {
-    const sure = await askAll(
+    const sure = await askConsent(
       `Delete “${c.name}”?`,
       "Delete",
-      [],
       "For good. Both navigations stay, and can be compared again.",
     );
     if (!sure) return;
@@ -162,24 +164,21 @@ export class Library {
 
   private async remove(path: string, name: string): Promise<void> {
     await call("DELETE", path);
-    toast(`${name} is deleted.`, "Undo", () => call("POST", `${path}/restore`));
+    toast(`${name} is deleted.`, { label: "Undo", act: () => call("POST", `${path}/restore`) });
   }
 
   private draw(): void {
     const running = this.recording;
-    const record = by<HTMLButtonElement>("record");
+    const record = by("record", HTMLButtonElement);
     record.classList.toggle("on", Boolean(running));
     record.disabled = !running && !this.connected;
-    setText(
-      record.querySelector<HTMLElement>(".text")!,
-      running ? `Stop recording · ${minutes(running.duration_s)}` : "Record",
-    );
+    setText(within(record, ".text"), running ? `Stop recording · ${minutes(running.duration_s)}` : "Record");
     show(by("rec"), Boolean(running));
     this.jobRows.show([...this.jobs.values()].filter((j) => j.state === "running"));
     const ended = [...this.navigations.values()].filter((n) => n.state !== "recording").reverse();
     this.navigationRows.show(ended.slice(0, 12));
     this.mapRows.show(this.maps);
-    this.onChange();
+    this.events.onChange();
   }
 
   private jobRow(job: JobModel, now: () => JobModel): HTMLElement {
@@ -216,7 +215,7 @@ export class Library {
 
   private async cancel(n: NavigationModel): Promise<void> {
     const note = "The recording is kept: SLAM can run over it again.";
-    if (await askAll(`Cancel finishing “${n.name}”?`, "Cancel finishing", [], note, "Go on"))
+    if (await askConsent(`Cancel finishing “${n.name}”?`, "Cancel finishing", note, "Go on"))
       await call("POST", `/navigations/${n.id}/cancel`);
   }
 
@@ -254,14 +253,14 @@ export class Library {
     const others = [...this.navigations.values()].filter((other) => other.id !== n.id && other.state === "ready");
     const path = `/navigations/${n.id}`;
     openNavigation(n, others, {
-      replay: this.onReplay,
+      replay: this.events.onReplay,
       remove: () => this.remove(path, n.name),
       rename: () => this.rename(path, n.name, "navigation"),
     });
   }
 
   private comparisonRow(c: ComparisonModel, now: () => ComparisonModel): HTMLElement {
-    const look = action("show", "Show", `Show ${c.name}`, () => attempt(() => this.onCompare(now().id)));
+    const look = action("show", "Show", `Show ${c.name}`, () => attempt(() => this.events.onCompare(now().id)));
     const report = make(
       "a",
       { class: "small", href: c.report, target: "_blank", rel: "noopener", "aria-label": `Report: ${c.name}` },

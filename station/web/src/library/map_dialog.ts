@@ -1,8 +1,8 @@
 // What can be done with one map.
 import type { MapModel } from "../link/messages";
+import { closingButtons } from "../ui/dialogs";
 import { by, make, present } from "../ui/dom";
 import { count } from "../ui/text";
-import { attempt } from "../ui/toast";
 
 export interface MapActions {
   use: (id: string | null) => Promise<unknown>;
@@ -10,20 +10,8 @@ export interface MapActions {
 }
 
 export function openMap(m: MapModel, actions: MapActions): void {
-  const dialog = by<HTMLDialogElement>("map-dialog");
-  const button = (text: string, act: () => Promise<unknown>, kind = "") =>
-    make(
-      "button",
-      {
-        type: "button",
-        class: kind,
-        onclick: () => {
-          dialog.close();
-          attempt(act);
-        },
-      },
-      text,
-    );
+  const dialog = by("map-dialog", HTMLDialogElement);
+  const button = closingButtons(dialog);
   const file = (href: string, name: string, text: string) => make("a", { class: "small", href, download: name }, text);
   dialog.replaceChildren(
     ...present(
@@ -45,7 +33,7 @@ export function openMap(m: MapModel, actions: MapActions): void {
       make(
         "div",
         { class: "row end wrap" },
-        button("Close", async () => {}, "quiet apart"),
+        button("Close", null, "quiet apart"),
         button("Rename", actions.rename),
         m.first
           ? button("Use no map", () => actions.use(null))

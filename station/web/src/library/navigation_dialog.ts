@@ -1,9 +1,9 @@
 // What can be done with one recorded navigation.
 import { call } from "../link/api";
 import type { NavigationModel } from "../link/messages";
+import { closingButtons } from "../ui/dialogs";
 import { by, make, present } from "../ui/dom";
 import { count, duration } from "../ui/text";
-import { attempt } from "../ui/toast";
 
 export interface NavigationActions {
   replay: (navigation: NavigationModel) => Promise<void>;
@@ -13,20 +13,8 @@ export interface NavigationActions {
 
 /** The dialog of a navigation; `others` are the ready ones it can be mapped or compared with. */
 export function openNavigation(n: NavigationModel, others: NavigationModel[], actions: NavigationActions): void {
-  const dialog = by<HTMLDialogElement>("navigation-dialog");
-  const button = (text: string, act: () => Promise<unknown>, kind = "") =>
-    make(
-      "button",
-      {
-        type: "button",
-        class: kind,
-        onclick: () => {
-          dialog.close();
-          attempt(act);
-        },
-      },
-      text,
-    );
+  const dialog = by("navigation-dialog", HTMLDialogElement);
+  const button = closingButtons(dialog);
   const boxes = others.map((other) => make("input", { type: "checkbox", value: other.id, id: `with-${other.id}` }));
   const chosen = () => boxes.filter((box) => box.checked).map((box) => box.value);
   const buildMap = button(
@@ -69,7 +57,7 @@ export function openNavigation(n: NavigationModel, others: NavigationModel[], ac
           "fieldset",
           {},
           make("legend", {}, "Together with"),
-          ...boxes.map((box, i) => make("label", { for: box.id }, box, others[i]!.name)),
+          ...boxes.map((box, i) => make("label", { for: box.id }, box, others[i]?.name)),
         ),
       make(
         "div",
@@ -83,7 +71,7 @@ export function openNavigation(n: NavigationModel, others: NavigationModel[], ac
         "div",
         { class: "row end wrap" },
         button("Delete", actions.remove, "quiet apart"),
-        button("Close", async () => {}, "quiet"),
+        button("Close", null, "quiet"),
         n.state !== "finishing" && button("Rename", actions.rename),
         n.recording !== null && button("Run SLAM again", () => call("POST", `/navigations/${n.id}/reprocess`, {})),
         n.recording !== null && button("Replay", () => actions.replay(n)),

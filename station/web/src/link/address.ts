@@ -1,8 +1,7 @@
 // Which of the station's robots this page shows: `?robot=NAME` in its address, the first one without.
 import type { RobotEntry } from "./messages";
 
-/** The robot that the address names; null: it names none. */
-export const named = new URLSearchParams(location.search).get("robot");
+const named = new URLSearchParams(location.search).get("robot");
 // The calls that concern one robot (OF_ROBOT in station/api/roles.py).
 const OF_ROBOT =
   /^\/(robot(\/hijack|\/pair)?|stop|drive(\/.*)?|pan-tilt|ws\/(drive|camera|events)|camera\/.*|log|pose|trajectory|landmarks|place\/.*)(\?.*)?$/;
@@ -20,9 +19,9 @@ export function isShown(robot: string): boolean {
   return shown === null || robot === shown;
 }
 
-/** Whether the address names a robot that this station does not have (any more): then nothing on the page would work. */
-export function isGone(robots: RobotEntry[]): boolean {
-  return named !== null && !robots.some((entry) => entry.name === named);
+/** The robot that the address names though this station does not have it (any more): nothing on the page would work. */
+export function findMissing(robots: RobotEntry[]): string | null {
+  return robots.some((entry) => entry.name === named) ? null : named;
 }
 
 /** The address of a call to the robot that is shown. */

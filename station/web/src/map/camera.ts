@@ -1,5 +1,6 @@
 // The camera in the 3D view: a frustum with the picture in it.
 import * as THREE from "three";
+import { toMatrix } from "./transform";
 
 export class Camera3d {
   readonly group = new THREE.Group();
@@ -7,14 +8,18 @@ export class Camera3d {
 
   constructor(video: HTMLCanvasElement) {
     const [w, h, d] = [0.24, 0.18, 0.34];
-    const corners = [
-      [-w, -h],
-      [w, -h],
-      [w, h],
-      [-w, h],
-    ].map(([x, y]) => new THREE.Vector3(x, y, d));
-    const line: THREE.Vector3[] = [];
-    corners.forEach((corner, i) => line.push(new THREE.Vector3(), corner, corner, corners[(i + 1) % 4]!));
+    const tip = new THREE.Vector3();
+    const topLeft = new THREE.Vector3(-w, -h, d); // the camera's y points down
+    const topRight = new THREE.Vector3(w, -h, d);
+    const bottomRight = new THREE.Vector3(w, h, d);
+    const bottomLeft = new THREE.Vector3(-w, h, d);
+    const sides = [
+      [topLeft, topRight],
+      [topRight, bottomRight],
+      [bottomRight, bottomLeft],
+      [bottomLeft, topLeft],
+    ] as const;
+    const line = sides.flatMap(([from, to]) => [tip, from, from, to]);
     const edges = new THREE.LineSegments(
       new THREE.BufferGeometry().setFromPoints(line),
       new THREE.LineBasicMaterial({ color: 0xff5a36 }),
@@ -27,7 +32,7 @@ export class Camera3d {
       new THREE.MeshBasicMaterial({ map: this.texture, side: THREE.DoubleSide }),
     );
     picture.position.z = d;
-    picture.rotation.x = Math.PI; // the camera's y points down
+    picture.rotation.x = Math.PI; // so its picture is upside down
     const body = new THREE.Mesh(
       new THREE.SphereGeometry(0.06, 16, 12),
       new THREE.MeshBasicMaterial({ color: 0xff5a36 }),
@@ -40,10 +45,7 @@ export class Camera3d {
   place(T: number[] | null): void {
     this.group.visible = T !== null;
     if (!T) return;
-    new THREE.Matrix4()
-      .fromArray(T)
-      .transpose()
-      .decompose(this.group.position, this.group.quaternion, new THREE.Vector3());
+    toMatrix(T).decompose(this.group.position, this.group.quaternion, new THREE.Vector3());
     this.texture.needsUpdate = true;
   }
 }

@@ -12,8 +12,8 @@ export interface Cloud {
   source: string;
 }
 
-/** Fetch points; null when there is none. */
-export async function fetchCloud(path: string): Promise<Cloud | null> {
+/** Fetch points; there may be none. */
+export async function fetchCloud(path: string): Promise<Cloud> {
   const { bytes, source } = await fetchBytes(path);
   const header = new DataView(bytes, 0, HEADER_BYTES);
   const count = header.getUint32(4, true);
@@ -30,12 +30,12 @@ function shuffle(words: Uint32Array): void {
   for (let i = words.length / width - 1; i > 0; i--) {
     state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
     const j = Math.floor((state / 2 ** 32) * (i + 1));
-    for (let k = 0; k < width; k++) {
-      const kept = words[i * width + k]!;
-      words[i * width + k] = words[j * width + k]!;
-      words[j * width + k] = kept;
-    }
+    for (let k = 0; k < width; k++) swap(words, i * width + k, j * width + k);
   }
+}
+
+function swap(words: Uint32Array, a: number, b: number): void {
+  [words[a], words[b]] = [words[b] ?? 0, words[a] ?? 0];
 }
 
 /** Draw only this share of the points of everything below. */
@@ -98,7 +98,7 @@ export function dispose(scene: THREE.Object3D): void {
     geometry?.dispose();
     for (const one of Array.isArray(own) ? own : own ? [own] : []) {
       if (one === material) continue; // of all clouds
-      (one as THREE.MeshBasicMaterial).map?.dispose();
+      if (one instanceof THREE.MeshBasicMaterial) one.map?.dispose();
       one.dispose();
     }
   });
@@ -116,9 +116,9 @@ export function extent(cloud: Cloud): THREE.Box3 | null {
   const step = Math.max(1, Math.floor(count / 4000));
   for (let axis = 0; axis < 3; axis++) {
     const values: number[] = [];
-    for (let i = 0; i < count; i += step) values.push(floats[i * 4 + axis]!);
+    for (let i = 0; i < count; i += step) values.push(floats[i * 4 + axis] ?? 0);
     values.sort((a, b) => a - b);
-    const at = (share: number) => values[Math.min(values.length - 1, Math.floor(values.length * share))]!;
+    const at = (share: number) => values[Math.min(values.length - 1, Math.floor(values.length * share))] ?? 0;
     const [low, high] = [at(0.02), at(0.98)];
     const reach = (high - low) / 4;
     box.min.setComponent(axis, Math.max(at(0.001), low - reach));

@@ -22,12 +22,11 @@ export class Graph3d {
     this.lines = null;
     this.labels.clear();
     if (!graph) return;
-    const at = new Map(
-      graph.nodes.map((n) => [n.id, new THREE.Vector3(...(n.centroid_map as [number, number, number]))]),
-    );
+    const at = new Map(graph.nodes.map((node) => [node.id, centroid(node)]));
     const ends: THREE.Vector3[] = [];
     for (const edge of graph.edges) {
-      const [a, b] = [at.get(edge.a)!, at.get(edge.b)!];
+      const [a, b] = [at.get(edge.a), at.get(edge.b)];
+      if (!a || !b) continue; // the station sends no such edge
       ends.push(a, b);
       const degrees = Math.round((edge.bearing_rad * 180) / Math.PI);
       const text = graph.metric ? `${degrees}° · ${edge.distance.toFixed(1)} m` : `${degrees}°`;
@@ -44,10 +43,15 @@ export class Graph3d {
         { type: "button", class: "place-label", "data-place": node.id, title: node.name },
         make("span", {}, node.name),
       );
-      button.dataset["named"] = String(node.named);
+      button.dataset.named = String(node.named);
       button.style.setProperty("--own", colourOf(node.colour));
       button.addEventListener("click", () => onPlace(node));
-      this.labels.add(button, at.get(node.id)!, node.landmarks + (node.named ? NAMED : 0));
+      this.labels.add(button, centroid(node), node.landmarks + (node.named ? NAMED : 0));
     }
   }
+}
+
+/** The middle of a place. */
+export function centroid(place: PlaceModel): THREE.Vector3 {
+  return new THREE.Vector3().fromArray(place.centroid_map);
 }

@@ -31,7 +31,7 @@ export class Labels {
   /** The place where the robot is comes before all others. */
   setHere(placeId: string | null): void {
     for (const label of this.labels) {
-      const here = placeId !== null && label.node.dataset["place"] === placeId;
+      const here = placeId !== null && label.node.dataset.place === placeId;
       if (here !== isHere(label)) label.size = null; // it is written larger
       label.node.classList.toggle("here", here);
     }
@@ -53,21 +53,23 @@ export class Labels {
       p.copy(label.at).project(camera);
       const inside = p.z < 1 && Math.abs(p.x) < 1.02 && Math.abs(p.y) < 1.02;
       label.node.style.display = inside ? "" : "none";
-      return inside ? [{ label, x: ((p.x + 1) / 2) * width, y: ((1 - p.y) / 2) * height }] : [];
+      const { size } = label;
+      return inside && size ? [{ label, size, x: ((p.x + 1) / 2) * width, y: ((1 - p.y) / 2) * height }] : [];
     });
     for (const one of seen.sort((a, b) => Number(isHere(b.label)) - Number(isHere(a.label)))) {
-      const { node, size } = one.label;
-      const isPlace = node.dataset["place"] !== undefined;
-      const [w, h] = size!;
+      const { node } = one.label;
+      const isPlace = node.dataset.place !== undefined;
+      const [w, h] = one.size;
       // A name at the edge moves in as a whole, and makes way for a heavier one; a bearing stays where its line is.
       const x = isPlace ? Math.min(Math.max(one.x, w / 2 + GAP_PX), width - w / 2 - GAP_PX) : one.x;
       const step = h + 2 * GAP_PX;
       const inside = (y: number) => Math.min(Math.max(y, h / 2 + GAP_PX), height - h / 2 - GAP_PX);
-      const tried = isPlace ? [0, -step, step, -2 * step, 2 * step].map((dy) => inside(one.y + dy)) : [one.y];
-      const free = tried.find((y) => isFree(x, y, w, h));
+      const here = isPlace ? inside(one.y) : one.y;
+      const beside = isPlace ? [-step, step, -2 * step, 2 * step].map((dy) => inside(one.y + dy)) : [];
+      const free = [here, ...beside].find((y) => isFree(x, y, w, h));
       // Where the robot is, and what a person named, is always read, however narrow it gets.
-      const fits = free !== undefined || isHere(one.label) || node.dataset["named"] === "true";
-      const y = free ?? (fits ? tried[0]! : one.y);
+      const fits = free !== undefined || isHere(one.label) || node.dataset.named === "true";
+      const y = free ?? (fits ? here : one.y);
       if (isPlace) node.classList.toggle("dot", !fits);
       else if (!fits) node.style.display = "none";
       if (fits) take(x, y, w, h);

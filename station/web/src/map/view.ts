@@ -1,446 +1,197 @@
-// The 3D view: cloud, trajectory, camera, places with names, graph. Drawn only when something changed.
-import * as THREE from "three";
-import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { call } from "../link/api";
-import type {
-  CurrentPlace,
-  GraphModel,
-  PlaceModel,
-  PlacesChangeModel,
-  SlamModel,
-  TrajectoryModel,
-} from "../link/messages";
-import { Refresh } from "../link/refresh";
+// The 3D view: the active map, the running navigation, or what a person looks at again.
+import type * as THREE from "three";
+import type { CurrentPlace, PlaceModel, PlacesChangeModel, SlamModel } from "../link/messages";
 import { by, setText, show } from "../ui/dom";
-import { Camera3d } from "./camera";
-import { type Cloud, dispose, extent, fetchCloud, setPointSize, thinOut, toPoints } from "./cloud";
-import { Graph3d } from "./graph";
-import { Labels } from "./labels";
-import { isSoftware, Pace } from "./pace";
+import { Switch } from "../ui/switch";
+import { Ground } from "./ground";
+import type { SceneLayer } from "./layer";
+import { LiveLayer } from "./live_layer";
+import { MapLayer } from "./map_layer";
+import { Painter, type Subject } from "./painter";
+import { ReviewLayer } from "./review_layer";
+import { type View, Viewpoint } from "./viewpoint";
 
-type View = "follow" | "top" | "free";
-type Layer = "map" | "live" | "review"; // of the active map, of the running or last navigation, of what a person looks at again
-const DATA_REDRAW_MS = 250;
-const DATA_SHARE = 4; // such a redraw may keep the machine busy for a quarter of the time at most
-const LET_GO_MS = 100;
-const REST_MS = 200; // a hand that holds the view still for so long wants to see everything
-const MAX_CHUNKS = 40; // then the live cloud is fetched whole again: fewer, larger buffers draw faster
+type LayerName = "map" | "live" | "review";
+
+export interface MapViewEvents {
+  /** The name of a place was clicked. */
+  onPlace: (place: PlaceModel) => void;
+  /** There are places of another map, or changed ones; hidden ones too. */
+  onPlaces: (places: PlaceModel[], changes: PlacesChangeModel[]) => void;
+}
+
+/** Which layer is shown, and whether a person chose it. */
+interface Choice {
+  name: LayerName;
+  isChosen: boolean;
+}
 
 export class MapView {
-  onPlace: (place: PlaceModel) => void = () => {};
-  onPlaces: (places: PlaceModel[], changes: PlacesChangeModel[]) => void = () => {}; // of another map, or changed ones; hidden ones too
-  private graph: GraphModel | null = null;
   private readonly host = by("scene");
-  private readonly labels = new Labels(by("labels"));
-  private readonly net = new Graph3d(this.labels);
-  private readonly software = isSoftware();
-  private readonly renderer = new THREE.WebGLRenderer({
-    antialias: !this.software,
-    alpha: true,
-    powerPreference: "low-power",
-  });
-  private readonly pixelRatio = Math.min(devicePixelRatio, 2);
-  private pixels = 0; // per pixel of the page, as last drawn
-  private readonly camera = new THREE.PerspectiveCamera(50, 1, 0.02, 500);
-  private readonly controls: OrbitControls;
-  private readonly groups: Record<Layer, THREE.Group> = {
-    map: new THREE.Group(),
-    live: new THREE.Group(),
-    review: new THREE.Group(),
-  };
-  private readonly scene = new THREE.Scene();
-  private readonly robot: Record<"map" | "live", Camera3d>;
-  private readonly grid: THREE.GridHelper;
-  private readonly track: THREE.Vector3[] = [];
-  private trackLine: THREE.Line | null = null;
-  private boxes: Record<Layer, THREE.Box3 | null> = { map: null, live: null, review: null };
-  private points: Record<Layer, number> = { map: 0, live: 0, review: 0 };
-  private layer: Layer = "map";
-  private layerBefore: Layer = "map";
-  private view: View = "top";
-  private chosenLayer = false;
-  private chosenBefore = false;
-  private pending = false;
-  private soon = 0;
-  private isTurning = false; // a hand turns or moves the view
-  private isMoved = false; // one did so since all was in the picture: then it is not moved away from what the hand chose
-  private framed: THREE.Box3 | null = null; // what was in the picture then
-  private resting = 0;
-  private readonly pace = new Pace(this.renderer.getContext() as WebGL2RenderingContext, this.software);
-  private map: { id: string | null; revision: number } = { id: null, revision: -1 };
-  private wantedMap: { id: string | null; revision: number } = { id: null, revision: -1 };
-  private readonly mapContent = new Refresh(() => this.fetchMap());
-  private live = { navigation: "", total: 0, chunks: 0 };
-  private wantedLive = { navigation: "", total: 0 };
-  private readonly liveContent = new Refresh(() => this.fetchLive());
-  private currentPlaceId: string | null = null;
-  frames = 0; // drawn so far, for tests and measurements
+  private readonly painter = new Painter(
+    () => this.subject(),
+    (share) => this.finish(share),
+  );
+  private readonly viewpoint: Viewpoint;
+  private readonly ground = new Ground();
+  private readonly map: MapLayer;
+  private readonly live: LiveLayer;
+  private readonly review: ReviewLayer;
+  private readonly layerSwitch = new Switch("layer", (name) => this.chooseLayer(name as LayerName));
+  private readonly viewSwitch = new Switch("view", (view) => this.chooseView(view as View));
+  private choice: Choice = { name: "map", isChosen: false };
+  private before = this.choice; // what a review that is closed gives way to
+  private numDrawn = 0;
 
-  constructor(video: HTMLCanvasElement) {
-    THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
-    this.camera.up.set(0, 0, 1);
-    this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace; // colours go to the screen as they came
-    this.host.prepend(this.renderer.domElement);
-    this.renderer.domElement.setAttribute("aria-hidden", "true");
-    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
-    this.controls.enableDamping = false;
-    let isHeld = false;
-    const rest = () => {
-      if (this.isTurning) this.draw();
-      this.isTurning = false;
-    };
-    this.controls.addEventListener("change", () => {
-      if (!isHeld) return this.drawSoon();
-      this.isTurning = true;
-      clearTimeout(this.resting);
-      this.resting = window.setTimeout(rest, REST_MS);
-      this.draw();
+  constructor(video: HTMLCanvasElement, events: MapViewEvents) {
+    this.host.prepend(this.painter.canvas);
+    const layerEvents = { onGrown: (layer: SceneLayer) => this.fit(layer), onPoints: () => this.describePoints() };
+    this.map = new MapLayer(video, { ...layerEvents, ...events, onMap: (isOther) => this.takeMap(isOther) });
+    this.live = new LiveLayer(video, { ...layerEvents, onAnew: () => this.frameAll() });
+    this.review = new ReviewLayer(layerEvents);
+    this.viewpoint = new Viewpoint(this.painter.canvas, {
+      onTurn: () => this.painter.draw(),
+      onMove: () => this.painter.drawSoon(),
+      onView: (view) => this.viewSwitch.show(view),
     });
-    this.controls.addEventListener("end", () => {
-      isHeld = false;
-      clearTimeout(this.resting);
-      this.resting = window.setTimeout(rest, LET_GO_MS); // the next turn of a mouse wheel comes sooner
-    });
-    this.controls.addEventListener("start", () => {
-      isHeld = this.isMoved = true;
-      if (this.view === "follow") this.setView("free", false);
-    });
-    this.grid = new THREE.GridHelper(40, 40, 0x808890, 0x808890);
-    this.grid.rotation.x = Math.PI / 2;
-    const lines = this.grid.material as THREE.Material;
-    lines.transparent = true;
-    lines.opacity = 0.13;
-    this.robot = { map: new Camera3d(video), live: new Camera3d(video) };
-    this.groups.map.add(this.robot.map.group);
-    this.groups.live.add(this.robot.live.group);
-    this.scene.add(this.grid, ...Object.values(this.groups));
+    this.painter.add(this.ground.grid, this.map.group, this.live.group, this.review.group);
     new ResizeObserver(() => this.resize()).observe(this.host);
-    for (const button of document.querySelectorAll<HTMLElement>("[data-view]"))
-      button.addEventListener("click", () => this.setView(button.dataset["view"] as View, true));
-    for (const button of document.querySelectorAll<HTMLElement>("[data-layer]"))
-      button.addEventListener("click", () => {
-        this.chosenLayer = this.chosenBefore = true;
-        this.setLayer(button.dataset["layer"] as Layer);
-      });
-    this.setLayer("map");
-    this.setView("top", true);
+    this.showLayer("map");
+    this.chooseView("top");
   }
 
   /** Show another active map, or its new names. The newest call wins. */
-  showMap(mapId: string | null, revision: number): Promise<void> {
-    this.wantedMap = { id: mapId, revision };
-    return this.mapContent.ask();
-  }
-
-  private async fetchMap(): Promise<void> {
-    const wanted = this.wantedMap;
-    if (wanted.id === null) {
-      this.takeMap(wanted, null, [], [], null);
-      return;
-    }
-    const isNew = wanted.id !== this.map.id || wanted.revision !== this.map.revision;
-    try {
-      const [graph, places, changes, cloud] = await Promise.all([
-        call<GraphModel>("GET", "/graph"),
-        call<PlaceModel[]>("GET", "/places"),
-        call<PlacesChangeModel[]>("GET", "/places/changes"),
-        isNew ? fetchCloud(`/maps/${wanted.id}/landmarks`) : null,
-      ]);
-      // Another one's graph: it was chosen meanwhile, and its event is on the way.
-      if (this.wantedMap === wanted && graph.map === wanted.id) this.takeMap(wanted, graph, places, changes, cloud);
-    } catch (error) {
-      if (this.wantedMap === wanted) throw error; // of a map that nobody wants any more it means nothing
-    }
-  }
-
-  private takeMap(
-    map: { id: string | null; revision: number },
-    graph: GraphModel | null,
-    places: PlaceModel[],
-    changes: PlacesChangeModel[],
-    cloud: Cloud | null,
-  ): void {
-    const isOther = map.id !== this.map.id;
-    this.map = map;
-    this.graph = graph;
-    this.onPlaces(places, changes);
-    if (isOther || cloud) {
-      this.clear("map");
-      if (cloud) this.addCloud("map", cloud);
-    }
-    for (const node of graph?.nodes ?? [])
-      // the middle of a place may lie beside its cloud
-      this.boxes.map?.expandByPoint(new THREE.Vector3(...(node.centroid_map as [number, number, number])));
-    if (isOther) {
-      if (!this.chosenLayer) this.setLayer(map.id === null ? "live" : "map");
-      this.frameAll();
-    }
-    this.net.show(graph, this.groups.map, (place) => this.onPlace(place));
-    this.labels.setHere(this.currentPlaceId);
-    this.describe();
-    this.draw();
+  showMap(id: string | null, revision: number): Promise<void> {
+    return this.map.showMap(id, revision);
   }
 
   showPlace(place: CurrentPlace): void {
-    this.robot.map.place(place.map === this.wantedMap.id ? place.pose_map : null); // in another active map it is elsewhere
-    const id = place.place?.id ?? null;
-    if (id !== this.currentPlaceId) {
-      this.currentPlaceId = id;
-      this.labels.setHere(id);
-    }
-    if (this.layer === "map") this.follow(this.robot.map.group);
-    this.drawSoon();
+    this.map.showPlace(place);
+    this.followIn(this.map);
   }
 
   showSlam(slam: SlamModel): void {
-    this.robot.live.place(slam.T_world_cam);
-    const T = slam.T_world_body;
-    if (T && slam.navigation === this.live.navigation && slam.state !== "finished") {
-      const p = new THREE.Vector3(T[3], T[7], T[11]);
-      if (!this.track.length || this.track.at(-1)!.distanceTo(p) > 0.02) {
-        this.track.push(p);
-        this.showTrack();
-      }
-    }
-    if (this.layer === "live") this.follow(this.robot.live.group);
-    this.drawSoon();
+    this.live.showSlam(slam);
+    this.followIn(this.live);
   }
 
   /** There are new landmarks, or another navigation runs. */
   updateLive(source: string | null, total: number): Promise<void> {
-    this.wantedLive = { navigation: source ?? "", total };
-    return this.liveContent.ask();
-  }
-
-  private async fetchLive(): Promise<void> {
-    const live = this.live;
-    const wanted = this.wantedLive;
-    const isNew = wanted.navigation !== live.navigation || wanted.total < live.total || live.chunks > MAX_CHUNKS;
-    if (!isNew && wanted.total === live.total) return;
-    const since = isNew ? 0 : live.total;
-    const cloud = await fetchCloud(`/landmarks?since=${since}&navigation=${encodeURIComponent(live.navigation)}`);
-    if (!cloud) return;
-    if (isNew || cloud.first === 0) {
-      const trajectory = await call<TrajectoryModel>("GET", "/trajectory?limit=4000");
-      if ((trajectory.source ?? "") !== cloud.source) return; // another navigation began, or this one is finished: its event is on the way
-      this.clear("live");
-      live.chunks = 0;
-      this.track.push(...trajectory.p_world.map((p) => new THREE.Vector3(p[0], p[1], p[2])));
-      this.showTrack();
-    }
-    live.navigation = cloud.source;
-    live.total = cloud.total;
-    live.chunks += 1;
-    this.addCloud("live", cloud);
-    if (isNew) this.frameAll();
+    return this.live.update(source, total);
   }
 
   /** Landmarks of a navigation are there: shown where there is no map to look at, and nobody chose what to see. */
   suggestLive(): void {
-    if (!this.chosenLayer && this.wantedMap.id === null) this.setLayer("live");
+    if (!this.choice.isChosen && !this.map.hasMap) this.showLayer("live");
   }
 
   /** Show something beside map and navigation until closeReview: a recorded navigation, or two that are compared. */
   openReview(content: THREE.Object3D, box: THREE.Box3 | null, points: number): void {
-    if (this.layer !== "review") [this.layerBefore, this.chosenBefore] = [this.layer, this.chosenLayer];
-    this.clear("review");
-    this.groups.review.add(content);
-    this.boxes.review = box;
-    this.points.review = points;
-    this.chosenLayer = true;
+    if (this.choice.name !== "review") this.before = this.choice;
+    this.review.open(content, box, points);
     show(by("review-layer"), true);
-    this.setLayer("review");
+    this.showLayer("review", true);
     this.frameAll();
   }
 
   closeReview(): void {
-    this.clear("review");
+    this.review.clear();
     show(by("review-layer"), false);
-    this.chosenLayer = this.chosenBefore;
-    if (this.layer === "review") this.setLayer(this.layerBefore);
+    if (this.choice.name === "review") this.showLayer(this.before.name, this.before.isChosen);
+    else this.choice = { ...this.choice, isChosen: this.before.isChosen };
   }
 
   /** What openReview was given takes up another space. */
   reframeReview(box: THREE.Box3 | null): void {
-    this.boxes.review = box;
-    if (this.layer === "review") this.frameAll();
+    this.review.resize(box);
+    if (this.layer === this.review) this.frameAll();
   }
 
   /** What openReview was given has changed. */
   redraw(): void {
-    this.drawSoon();
+    this.painter.drawSoon();
   }
 
-  private setLayer(layer: Layer): void {
-    const changed = layer !== this.layer;
-    this.layer = layer;
-    for (const [name, group] of Object.entries(this.groups)) group.visible = name === layer;
-    for (const button of document.querySelectorAll<HTMLElement>("[data-layer]"))
-      button.setAttribute("aria-pressed", String(button.dataset["layer"] === layer));
-    if (changed) this.frameAll();
+  private get layer(): SceneLayer {
+    return this[this.choice.name];
+  }
+
+  private chooseLayer(name: LayerName): void {
+    this.before = { ...this.before, isChosen: true };
+    this.showLayer(name, true);
+  }
+
+  private showLayer(name: LayerName, isChosen = this.choice.isChosen): void {
+    const isOther = name !== this.choice.name;
+    this.choice = { name, isChosen };
+    for (const layer of [this.map, this.live, this.review]) layer.group.visible = layer === this.layer;
+    this.layerSwitch.show(name);
+    if (isOther) this.frameAll();
     this.describe();
-    this.draw();
+    this.painter.draw();
   }
 
-  private setView(view: View, frame: boolean): void {
-    this.view = view;
-    for (const button of document.querySelectorAll<HTMLElement>("[data-view]"))
-      button.setAttribute("aria-pressed", String(button.dataset["view"] === view));
-    this.controls.enableRotate = view !== "top";
-    if (frame) this.frameAll();
-  }
-
-  private frameAll(): void {
-    const box = this.boxes[this.layer] ?? new THREE.Box3(new THREE.Vector3(-3, -3, 0), new THREE.Vector3(3, 3, 1));
-    this.isMoved = false;
-    this.framed = this.boxes[this.layer]?.clone() ?? null;
-    const centre = box.getCenter(new THREE.Vector3());
-    const size = box.getSize(new THREE.Vector3());
-    const tangent = Math.tan((this.camera.fov * Math.PI) / 360);
-    const wide = Math.max(size.y, size.x / this.camera.aspect, 1.5);
-    const distance = (0.56 * wide) / tangent + size.z / 2;
-    this.controls.target.copy(centre);
-    const offset =
-      this.view === "top" ? new THREE.Vector3(0, -0.001, 1) : new THREE.Vector3(-0.45, -0.75, 0.62).normalize();
-    this.camera.position.copy(centre).addScaledVector(offset, distance);
-    this.camera.near = distance / 200;
-    this.camera.far = distance * 20;
-    this.camera.updateProjectionMatrix();
-    this.grid.position.set(Math.round(centre.x), Math.round(centre.y), box.min.z);
-    if (this.view === "follow" && this.layer !== "review") this.follow(this.robot[this.layer].group);
-    this.controls.update();
-    this.draw();
-  }
-
-  /** What is shown has grown: show all of it, unless a hand chose the view, or it follows the robot. */
-  private fit(layer: Layer): void {
-    const box = this.boxes[layer];
-    if (layer !== this.layer || this.isMoved || this.view === "follow" || !box) return;
-    if (!this.framed?.containsBox(box)) this.frameAll();
-  }
-
-  private follow(robot: THREE.Group): void {
-    if (this.view !== "follow" || !robot.visible) return;
-    const move = robot.position.clone().sub(this.controls.target);
-    this.controls.target.add(move);
-    this.camera.position.add(move);
-    this.controls.update();
-  }
-
-  private addCloud(layer: Layer, cloud: Cloud): void {
-    if (cloud.buffer.count) this.groups[layer].add(toPoints(cloud));
-    this.points[layer] = cloud.total;
-    const box = extent(cloud);
-    if (box) this.boxes[layer] = this.boxes[layer]?.union(box) ?? box;
-    this.fit(layer);
-    this.describe();
-    this.drawSoon();
-  }
-
-  private clear(layer: Layer): void {
-    for (const child of [...this.groups[layer].children]) {
-      if (layer !== "review" && child === this.robot[layer].group) continue;
-      this.groups[layer].remove(child);
-      dispose(child);
-    }
-    this.boxes[layer] = null;
-    this.points[layer] = 0;
-    if (layer === "live") {
-      this.track.length = 0;
-      this.trackLine = null;
-    }
-  }
-
-  private showTrack(): void {
-    if (this.trackLine) {
-      this.groups.live.remove(this.trackLine);
-      dispose(this.trackLine);
-    }
-    if (this.track.length < 2) return;
-    const geometry = new THREE.BufferGeometry().setFromPoints(this.track);
-    this.trackLine = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: 0x14b8a6 }));
-    this.groups.live.add(this.trackLine);
-    const box = new THREE.Box3().setFromPoints(this.track);
-    this.boxes.live = this.boxes.live?.union(box) ?? box;
-    this.fit("live");
-  }
-
-  private describe(): void {
-    const count = this.points[this.layer];
-    const places = this.layer === "map" && this.graph ? `${this.graph.nodes.length} places · ` : "";
-    setText(by("map-count"), count ? `${places}${count.toLocaleString()} landmarks` : "");
-    const empty = by("scene-empty");
-    show(empty, !count && !(this.layer === "live" && this.track.length));
-    setText(
-      empty,
-      this.layer === "map"
-        ? "No map is in use: choose one, or record a navigation and build a map from it."
-        : this.layer === "live"
-          ? "Landmarks appear here when a recorded navigation is finished; with SLAM by ukf while it is recorded."
-          : "This navigation has no landmarks: SLAM did not finish.",
-    );
-  }
-
-  /** Whether all there is lies in the picture; for tests. */
-  private isWhole(): boolean {
-    const box = this.boxes[this.layer];
-    if (!box) return true;
-    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map(
-      (i) =>
-        new THREE.Vector3(i & 1 ? box.max.x : box.min.x, i & 2 ? box.max.y : box.min.y, i & 4 ? box.max.z : box.min.z),
-    );
-    return corners.every((p) => Math.max(Math.abs(p.project(this.camera).x), Math.abs(p.y)) <= 1);
-  }
-
-  private resize(): void {
-    const { clientWidth: w, clientHeight: h } = this.host;
-    if (!w || !h) return;
-    this.renderer.setSize(w, h, false);
-    this.camera.aspect = w / h;
-    this.camera.updateProjectionMatrix();
+  private chooseView(view: View): void {
+    this.viewpoint.choose(view);
     this.frameAll();
   }
 
-  /** For changes that no hand makes: a few pictures a second, so that video and joystick keep the machine. */
-  private drawSoon(): void {
-    this.soon ||= window.setTimeout(
-      () => {
-        this.soon = 0;
-        this.draw();
-      },
-      Math.max(DATA_REDRAW_MS, DATA_SHARE * this.pace.lastMs),
-    );
-  }
-
-  private draw(): void {
-    if (this.pending) return;
-    this.pending = true;
-    this.pace.whenFree(() => requestAnimationFrame(() => this.render()));
-  }
-
-  private render(): void {
-    this.pending = false;
-    const points = this.points[this.layer];
-    const share = this.isTurning ? this.pace.share(points) : 1;
-    const pixels = this.pixelRatio * (this.isTurning ? this.pace.pixels(points) : 1);
-    if (pixels !== this.pixels) {
-      this.pixels = pixels;
-      this.renderer.setPixelRatio(pixels);
+  private takeMap(isOther: boolean): void {
+    if (isOther) {
+      if (!this.choice.isChosen) this.showLayer(this.map.hasMap ? "map" : "live");
+      this.frameAll();
     }
-    thinOut(this.groups[this.layer], share);
-    setPointSize(pixels * pointSize(points * share));
-    this.pace.begin(points * share);
-    this.renderer.render(this.scene, this.camera);
-    this.pace.end();
-    this.labels.place(this.camera, this.layer === "map", this.host);
-    this.frames += 1;
-    this.host.dataset["frames"] = String(this.frames);
-    this.host.dataset["share"] = share.toFixed(3);
-    this.host.dataset["whole"] = String(this.isWhole());
+    this.describe();
+    this.painter.draw();
   }
-}
 
-/** Pixels of the page: fewer points are larger, so that walls look closed. */
-function pointSize(points: number): number {
-  return points > 60_000 ? 1.4 : points > 15_000 ? 2 : 3.2;
+  private describePoints(): void {
+    this.describe();
+    this.painter.drawSoon();
+  }
+
+  private frameAll(): void {
+    this.ground.placeUnder(this.viewpoint.frame(this.layer.box, this.layer.robot));
+    this.painter.draw();
+  }
+
+  /** A layer has grown: show all of it, unless it is another one, or a hand chose the view. */
+  private fit(layer: SceneLayer): void {
+    if (layer === this.layer && this.viewpoint.isOutgrownBy(layer.box)) this.frameAll();
+  }
+
+  private followIn(layer: SceneLayer): void {
+    if (layer === this.layer) this.viewpoint.follow(layer.robot);
+    this.painter.drawSoon();
+  }
+
+  private describe(): void {
+    setText(by("map-count"), this.layer.summary);
+    const empty = by("scene-empty");
+    show(empty, this.layer.isEmpty);
+    setText(empty, this.layer.emptyText);
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.host;
+    if (!width || !height) return;
+    this.painter.setSize(width, height);
+    this.viewpoint.setAspect(width / height);
+    this.frameAll();
+  }
+
+  private subject(): Subject {
+    const { camera, isTurning } = this.viewpoint;
+    return { group: this.layer.group, points: this.layer.points, camera, isTurning };
+  }
+
+  /** The names of places lie over the picture; the rest is for tests and measurements. */
+  private finish(share: number): void {
+    this.map.placeLabels(this.viewpoint.camera, this.layer === this.map, this.host);
+    this.numDrawn += 1;
+    const { box } = this.layer;
+    this.host.dataset.frames = String(this.numDrawn);
+    this.host.dataset.share = share.toFixed(3);
+    this.host.dataset.whole = String(!box || this.viewpoint.sees(box));
+  }
 }

@@ -1,17 +1,16 @@
-// The current place in large letters, why, and where the robot was before.
-import { call } from "../link/api";
-import type { CurrentPlace, PlaceChange, PlaceModel, PlacesChangeModel, VisitModel } from "../link/messages";
-import { askUntil } from "../ui/dialogs";
-import { by, make, present, setText, show } from "../ui/dom";
+// The current place in large letters, and why; the places of the map in use.
+import type { CurrentPlace, PlaceModel, PlacesChangeModel, VisitModel } from "../link/messages";
+import { by, make, setText, show } from "../ui/dom";
 import { action, Rows } from "../ui/rows";
-import { clock, count, duration, percent } from "../ui/text";
-import { attempt, toast } from "../ui/toast";
+import { count, duration, percent } from "../ui/text";
+import { attempt } from "../ui/toast";
+import { change, undo } from "./changes";
 import { colourOf } from "./colours";
-
-const TIMELINE_S = 180;
+import { openPlace } from "./dialog";
+import { Timeline } from "./timeline";
 
 export class PlaceView {
-  private visits: VisitModel[] = [];
+  private readonly timeline = new Timeline();
   private places: PlaceModel[] = [];
   private colours = new Map<string, number>();
   private current: string | null = null;
@@ -24,18 +23,9 @@ export class PlaceView {
     },
   );
 
-  constructor() {
-    setInterval(() => this.drawTimeline(), 1000);
-  }
-
-  /** The visits before now; those that events told while the answer came are newer than the answer. */
-  async reload(): Promise<void> {
-    this.visits = [];
-    const earlier = await call<VisitModel[]>("GET", "/place/timeline");
-    const known = new Set(this.visits.map((v) => v.start_unix_s));
-    this.visits = [...earlier.filter((v) => !known.has(v.start_unix_s)), ...this.visits];
-    this.visits.sort((a, b) => a.start_unix_s - b.start_unix_s);
-    this.drawTimeline();
+  /** The visits before now. */
+  reload(): Promise<void> {
+    return this.timeline.reload();
   }
 
   /** The places of the map in use, hidden ones too, and what people made of them. */
@@ -48,6 +38,7 @@ export class PlaceView {
       by("undo-places").onclick = () => attempt(() => undo(last));
     }
     this.colours = new Map(places.map((p) => [p.id, p.colour]));
+    this.timeline.colours = this.colours;
     this.showColour();
     const hidden = places.filter((p) => p.hidden);
     show(by("hidden"), hidden.length > 0);
@@ -56,86 +47,16 @@ export class PlaceView {
 
   /** Everything known of one place, and what can be made of it. */
   open(place: PlaceModel): void {
-    const dialog = by<HTMLDialogElement>("place-dialog");
-    const others = this.places.filter((p) => p.id !== place.id && !p.hidden);
-    const picture = (path: string | null, text: string) =>
-      path &&
-      make(
-        "figure",
-        {},
-        make("img", { src: path, alt: `${text} picture of ${place.name}` }),
-        make("figcaption", {}, text),
-      );
-    const button = (text: string, act: () => Promise<unknown>, kind = "") =>
-      make(
-        "button",
-        {
-          type: "button",
-          class: kind,
-          autofocus: kind === "primary",
-          onclick: () => {
-            dialog.close();
-            attempt(act);
-          },
-        },
-        text,
-      );
-    const rename = async () => {
-      let changed = false;
-      const save = async (name: string) => {
-        if (name === place.name) return;
-        await change(place, { name });
-        changed = true;
-      };
-      await askUntil("Name this place", "Save", { label: "Name", value: place.name }, save);
-      if (changed) await offerUndo();
-    };
-    const hide = () => undoable(() => change(place, { hidden: true }));
-    const nobody = make("option", { value: "", selected: true }, "choose a place");
-    const select = make(
-      "select",
-      { id: "merge-with" },
-      nobody,
-      ...others.map((p) => make("option", { value: p.id }, p.name)),
+    openPlace(
+      place,
+      this.places.filter((p) => p.id !== place.id && !p.hidden),
     );
-    const merge = button("Merge", () =>
-      undoable(() => call("POST", "/places/merge", { places: [place.id, select.value] })),
-    );
-    merge.disabled = true;
-    select.addEventListener("change", () => (merge.disabled = !select.value));
-    dialog.replaceChildren(
-      ...present(
-        make("h2", {}, place.name),
-        make(
-          "div",
-          { class: "evidence three" },
-          picture(place.representative_image, "representative"),
-          picture(place.mean_image, "mean"),
-          picture(place.deviation_image, "deviation"),
-        ),
-        make(
-          "p",
-          { class: "note" },
-          `${count(place.landmarks, "landmark")} · seen in ${count(place.images, "picture")} · quality ${percent(place.quality)}`,
-        ),
-        others.length > 0 &&
-          make("div", { class: "row merge" }, make("label", { for: "merge-with" }, "Same place as"), select, merge),
-        make(
-          "div",
-          { class: "row end" },
-          button("Close", async () => {}, "quiet apart"),
-          button("Hide", hide),
-          button("Rename", rename, "primary"),
-        ),
-      ),
-    );
-    dialog.showModal();
   }
 
   show(place: CurrentPlace, visit: VisitModel | null): void {
     const card = by("place");
     const hasAnswer = place.t_robot_ns !== null;
-    card.dataset["state"] = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
+    card.dataset.state = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
     const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
     const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : "Getting ready…";
     setText(by("place-name"), place.place?.name ?? otherwise);
@@ -149,7 +70,7 @@ export class PlaceView {
     );
     setText(by("place-reason"), place.reason);
     by("place-reason").title = place.reason;
-    const preparing = by<HTMLProgressElement>("preparing");
+    const preparing = by("preparing", HTMLProgressElement);
     show(preparing, place.preparing !== null);
     if (place.preparing !== null) preparing.value = place.preparing;
     this.current = place.place?.id ?? null;
@@ -165,11 +86,7 @@ export class PlaceView {
         }),
     );
     this.showEvidence(place);
-    if (visit) {
-      const last = this.visits.at(-1);
-      if (last && last.start_unix_s === visit.start_unix_s) this.visits[this.visits.length - 1] = visit;
-      else this.visits.push(visit);
-    }
+    if (visit) this.timeline.add(visit);
   }
 
   /** Answers and the places they name come one by one: whichever is later shows the colour. */
@@ -180,8 +97,8 @@ export class PlaceView {
 
   private showEvidence(place: CurrentPlace): void {
     const { query_image, map_image, inliers, age_s } = place.evidence;
-    setImage(by<HTMLImageElement>("query"), query_image);
-    setImage(by<HTMLImageElement>("match"), map_image);
+    setImage(by("query", HTMLImageElement), query_image);
+    setImage(by("match", HTMLImageElement), map_image);
     show(by("evidence"), Boolean(query_image && map_image));
     // What was recognised once does not tell where the robot is now: the answer says whether it does.
     const seen =
@@ -197,57 +114,9 @@ export class PlaceView {
           : `The last picture that was recognised: ${seen}. It does not tell where the robot is now.`,
     );
   }
-
-  private drawTimeline(): void {
-    const now = Date.now() / 1000;
-    const from = now - TIMELINE_S;
-    const line = by("timeline");
-    const recent = this.visits.filter((v) => v.end_unix_s > from);
-    line.setAttribute(
-      "aria-label",
-      `Places visited: ${recent.map((v) => v.place?.name ?? v.state).join(", ") || "none"}`,
-    );
-    line.replaceChildren(
-      ...recent.map((v) => {
-        const left = Math.max(0, (v.start_unix_s - from) / TIMELINE_S);
-        const width = Math.max(0.004, (Math.min(v.end_unix_s, now) - Math.max(v.start_unix_s, from)) / TIMELINE_S);
-        const name = v.place?.name ?? v.state;
-        const piece = make(
-          "span",
-          { class: v.state, title: `${name}, since ${clock(v.start_unix_s)}` },
-          width > 0.05 ? name : "",
-        );
-        piece.style.left = `${left * 100}%`;
-        piece.style.width = `${width * 100}%`;
-        const colour = v.place ? this.colours.get(v.place.id) : undefined;
-        if (colour !== undefined) piece.style.setProperty("--own", colourOf(colour));
-        return piece;
-      }),
-    );
-    show(line, recent.length > 0);
-  }
 }
 
 function setImage(image: HTMLImageElement, path: string | null): void {
   show(image, path !== null);
   if (path !== null && image.getAttribute("src") !== path) image.src = path;
-}
-
-/** Do it, and offer for a while to take just that back; later there is the list of navigations and maps. */
-async function undoable(work: () => Promise<unknown>): Promise<void> {
-  await work();
-  await offerUndo();
-}
-
-async function offerUndo(): Promise<void> {
-  const [made] = await call<PlacesChangeModel[]>("GET", "/places/changes");
-  if (made) toast(`${made.why}.`, "Undo", () => undo(made));
-}
-
-function undo(made: PlacesChangeModel): Promise<unknown> {
-  return call("POST", "/places/undo", { version: made.version });
-}
-
-function change(place: PlaceModel, what: Partial<PlaceChange>): Promise<PlaceModel> {
-  return call("PATCH", `/places/${place.id}`, what);
 }

@@ -6,6 +6,8 @@ import type { NavigationModel, ReplayModel } from "../link/messages";
 import { decodePicture, drawPicture, type Picture } from "../link/picture";
 import { Camera3d } from "../map/camera";
 import { extent, fetchCloud, toPoints } from "../map/cloud";
+import { toLine } from "../map/trajectory";
+import { positionOf } from "../map/transform";
 import type { MapView } from "../map/view";
 import { by, context2d, setText, show } from "../ui/dom";
 import { duration } from "../ui/text";
@@ -13,9 +15,9 @@ import { duration } from "../ui/text";
 const MAX_POSE_GAP_S = 1;
 
 export class Replay {
-  private readonly canvas = by<HTMLCanvasElement>("replay-video");
+  private readonly canvas = by("replay-video", HTMLCanvasElement);
   private readonly context = context2d(this.canvas);
-  private readonly seek = by<HTMLInputElement>("seek");
+  private readonly seek = by("seek", HTMLInputElement);
   private socket: WebSocket | null = null;
   private navigation: NavigationModel | null = null;
   private poses: ReplayModel | null = null;
@@ -43,12 +45,7 @@ export class Replay {
     this.poses = poses;
     const content = new THREE.Group();
     if (cloud?.buffer.count) content.add(toPoints(cloud));
-    if (poses && poses.T_world_cam.length > 1) {
-      const way = poses.T_world_cam.map((T) => new THREE.Vector3(T[3], T[7], T[11]));
-      content.add(
-        new THREE.Line(new THREE.BufferGeometry().setFromPoints(way), new THREE.LineBasicMaterial({ color: 0x14b8a6 })),
-      );
-    }
+    if (poses && poses.T_world_cam.length > 1) content.add(toLine(poses.T_world_cam.map(positionOf)));
     this.camera = new Camera3d(this.canvas);
     content.add(this.camera.group);
     this.map?.openReview(content, cloud && extent(cloud), cloud?.total ?? 0);
@@ -102,26 +99,25 @@ export class Replay {
 
   private draw({ image, tRobotNs, seconds }: Picture): void {
     drawPicture(this.context, image);
-    this.canvas.dataset["shown"] = String(Number(this.canvas.dataset["shown"] ?? "0") + 1);
+    this.canvas.dataset.shown = String(Number(this.canvas.dataset.shown ?? "0") + 1);
     if (document.activeElement !== this.seek || !this.seek.matches(":active")) this.seek.value = String(seconds);
     this.showTime();
     this.camera?.place(this.poseAt(tRobotNs));
     this.map?.redraw();
   }
 
+  /** Where the camera was then; null where no pose is near in time. */
   private poseAt(tRobotNs: number): number[] | null {
-    const poses = this.poses;
-    if (!poses?.t_s.length) return null;
-    const t = (tRobotNs - poses.start_ns) * 1e-9;
-    let [low, high] = [0, poses.t_s.length - 1];
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (poses.t_s[middle]! < t) low = middle + 1;
-      else high = middle;
+    if (!this.poses) return null;
+    const t = (tRobotNs - this.poses.start_ns) * 1e-9;
+    let nearest: number | null = null;
+    let gap = MAX_POSE_GAP_S;
+    for (const [i, tPose] of this.poses.t_s.entries()) {
+      if (Math.abs(tPose - t) > gap) continue;
+      gap = Math.abs(tPose - t);
+      nearest = i;
     }
-    const before = Math.max(0, low - 1);
-    const nearest = Math.abs(poses.t_s[before]! - t) < Math.abs(poses.t_s[low]! - t) ? before : low;
-    return Math.abs(poses.t_s[nearest]! - t) <= MAX_POSE_GAP_S ? poses.T_world_cam[nearest]! : null;
+    return nearest === null ? null : (this.poses.T_world_cam[nearest] ?? null);
   }
 
   private showTime(): void {

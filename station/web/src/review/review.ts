@@ -3,8 +3,10 @@ import * as THREE from "three";
 import { call } from "../link/api";
 import type { ComparisonModel, NavigationModel } from "../link/messages";
 import { extent, fetchCloud, toPoints } from "../map/cloud";
+import { toMatrix } from "../map/transform";
 import type { MapView } from "../map/view";
 import { by, setText, show } from "../ui/dom";
+import { Switch } from "../ui/switch";
 import { Replay } from "./replay";
 
 const FIRST = 0x2dd4bf;
@@ -12,6 +14,7 @@ const SECOND = 0xfb923c;
 
 export class Review {
   private readonly replayed: Replay;
+  private readonly registration = new Switch("registered", (value) => this.register(value === "true"));
   private second: THREE.Group | null = null;
   private T_first_second: number[] | null = null;
   private boxes: [THREE.Box3 | null, THREE.Box3 | null] = [null, null];
@@ -20,8 +23,6 @@ export class Review {
   constructor(private readonly map: MapView | null) {
     this.replayed = new Replay(map);
     by("review-close").addEventListener("click", () => this.close());
-    for (const button of document.querySelectorAll<HTMLElement>("[data-registered]"))
-      button.addEventListener("click", () => this.register(button.dataset["registered"] === "true"));
   }
 
   async replay(navigation: NavigationModel): Promise<void> {
@@ -38,13 +39,13 @@ export class Review {
       fetchCloud(`/navigations/${comparison.first}/landmarks`),
       fetchCloud(`/navigations/${comparison.second}/landmarks`),
     ]);
-    if (turn !== this.opened || !first || !second) return;
+    if (turn !== this.opened) return;
     const said = comparison.accepted
       ? `${comparison.matches} of ${comparison.places} places found again. First navigation turquoise, second orange.`
       : `They could not be registered: ${comparison.reasons.join("; ")}.`;
     this.show(comparison.name, "compare", said);
-    by<HTMLAnchorElement>("report").href = comparison.report;
-    const download = by<HTMLAnchorElement>("report-download");
+    by("report", HTMLAnchorElement).href = comparison.report;
+    const download = by("report-download", HTMLAnchorElement);
     download.href = comparison.report;
     download.download = `${comparison.id}.html`;
     this.T_first_second = comparison.T_first_second;
@@ -65,18 +66,15 @@ export class Review {
     const [first, second] = this.boxes;
     if (!second) return first;
     const moved = second.clone();
-    if (registered && this.T_first_second)
-      moved.applyMatrix4(new THREE.Matrix4().fromArray(this.T_first_second).transpose());
+    if (registered && this.T_first_second) moved.applyMatrix4(toMatrix(this.T_first_second));
     return first ? moved.union(first) : moved;
   }
 
   private register(on: boolean): void {
     if (!this.second) return;
-    this.second.matrix.identity();
-    if (on && this.T_first_second) this.second.matrix.fromArray(this.T_first_second).transpose();
+    this.second.matrix.copy(on && this.T_first_second ? toMatrix(this.T_first_second) : new THREE.Matrix4());
     this.second.matrixWorldNeedsUpdate = true;
-    for (const button of document.querySelectorAll<HTMLElement>("[data-registered]"))
-      button.setAttribute("aria-pressed", String((button.dataset["registered"] === "true") === on));
+    this.registration.show(String(on));
     this.map?.reframeReview(this.box(on));
   }
 

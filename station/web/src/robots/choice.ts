@@ -1,20 +1,20 @@
 // Choosing among the station's robots: a list of them, and a dialog for an address that names none of them.
-import { findShown, named } from "../link/address";
+import { findShown } from "../link/address";
 import type { RobotEntry } from "../link/messages";
 import { by, make } from "../ui/dom";
 
 const NO_SUCH = "No such robot"; // the dialog's name
 
-/** Say that there is no such robot, and which there are. */
-export function offerOthers(robots: RobotEntry[]): void {
-  const dialog = by<HTMLDialogElement>("ask");
+/** Say that there is no robot of that name, and which there are. */
+export function offerOthers(missing: string, robots: RobotEntry[]): void {
+  const dialog = by("ask", HTMLDialogElement);
   if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) return;
   const entries = robots.map((entry) =>
     make("li", {}, make("a", { class: "small", href: `?robot=${encodeURIComponent(entry.name)}` }, titleOf(entry))),
   );
   dialog.setAttribute("aria-label", NO_SUCH);
   dialog.replaceChildren(
-    make("h2", {}, `This station has no robot “${named}”`),
+    make("h2", {}, `This station has no robot “${missing}”`),
     make(
       "p",
       { class: "note" },
@@ -29,7 +29,7 @@ export function offerOthers(robots: RobotEntry[]): void {
 
 /** The robot of this address is there: no other one need be chosen (any more). */
 export function offerNoOthers(): void {
-  const dialog = by<HTMLDialogElement>("ask");
+  const dialog = by("ask", HTMLDialogElement);
   if (dialog.open && dialog.getAttribute("aria-label") === NO_SUCH) dialog.close("");
 }
 

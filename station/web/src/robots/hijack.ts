@@ -10,7 +10,7 @@ const FIELDS: [string, string, string][] = [
 ];
 
 export function openHijack(): void {
-  const dialog = by<HTMLDialogElement>("ask");
+  const dialog = by("ask", HTMLDialogElement);
   const choice = (value: string, text: string, checked: boolean) => {
     const input = make("input", { type: "radio", name: "where", value, checked });
     return { input, label: make("label", { class: "choice" }, input, text) };
@@ -32,7 +32,7 @@ export function openHijack(): void {
     make("h2", {}, "Pick the simulated robot up"),
     anywhere.label,
     spot.label,
-    make("div", { class: "fields" }, ...FIELDS.map(([, label], i) => make("label", {}, label, inputs[i]!))),
+    make("div", { class: "fields" }, ...FIELDS.map(([, label], i) => make("label", {}, label, inputs[i]))),
     make(
       "p",
       { class: "note" },

@@ -1,29 +1,22 @@
-// How everything is, in words and numbers, and what to do first.
+// How everything is, in words and numbers.
 import type { Library } from "../library/library";
-import type { LogModel, RobotModel, SlamModel } from "../link/messages";
-import { by, make, prose, setText, show } from "../ui/dom";
-import { clock, percent } from "../ui/text";
-
-const MAX_LINES = 100;
+import type { BatteryModel, RobotModel, SlamModel } from "../link/messages";
+import { by, make, setText, show, within } from "../ui/dom";
+import { percent } from "../ui/text";
+import { Guide } from "./guide";
 
 export class HealthView {
   private robot: RobotModel | null = null;
   private slam: SlamModel | null = null;
-  private lines = new Map<number, LogModel>(); // by their number, newest first
-  private guideText = "";
-  stationOpen = false;
+  private isStationOpen = false;
+  private readonly guide = new Guide();
 
   constructor(private readonly library: Library) {}
 
   showRobot(robot: RobotModel): void {
     this.robot = robot;
     show(by("battery"), robot.battery !== null);
-    if (robot.battery)
-      setText(
-        by("battery"),
-        `${robot.battery.voltage_v?.toFixed(1)} V` +
-          (robot.battery.fraction === null ? "" : ` · ${percent(robot.battery.fraction)}`),
-      );
+    if (robot.battery) setText(by("battery"), describe(robot.battery));
     this.draw();
   }
 
@@ -33,41 +26,19 @@ export class HealthView {
   }
 
   setStation(open: boolean): void {
-    this.stationOpen = open;
+    this.isStationOpen = open;
     this.draw();
-  }
-
-  /** New lines, or old ones; a line that is shown already is not shown twice. */
-  addLines(lines: LogModel[]): void {
-    for (const line of lines) this.lines.set(line.number, line);
-    const newest = [...this.lines.values()].sort((a, b) => b.number - a.number).slice(0, MAX_LINES);
-    this.lines = new Map(newest.map((line) => [line.number, line]));
-    const log = by("log");
-    const shown = new Map([...log.children].map((item) => [Number((item as HTMLElement).dataset["number"]), item]));
-    for (const [number, item] of shown) if (!this.lines.has(number)) item.remove();
-    let before: Element | null = null; // the log is a live region: only what is new may be added to it
-    for (const line of newest.reverse()) {
-      const item: Element = shown.get(line.number) ?? logItem(line);
-      if (!item.isConnected) log.insertBefore(item, before ?? null);
-      before = item;
-    }
-  }
-
-  /** Another station's lines, or the same one's since its start, are counted from 1 again. */
-  clearLog(): void {
-    this.lines.clear();
-    by("log").replaceChildren();
   }
 
   draw(): void {
     const robot = this.robot;
     const link = by("link");
-    link.dataset["state"] = !this.stationOpen ? "bad" : robot?.connected ? "good" : "warn";
+    link.dataset.state = !this.isStationOpen ? "bad" : robot?.connected ? "good" : "warn";
     setText(
-      link.querySelector<HTMLElement>(".text")!,
-      !this.stationOpen ? "station does not answer" : robot?.connected ? (robot.name ?? "robot") : "no robot",
+      within(link, ".text"),
+      !this.isStationOpen ? "station does not answer" : robot?.connected ? (robot.name ?? "robot") : "no robot",
     );
-    this.drawGuide();
+    this.guide.show(robot, this.library);
     if (!robot) return;
     const rows: [string, string, boolean][] = [
       [
@@ -105,62 +76,9 @@ export class HealthView {
       ...rows.flatMap(([name, text, bad]) => [make("dt", {}, name), make("dd", { class: bad ? "bad" : "" }, text)]),
     );
   }
-
-  private drawGuide(): void {
-    const navigations = [...this.library.navigations.values()];
-    const hasNavigation = navigations.some((n) => n.state === "ready");
-    const recordHow = this.library.recording
-      ? "Drive slowly through every room, look around, and come back. Then press Stop recording."
-      : navigations.some((n) => n.state === "finishing")
-        ? "The recording has ended, and SLAM finishes it: below you see how far it is."
-        : "Press Record, drive slowly through every room, look around, and come back. Then stop.";
-    const hasMap = this.library.maps.length > 0;
-    const isUsed = this.library.maps.some((m) => m.active);
-    const robot = this.robot;
-    const elsewhere = "(elsewhere: `station serve --robot HOST:PORT`, or `--robot auto` to search the network)";
-    const where = !robot
-      ? ""
-      : robot.host === "auto"
-        ? "; this station looks in the whole network"
-        : `; this station looks at ${robot.host}:${robot.port} ${elsewhere}`;
-    const steps: [boolean, string, string][] = [
-      [
-        Boolean(robot?.connected),
-        "Connect a robot",
-        `Start \`robot-server\` on it${where}. No robot at hand? \`robot-server --devices simulated\` on this computer drives in a simulated flat.`,
-      ],
-      [hasNavigation || hasMap, "Record a navigation", recordHow],
-      [hasMap, "Build a map", "Press Build map beside the navigation: its landmarks become places."],
-      [isUsed, "Ask where it is", "Choose the map, pick the robot up, put it down anywhere: the page names the place."],
-    ];
-    if (robot?.connected && !robot.calibrated)
-      steps.splice(1, 0, [false, "Calibrate the camera", "This robot's camera is not calibrated; SLAM needs it."]);
-    const next = steps.findIndex(([done]) => !done);
-    const text = JSON.stringify([steps, next]);
-    if (text === this.guideText) return;
-    this.guideText = text;
-    show(by("guide"), next >= 0);
-    by("guide").replaceChildren(
-      make("h2", {}, "First steps"),
-      make(
-        "ol",
-        {},
-        ...steps.map(([done, title, how], i) =>
-          make(
-            "li",
-            { class: done ? "done" : i === next ? "next" : "" },
-            make("strong", {}, title),
-            i === next && make("p", { class: "note" }, ...prose(how)),
-          ),
-        ),
-      ),
-    );
-  }
 }
 
-function logItem(line: LogModel): HTMLElement {
-  const item = make("li", { class: line.level }, make("time", {}, clock(line.unix_s)), line.text);
-  item.dataset["topic"] = line.topic;
-  item.dataset["number"] = String(line.number);
-  return item;
+function describe({ voltage_v, fraction }: BatteryModel): string {
+  const voltage = voltage_v === null ? [] : [`${voltage_v.toFixed(1)} V`];
+  return [...voltage, ...(fraction === null ? [] : [percent(fraction)])].join(" · ");
 }

@@ -1,36 +1,17 @@
 // Questions to the person at the page.
 import { by, make, setText } from "./dom";
 import { sentence } from "./text";
+import { attempt } from "./toast";
 
-export interface Field {
-  label: string;
-  value: string;
-  isNumber?: boolean;
-}
-
-/** Ask for some texts or numbers, or for consent when there is no field. Null when the person changes their mind. */
-export function askAll(
-  title: string,
-  confirm: string,
-  fields: Field[],
-  note = "",
-  refuse = "Cancel",
-): Promise<string[] | null> {
-  const dialog = by<HTMLDialogElement>("ask");
+/** Ask whether to do it. */
+export function askConsent(title: string, confirm: string, note: string, refuse = "Cancel"): Promise<boolean> {
+  const dialog = by("ask", HTMLDialogElement);
   return new Promise((resolve) => {
-    const inputs = fields.map(({ value, isNumber }) =>
-      make(
-        "input",
-        isNumber ? { value, type: "number", step: "any", required: true } : { value, maxlength: "80", required: true },
-      ),
-    );
     const form = make(
       "form",
       { method: "dialog" },
       make("h2", {}, title),
-      fields.length > 0 &&
-        make("div", { class: "fields" }, ...fields.map(({ label }, i) => make("label", {}, label, inputs[i]!))),
-      note !== "" && make("p", { class: "note" }, note),
+      make("p", { class: "note" }, note),
       make(
         "div",
         { class: "row end" },
@@ -38,24 +19,18 @@ export function askAll(
         make("button", { type: "submit", class: "primary", value: "yes" }, confirm),
       ),
     );
-    dialog.setAttribute("aria-label", title);
-    dialog.replaceChildren(form);
-    dialog.onclose = () => resolve(dialog.returnValue === "yes" ? inputs.map((input) => input.value.trim()) : null);
-    dialog.returnValue = "";
-    dialog.oncancel = null; // of another question
-    dialog.showModal();
-    inputs[0]?.select();
+    open(dialog, title, form, () => resolve(dialog.returnValue === "yes"));
   });
 }
 
-/** Ask for one text until it is taken: the dialog stays open, and says why, while `take` refuses. False: gave up. */
+/** Ask for one text until it is taken: the dialog stays open, and says why, while `take` refuses. Null: gave up. */
 export function askUntil(
   title: string,
   confirm: string,
-  field: Field,
+  field: { label: string; value: string },
   take: (text: string) => Promise<void>,
-): Promise<boolean> {
-  const dialog = by<HTMLDialogElement>("ask");
+): Promise<string | null> {
+  const dialog = by("ask", HTMLDialogElement);
   return new Promise((resolve) => {
     const why = make("p", { class: "note bad", role: "alert", id: "ask-why" });
     const input = make("input", { value: field.value, maxlength: "80", required: true, "aria-describedby": "ask-why" });
@@ -85,12 +60,29 @@ export function askUntil(
         },
       );
     });
-    dialog.setAttribute("aria-label", title);
-    dialog.replaceChildren(form);
-    dialog.onclose = () => resolve(dialog.returnValue === "yes");
-    dialog.returnValue = "";
-    dialog.oncancel = null; // of another question
-    dialog.showModal();
+    open(dialog, title, form, () => resolve(dialog.returnValue === "yes" ? input.value.trim() : null));
     input.select();
   });
+}
+
+function open(dialog: HTMLDialogElement, title: string, form: HTMLFormElement, onClose: () => void): void {
+  dialog.setAttribute("aria-label", title);
+  dialog.replaceChildren(form);
+  dialog.onclose = onClose;
+  dialog.returnValue = "";
+  dialog.oncancel = null; // of another question
+  dialog.showModal();
+}
+
+type ButtonMaker = (text: string, act: (() => Promise<unknown>) | null, kind?: string) => HTMLButtonElement;
+
+/** Makes buttons that close this dialog, and then do something. */
+export function closingButtons(dialog: HTMLDialogElement): ButtonMaker {
+  return (text, act, kind = "") => {
+    const press = () => {
+      dialog.close();
+      if (act) attempt(act);
+    };
+    return make("button", { type: "button", class: kind, onclick: press }, text);
+  };
 }

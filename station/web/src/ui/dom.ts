@@ -1,8 +1,19 @@
 // Small helpers around the document.
-export function by<T extends HTMLElement = HTMLElement>(id: string): T {
+
+/** The element of that id, and of that kind. */
+export function by(id: string): HTMLElement;
+export function by<T extends HTMLElement>(id: string, kind: new () => T): T;
+export function by(id: string, kind: new () => HTMLElement = HTMLElement): HTMLElement {
   const found = document.getElementById(id);
-  if (!found) throw new Error(`the page has no #${id}`);
-  return found as T;
+  if (!(found instanceof kind)) throw new Error(`the page has no ${kind.name} #${id}`);
+  return found;
+}
+
+/** The first element below that fits. */
+export function within(node: HTMLElement, selector: string): HTMLElement {
+  const found = node.querySelector<HTMLElement>(selector);
+  if (!found) throw new Error(`there is no ${selector} in #${node.id}`);
+  return found;
 }
 
 /** What draws on a canvas. */

@@ -67,7 +67,7 @@ function renew(old: Element, fresh: Element): void {
       old.insertBefore(wanted, before);
       continue;
     }
-    for (; before !== same; before = remove(before!));
+    while (before && before !== same) before = remove(before);
     if (same instanceof Element) renew(same, wanted as Element);
     else if (same.nodeValue !== wanted.nodeValue) same.nodeValue = wanted.nodeValue;
     before = same.nextSibling;
@@ -83,5 +83,5 @@ function remove(node: ChildNode): ChildNode | null {
 
 function isSame(a: ChildNode, b: ChildNode): boolean {
   if (a.nodeName !== b.nodeName) return false;
-  return !(a instanceof HTMLElement) || a.dataset["act"] === (b as HTMLElement).dataset["act"];
+  return !(a instanceof HTMLElement) || a.dataset.act === (b as HTMLElement).dataset.act;
 }

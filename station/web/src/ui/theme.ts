@@ -14,5 +14,5 @@ export function dress(): void {
 }
 
 function show(): void {
-  document.documentElement.dataset["theme"] = localStorage.getItem("theme") ?? (light.matches ? "light" : "dark");
+  document.documentElement.dataset.theme = localStorage.getItem("theme") ?? (light.matches ? "light" : "dark");
 }

@@ -4,20 +4,26 @@ import { sentence } from "./text";
 
 let toastTimer = 0;
 
+/** What can be done about it. */
+interface Remedy {
+  label: string;
+  act: () => Promise<unknown>;
+}
+
 /** A sentence for a while; with what can be done about it, for longer. */
-export function toast(text: string, action = "", act: () => Promise<unknown> = async () => {}): void {
+export function toast(text: string, remedy?: Remedy): void {
   const node = by("toast");
-  const run = () => {
-    node.hidden = true;
-    attempt(act);
-  };
-  node.replaceChildren(
-    make("span", {}, text),
-    ...(action ? [make("button", { type: "button", class: "small", onclick: run }, action)] : []),
-  );
+  node.replaceChildren(make("span", {}, text));
+  if (remedy) {
+    const run = () => {
+      node.hidden = true;
+      attempt(remedy.act);
+    };
+    node.append(make("button", { type: "button", class: "small", onclick: run }, remedy.label));
+  }
   node.hidden = false;
   clearTimeout(toastTimer);
-  toastTimer = window.setTimeout(() => (node.hidden = true), action ? 15_000 : 6000);
+  toastTimer = window.setTimeout(() => (node.hidden = true), remedy ? 15_000 : 6000);
 }
 
 /** Run an action of a button; its failure becomes a sentence on the screen. */

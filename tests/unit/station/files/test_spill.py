@@ -1,4 +1,4 @@
-"""What is put aside comes back bit for bit, whatever the disk does."""
+"""Spilled arrays come back bit for bit, whatever the disk does."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import station.files.spill
-from station.files.spill import Shelf
+from station.files.spill import Spill
 
 KINDS = st.sampled_from([np.uint8, np.int64, np.float64])
 SHAPES = arrays.array_shapes(min_dims=1, max_dims=2, min_side=0, max_side=30)
@@ -25,8 +25,8 @@ def resident_bytes() -> int:
 
 @given(given_arrays=st.lists(KINDS.flatmap(lambda kind: arrays.arrays(kind, SHAPES)), max_size=12))
 def test_every_array_comes_back_and_cannot_be_written(given_arrays: list[np.ndarray]) -> None:
-    shelf = Shelf(file_bytes=1024)  # many chunks, and arrays that are larger than one
-    kept = [shelf.put(array) for array in given_arrays]
+    spill = Spill(file_bytes=1024)  # many chunks, and arrays that are larger than one
+    kept = [spill.put(array) for array in given_arrays]
     for array, back in zip(given_arrays, kept, strict=True):
         assert back.dtype == array.dtype and back.shape == array.shape
         np.testing.assert_array_equal(back, array)
@@ -34,12 +34,12 @@ def test_every_array_comes_back_and_cannot_be_written(given_arrays: list[np.ndar
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc to see the memory")
-def test_what_is_put_aside_takes_no_memory() -> None:
-    shelf = Shelf(file_bytes=2**23, resident_bytes=2**21)
+def test_spilled_arrays_take_no_memory() -> None:
+    spill = Spill(file_bytes=2**23, resident_bytes=2**21)
     rng = np.random.default_rng(0)
-    kept = [shelf.put(rng.integers(0, 256, 2**20, dtype=np.uint8)) for _ in range(4)]
+    kept = [spill.put(rng.integers(0, 256, 2**20, dtype=np.uint8)) for _ in range(4)]
     before = resident_bytes()
-    kept += [shelf.put(rng.integers(0, 256, 2**20, dtype=np.uint8)) for _ in range(64)]
+    kept += [spill.put(rng.integers(0, 256, 2**20, dtype=np.uint8)) for _ in range(64)]
     assert resident_bytes() - before < 16 * 2**20
     again = np.random.default_rng(0)
     assert all((array == again.integers(0, 256, 2**20, dtype=np.uint8)).all() for array in kept)
@@ -49,24 +49,24 @@ def test_without_a_disk_arrays_stay_in_memory(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setattr(station.files.spill, "FOLDER", tmp_path / "none")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
     array = np.arange(5)
-    shelf = Shelf()
-    assert shelf.put(array) is array and shelf.put(array) is array
+    spill = Spill()
+    assert spill.put(array) is array and spill.put(array) is array
 
 
 def test_what_others_need_of_the_disk_is_left_to_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(station.files.spill, "KEPT_FREE_BYTES", 2**62)
     array = np.arange(5)
-    assert Shelf().put(array) is array
+    assert Spill().put(array) is array
 
 
 def test_a_disk_that_fills_up_costs_nothing_that_is_there() -> None:
-    shelf = Shelf(file_bytes=4096)
-    first = shelf.put(np.arange(100))
+    spill = Spill(file_bytes=4096)
+    first = spill.put(np.arange(100))
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (8192, limit[1]))
     try:
         large = np.arange(10_000)
-        assert shelf.put(large) is large
+        assert spill.put(large) is large
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
     assert (first == np.arange(100)).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -50,6 +51,14 @@ def active(maps: Maps) -> list[str]:
 def said(maps: Maps) -> list[str]:
     assert isinstance(maps._events, Events)
     return [line.text for line in maps._events.log]
+
+
+async def test_a_damaged_map_is_told_with_a_command_for_this_stations_data(tmp_path: Path) -> None:
+    maps = Maps(StoreAddress(tmp_path / "data" / "maps"), Events())
+    maps._loop = asyncio.get_running_loop()
+    maps._found_damage("a blob is missing; run `station map repair` or restore a backup")
+    await asyncio.sleep(0)
+    assert f"run `station map repair --data {tmp_path / 'data'}` or" in said(maps)[0]
 
 
 @pytest.mark.parametrize(

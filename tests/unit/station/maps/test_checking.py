@@ -20,7 +20,8 @@ from station.maps.address import address_of, heal
 from station.maps.backup import restore_backup, write_backup
 from station.maps.blobs import Damaged
 from station.maps.record import map_content_hash
-from station.maps.repair.check import purge_versions, repair, verify
+from station.maps.repair.check import repair, verify
+from station.maps.repair.purging import purge_versions
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
@@ -94,7 +95,7 @@ def test_a_lost_file_is_named_and_copied_from_the_navigation(
 
 
 def test_a_wrong_row_is_noticed_and_made_again(place_map: PlaceMap, store: MapStore) -> None:
-    with store.database.writing("test") as connection:
+    with store.contents.database.writing("test") as connection:
         connection.execute(sqlalchemy.text("UPDATE map_version SET name = 'x' WHERE number = 3"))
     assert "seal" in store.list()[0].damaged
     assert store.load(place_map.id).places[0].name == "Sofa"
@@ -127,7 +128,7 @@ def test_a_record_whose_writer_was_killed_is_taken_in(place_map: PlaceMap, tmp_p
     connection.close()
     again = MapStore(tmp_path)
     assert again.load(place_map.id).places[0].name == "Sofa"
-    with again.database.reading() as reading:
+    with again.reading() as reading:
         assert [row.number for row in versions.history(reading, place_map.id)] == [2, 1]
 
 
@@ -167,7 +168,7 @@ def test_a_damaged_backup_gives_what_is_whole(place_map: PlaceMap, store: MapSto
 def test_purging_frees_the_space_of_a_deleted_map(
     place_map: PlaceMap, store: MapStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("station.maps.repair.check.UNUSED_S", -1.0)
+    monkeypatch.setattr("station.maps.repair.purging.UNUSED_S", -1.0)
     purge_versions(store, place_map.id)
     assert [r.number for r in store.history(place_map.id)] == [3]
     assert store.load(place_map.id).places[0].name == "Couch"

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 from shared.errors import DataError
 from station.main import app
 from station.maps.blobs import RENEWED_AFTER_S, blob_name
-from station.maps.repair.check import UNUSED_S, purge_versions, repair, verify
+from station.maps.repair.check import repair, verify
+from station.maps.repair.purging import UNUSED_S, purge_versions
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
@@ -156,11 +157,11 @@ def test_what_was_tidied_as_unused_is_not_what_somebody_saves_again(root: Path, 
     address = largest_blob(store).name
     data = (root / blob_name(address)).read_bytes()
     assert time.time() - (root / blob_name(address)).stat().st_mtime > RENEWED_AFTER_S
-    assert store.blobs.put([data]) == [address]
-    assert not store.blobs.remove(address, UNUSED_S)  # it was old when the tidying listed it
+    assert store.contents.blobs.put([data]) == [address]
+    assert not store.contents.blobs.remove(address, UNUSED_S)  # it was old when the tidying listed it
     assert verify(store) == ()
     make_old(root)
-    assert store.blobs.remove(address, UNUSED_S) and verify(store) != ()
+    assert store.contents.blobs.remove(address, UNUSED_S) and verify(store) != ()
 
 
 def test_text_in_the_index_that_is_none_is_a_damaged_index(root: Path, place_map: PlaceMap) -> None:

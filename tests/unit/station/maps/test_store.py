@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from shared.errors import ConfigError, DataError
+from station.maps import bucket as bucket_module
 from station.maps import store as store_module
-from station.maps.bucket import FolderBucket
 from station.maps.folder import save_map_folder
 from station.maps.record import map_content_hash
 from station.maps.store import MapStore
@@ -133,10 +133,10 @@ def test_a_failed_save_leaves_what_was_there(
     store = MapStore(address)
     store.save(place_map)
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    for target, method in ((FolderBucket, "_put"), (store_module.versions, "add")):
+    for target, method in ((bucket_module, "replace_file"), (store_module.versions, "add")):
         with monkeypatch.context() as patch:
             patch.setattr(target, method, fail)
             with pytest.raises(DataError, match="No space left"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, yaw_rotation
+from shared.geometry import FloatArray, inverse, rotation_of, scale_of, se3, so3_exp, so3_log, transform, yaw_rotation
 from station.places.joining.appearance_alignment import (
     MAX_SIGHTINGS,
     agree_on_motion,
@@ -63,10 +63,9 @@ def test_the_uncertainty_of_the_motion_is_how_much_it_scatters(scale: float) -> 
         assert found is not None and len(found[1]) == 10
         assert covariance is not None and np.linalg.eigvalsh(covariance).min() > -1e-12
         told.append(covariance)
-        ratio = np.cbrt(np.linalg.det(found[0][:3, :3])) / scale
-        turn = so3_log(found[0][:3, :3] @ T_map_nav[:3, :3].T / (ratio * scale**2))
-        shift = (found[0] - T_map_nav)[:3, :3] @ middle + (found[0] - T_map_nav)[:3, 3]
-        errors.append([*turn, *shift, np.log(ratio)])
+        turn = so3_log(rotation_of(found[0]) @ rotation_of(T_map_nav).T)
+        shift = transform(found[0] - T_map_nav, middle)
+        errors.append([*turn, *shift, np.log(scale_of(found[0]) / scale)])
     sigma = np.sqrt(np.mean(told, axis=0).diagonal())
     free = slice(0, 6) if scale == 1.0 else slice(0, 7)
     np.testing.assert_allclose(sigma[free], np.std(errors, axis=0)[free], rtol=0.25)

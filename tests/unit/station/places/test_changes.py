@@ -13,7 +13,7 @@ from station.library.maps import deviation_image
 from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map, carry_names
-from station.places.making.changes import shown, with_place_hidden, with_places_merged
+from station.places.making.changes import with_place_hidden, with_places_merged, without_hidden
 from station.places.making.config import PlacesMode
 from station.places.making.place_images import evidence_of_place
 from station.places.tracking.current import CurrentPlaceEstimator
@@ -75,7 +75,7 @@ def test_a_hidden_place_is_in_no_edge_and_comes_back_as_it_was(place_map: PlaceM
     gone = place_map.places[1]
     hidden = with_place_hidden(place_map, gone.id, True)
     assert gone.id not in {end for edge in hidden.edges for end in (edge.a, edge.b)}
-    assert [p.id for p in shown(hidden).places] == [p.id for p in place_map.places if p.id != gone.id]
+    assert [p.id for p in without_hidden(hidden).places] == [p.id for p in place_map.places if p.id != gone.id]
     again = with_place_hidden(hidden, gone.id, False)
     assert again.edges == place_map.edges
     assert [(p.id, p.name, p.hidden) for p in again.places] == [(p.id, p.name, False) for p in place_map.places]
@@ -102,11 +102,11 @@ def test_a_place_stays_hidden_when_the_map_is_made_anew(place_map: PlaceMap) -> 
 
 
 def test_a_hidden_place_is_no_candidate_and_the_pose_is_kept(place_map: PlaceMap) -> None:
-    estimator = CurrentPlaceEstimator(place_map)
-    before = estimator.belief()
+    estimator = CurrentPlaceEstimator([place_map])
+    before = estimator.place_probabilities()
     gone = place_map.places[0]
-    estimator.regroup(shown(with_place_hidden(place_map, gone.id, True)))
+    estimator.regroup([without_hidden(with_place_hidden(place_map, gone.id, True))])
     answer = estimator.answer(1)
     assert gone.id not in {candidate.id for candidate in answer.alternatives}
-    assert len(estimator.belief().place) == len(place_map.places) - 1
-    assert estimator.belief().lost == pytest.approx(before.lost)
+    assert len(estimator.place_probabilities().place) == len(place_map.places) - 1
+    assert estimator.place_probabilities().lost == pytest.approx(before.lost)

@@ -10,7 +10,7 @@ import pytest
 from shared.geometry import IntArray, se3, yaw_rotation
 from station.model.navigation import Keyframes
 from station.model.place_map import PlaceMap
-from station.places.tracking.belief import BeliefConfig
+from station.places.tracking.config import BeliefConfig
 from station.places.tracking.coverage import MOST_ASKED, Coverage
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.map_view import MapView
@@ -23,26 +23,26 @@ def test_a_neighbour_seen_through_its_door_is_not_reached_though_it_is_near() ->
     beyond = np.array([[4.8, 2.1, 0.0], [4.6, 1.5, 0.0], [4.8, 2.6, 0.0]])
     assert (view.coverage.distance(beyond[:2]) < 0.95).all()
     assert (view.coverage.views(beyond) < 0.72).all()
-    assert (view.covered(beyond, BeliefConfig()) < 0.2).all()
+    assert (view.coverage.covers(beyond, BeliefConfig()) < 0.2).all()
 
 
 def test_off_the_path_but_in_the_room_it_is_reached() -> None:
     view = MapView.of(room_with_a_door())
     within = np.array([[2.5, 2.0, 0.0], [1.3, 2.0, 0.0], [2.0, 3.8, 0.0], [3.3, 3.0, 0.0]])
     assert view.coverage.distance(within).max() > 0.65
-    assert (view.covered(within, BeliefConfig()) > 0.8).all()
-    assert (view.covered(np.array([[2.0, 11.0, 0.0]]), BeliefConfig()) < 1e-3).all()
+    assert (view.coverage.covers(within, BeliefConfig()) > 0.8).all()
+    assert (view.coverage.covers(np.array([[2.0, 11.0, 0.0]]), BeliefConfig()) < 1e-3).all()
 
 
 def test_on_the_path_the_map_reaches_whatever_it_sees_there() -> None:
     view = MapView.of(room_with_a_door())
-    assert view.covered(np.array([[3.9, 2.0, 0.0], [4.1, 2.0, 0.0]]), BeliefConfig()).min() > 0.95
+    assert view.coverage.covers(np.array([[3.9, 2.0, 0.0], [4.1, 2.0, 0.0]]), BeliefConfig()).min() > 0.95
 
 
 def test_a_corridor_driven_one_way_is_reached_beside_the_path() -> None:
     x = np.linspace(0.5, 3.5, 20)
     view = MapView.of(mapped(np.column_stack([x, np.full(20, 2.0)]), np.zeros(20), walls()))
-    assert (view.covered(np.array([[1.0, 2.6, 0.0], [2.0, 1.3, 0.0]]), BeliefConfig()) > 0.8).all()
+    assert (view.coverage.covers(np.array([[1.0, 2.6, 0.0], [2.0, 1.3, 0.0]]), BeliefConfig()) > 0.8).all()
 
 
 @pytest.mark.parametrize("place_map", [room_with_a_door(upright=False), make_map()], ids=["no up", "few landmarks"])
@@ -106,13 +106,13 @@ def test_landmarks_that_are_nowhere_are_not_in_view() -> None:
 
 
 def test_a_robot_behind_the_door_is_told_that_it_is_not_in_the_map() -> None:
-    estimator = CurrentPlaceEstimator(room_with_a_door())
+    estimator = CurrentPlaceEstimator([room_with_a_door()])
     many = tuple(range(400))
     for k in range(6):  # looks back through the door and knows exactly where it is
-        estimator.on_localization(seen(k, se3(yaw_rotation(np.pi), np.array([4.9, 2.0, 0.0])), landmarks=many))
+        estimator.on_candidates([seen(k, se3(yaw_rotation(np.pi), np.array([4.9, 2.0, 0.0])), landmarks=many)])
     answer = estimator.answer(6 * 10**9)
     assert answer.state == "unknown" and answer.position_map is not None
     assert "mapping drive" in answer.reason
     for k in range(6, 14):  # drives back in
-        estimator.on_localization(seen(k, se3(yaw_rotation(np.pi), np.array([3.0, 2.0, 0.0])), landmarks=many))
+        estimator.on_candidates([seen(k, se3(yaw_rotation(np.pi), np.array([3.0, 2.0, 0.0])), landmarks=many)])
     assert estimator.answer(14 * 10**9).state == "known"

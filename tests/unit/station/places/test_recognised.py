@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.geometry import FloatArray, IntArray
-from station.places.localisation.recognised import NOTHING, extent_of
+from shared.geometry import FloatArray, IntArray, median_radius
+from station.places.tracking.belief import NOTHING
 from station.places.tracking.current import CurrentPlaceEstimator
 from tests.support.places import SECOND, make_map, pose, seen
 
@@ -25,7 +25,7 @@ class Robot:
     """Turns on the spot at Place 0 (x = 0) and sees things there, and what looks like `things` (n, 3) of Place 2."""
 
     def __init__(self, things: FloatArray, scale: float | None = None) -> None:
-        self.estimator = CurrentPlaceEstimator(make_map(more=np.concatenate([WALL, things]), scale=scale))
+        self.estimator = CurrentPlaceEstimator([make_map(more=np.concatenate([WALL, things]), scale=scale)])
         self.p = np.concatenate([make_map().navigation.landmarks.p_world, WALL, things])
         self.things = np.arange(3 + SEEN, 3 + SEEN + len(things))
         self.scale = 1.0 if scale is None else scale
@@ -56,9 +56,9 @@ class Robot:
             T,
             inliers=len(landmarks),
             landmarks=tuple(int(k) for k in landmarks),
-            extent=self.scale * (extent_of(self.p[landmarks]) if extent is None else extent),
+            extent=self.scale * (median_radius(self.p[landmarks]) if extent is None else extent),
         )
-        self.estimator.on_localization(replace(z, sigma_position=0.03 * self.scale))
+        self.estimator.on_candidates([replace(z, sigma_position=0.03 * self.scale)])
 
     def tracked(self, views: int = 3) -> Robot:
         """Certain to be at Place 0."""
@@ -69,11 +69,11 @@ class Robot:
 
     @property
     def here(self) -> float:
-        return float(self.estimator.belief().place[0])
+        return float(self.estimator.place_probabilities().place[0])
 
     @property
     def elsewhere(self) -> float:
-        return float(self.estimator.belief().place[1:].sum())
+        return float(self.estimator.place_probabilities().place[1:].sum())
 
     @property
     def known(self) -> str | None:
@@ -105,7 +105,7 @@ def test_many_small_images_of_one_piece_say_no_more_than_one_of_the_whole(extent
     for bit in np.split(robot.things, images):
         robot.shown(bit, THERE, extent)
     whole = piece(60 * images)
-    assert robot.elsewhere < after_one_image(whole, max(extent, extent_of(whole))).elsewhere + 0.01
+    assert robot.elsewhere < after_one_image(whole, max(extent, median_radius(whole))).elsewhere + 0.01
     assert robot.elsewhere < 0.2 and robot.here > 0.75
 
 
@@ -200,7 +200,7 @@ def test_after_the_memory_s_end_the_budget_begins_anew() -> None:
 
 
 def test_a_late_image_does_not_make_a_landmark_older() -> None:
-    assert NOTHING.and_then(np.array([7]), 10).and_then(np.array([7]), 2).since(5).seen == {7: 10}
+    assert NOTHING.and_then(np.array([7]), 10).and_then(np.array([7]), 2).lately(5, memory_s=0.0).seen == {7: 10}
     robot = Robot(piece(60)).tracked()
     robot.wait(9.0)
     robot.shown(robot.things, THERE)
@@ -232,7 +232,7 @@ def test_what_deceived_before_a_hijack_does_not_convince_after_it() -> None:
     robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
     for _ in range(5):
         robot.shown(robot.things, THERE)
-        assert robot.known is None and robot.estimator.belief().place[2] < 0.5
+        assert robot.known is None and robot.estimator.place_probabilities().place[2] < 0.5
 
 
 def test_after_a_hijack_what_speaks_for_the_old_pose_a_second_time_may_be_deceived_as_the_first_was() -> None:
@@ -252,7 +252,7 @@ def test_the_unit_of_the_map_changes_nothing(scale: float) -> None:
         beliefs.append([])
         for k, bit in enumerate(np.split(robot.things, 5)):
             robot.shown(bit, THERE, 0.08 + 0.02 * k)
-            beliefs[-1].append(robot.estimator.belief().place)
+            beliefs[-1].append(robot.estimator.place_probabilities().place)
     np.testing.assert_allclose(beliefs[1], beliefs[0], rtol=1e-6)
     assert beliefs[0][-1][0] > beliefs[0][-1][2] > beliefs[0][0][2]  # some of it counted, and not all
 

@@ -32,7 +32,6 @@ from shared.messages import (
 from station.datasets import open_dataset
 from station.events import LogLine
 from station.files.foxglove import encode_image
-from station.library.retention import KeptRecording, to_remove
 from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
@@ -291,12 +290,3 @@ def test_what_the_station_decides_is_recorded_with_its_reasons(tmp_path: Path) -
     assert [m["state"] for m in messages_of(path, "/slam/state")] == ["tracking", "lost"]
     assert [m["pose"]["position"]["x"] for m in messages_of(path, "/slam/pose")] == [0.5]
     assert [(m["level"], m["message"]) for m in messages_of(path, "/station/log")] == [(3, "picked up")]
-
-
-def test_the_oldest_recordings_go_first() -> None:
-    kept = [KeptRecording(str(day), day * 86_400.0, 10) for day in range(5)]
-    now_s = 5 * 86_400.0
-    assert to_remove(kept, 0, 0, now_s) == []
-    assert [r.navigation_id for r in to_remove(kept, 25, 0, now_s)] == ["0", "1", "2"]
-    assert [r.navigation_id for r in to_remove(kept, 0, 3.5 * 86_400, now_s)] == ["0", "1"]
-    assert [r.navigation_id for r in to_remove(kept, 45, 4.5 * 86_400, now_s)] == ["0"]

@@ -20,14 +20,15 @@ import station.recordings.chunks
 from shared.errors import DataError
 from shared.mcap_recording import FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC
 from station.datasets import open_dataset
-from station.files.lock import hold, is_being_written
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from station.library.recordings import finished_recordings, remove_recording
 from station.main import app
 from station.recordings.check import check_recording
 from station.recordings.chunks import SoundChunk, parts_of
 from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
 from station.recordings.topics import LIBRARY, register_channels
+from station.recordings.writer_lock import hold, is_being_written
 from tests.support.recordings import HELLO, batch, finish, frame, messages_in, record, recorded_in_small_chunks
 
 Told = tuple[str, int, int, bytes]
@@ -397,6 +398,6 @@ def test_what_recovery_kept_goes_with_the_recording(tmp_path: Path) -> None:
     path = library.recording("nav-1")
     path.write_bytes(bytes(10))
     path.with_name("recording.mcap.damaged.2").write_bytes(bytes(20))
-    assert [(kept.navigation_id, kept.bytes) for kept in library.finished_recordings()] == [("nav-1", 30)]
-    library.remove_recording("nav-1")
+    assert [(found.navigation_id, found.bytes) for found in finished_recordings(library)] == [("nav-1", 30)]
+    remove_recording(library, "nav-1")
     assert [file.name for file in library.folder("nav-1").iterdir()] == ["record.json"]

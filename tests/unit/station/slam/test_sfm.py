@@ -11,14 +11,20 @@ from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
-from station.slam.mapping import bundle
-from station.slam.mapping.bundle import BundleState, Observations, adjust, log_many, reprojection_errors
-from station.slam.mapping.inertial import InertialTrack, estimate_gyro_bias, exp_many
+from station.motion.dead_reckoning import bias_at_rest
+from station.motion.drive_commands import MOTOR_LAG_S, SPEED_EFFICIENCY
+from station.motion.imu_buffer import ImuBuffer
+from station.motion.inertial_track import InertialTrack, exp_many
+from station.motion.preintegration import preintegrate
+from station.slam.mapping import odometry_bundle
 from station.slam.mapping.matching import match_descriptors
-from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, bias_at_rest, dead_reckon
-from station.slam.mapping.tracks import build_tracks, longest, triangulate
-from station.slam.sfm.metric import ScaleEstimate, align_to_imu, fuse_scales, scale_from_drive
+from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
+from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, log_many, reprojection_errors
+from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
+from station.slam.mapping.tracks import build_tracks, longest
+from station.slam.sfm.metric import fuse_scales, scale_from_drive
 from station.slam.sfm.trajectory import all_frames
+from station.vision.triangulation import intersect_rays
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 RATE_HZ = 200
@@ -53,7 +59,7 @@ def test_scale_gravity_and_biases_come_back_from_a_scaled_turned_reconstruction(
     cams = poses[k] @ T_body_cam
     p_model = cams[:, :3, 3] @ R_model_world.T / true_scale
     R_model_body = R_model_world @ poses[k, :3, :3]
-    track, angles = estimate_gyro_bias(imu, t[k], R_model_body)
+    track, angles = gyro_bias_from_rotations(imu, t[k], R_model_body)
     np.testing.assert_allclose(track.gyro_bias, gyro_bias, atol=1e-5)
     assert np.nanmax(angles) < 1e-4
     noise = ImuNoise(gyro_density=1e-4, accel_density=1e-3, gyro_walk=1e-5, accel_walk=1e-4, rate_hz=RATE_HZ)
@@ -72,6 +78,21 @@ def test_increments_reproduce_the_motion() -> None:
     np.testing.assert_allclose(v[100] + GRAVITY * dt + R @ step.velocity[0], v[400], atol=1e-3)
     p = poses[100, :3, 3] + v[100] * dt + 0.5 * GRAVITY * dt**2 + R @ step.position[0]
     np.testing.assert_allclose(p, poses[400, :3, 3], atol=1e-3)
+
+
+def test_both_ways_of_integrating_tell_the_same_motion_and_how_it_depends_on_the_bias() -> None:
+    t, _, _, imu = lively_motion(5.0)
+    buffer = ImuBuffer(REFERENCE_IMU, keep_s=10.0)
+    buffer.add(imu)
+    begin, end, bias = int(t[100]), int(t[400]), np.array([0.01, -0.02, 0.015])
+    step = InertialTrack(imu, bias).increments(np.array([begin, end]))
+    link = preintegrate(buffer.segment(begin, end), np.concatenate([bias, np.zeros(3)]), REFERENCE_IMU)
+    np.testing.assert_allclose(link.dR, step.R[0], atol=1e-12)
+    np.testing.assert_allclose(link.dv, step.velocity[0], atol=2e-5)
+    np.testing.assert_allclose(link.dp, step.position[0], atol=2e-5)
+    np.testing.assert_allclose(link.dR_by_bias, -step.R[0].T @ step.R_sum[0], atol=1e-5)
+    np.testing.assert_allclose(link.dv_by_bias[:, 3:], -step.R_sum[0], atol=1e-5)
+    np.testing.assert_allclose(link.dp_by_bias[:, 3:], -step.R_sum_sum[0], atol=1e-5)
 
 
 def test_contradicting_scales_are_less_certain() -> None:
@@ -98,7 +119,8 @@ def test_dead_reckoning_follows_the_commands() -> None:
     assert bias is not None
     np.testing.assert_allclose(bias, [0, 0, 0.02])
     odometry = dead_reckon(imu, drive, np.array([0, 6 * 10**9, 9 * 10**9]), REFERENCE_IMU)
-    assert odometry.T_world_body[1, 0, 3] == pytest.approx(0.3 * (4.0 - 0.15), abs=0.01)  # the motors' lag
+    way_m = SPEED_EFFICIENCY * 0.3 * (4.0 - MOTOR_LAG_S)
+    assert odometry.T_world_body[1, 0, 3] == pytest.approx(way_m, abs=1e-3)
     turned = odometry.T_world_body[2, :3, :3]
     np.testing.assert_allclose(turned, yaw_rotation(1.5), atol=5e-3)
 
@@ -106,9 +128,9 @@ def test_dead_reckoning_follows_the_commands() -> None:
 def test_scale_from_straight_pieces_of_the_drive() -> None:
     drive = [DriveSample(0, 0.3, 0.0)]
     t = np.arange(10) * 10**9
-    p = np.column_stack([0.3 * t * 1e-9 / 4.0, np.zeros(10), np.zeros(10)])
+    p = np.column_stack([SPEED_EFFICIENCY * 0.3 * t * 1e-9 / 4.0, np.zeros(10), np.zeros(10)])
     found = scale_from_drive(drive, t, np.broadcast_to(np.eye(3), (10, 3, 3)), p)
-    assert found is not None and found.scale == pytest.approx(4.0, rel=0.05)
+    assert found is not None and found.scale == pytest.approx(4.0, rel=0.01)
     assert scale_from_drive([], t, np.broadcast_to(np.eye(3), (10, 3, 3)), p) is None
 
 
@@ -147,9 +169,9 @@ def test_points_are_found_where_rays_meet(seed: int) -> None:
     start = np.tile(centres, (5, 1))
     rays = points[owner] - start
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    found, good = triangulate(owner, 5, start, rays)
+    found, good = intersect_rays(owner, 5, start, rays)
     np.testing.assert_allclose(found[good], points[good], atol=1e-6)
-    behind, good_behind = triangulate(owner, 5, start, -rays)
+    behind, good_behind = intersect_rays(owner, 5, start, -rays)
     assert not good_behind.any() and behind.shape == (5, 3)
 
 
@@ -157,7 +179,7 @@ def test_points_are_found_where_rays_meet(seed: int) -> None:
 def test_bundle_adjustment_corrects_poses_and_survives_outliers(
     max_dense: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bundle, "MAX_DENSE_KEYFRAMES", max_dense)
+    monkeypatch.setattr(odometry_bundle, "MAX_DENSE_KEYFRAMES", max_dense)
     rng = np.random.default_rng(5)
     T_body_cam = se3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.1, 0.0, 0.0]))
     n, m = 12, 150

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, transform, yaw_rotation
+from shared.geometry import FloatArray, inverse, rotation_of, scale_of, se3, so3_exp, so3_log, transform, yaw_rotation
 from station.places.registration import Rays, register, register_clouds, verify
 from station.places.registration.free_space import watched_points
 from station.places.registration.kiss import kiss_is_available, match_features
@@ -24,10 +24,10 @@ def pair() -> CloudPair:
 def errors(T: FloatArray | None, T_true: FloatArray, at: FloatArray) -> tuple[float, float, float]:
     """Rotation (degrees), distance where the source's middle lands, relative scale."""
     assert T is not None
-    scale, scale_true = np.cbrt(np.linalg.det(T[:3, :3])), np.cbrt(np.linalg.det(T_true[:3, :3]))
-    turn = (T[:3, :3] / scale) @ (T_true[:3, :3] / scale_true).T
-    shift = (T - T_true)[:3, :3] @ at + (T - T_true)[:3, 3]
-    return float(np.degrees(np.linalg.norm(so3_log(turn)))), float(np.linalg.norm(shift)), abs(scale / scale_true - 1)
+    turn = so3_log(rotation_of(T) @ rotation_of(T_true).T)
+    shift = transform(T - T_true, at)
+    growth = abs(scale_of(T) / scale_of(T_true) - 1)
+    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), growth
 
 
 @pytest.mark.parametrize("start", ["own", pytest.param("KISS-Matcher", marks=needs_kiss)])

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, scale_of
 from station.places.registration import register_clouds, verify
 from station.places.registration.cloud import PreparedCloud, prepare_cloud
 from station.places.registration.freed_scale import free_the_scale, noise_of_scale
-from station.places.registration.refine import scale_of
 from station.places.registration.register import _odd_sizes
 from tests.support.registration_clouds import CloudPair, make_pair
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.coasting import Coasting
-from station.slam.ukf.start import Anchor
+from station.slam.ukf.start.coasting import Coasting
+from station.slam.ukf.start.starter import Anchor
 
 FRAME_NS = 50_000_000
 
@@ -24,7 +24,7 @@ def imu(turn_rate: float) -> ImuSegment:
 def coast(anchor: Anchor, turn_rate: float, speed: float | None, frames: int) -> Coasting:
     coasting = Coasting(anchor, 0)
     for k in range(1, frames + 1):
-        coasting.advance(imu(turn_rate), k * FRAME_NS, speed)
+        coasting.advance(imu(turn_rate), k * FRAME_NS, None if speed is None else speed * FRAME_NS * 1e-9)
     return coasting
 
 

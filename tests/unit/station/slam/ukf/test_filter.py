@@ -10,29 +10,28 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, se3, so3_exp
 from station.experiments.synthetic import observe, room_points, sine_path
 from station.motion import lie
+from station.motion.error_coordinates import ErrorKind, difference_group, pose_jacobian, retract_group
+from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
-from station.slam.ukf.config import FilterConfig
+from station.slam.ukf.filter.config import FilterConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace
 from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.landmarks import measure_landmarks
-from station.slam.ukf.filter.measurement import CameraModel, jacobians, linearise, pose_jacobian, regress
+from station.slam.ukf.filter.measurement import linearise, regress
 from station.slam.ukf.filter.propagation import PropagationConfig, propagate
 from station.slam.ukf.filter.state import (
     PHI,
     XI_X,
-    ErrorKind,
     FilterState,
     add_clone,
-    difference_group,
     initial_state,
     keep_landmarks,
     remove_clone,
     retract,
-    retract_group,
 )
-from station.slam.ukf.filter.triangulation import triangulate
 from station.slam.ukf.filter.update import Gate, Measurements, update
-from station.slam.ukf.inertial import ImuBuffer
+from station.vision.camera_model import CameraModel, project_points
+from station.vision.triangulation import triangulate
 
 KINDS = list(ErrorKind)
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
@@ -169,7 +168,7 @@ def test_camera_jacobians_are_finite_differences(kind: ErrorKind) -> None:
     camera = CameraModel.of(CAMERA, 1.0)
     state = random_state(11)
     p = state.landmark_p
-    xy, _, _, _ = jacobians(camera, state.R, state.x, p)
+    xy, _, _ = project_points(camera, state.R, state.x, p)
     W = np.broadcast_to(np.eye(2), (len(p), 2, 2))
     fit = linearise(camera, kind, state.R, state.x, p, xy, W)
     h = 1e-6
@@ -182,7 +181,7 @@ def test_camera_jacobians_are_finite_differences(kind: ErrorKind) -> None:
             R, X = retract_group(
                 kind, state.R, X, np.broadcast_to(d[:3], p.shape), np.tile(d[3:].reshape(2, 3), (3, 1, 1))
             )
-            values.append(jacobians(camera, R, X[:, 0], X[:, 1])[0])
+            values.append(project_points(camera, R, X[:, 0], X[:, 1])[0])
         assert np.allclose(fit.H[..., column], (values[0] - values[1]) / (2 * h), atol=1e-6)
 
 
@@ -205,7 +204,7 @@ def test_small_sigma_points_give_the_jacobian(kind: ErrorKind) -> None:
     camera = CameraModel.of(CAMERA, 1.0)
     state = random_state(12)
     p = state.landmark_p
-    xy = jacobians(camera, state.R, state.x, p)[0] + 0.001
+    xy = project_points(camera, state.R, state.x, p)[0] + 0.001
     W = camera.lens.whitening(xy, 1.0)
     L = np.tile(np.tril(np.random.default_rng(1).normal(size=(9, 9)) + 2 * np.eye(9)) * 1e-5, (len(p), 1, 1))
     exact = linearise(camera, kind, state.R, state.x, p, xy, W)
@@ -275,7 +274,7 @@ def test_triangulation_recovers_points_and_their_spread() -> None:
     p = np.column_stack([rng.uniform(3, 8, 200), rng.uniform(-2, 2, 200), rng.uniform(-1, 1, 200)])
     x = np.array([[0.0, 0.3 * k, 0.05 * k] for k in range(6)])
     R = lie.so3_exp(rng.normal(size=(6, 3)) * 0.05)
-    xy = np.stack([jacobians(camera, R[k], x[k], p)[0] for k in range(6)], axis=1)
+    xy = np.stack([project_points(camera, R[k], x[k], p)[0] for k in range(6)], axis=1)
     uv = camera.lens.project(xy) + rng.normal(size=xy.shape)
     seen = np.ones((200, 6), dtype=bool)
     R_all, x_all = np.broadcast_to(R, (200, 6, 3, 3)), np.broadcast_to(x, (200, 6, 3))

@@ -9,11 +9,12 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.geometry import FloatArray, yaw_rotation
 from station.model.frames import ImuBatch
 from station.motion import lie
-from station.slam.ukf.batch.motion_start import MotionStart, StartConfig
-from station.slam.ukf.filter.measurement import CameraModel
-from station.slam.ukf.filter.state import PHI, XI_V, ErrorKind, FilterState, difference_group
-from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.start import Anchor, Starter, WaitingFrame, state_rolling
+from station.motion.error_coordinates import ErrorKind, difference_group
+from station.motion.imu_buffer import ImuBuffer
+from station.slam.ukf.filter.state import PHI, XI_V, FilterState
+from station.slam.ukf.start.motion_start import MotionStart, StartConfig
+from station.slam.ukf.start.starter import Anchor, Starter, WaitingFrame, state_rolling
+from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 
 assert REFERENCE_ROBOT.camera is not None and REFERENCE_ROBOT.imu is not None

@@ -15,11 +15,10 @@ from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Landmarks
 from station.motion import lie
 from station.slam.mapping.assemble import Reconstructed
-from station.slam.ukf.config import ViewConfig
-from station.slam.ukf.filter.measurement import CameraModel
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.view_map import level, relative_motions, straight_rays
-from station.slam.ukf.map.views import MapViews
+from station.slam.ukf.map.views import MapViews, ViewConfig
+from station.vision.camera_model import CameraModel
 from station.vision.features import FeatureExtractor, extract_encoded
 from station.vision.klt import TrackedFrame
 from tests.support.paths import ROOT

@@ -1,1 +1,0 @@
-"""Several keyframes solved at once: the start, the refinement."""
