@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from benchmarks.bench_registration import FIRST_SEED, SETS, errors, is_right
 from shared.geometry import FloatArray
-from station.places.registration import register_clouds
+from station.places.registration.register import register_clouds
 from station.places.registration.verify import WEIGHTS
 from tests.support.registration_clouds import make_pair
 
