@@ -21,7 +21,8 @@ from station.datasets import Truth
 from station.experiments.matches import MatchJudgement, judge_matches
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
-from station.places.joining.match import MatchResult, match_navigation
+from station.places.joining.match import match_navigation
+from station.places.joining.match_result import MatchResult
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, ThesisConfig
 from tests.support.days import truth_of

@@ -15,7 +15,7 @@ from station.datasets import Truth
 from station.experiments.alignment import align_points
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
-from station.places.joining.match import MatchResult, PlaceMatch
+from station.places.joining.match_result import MatchResult, PlaceMatch
 from station.places.making.clusters import MIN_LANDMARKS
 from station.places.making.extent import half_extent
 

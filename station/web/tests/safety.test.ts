@@ -1,4 +1,4 @@
-// The rules of driving, without a browser: `npm test` here, or tests/unit/test_page_safety.py.
+// The rules of driving, without a browser: `npm test` here, or tests/unit/station/web/test_page_safety.py.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { type Direction, DriveGuard, INTERRUPTION, invitation, type Situation, whyNotDrive } from "../src/drive/safety";
