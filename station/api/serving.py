@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import uvicorn
+from fastapi import FastAPI
 
 from shared.advice import complete, option
 from shared.certificates import HANDSHAKE_WITHIN_S
@@ -19,7 +20,6 @@ from shared.errors import ConfigError
 from shared.listening import is_loopback
 from shared.reception import Reception
 from station.access.expiry import watch_expiry
-from station.api.server import make_api
 from station.app import Station
 
 logger = logging.getLogger(__name__)
@@ -83,7 +83,9 @@ def _is_silent(transport: asyncio.Transport, protocol: asyncio.Protocol) -> bool
     )
 
 
-async def serve(station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None) -> None:
+async def serve(
+    station: Station, api: FastAPI, listener: socket.socket, started: Callable[[], None] = lambda: None
+) -> None:
     """Run until cancelled. Raises ConfigError: the socket is open to others than the settings' host meant."""
     bound = str(listener.getsockname()[0])
     if station.access.door.is_open and not station.config.access.insecure and not is_loopback(bound):
@@ -91,7 +93,6 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
             f"{station.config.api.host} means {bound} here, which others reach; give --host 127.0.0.1, or run"
             f" `station access init{option('--data', station.config.data_dir)}` and give --host 0.0.0.0"
         )
-    api = make_api(station)
     identity = station.access.identity
     settings = uvicorn.Config(
         api,
@@ -139,11 +140,11 @@ def _warn(station: Station, sentence: str) -> None:
 
 
 async def serve_until_signal(
-    station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None
+    station: Station, api: FastAPI, listener: socket.socket, started: Callable[[], None] = lambda: None
 ) -> None:
     """Run until SIGINT or SIGTERM."""
     loop = asyncio.get_running_loop()
-    serving = asyncio.ensure_future(serve(station, listener, started))
+    serving = asyncio.ensure_future(serve(station, api, listener, started))
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, serving.cancel)
     with contextlib.suppress(asyncio.CancelledError):

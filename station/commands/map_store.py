@@ -15,8 +15,8 @@ from shared.errors import DataError
 from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
+from station.maps.contents import ASIDE, record_files
 from station.maps.store import MapStore
-from station.maps.unclaimed import ASIDE, record_files
 from station.model.map_store import StoreAddress
 
 Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
@@ -118,7 +118,7 @@ def purge_map(
         raise DataError(f"purging {map_id} cannot be undone; add --yes")
     from station.maps.repair.purging import purge_versions
 
-    for sentence in purge_versions(open_store(data, config), map_id):
+    for sentence in purge_versions(open_store(data, config).for_writing(), map_id):
         print(sentence)
 
 

@@ -68,6 +68,7 @@ def serve(
     verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
 ) -> None:
     """Serve the page and the API: drive, map, and ask which place the robot is at."""
+    from station.api.server import make_api
     from station.api.serving import serve_until_signal
     from station.app import Station  # the web and estimation libraries load only for this command
     from station.workers.scheduling import request_short_slices
@@ -100,7 +101,7 @@ def serve(
         async def run() -> None:
             telling = asyncio.create_task(tell_of_robot())
             try:
-                await serve_until_signal(station, listener, started)
+                await serve_until_signal(station, make_api(station), listener, started)
             finally:
                 telling.cancel()
 

@@ -9,11 +9,10 @@ from pathlib import Path
 from shared.errors import DataError
 from station.files.unwritable import Unwritable
 from station.maps import versions
-from station.maps.contents import Contents
+from station.maps.contents import Contents, newer, read_all, without_row
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder
 from station.maps.record import FOLDER, MapRecord
-from station.maps.unclaimed import newer, read_all, without_row
 from station.maps.versions import VersionRow, row_of
 
 IMPORTED = "imported"  # where folders of the old format go when their map is in the store

@@ -16,7 +16,7 @@ from station.access.paired_robots import PairedRobots
 from station.config import RobotConfig, StationConfig
 from station.errors import Conflict, NoRobot, NotCapable, OutOfRange
 from station.events import Broadcast, Events
-from station.library.maps import Maps
+from station.library.active_maps import ActiveMaps
 from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
 from station.robots.current_navigation import CurrentNavigation
@@ -48,7 +48,7 @@ class Shared:
     """What a session uses and does not own."""
 
     config: StationConfig
-    maps: Maps
+    maps: ActiveMaps
     navigations: Navigations
     paired: PairedRobots
     make_recorder: Callable[[Path], NavigationRecorder | None]

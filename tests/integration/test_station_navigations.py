@@ -11,7 +11,7 @@ import pytest
 import websockets
 
 from shared.mcap_recording import recorded_pictures
-from station.api.camera import HEADER
+from station.api.streams import HEADER
 from station.library.bin import KEEP_S, MAX_KEPT, Bin
 from station.recordings.playback import replay
 from tests.support.link import until

@@ -16,6 +16,7 @@ import numpy as np
 
 from robot.devices.ports import CapturedFrame
 from shared.listening import bind
+from station.api.server import make_api
 from station.api.serving import serve
 from station.app import Station
 from station.config import AccessConfig, ApiConfig, LocalizationConfig, RobotConfig, SlamConfig, StationConfig
@@ -110,7 +111,7 @@ async def running_station(
     listener = bind(config.api.host, config.api.port)
     address = f"{'https' if verify else 'http'}://127.0.0.1:{listener.getsockname()[1]}"
     started = asyncio.Event()
-    serving = asyncio.create_task(serve(station, listener, started.set))
+    serving = asyncio.create_task(serve(station, make_api(station), listener, started.set))
     # No connection is used twice: one that rested for 5 s may be closed by the server just as the next call is sent.
     fresh = httpx.Limits(max_keepalive_connections=0)
     async with httpx.AsyncClient(base_url=address, timeout=20.0, limits=fresh, verify=verify or True) as http:

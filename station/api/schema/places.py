@@ -8,7 +8,8 @@ from typing import Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from station.api.schema.base import Model, Name, Question
-from station.library.maps import ActiveMap, PlacesChange
+from station.library.active_maps import ActiveMap
+from station.library.maps import PlacesChange
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route

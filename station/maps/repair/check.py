@@ -9,11 +9,10 @@ from pathlib import Path
 from station.maps import opening, versions
 from station.maps.address import is_whole
 from station.maps.blobs import Damaged, blob_name
-from station.maps.contents import Contents
+from station.maps.contents import ASIDE, Contents, RecordFile, newer, read_all, record_files, without_row
 from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
 from station.maps.repair.purging import collect_garbage
 from station.maps.store import MapStore
-from station.maps.unclaimed import ASIDE, RecordFile, newer, read_all, record_files, without_row
 from station.maps.versions import VersionRow, row_of
 
 
@@ -65,7 +64,7 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
     done += _set_aside(contents)
     left = verify(store) if done else damages
     done += _go_back(store, contents, left)
-    done += collect_garbage(store)
+    done += collect_garbage(store.for_writing())
     return Repair(tuple(done), left)
 
 

@@ -6,15 +6,13 @@ from shared.disk import SCRATCH
 from shared.errors import DataError
 from station.maps import versions
 from station.maps.blobs import Damaged
-from station.maps.contents import Contents
+from station.maps.contents import ASIDE, Contents, RecordFile, read_all, record_files, without_row
 from station.maps.record import FOLDER
-from station.maps.store import MapStore
-from station.maps.unclaimed import ASIDE, RecordFile, read_all, record_files, without_row
 
 UNUSED_S = 24 * 3600.0  # blobs nobody names are kept as long: their map may be being saved
 
 
-def purge(store: MapStore, map_id: str) -> None:
+def purge(contents: Contents, map_id: str) -> None:
     """Forget every version of a deleted map; nothing happens where there is none. Its files go with the next tidying.
 
     Rows go first and records after them, the oldest first: whoever is killed in between leaves a map that is deleted.
@@ -22,7 +20,6 @@ def purge(store: MapStore, map_id: str) -> None:
     Raises:
         DataError: the map was not deleted, or the store cannot be written.
     """
-    contents = store.for_writing()
     with contents.database.writing(map_id) as connection:
         rows = versions.history(connection, map_id)
         if not rows:
@@ -35,9 +32,8 @@ def purge(store: MapStore, map_id: str) -> None:
         contents.bucket.remove(file.name)
 
 
-def collect_garbage(store: MapStore) -> list[str]:
+def collect_garbage(contents: Contents) -> list[str]:
     """Remove files that no record needs: of purged maps, and of writers that were killed."""
-    contents = store.for_writing()
     for file in record_files(contents, ASIDE):
         where = f"{contents.bucket.place}/{file.name}"
         return [f"nothing was tidied up: {where} may still need its files; purging map {file.map_id} lets it go"]
@@ -68,29 +64,32 @@ def collect_garbage(store: MapStore) -> list[str]:
     return [f"{count} unused files were removed"] if count else []
 
 
-def purge_versions(store: MapStore, map_id: str) -> list[str]:
+def purge_versions(contents: Contents, map_id: str) -> list[str]:
     """Forget the earlier versions of a map; all of it, without way back, where it was deleted or lost.
 
     Returns what was done, in sentences.
     Raises:
         DataError: there is no such map.
     """
-    contents = store.for_writing()
     with contents.database.writing(map_id) as connection:
         rows = versions.history(connection, map_id)
         files = records_of(contents, map_id)
         if not rows and not files:
-            raise store.no_map(map_id)
+            known = ", ".join(sorted(row.map_id for row in versions.newest_of_all(connection) if row.kind != "deleted"))
+            raise DataError(f'{contents.bucket.place} holds no map "{map_id}"; its maps: {known or "none"}')
         is_kept = bool(rows) and rows[0].kind != "deleted"
         if is_kept:
             files = [file for file in files if file.number < rows[0].number or file.name.startswith(f"{ASIDE}/")]
             versions.forget(connection, map_id, below=rows[0].number)
     if not is_kept and rows:
-        purge(store, map_id)
+        purge(contents, map_id)
     else:
         for file in files:  # after the commit: without row and older than the newest they never count
             contents.bucket.remove(file.name)
-    return [f"the earlier versions of {map_id} are gone" if is_kept else f"{map_id} is gone", *collect_garbage(store)]
+    return [
+        f"the earlier versions of {map_id} are gone" if is_kept else f"{map_id} is gone",
+        *collect_garbage(contents),
+    ]
 
 
 def records_of(contents: Contents, map_id: str) -> list[RecordFile]:

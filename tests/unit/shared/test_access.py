@@ -413,13 +413,15 @@ def test_a_station_beyond_loopback_does_not_start_unless_it_is_set_up(tmp_path: 
 
 
 async def test_a_station_does_not_serve_a_socket_that_others_reach_without_a_book(tmp_path: Path) -> None:
+    from station.api.server import make_api
     from station.api.serving import serve
     from station.app import Station
 
+    station = Station(StationConfig(data_dir=tmp_path))
     with socket.socket() as taken:
         taken.bind(("0.0.0.0", 0))  # taken, but not listened on: nobody reaches it
         with pytest.raises(ConfigError, match="which others reach"):
-            await serve(Station(StationConfig(data_dir=tmp_path)), taken)
+            await serve(station, make_api(station), taken)
 
 
 def test_a_message_or_call_without_a_role_keeps_the_program_from_starting(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -169,11 +169,11 @@ def test_purging_frees_the_space_of_a_deleted_map(
     place_map: PlaceMap, store: MapStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("station.maps.repair.purging.UNUSED_S", -1.0)
-    purge_versions(store, place_map.id)
+    purge_versions(store.for_writing(), place_map.id)
     assert [r.number for r in store.history(place_map.id)] == [3]
     assert store.load(place_map.id).places[0].name == "Couch"
     store.delete(place_map.id)
-    purge_versions(store, place_map.id)
+    purge_versions(store.for_writing(), place_map.id)
     assert list(blobs(store)) == [] and store.list() == ()
     with pytest.raises(DataError, match="holds no map"):
         store.undo(place_map.id)

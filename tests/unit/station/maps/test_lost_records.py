@@ -70,7 +70,7 @@ def test_the_newest_record_that_is_lost_with_the_index_is_told_until_it_is_set_a
     again.undo(place_map.id)
     assert again.load(place_map.id).name == place_map.name
     again.delete(place_map.id)
-    purge_versions(again, place_map.id)
+    purge_versions(again.for_writing(), place_map.id)
     left = [*(tmp_path / "maps" / "records").iterdir(), *(tmp_path / "maps" / "damaged").iterdir()]
     assert left == [] and verify(again) == ()
 
@@ -138,7 +138,7 @@ def test_a_map_of_which_nothing_is_left_can_be_purged(root: Path, place_map: Pla
     assert len(list((root / "damaged").iterdir())) == 3 and verify(store) == ()
     assert any("nothing was tidied up" in said for said in repair(store).done)
     make_old(root)
-    said = purge_versions(store, place_map.id)
+    said = purge_versions(store.for_writing(), place_map.id)
     assert said[0] == f"{place_map.id} is gone" and "unused files were removed" in said[1]
     assert list(blobs(store)) == [] and list((root / "damaged").iterdir()) == []
 
