@@ -1,6 +1,6 @@
 """What access control costs: CPU per megabyte of video with and without TLS, and the time of a pairing.
 
-python -m benchmarks.bench_access [--frames 600]
+python -m benchmarks.bench_access [--frames 600] [--results FILE]
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks.result import Figure, Run, add_results_option
 from shared.access import Role
 from shared.pairing import Pake
 from station.access.paired_robots import PairedRobots
 from station.robots.link import RobotLink
-from tests.access_support import guarded_robot
-from tests.link_support import Bench, Notes, running_robot, until
+from tests.support.access import guarded_robot
+from tests.support.link import Bench, Notes, running_robot, until
 
 FRAME_BYTES = 60_000
 
@@ -38,7 +39,7 @@ async def cpu_s_per_mb(bench: Bench, robots: PairedRobots | None, frames: int) -
     return used / (frames * FRAME_BYTES * 1e-6)
 
 
-async def main(frames: int) -> None:
+async def measure(frames: int) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         async with running_robot() as bench:
             plain = await cpu_s_per_mb(bench, None, frames)
@@ -52,10 +53,23 @@ async def main(frames: int) -> None:
         robot, station = Pake("robot", "123456", b"f"), Pake("station", "123456", b"f")
         robot.hear(station.message)
         station.hear(robot.message)
-    print(f"pairing: {(time.process_time() - begun) / 40 * 1e3:.1f} ms of CPU on each side")
+    pairing_ms = (time.process_time() - begun) / 40 * 1e3
+    print(f"pairing: {pairing_ms:.1f} ms of CPU on each side")
+    return [
+        Figure("CPU of both ends per MB of video, plain", plain * 1e3, "ms", of=frames),
+        Figure("CPU of both ends per MB of video, TLS", tls * 1e3, "ms", of=frames),
+        Figure("CPU of one side of a pairing", pairing_ms, "ms", of=20),
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=600)
+    add_results_option(parser, "access")
+    options = parser.parse_args()
+    run = Run.begin()
+    run.write(options.results, asyncio.run(measure(options.frames)))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=600)
-    asyncio.run(main(parser.parse_args().frames))
+    main()

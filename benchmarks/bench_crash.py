@@ -4,7 +4,7 @@
     python -m benchmarks.bench_crash --fault full --kills 200    # or read-only: the disk, not the program (as root)
     python -m benchmarks.bench_crash --postgresql --kills 100    # the index in a PostgreSQL of its own
 
-Every one has a seed, printed and kept in benchmarks/results/crash.jsonl; started again it goes on where it ended.
+Every one has a seed, printed and kept in a line of a file; started again with the same code it goes on where it ended.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
-from tests.postgres_support import running_postgres
+from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run, share, work_folder
+from tests.support.crashing.runs import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
+from tests.support.postgres import running_postgres
 
 TWO_STATIONS = "two stations"
-RESULTS = Path(__file__).parent / "results" / "crash.jsonl"
 
 
 class Fault(StrEnum):
@@ -45,13 +45,19 @@ def main(
     only: Annotated[str, typer.Option(help="One scenario.")] = "",
     fault: Annotated[Fault, typer.Option(help="What happens at the random moment.")] = Fault.KILL,
     postgresql: Annotated[bool, typer.Option(help="Store scenarios on a PostgreSQL that is made for this.")] = False,
-    out: Annotated[Path, typer.Option(help="Results, a line per kill; what is in there is not done again.")] = RESULTS,
+    rows: Annotated[
+        Path | None,
+        typer.Option(help="A line per kill; what is in there is not done again. Usually in benchmarks/results/work."),
+    ] = None,
+    results: Annotated[Path, typer.Option(help=RESULTS_HELP)] = FOLDER / "crash.json",
 ) -> None:
     """Exit code 1 when anything was lost."""
+    this_run = Run.begin()
+    out = rows or work_folder() / "crash.jsonl"
     out.parent.mkdir(parents=True, exist_ok=True)
-    done = [json.loads(line) for line in out.read_text().splitlines()] if out.is_file() else []
+    kept = [json.loads(line) for line in out.read_text().splitlines()] if out.is_file() else []
     what = f"{fault} on postgresql" if postgresql else str(fault)
-    done = [line for line in done if line["fault"] == what]
+    done = [line for line in kept if line["fault"] == what and line["seed"] in range(seed, seed + kills)]
     seen = {(line["scenario"], line["seed"]) for line in done}
     names = [only] if only else [name for name in SCENARIOS if not (postgresql and name == "record")]
     names += [TWO_STATIONS] if fault is Fault.KILL and not only else []
@@ -73,6 +79,7 @@ def main(
             done.append(line)
             print(f"{name:12s} seed {kill_seed}: {'ok' if is_good else 'LOST'}, {said} ({took_s:.1f} s)", flush=True)
     summarise(what, done)
+    this_run.write(results, figures(fault, done))
     if any(not line["good"] for line in done):
         raise SystemExit(1)
 
@@ -94,6 +101,32 @@ def runs(fault: Fault, *, postgresql: bool) -> Iterator[Callable[[str, int], str
             return run_once(name, scratch / "work", seed, database)
 
         yield run
+
+
+def figures(fault: Fault, done: list[dict[str, object]]) -> list[Figure]:
+    """How many lost nothing, and what the longest missing end of a recording was."""
+    name = {Fault.KILL: "kill -9 at a random moment", Fault.FULL: "disk full", Fault.READ_ONLY: "disk made read-only"}
+    good = sum(bool(line["good"]) for line in done)
+    found = [
+        share(
+            f"{name[fault]} while recording, saving, building, renaming, merging: nothing lost",
+            good,
+            len(done),
+            at_least=100,
+        )
+    ]
+    lost_s = [
+        float(match[1])
+        for line in done
+        if line["scenario"] == "record" and (match := re.match(r"([\d.]+) ", str(line["said"])))
+    ]
+    if lost_s:
+        found.append(
+            Figure(
+                f"{name[fault]}: most of a recording's end that was not written yet", max(lost_s), "s", of=len(lost_s)
+            )
+        )
+    return found
 
 
 def summarise(what: str, done: list[dict[str, object]]) -> None:

@@ -1,10 +1,10 @@
 """The current place in simulated flats: drives with a hijack in the middle, one room left unmapped.
 
     python -m benchmarks.bench_current_place [--world small] [--flats 3] [--drives 5] [--seed 0] [--out FILE.json]
-        [--figure FILE.png] [--from FILE.json …]
+        [--figure FILE.png] [--from FILE.json …] [--results FILE]
 
 `--figure` draws the calibration curve of the drives; `--from` takes them from what earlier runs left by `--out`, and
-drives nothing.
+drives nothing; no results are written then, since they would not be those of the present code.
 
 Stand-in: the map's keyframe poses and landmark depths are the simulator's (depths with 1 % noise), so that the
 figures are those of localisation and of the estimator, not of a SLAM backend. Drives, images, IMU, slip and hijacks are
@@ -27,7 +27,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.calibration_curve import calibration_bins, draw_calibration
+from benchmarks.result import Figure, Run, add_results_option, share
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
 from robot.simulation.config import Faults, SimulationConfig
@@ -49,6 +49,7 @@ from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.places.tracking.tracker import PlaceTracker
 from station.vision.features import FeatureExtractor, to_floats
+from tests.support.calibration_curve import calibration_bins, draw_calibration
 
 START_NS = 1_000_000_000
 KEYFRAME_M, KEYFRAME_RAD = 0.2, 0.2
@@ -176,7 +177,7 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
         frames.append(item)
     seen = np.bincount(landmark, minlength=len(points))
     keep = seen >= 2
-    number = np.cumsum(keep) - 1
+    new_number = np.cumsum(keep) - 1
     observed = keep[np.array(landmark)]
     t = np.array([f.t_robot_ns for f in frames])
     T_all = np.stack(poses)
@@ -193,7 +194,7 @@ def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: i
                 np.array(points)[keep],
                 np.full((count, 3), 128, np.uint8),
                 np.zeros((count, 3, 3)),
-                number[np.array(landmark)[observed]],
+                new_number[np.array(landmark)[observed]],
                 np.array(keyframe)[observed],
                 np.array(uv_all)[observed],
             ),
@@ -215,7 +216,7 @@ def flat_to_drive(
     world = make_world(name, flat)
     renderer = Renderer(world, calibration.camera, default_cache_dir())
     place_map = map_flat(world, renderer, calibration, flat, None if whole else unmapped_room(world))
-    return world, renderer, place_map, Localizer(place_map)
+    return world, renderer, place_map, Localizer([place_map])
 
 
 def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
@@ -251,9 +252,11 @@ def judge_drive(
     """One drive with a hijack; answers once per image."""
     robot = Robot(world, renderer, calibration, "second", seed)
     hijack = planned_hijack(world, robot, unmapped, seed)
-    tracker = PlaceTracker(place_map, calibration, localizer)
+    tracker = PlaceTracker([place_map], calibration, localizer)
     driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
-    rows, hijack_ns, noticed = [], None, None
+    rows: list[tuple[str, bool, float, bool, float | None, bool]] = []
+    hijack_ns: int | None = None
+    noticed: tuple[int, str, str] | None = None
     for item in robot.sense(hijack.at_s + 17.0, 0.4, (hijack.at_s, hijack.target)):
         if isinstance(item, ImuBatch):
             tracker.on_imu(item)
@@ -326,6 +329,28 @@ def summarise(drives: list[dict[str, Any]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def figures(drives: list[dict[str, Any]], summary: dict[str, Any]) -> list[Figure]:
+    """What is asked of the current place."""
+    rows = [r for d in drives for r in d["rows"]]
+    known = sum(r[3] and r[0] == "known" for r in rows)
+    to_mapped = sum(d["target"] == "mapped" for d in drives)
+    answers_after = sum(d["answers_after"] for d in drives)
+    mapped, unmapped = summary["answers_mapped"], summary["answers_unmapped"]
+
+    def part(what: str, key: str, of: int, **bound: float) -> Figure:
+        return share(what, (summary[key] or 0.0) * of, of, **bound)
+
+    return [
+        part("known in a mapped room: right", "precision_when_known", known, at_least=99),
+        part("answers in mapped rooms: known and right", "recall", mapped, at_least=85),
+        part("answers in a room that no map knows: unknown", "unmapped_unknown", unmapped, at_least=95),
+        Figure("expected calibration error", summary["expected_calibration_error"], at_most=0.05, of=known),
+        part("hijack noticed within 2 s", "hijacks_noticed_2s", len(drives), at_least=95),
+        part("right place within 10 s after a hijack to a mapped room", "right_within_10s", to_mapped, at_least=90),
+        part("known and wrong after a hijack", "wrong_known_after_hijack", answers_after, at_most=1),
+    ]
+
+
 def draw(drives: list[dict[str, Any]], path: Path) -> None:
     """The calibration curve: of answers "known" in mapped rooms, which the error in the summary is made of, and of all.
 
@@ -366,13 +391,17 @@ def main() -> None:
     parser.add_argument(
         "--from", dest="earlier", nargs="+", type=Path, help="draw and count earlier runs, drive nothing"
     )
+    add_results_option(parser, "current_place")
     a = parser.parse_args()
+    run = Run.begin()
     if a.earlier:
         drives = [drive for path in a.earlier for drive in json.loads(path.read_text())["drives"]]
     else:
         drives = drive_flats(a.world, range(a.seed, a.seed + a.flats), a.drives)
     summary = summarise(drives)
     print(json.dumps(summary, indent=1))
+    if not a.earlier:
+        run.write(a.results, figures(drives, summary))
     if a.out:
         a.out.write_text(json.dumps({"summary": summary, "drives": drives}))
     if a.figure:

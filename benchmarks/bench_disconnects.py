@@ -7,8 +7,8 @@ Robots with and without TLS, and pages' WebSockets to a station with a robot, ea
 cut, reset, stalled, half-open, dead, noisy, slow or late. All in one process, so that its tasks, threads, files,
 sockets and children can be counted before and after. Exit code 1 when a link was late or something is left.
 
-Every fault is a line of benchmarks/results/disconnects.jsonl; Ctrl-C (or SIGTERM) ends with the counts of what is left,
-and started again it goes on, with other moments and faults, until there were enough.
+Every fault is a line of a file; Ctrl-C (or SIGTERM) ends with the counts of what is left, and started again with the
+same code it goes on, with other moments and faults, until there were enough.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ import psutil
 import typer
 
 from benchmarks.disconnect_lines import LagMeter, Line, LinkLine, Return, disturb, link_line, page_line
-from tests.link_support import running_robot
-from tests.station_support import Film, running_station
+from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run, work_folder
+from tests.support.link import running_robot
+from tests.support.station import Film, running_station
 
 BACK_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 60.0  # the station pings a page that vanished, and gives it up within that
 REPORT_EVERY_S = 30.0
 MAX_POOL_THREADS = 32  # as concurrent.futures sets it
-RESULTS = Path(__file__).parent / "results" / "disconnects.jsonl"
 
 
 @dataclass
@@ -222,6 +222,18 @@ def summary(tally: Tally) -> str:
     )
 
 
+def figures(tally: Tally) -> list[Figure]:
+    """Ended connections, how soon they were back, and what was left of them."""
+    faults = len(tally.returns)
+    back_s = statistics.median(r.back_s for r in tally.returns) if tally.returns else None
+    late = f"connections back later than {BACK_WITHIN_S:g} s after their network, waits for a processor left out"
+    return [
+        Figure(late, len(tally.late), at_most=0, of=faults),
+        Figure("connection back, median", back_s, "s", of=faults),
+        Figure("kinds of things left behind: tasks, threads, files, sockets, …", len(tally.left), at_most=0, of=faults),
+    ]
+
+
 def table(tally: Tally) -> str:
     rows = ["| fault | of | times | ended a connection | back: median / longest s |", "| --- | --- | --- | --- | --- |"]
     groups = collections.defaultdict(list)
@@ -248,17 +260,22 @@ def main(
     links: Annotated[int, typer.Option(help="Robots with a station each; every second one by TLS.")] = 16,
     pages: Annotated[int, typer.Option(help="Pages, of one station.")] = 6,
     seed: Annotated[int, typer.Option(help="Of the moments and faults.")] = 1,
-    out: Annotated[Path, typer.Option(help="Results; what is in there counts.")] = RESULTS,
+    rows: Annotated[
+        Path | None, typer.Option(help="A line per fault; what is in there counts. Usually in benchmarks/results/work.")
+    ] = None,
+    results: Annotated[Path, typer.Option(help=RESULTS_HELP)] = FOLDER / "disconnects.json",
 ) -> None:
     """Run and print a table. Exit code 1 when a link was late or something is left."""
     if not disconnects and not minutes:
         raise typer.BadParameter("give --disconnects or --minutes: one of them must end it")
+    this_run = Run.begin()
     logging.disable(logging.CRITICAL)  # what garbage does to uvicorn is said by traceback
-    tally = Tally.of_file(out)
+    tally = Tally.of_file(rows or work_folder() / f"disconnects-{links}-{pages}-{seed}.jsonl")
     if not disconnects or tally.disconnects < disconnects:
         asyncio.run(run(tally, disconnects, minutes, links, pages, seed))
     print(table(tally))
     print(f"{summary(tally)}, in {tally.seconds:.0f} s of {tally.runs} runs")
+    this_run.write(results, figures(tally))
     for back in tally.late:
         print(f"LATE: {back}")
     for what in tally.left:

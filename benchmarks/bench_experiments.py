@@ -3,11 +3,12 @@ what geometry and appearance give alone.
 
     python -m benchmarks.bench_experiments [--seeds 30] [--first-seed 0] [--only I II III kitchen kitchen-little]
         [--modes default geometry appearance thesis] [--eps 0.5 1.5] [--hours 1.0] [--work FOLDER]
-        [--data ../shared/data] [--summary]
+        [--data ../shared/data] [--summary] [--results FILE]
 
-Can be ended at any moment and started again: every world's navigations and results are files in the work folder, and
-what is there is not made again. `--hours` begins no further world after that time. `--summary` only prints the table
-of what is there. All modes see the same two navigations (the preset's backend, one thread, the world's seed).
+Can be ended at any moment and started again: every world's navigations and results are files in the work folder
+(usually in benchmarks/results/work), and what is there is not made again by the same code. `--hours` begins no further
+world after that time. `--summary` only prints the table of what is there. All modes see the same two navigations (the
+preset's backend, one thread, the world's seed).
 `geometry` and `appearance` are the default mode with the clouds or the images as its only ground for a registration;
 they may be added later to worlds that are there, at the price of the matching alone. What two navigations share is made
 once: III's first navigation is II's, and I's second is the beginning of its first. `--eps` also matches with the
@@ -30,8 +31,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.places import changed_share
+from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
-from station.commands.experiment import reconstruct, say
+from station.commands.experiment import reconstruct
 from station.datasets import Dataset, Truth
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
@@ -50,13 +52,30 @@ MODES = {  # by name: what is otherwise than in the default configuration
     "appearance": PlacesConfig(align_by="appearance"),
     "thesis": PlacesConfig(mode="thesis"),
 }
-KITCHEN = {  # thesis numbers that gave clusters at all on this cloud, tried by hand (docs/results.md)
+KITCHEN = {
     "kitchen": (FrameRange(0, 398), FrameRange(500, 698)),
     "kitchen-little": (FrameRange(0, 198), FrameRange(200, 398)),
 }
+# Numbers with which the thesis' method finds any clusters in this cloud, tried by hand.
 KITCHEN_THESIS = ThesisConfig(eps=0.05, min_pts=20, inlier_ratio=0.6)
 SETS = (*PRESETS, *KITCHEN)
 SAME_FIRST_DRIVE = {"III": "II"}
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What is asked of a set: the matches that are right and the co-visible places found, in percent, and the index."""
+
+    right: float | None = None
+    found: float | None = None
+    rand: float | None = None
+
+
+BOUNDS = {
+    **dict.fromkeys(PRESETS, Bounds(right=95, found=85, rand=0.8)),
+    "kitchen": Bounds(right=95, found=70),
+    "kitchen-little": Bounds(right=100),  # where little overlaps no match may be wrong
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +133,7 @@ def _open_navigation(preset: Preset, number: int, folder: Path) -> Input:
         return Input(path, load_navigation(navigation), open_truth(path))
     if not (path / "mav0" / "cam0" / "data").is_dir():
         shutil.rmtree(path, ignore_errors=True)
-    return open_input(make_dataset(preset.navigations[number], path, say), preset.frames[number], None)
+    return open_input(make_dataset(preset.navigations[number], path), preset.frames[number], None)
 
 
 def _take_first_navigation(other: Path, folder: Path) -> None:
@@ -146,7 +165,7 @@ def _reconstruct_with_prefix(
                 if child == 0:
                     is_copy = True
                     return
-                os.waitpid(child, 0)  # waited for: what is put on the shelf is shared
+                os.waitpid(child, 0)  # waited for: what is spilled is shared
                 has_branched = True
             yield event
 
@@ -227,15 +246,48 @@ def summarise(results: dict[int, dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def results_in(work: Path, name: str, mode: str) -> dict[int, dict[str, Any]]:
+    """The results of one set in one mode that are there, by their seeds."""
+    files = sorted(work.glob(f"{name}_*/{mode}.json"), key=lambda path: _seed_of(path.parent))
+    return {_seed_of(path.parent): json.loads(path.read_text()) for path in files}
+
+
+def figures(work: Path, seeds: range) -> list[Figure]:
+    """What is asked of the default mode in each set, and what the thesis mode reaches beside it."""
+    found: list[Figure] = []
+    duplicates = places = 0
+    for name in SETS:
+        for mode in ("default", "thesis"):
+            rows = [row for seed, row in results_in(work, name, mode).items() if seed in seeds]
+            if not rows:
+                continue
+            bounds = BOUNDS[name] if mode == "default" else Bounds()
+            correct = [m["correct"] for row in rows for m in row["matches"] if m["correct"] is not None]
+            co_visible = [len(row["co_visible"] or []) for row in rows]
+            seen = sum((row["recall"] or 0.0) * n for row, n in zip(rows, co_visible, strict=True))
+            title = f"{name}, {mode} mode, {len(rows)} worlds"
+            found.append(share(f"{title}: matches that are right", sum(correct), len(correct), at_least=bounds.right))
+            found.append(share(f"{title}: co-visible places found", seen, sum(co_visible), at_least=bounds.found))
+            if mode == "default":
+                rand = [row["adjusted_rand_index"] for row in rows if row["adjusted_rand_index"] is not None]
+                median = float(np.median(rand)) if rand else None
+                found.append(
+                    Figure(f"{title}: adjusted Rand index, median", median, at_least=bounds.rand, of=len(rand))
+                )
+                duplicates += sum(row["duplicate_places"] or 0 for row in rows)
+                places += sum(row["places"] for row in rows)
+    return [*found, share("places that are duplicates, default mode, all sets", duplicates, places, at_most=5)]
+
+
 def print_summary(work: Path) -> None:
     """The table of everything that is there, as Markdown."""
     header: list[str] = []
     for name in SETS:
         for mode in MODES:
-            files = sorted(work.glob(f"{name}_*/{mode}.json"), key=lambda path: _seed_of(path.parent))
-            if not files:
+            results = results_in(work, name, mode)
+            if not results:
                 continue
-            row = summarise({_seed_of(path.parent): json.loads(path.read_text()) for path in files})
+            row = summarise(results)
             if not header:
                 header = list(row)
                 print("| set | mode | " + " | ".join(header) + " |")
@@ -263,16 +315,19 @@ def main() -> None:
     parser.add_argument("--modes", nargs="*", default=["default", "thesis"], choices=MODES)
     parser.add_argument("--eps", nargs="*", type=float, default=[], help="factors on the default mode's reach")
     parser.add_argument("--hours", type=float, default=float("inf"))
-    parser.add_argument("--work", type=Path, default=Path("benchmarks/results/experiments"))
+    parser.add_argument("--work", type=Path, help="where worlds are kept; usually in benchmarks/results/work")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--summary", action="store_true")
+    add_results_option(parser, "experiments")
     a = parser.parse_args()
+    run = Run.begin()
+    work = a.work or work_folder() / "experiments"
     study = Study(tuple(mode for mode in MODES if mode in a.modes), tuple(a.eps))
     begun = time.monotonic()
     # Seed by seed through all sets, so that an early end leaves some worlds of each.
     worlds = [(name, seed) for seed in range(a.first_seed, a.first_seed + a.seeds) for name in a.only]
     for name, seed in () if a.summary else worlds:
-        folder = a.work / f"{name}_{seed}"
+        folder = work / f"{name}_{seed}"
         if study.is_done(folder) or (name in KITCHEN and seed > a.first_seed):  # the kitchen is one world
             continue
         if time.monotonic() - begun > 3600 * a.hours:
@@ -280,7 +335,9 @@ def main() -> None:
         start = time.monotonic()
         run_world(name, seed, a.data, folder, study)
         print(f"{name} {seed}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-    print_summary(a.work)
+    print_summary(work)
+    if not a.summary:
+        run.write(a.results, figures(work, range(a.first_seed, a.first_seed + a.seeds)))
 
 
 if __name__ == "__main__":

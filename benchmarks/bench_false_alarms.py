@@ -1,6 +1,6 @@
 """False alarms: plain driving in simulated flats, all rooms mapped, also with a covered lens, other light, a person.
 
-    python -m benchmarks.bench_false_alarms [--flats 6] [--seed 250] [--drives 2] [--out FILE.json]
+    python -m benchmarks.bench_false_alarms [--flats 6] [--seed 250] [--drives 2] [--out FILE.json] [--results FILE]
 
 Nobody touches the robot, so that every hijack event is a false alarm; what the current place says meanwhile is judged
 as in `bench_current_place` (its stand-in for a map, too). Conditions, each for whole drives: `plain`; `lens`, covered
@@ -19,6 +19,7 @@ from typing import Any
 import cv2
 
 from benchmarks.bench_current_place import START_NS, Robot, flat_to_drive, no_faults, right_places
+from benchmarks.result import Figure, Run, add_results_option, share
 from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
@@ -45,7 +46,7 @@ def undisturbed_drive(
     """One drive to its end, at most 2 minutes; answers once per image."""
     assert calibration.camera is not None
     robot = Robot(world, renderer, calibration, "second" if seed % 2 else "tour", seed)
-    tracker = PlaceTracker(place_map, calibration, localizer)
+    tracker = PlaceTracker([place_map], calibration, localizer)
     states = {"known": 0, "unknown": 0, "lost": 0}
     alarms, wrong, seconds = [], 0, 0.0
     for item in robot.sense(120.0, 0.4, None, CONDITIONS[condition]):
@@ -81,13 +82,27 @@ def summarise(drives: list[dict[str, Any]]) -> dict[str, Any]:
     return summary
 
 
+def figures(drives: list[dict[str, Any]]) -> list[Figure]:
+    """The claims; a lens, light or person in the picture counts like plain driving."""
+    minutes = sum(d["seconds"] for d in drives) / 60
+    known = sum(d["states"]["known"] for d in drives)
+    right = known - sum(d["wrong_known"] for d in drives)
+    conditions = "driving plainly, with a covered lens, changing light, a person"
+    return [
+        Figure(f"false hijack alarms in {minutes:.0f} minutes, {conditions}", sum(len(d["alarms"]) for d in drives)),
+        share(f"right when known, {conditions}", right, known),
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flats", type=int, default=6)
     parser.add_argument("--seed", type=int, default=250)
     parser.add_argument("--drives", type=int, default=2, help="of each condition in each flat")
     parser.add_argument("--out", type=Path, default=None)
+    add_results_option(parser, "false_alarms")
     a = parser.parse_args()
+    run = Run.begin()
     cv2.setNumThreads(1)
     calibration = simulated_calibration(SimulationConfig())
     drives: list[dict[str, Any]] = []
@@ -98,6 +113,7 @@ def main() -> None:
                 drives.append(undisturbed_drive(world, renderer, calibration, place_map, localizer, condition, drive))
                 print(json.dumps(drives[-1]), flush=True)
     print(json.dumps(summarise(drives), indent=1))
+    run.write(a.results, figures(drives))
     if a.out:
         a.out.write_text(json.dumps({"summary": summarise(drives), "drives": drives}))
 

@@ -1,6 +1,7 @@
 """Ten robots on one station: nothing inertial lost, quick answers, flat memory, and a SLAM worker killed every 20 s.
 
     python -m benchmarks.bench_fleet [--robots 10] [--minutes 10] [--backend sfm] [--drive FOLDER] [--json FILE]
+        [--results FILE]
 
 Everything runs on this machine: robot-server programs that play one simulated drive in a loop (5 fps, 225 Hz IMU), the
 station with a map active and a drive being recorded for each robot, and the asker. Needs Linux (worker names in /proc).
@@ -25,16 +26,18 @@ import httpx
 import numpy as np
 import psutil
 
+from benchmarks.result import Figure, Run, add_results_option
 from station.maps.store import MapStore
 from station.workers.executors.processes import ProcessExecutor
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 FPS, DRIVE_S = 5, 60
 WARM_UP_S = 30.0  # workers start, queues of SLAM fill
 ALL_LOCATE_WITHIN_S = 240.0  # one robot's worker makes the index of the map first; answers are dear from then on
 KILL_EVERY_S, MEMORY_EVERY_S, ASK_EVERY_S = 20.0, 10.0, 0.05
 LOST = "SLAM was lost"
+ANSWER_WITHIN_MS, BACK_WITHIN_S = 50.0, 3.0  # asked
 
 
 @dataclass
@@ -247,7 +250,9 @@ def main() -> None:
     parser.add_argument("--backend", default="sfm")
     parser.add_argument("--drive", type=Path, help="folder of the simulated drive; made when it is not there")
     parser.add_argument("--json", type=Path, help="the result so far, all the time")
+    add_results_option(parser, "fleet")
     options = parser.parse_args()
+    run = Run.begin()
 
     def keep(result: Result) -> None:
         if options.json:
@@ -256,6 +261,25 @@ def main() -> None:
     result = bench(options.robots, options.minutes * 60, options.backend, options.drive, keep)
     keep(result)
     print(json.dumps(asdict(result), indent=1))
+    run.write(options.results, figures(result))
+
+
+def figures(result: Result) -> list[Figure]:
+    """What is asked of a station with many robots."""
+    fleet = f"{result.robots} robots"
+    minutes = max(result.seconds / 60, 1e-9)
+    grown_mb = (result.station_mb[-1] - result.station_mb[0]) / minutes if result.station_mb else None
+    lost = result.imu_lost + len(result.imu_lost_to_workers)
+    return [
+        Figure(f"{fleet}: IMU samples lost, by the link and by SLAM", lost, at_most=0, of=result.imu),
+        Figure(f"{fleet}: current place asked over HTTP, 95 %", result.latency_ms.get("p95"), "ms", ANSWER_WITHIN_MS),
+        Figure(
+            f"{fleet}: SLAM back after its worker was killed, longest",
+            max(result.back_after_s, default=None), "s", BACK_WITHIN_S, of=len(result.back_after_s),
+        ),
+        Figure(f"{fleet}: errors in logs of robots that were not hurt", len(result.errors_of_others), at_most=0),
+        Figure(f"{fleet}: growth of the station's memory", grown_mb, "MB a minute"),
+    ]  # fmt: skip
 
 
 if __name__ == "__main__":

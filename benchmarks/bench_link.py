@@ -2,7 +2,7 @@
 
 Three runs: steady; a station that stalls for 5 s; a link that is cut ten times while the robot is driven.
 
-    python benchmarks/bench_link.py --minutes 10
+    python -m benchmarks.bench_link --minutes 10
 """
 
 from __future__ import annotations
@@ -24,15 +24,18 @@ import numpy as np
 import psutil
 import typer
 
+from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.robots.link import LinkState, RobotLink
+from station.robots.link import RobotLink
+from station.robots.link_state import LinkState
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 FRAME_RATE_HZ, IMU_RATE_HZ, LOOP_S = 30, 225, 10
 WARM_UP_S = 12.0  # longer than the loop: all pictures are in the robot's cache then
 STALL_S = 5.0
 STALE_MS = 250.0
 CUTS, CONNECTED_S, CUT_S = 10, 2.5, 1.5
+BACK_WITHIN_MS = 2000.0  # asked
 
 
 def write_dataset(root: Path) -> None:
@@ -137,6 +140,7 @@ class Row:
     cpu_s_per_min: float
     memory_mb: tuple[float, float]
     remark: str
+    figures: tuple[Figure, ...] = ()  # what only this run measures
 
     def __str__(self) -> str:
         p50, p99, worst = np.percentile([latency for _, latency in self.frames], [50, 99, 100])
@@ -199,6 +203,7 @@ async def run_plain(dataset: Path, seconds: float, does_stall: bool) -> Row:
         listener.begin_ns = begin_ns = time.monotonic_ns()
         cpu_begin_s, memory_begin = cpu_s(process), megabytes(process)
         remark = ""
+        figures: tuple[Figure, ...] = ()
         if does_stall:
             await asyncio.sleep(seconds / 2)
             seen, skipped = len(listener.frames), link.state.frames_skipped
@@ -207,9 +212,11 @@ async def run_plain(dataset: Path, seconds: float, does_stall: bool) -> Row:
             await asyncio.sleep(max(1.0, seconds / 2 - STALL_S))
             stale = [t for t, latency in listener.frames[seen:] if latency > STALE_MS]
             fresh_ns = next(t for t, latency in listener.frames[seen:] if latency <= STALE_MS)
+            fresh_ms = (fresh_ns - awake_ns) * 1e-6
+            figures = (Figure(f"first fresh picture after the station stood still for {STALL_S:g} s", fresh_ms, "ms"),)
             remark = (
                 f"{link.state.frames_skipped - skipped} frames skipped, {link.state.connections - 1} reconnections;"
-                f" {len(stale)} stale frames, the first fresh one {(fresh_ns - awake_ns) * 1e-6:.0f} ms after the stall"
+                f" {len(stale)} stale frames, the first fresh one {fresh_ms:.0f} ms after the stall"
             )
         else:
             await asyncio.sleep(seconds)
@@ -222,6 +229,7 @@ async def run_plain(dataset: Path, seconds: float, does_stall: bool) -> Row:
             (cpu_s(process) - cpu_begin_s) * 60 / lasted_s,
             (memory_begin, megabytes(process)),
             remark,
+            figures,
         )
 
 
@@ -265,6 +273,11 @@ async def run_cut(dataset: Path) -> Row:
                 (cpu_s(process) - cpu_begin_s) * 60 / lasted_s,
                 (memory_begin, megabytes(process)),
                 remark,
+                (
+                    Figure("link cut while driving: motors stopped after, longest", max(stop_ms), "ms", of=CUTS),
+                    Figure("link cut while driving: motors moved before it was back", moved, at_most=0, of=CUTS),
+                    Figure("link back after its network was, longest", max(back_ms), "ms", BACK_WITHIN_MS, of=CUTS),
+                ),
             )
         wire.cut()
         return row
@@ -272,15 +285,17 @@ async def run_cut(dataset: Path) -> Row:
 
 async def hold_joystick(link: RobotLink) -> None:
     while True:
-        link.drive(0.2, 0.0, 250)
+        link.commands.drive(0.2, 0.0, 250)
         await asyncio.sleep(0.05)
 
 
 def main(
     minutes: Annotated[float, typer.Option(help="Length of the steady run.")] = 0.5,
     stall_minutes: Annotated[float, typer.Option(help="Length of the run with the stall.")] = 0.5,
+    results: Annotated[Path, typer.Option(help=RESULTS_HELP)] = FOLDER / "link.json",
 ) -> None:
     """Run all three and print the table."""
+    this_run = Run.begin()
     logging.basicConfig(level=logging.ERROR)
     with tempfile.TemporaryDirectory() as folder:
         dataset = Path(folder)
@@ -299,7 +314,18 @@ def main(
         ):
             rows.append(asyncio.run(run))
             print(rows[-1], flush=True)
-    if any(row.state.imu_lost for row in rows):
+    samples, lost = sum(row.state.imu_samples for row in rows), sum(row.state.imu_lost for row in rows)
+    latency_ms = float(np.percentile([latency for _, latency in rows[0].frames], 99))
+    steady = f"steady link at {FRAME_RATE_HZ} pictures and {IMU_RATE_HZ} IMU samples a second"
+    this_run.write(
+        results,
+        [
+            Figure("IMU samples lost: steady, with a stalled station, with a cut link", lost, at_most=0, of=samples),
+            Figure(f"{steady}: sensor to station, 99 %", latency_ms, "ms", of=len(rows[0].frames)),
+            *(figure for row in rows for figure in row.figures),
+        ],
+    )
+    if lost:
         sys.exit("IMU samples were lost")
 
 

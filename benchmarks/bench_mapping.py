@@ -1,6 +1,6 @@
 """How good is a backend's map for places? Maps simulated flats, then looks for the pictures of a second drive in it.
 
-    python -m benchmarks.bench_mapping --backend ukf --seeds 101-106 [--scratch DIR] [--step 1] [--out FILE.jsonl]
+    python -m benchmarks.bench_mapping --backend ukf --seeds 101-106 [--scratch DIR] [--step 1] [--rows FILE.jsonl]
 
 Per seed, as in the demo but without waiting for the clock: the mapping route through a flat of world `small`, the map
 and its places, then 30 s of another route from a random spot, its pictures localised four times a second. Drives
@@ -8,7 +8,8 @@ are rendered where they are missing, with all imperfections on. The truth only j
 and yaw; `localised`: share of the second drive's pictures with a verified pose; `position_m`: error of those poses
 (median, 90 %, worst) after the map was laid on the truth; `right`: answers "known" that name the nearest place, ties
 within 10 %.
-One JSON line per seed, failures too; seeds that FILE already has are left out, so an interrupted run can go on.
+One JSON line per seed, failures too; seeds that FILE (usually in benchmarks/results/work) already has are not run
+again, so an interrupted run can go on.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, transform
 from station.config import BACKENDS
@@ -101,7 +103,7 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
     camera = data.calibration.camera
     assert camera is not None
     shift_ns = round(1e9 * camera.time_shift_s)
-    tracker = PlaceTracker(place_map, data.calibration, Localizer(place_map))
+    tracker = PlaceTracker([place_map], data.calibration, Localizer([place_map]))
     live = make_backend(backend, data.calibration, 0, 1) if backend == "ukf" else None  # gives the odometry
     centroids = {p.id: transform(T_truth_map, p.centroid_map[None])[0] for p in place_map.places}
     looked = localised = 0
@@ -188,26 +190,51 @@ def main() -> int:
     parser.add_argument("--seeds", default="101-106")
     parser.add_argument("--world", default="small")
     parser.add_argument("--step", type=int, default=1, help="use every step-th picture of the mapping drive")
-    parser.add_argument("--scratch", type=Path, default=Path("benchmarks/results/drives"))
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--scratch", type=Path, help="where drives are kept; usually in benchmarks/results/work")
+    parser.add_argument("--rows", type=Path)
+    add_results_option(parser, "mapping")
     arguments = parser.parse_args()
-    arguments.scratch.mkdir(parents=True, exist_ok=True)
-    known = set()
-    if arguments.out and arguments.out.exists():
-        rows = [json.loads(line) for line in arguments.out.read_text().splitlines()]
-        known = {(r["world"], r["seed"], r["backend"], r["step"]) for r in rows}
-    failed = 0
+    run = Run.begin()
+    scratch = arguments.scratch or work_folder() / "drives"
+    scratch.mkdir(parents=True, exist_ok=True)
+    kept = arguments.rows or work_folder() / "mapping.jsonl"
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    known = {(r["world"], r["seed"], r["backend"], r["step"]): r for r in lines}
+    rows = []
     for seed in parse_seeds(arguments.seeds):
         for backend in arguments.backend or ["ukf"]:
-            if (arguments.world, seed, backend, arguments.step) in known:
-                continue
-            row = run_seed(seed, arguments.world, backend, arguments.step, arguments.scratch)
-            failed += "failed" in row
-            print(json.dumps(row, default=str), flush=True)
-            if arguments.out:
-                with arguments.out.open("a") as file:
+            row = known.get((arguments.world, seed, backend, arguments.step))
+            if row is None:
+                row = run_seed(seed, arguments.world, backend, arguments.step, scratch)
+                with kept.open("a") as file:
                     file.write(json.dumps(row, default=str) + "\n")
-    return 1 if failed else 0
+            print(json.dumps(row, default=str), flush=True)
+            rows.append(row)
+    run.write(arguments.results, figures(rows))
+    return 1 if any("failed" in row for row in rows) else 0
+
+
+def figures(rows: list[dict[str, Any]]) -> list[Figure]:
+    """Of each backend's maps: how true they are, and what a second drive gets from them."""
+    found = []
+    for backend in dict.fromkeys(row["backend"] for row in rows):
+        mine = [row for row in rows if row["backend"] == backend]
+        good = [row for row in mine if "failed" not in row]
+        title = f"map by {backend}, {len(mine)} flats"
+        errors = [row["ate_m"] for row in good]
+        known = sum(row["right"] + row["wrong"] for row in good)
+        looked = sum(row["looked"] for row in good)
+        found += [
+            Figure(f"{title}: error of its path, worst", max(errors, default=None), "m", of=len(good)),
+            share(
+                f"{title}: pictures of a second drive localised",
+                sum(r["localised"] * r["looked"] for r in good),
+                looked,
+            ),
+            share(f"{title}: answers of a second drive that are known: right", sum(r["right"] for r in good), known),
+        ]
+    return found
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python -m benchmarks.bench_openapi [--examples 100] [--seed 1]
 
 No 5xx but a documented refusal, no answer that the document does not have, no wrong value taken for a right one.
-Exit code 0 when nothing was found. Result on stdout and in benchmarks/results/openapi.json.
+Exit code 0 when nothing was found.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from tests.integration.test_station import at_work  # noqa: E402
-from tests.openapi_support import ask_everything, furnish  # noqa: E402
+from benchmarks.result import Figure, Run, add_results_option
+from tests.support.openapi import ask_everything, furnish
+from tests.support.station_at_work import at_work
 
 
 async def run(examples: int, seed: int) -> dict[str, Any]:
@@ -47,12 +45,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--examples", type=int, default=100, help="of right and of wrong values, each, per call")
     parser.add_argument("--seed", type=int, default=1)
+    add_results_option(parser, "openapi")
     options = parser.parse_args()
+    this_run = Run.begin()
     result = asyncio.run(run(options.examples, options.seed))
-    path = ROOT / "benchmarks" / "results" / "openapi.json"
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps(result, indent=1))
+    what = f"answers that break the API's document, of {result['calls']} calls with right and wrong values"
+    this_run.write(options.results, [Figure(what, len(result["found"]), at_most=0, of=result["questions"])])
     sys.exit(1 if result["found"] else 0)
 
 

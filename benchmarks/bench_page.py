@@ -1,6 +1,6 @@
 """How quick is the page: drive event to motor command, capture to canvas, with video, SLAM and a growing cloud.
 
-python benchmarks/bench_page.py [--seconds 30]          (make bench-page)
+python -m benchmarks.bench_page [--seconds 30] [--results FILE]          (make bench-page)
 
 A robot-server with pushed devices (30 fps, IMU) runs here, the station in a process of its own, the page in headless
 Chromium with software rendering. SLAM is made up: it costs 10 ms a frame and sends 50,000 points, then 500 a second.
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import json
 import os
 import shutil
 import socket
@@ -23,28 +22,24 @@ import urllib.request
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from playwright.async_api import Browser, Page, async_playwright
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from playwright.async_api import Browser, Page, async_playwright  # noqa: E402
-
-from benchmarks.page_cloud import measure_first_paint, measure_orbit  # noqa: E402
-from robot.devices.ports import CapturedFrame  # noqa: E402
-from shared.calibration import Calibration  # noqa: E402
-from station.model.frames import ImageFrame  # noqa: E402
-from station.model.slam_update import SlamUpdate  # noqa: E402
-from tests.link_support import Bench, running_robot, until  # noqa: E402
-from tests.made_up_workers import StraightSlam  # noqa: E402
-from tests.station_support import picture  # noqa: E402
+from benchmarks.page_cloud import measure_first_paint, measure_orbit
+from benchmarks.result import Figure, Run, add_results_option, share
+from robot.devices.ports import CapturedFrame
+from shared.calibration import Calibration
+from station.model.frames import ImageFrame
+from station.model.slam_update import SlamUpdate
+from tests.support.link import Bench, running_robot, until
+from tests.support.made_up_workers import StraightSlam
+from tests.support.paths import ROOT
+from tests.support.station import picture
 
 FRAME_S = 1 / 30
-RESULT = ROOT / "benchmarks" / "results" / "page.json"
 CHROMIUM_ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
@@ -112,6 +107,7 @@ class Spread:
 def stamped(number: int) -> bytes:
     """A JPEG whose top left corner says its number, modulo STAMPS."""
     image = cv2.imdecode(np.frombuffer(picture(number % 10), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
     for cell in range(7):
         image[:16, 16 * cell : 16 * (cell + 1)] = 255 * (number >> cell & 1)
     return cv2.imencode(".jpg", image)[1].tobytes()
@@ -157,7 +153,11 @@ async def measure_drive(page: Page, bench: Bench, presses: int) -> tuple[list[fl
 
 async def run(seconds: float) -> dict[str, Any]:
     """Both parts, one after the other: each with a robot, a station and a browser of its own."""
-    return await _with_station("benchmarks.bench_page:BusySlam", lambda *desk: _measure(*desk, seconds)) | {
+
+    async def measure(address: str, bench: Bench, captured: dict[int, float]) -> dict[str, Any]:
+        return await _measure(address, bench, captured, seconds)
+
+    return await _with_station("benchmarks.bench_page:BusySlam", measure) | {
         "cloud_200k": await _with_station("benchmarks.page_cloud:LargeCloud", _measure_cloud)
     }
 
@@ -286,11 +286,31 @@ def table(result: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30.0)
+    add_results_option(parser, "page")
+    options = parser.parse_args()
+    this_run = Run.begin()
     before = {"load_before": round(os.getloadavg()[0], 1), "page_mb": page_weight_mb()}
-    result = asyncio.run(run(parser.parse_args().seconds)) | before
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(result, indent=1) + "\n")
+    result = asyncio.run(run(options.seconds)) | before
     print(table(result))
+    this_run.write(options.results, figures(result))
+
+
+def figures(result: dict[str, Any]) -> list[Figure]:
+    """What is asked of the page."""
+    drive, video, cloud = result["drive_event_to_motor_ms"], result["capture_to_canvas_ms"], result["cloud_200k"]
+    first, refused = cloud["first"], result["refused_for_stale_video"]
+    paint_ms = max(first["place_ms"], first["picture_ms"])
+    return [
+        Figure("drive event in the page to motor command, median", drive["p50"], "ms", 5, of=drive["count"]),
+        Figure("drive event in the page to motor command, 99 %", drive["p99"], "ms", 25, of=drive["count"]),
+        share("presses refused for a picture that was too old", refused, drive["count"] + refused),
+        Figure("capture to the page's canvas, median", video["p50"], "ms", 40, of=video["count"]),
+        Figure("capture to the page's canvas, 99 %", video["p99"], "ms", 120, of=video["count"]),
+        Figure("pictures drawn", result["frames_per_s"], "/s", at_least=20),
+        Figure("redraws while 200,000 points are turned", cloud["orbit"]["redraws_per_s"], "/s", at_least=10),
+        Figure("first useful paint: place and picture", paint_ms, "ms", 1500),
+        Figure("page without pictures, uncompressed", result["page_mb"], "MB", 1.5),
+    ]
 
 
 if __name__ == "__main__":

@@ -1,14 +1,15 @@
 """Registration of random pairs of SfM-like clouds from furnished flats: success, false accepts, times, beside others.
 
     python -m benchmarks.bench_registration [--pairs 200] [--seeds test|train] [--set known|free|low|mis-scaled ...]
-                                            [--baselines] [--rows FILE.jsonl] [--out FILE.json]
+                                            [--baselines] [--rows FILE.jsonl] [--results FILE]
 
 Training seeds (0..999) were used to develop and to set thresholds; test seeds (10 000 ...) only to report. Every seed
 is another flat. Half of the pairs (odd seeds) share landmarks between the drives, as feature detectors do; the other
 half share surfaces only. Success: accepted and within 2 degrees, 5 cm (at the source's middle) and 1 % of scale.
 In the set "mis-scaled" the scale is said to be known and the source is 2 to 5 % too large or small: every accept is a
 false one.
-`--rows` keeps every pair as it is done, and goes on from there: of one version of the code only.
+Every pair is a line of a file (`--rows`; usually in benchmarks/results/work); started again with the same code it goes
+on where it ended.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.registration_clouds import CloudPair, make_pair
-from shared.geometry import FloatArray, so3_log
-from station.places.registration import register_clouds
+from benchmarks.result import Figure, Run, add_results_option, share, work_folder
+from shared.geometry import FloatArray, rotation_of, scale_of, so3_log, transform
 from station.places.registration.gicp import align_gicp
 from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.register import register_clouds
+from tests.support.registration_clouds import CloudPair, make_pair
 
 SETS: dict[str, dict[str, Any]] = {
     "known": {"overlap": (0.5, 1.0)},
@@ -37,6 +39,16 @@ SETS: dict[str, dict[str, Any]] = {
     "different-free": {"overlap": (0.5, 1.0), "same_flat": False, "scale_range": 0.2},
     "mis-scaled": {"overlap": (0.5, 1.0), "unit_error": (0.02, 0.05)},
 }
+TITLES = {
+    "known": "clouds of one flat, scale known",
+    "free": "clouds of one flat, scale free within 20 %",
+    "low": "clouds that overlap by 30 to 50 %, scale known",
+    "different": "clouds of two flats, scale known",
+    "different-free": "clouds of two flats, scale free within 20 %",
+    "mis-scaled": "scale wrong by 2 to 5 % but said to be known",
+}
+SUCCESS_PERCENT = {"known": 95.0, "free": 90.0}  # asked; of little overlap nothing is
+FALSE_ACCEPT_PERCENT, REJECTED_PERCENT = 1.0, 99.0  # asked
 UNIT_ERRORS = (0.02, 0.035, 0.05)  # what is reported by itself: up to the second, and beyond it
 FIRST_SEED = {"train": 0, "test": 10_000}
 
@@ -45,11 +57,10 @@ def errors(T: FloatArray, pair: CloudPair) -> tuple[float, float, float]:
     """Degrees, metres at the source's middle, relative scale."""
     T_true = pair.T_target_source
     assert T_true is not None
-    scale, scale_true = np.cbrt(np.linalg.det(T[:3, :3])), np.cbrt(np.linalg.det(T_true[:3, :3]))
-    turn = so3_log((T[:3, :3] / scale) @ (T_true[:3, :3] / scale_true).T)
-    at = np.median(pair.source, axis=0)
-    shift = (T - T_true)[:3, :3] @ at + (T - T_true)[:3, 3]
-    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), float(abs(scale / scale_true - 1))
+    turn = so3_log(rotation_of(T) @ rotation_of(T_true).T)
+    shift = transform(T - T_true, np.median(pair.source, axis=0))
+    growth = abs(scale_of(T) / scale_of(T_true) - 1)
+    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), growth
 
 
 def is_right(e: tuple[float, float, float]) -> bool:
@@ -67,7 +78,7 @@ def run_pair(name: str, seed: int, points: tuple[int, int]) -> dict[str, Any]:
         e = errors(result.T_target_source, pair)
     unit_error = None
     if "unit_error" in SETS[name] and pair.T_target_source is not None:
-        unit_error = float(1 / np.cbrt(np.linalg.det(pair.T_target_source[:3, :3])) - 1)
+        unit_error = 1 / scale_of(pair.T_target_source) - 1
     return {
         "set": name,
         "seed": seed,
@@ -119,10 +130,11 @@ def _by_unit_error(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def run_set(name: str, seeds: range, points: tuple[int, int], kept: Path | None) -> dict[str, Any]:
-    """Our registration on one set; pairs that `kept` has already are not run again."""
+def run_set(name: str, seeds: range, points: tuple[int, int], kept: Path) -> list[dict[str, Any]]:
+    """Our registration on one set, in the order of the seeds; pairs that `kept` has already are not run again."""
     rows: list[dict[str, Any]] = []
-    if kept is not None and kept.exists():
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    if kept.exists():
         rows = [json.loads(line) for line in kept.read_text().splitlines()]
         rows = [r for r in rows if r["set"] == name and r["seed"] in seeds and r["points"] == list(points)]
     done = {r["seed"] for r in rows}
@@ -130,10 +142,24 @@ def run_set(name: str, seeds: range, points: tuple[int, int], kept: Path | None)
         if seed in done:
             continue
         rows.append(run_pair(name, seed, points))
-        if kept is not None:
-            with kept.open("a") as out:
-                out.write(json.dumps(rows[-1]) + "\n")
-    return summarise(sorted(rows, key=lambda r: int(r["seed"])))
+        with kept.open("a") as out:
+            out.write(json.dumps(rows[-1]) + "\n")
+    return sorted(rows, key=lambda r: int(r["seed"]))
+
+
+def figures(name: str, rows: list[dict[str, Any]]) -> list[Figure]:
+    """What is asked of one set: that right pairs are found and accepted, and nothing else is."""
+    title, n = TITLES[name], len(rows)
+    accepted = sum(r["accepted"] for r in rows)
+    right = sum(r["accepted"] and r["right"] for r in rows)
+    if name in ("different", "different-free"):
+        return [share(f"{title}: rejected", n - accepted, n, at_least=REJECTED_PERCENT)]
+    false_accepts = share(f"{title}: accepted though wrong", accepted - right, n, at_most=FALSE_ACCEPT_PERCENT)
+    if name == "mis-scaled":
+        return [false_accepts]
+    found = share(f"{title}: accepted and right", right, n, at_least=SUCCESS_PERCENT.get(name))
+    cpu_s = float(np.median([r["cpu_s"] for r in rows]))
+    return [found, false_accepts, Figure(f"{title}: CPU, median", cpu_s, "s", of=n)]
 
 
 def gicp_from_identity(pair: CloudPair) -> FloatArray | None:
@@ -178,7 +204,7 @@ def fpfh_ransac(pair: CloudPair) -> FloatArray | None:
     return align_gicp(pair.target, pair.source, np.asarray(result.transformation), reach=0.25, backend="small_gicp")
 
 
-def run_baselines(sets: list[str], first: int, count: int, points: tuple[int, int]) -> list[dict[str, Any]]:
+def run_baselines(sets: list[str], first: int, count: int, points: tuple[int, int]) -> None:
     """Others on the sets that have a right answer; they accept everything, so only "found" counts."""
     methods: list[tuple[str, Callable[[CloudPair], FloatArray | None]]] = [("GICP from identity", gicp_from_identity)]
     if kiss_is_available():
@@ -189,13 +215,11 @@ def run_baselines(sets: list[str], first: int, count: int, points: tuple[int, in
         methods.append(("FPFH + RANSAC + GICP", fpfh_ransac))
     except ImportError:
         pass
-    out = []
     for set_name in sets:
         if SETS[set_name].get("same_flat", True) and "unit_error" not in SETS[set_name]:
             for method in methods:
-                out.append(_run_baseline(*method, set_name, range(first, first + count), points))
-                print(json.dumps(out[-1]), flush=True)
-    return out
+                row = _run_baseline(*method, set_name, range(first, first + count), points)
+                print(json.dumps(row), flush=True)
 
 
 def _run_baseline(
@@ -233,18 +257,20 @@ def main() -> None:
     parser.add_argument("--points", nargs=2, type=int, default=(3000, 20000))
     parser.add_argument("--baselines", action="store_true")
     parser.add_argument("--rows", type=Path, default=None)
-    parser.add_argument("--out", type=Path, default=None)
+    add_results_option(parser, "registration")
     a = parser.parse_args()
+    run = Run.begin()
     first = FIRST_SEED[a.seeds] if a.first is None else a.first
     points = (a.points[0], a.points[1])
-    results: dict[str, Any] = {"sets": [], "baselines": []}
+    kept = a.rows or work_folder() / "registration.jsonl"
+    found: list[Figure] = []
     for name in a.set:
-        results["sets"].append(run_set(name, range(first, first + a.pairs), points, a.rows))
-        print(json.dumps(results["sets"][-1]), flush=True)
+        rows = run_set(name, range(first, first + a.pairs), points, kept)
+        print(json.dumps(summarise(rows)), flush=True)
+        found += figures(name, rows)
     if a.baselines:
-        results["baselines"] = run_baselines(a.set, first, a.pairs, points)
-    if a.out:
-        a.out.write_text(json.dumps(results, indent=1))
+        run_baselines(a.set, first, a.pairs, points)
+    run.write(a.results, found)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Frames per second of the simulated camera on one core, all imperfections on, along a drive through a flat.
 
-    python benchmarks/bench_renderer.py [--world home] [--seed 1] [--frames 200]
+    python -m benchmarks.bench_renderer [--world home] [--seed 1] [--frames 200] [--results FILE]
 
 Prints one JSON object: CPU milliseconds per frame (mean, p50, p99; process time, so other programs do not count).
 """
@@ -14,6 +14,7 @@ import time
 import cv2
 import numpy as np
 
+from benchmarks.result import Figure, Run, add_results_option
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
 from robot.simulation.config import SimulationConfig
@@ -45,7 +46,9 @@ def main() -> None:
     parser.add_argument("--world", default="home")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--frames", type=int, default=200)
+    add_results_option(parser, "renderer")
     arguments = parser.parse_args()
+    run = Run.begin()
     cv2.setNumThreads(1)
     config = SimulationConfig()
     calibration = simulated_calibration(config).camera
@@ -76,6 +79,13 @@ def main() -> None:
                 "open_cpu_s": round(bake_s, 2),
             }
         )
+    )
+    run.write(
+        arguments.results,
+        [
+            Figure("simulated camera, 640×480: CPU per frame, mean", float(np.mean(cpu_ms)), "ms", of=len(cpu_ms)),
+            Figure("simulated camera, 640×480: CPU per frame, 99 %", float(p99), "ms", of=len(cpu_ms)),
+        ],
     )
 
 

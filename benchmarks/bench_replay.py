@@ -4,7 +4,7 @@
     python -m benchmarks.bench_replay RECORDING.mcap --backends ukf    # or a recording, or any other dataset
 
 Each replay is a process of its own (`station replay --json`). Exit code 1 when two of one backend differ. Every one is
-a line of benchmarks/results/replay.jsonl; started again it goes on where it ended.
+a line of a file; started again with the same code it goes on where it ended.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import Annotated
 
 import typer
 
-RESULTS = Path(__file__).parent / "results"
-DONE = RESULTS / "replay.jsonl"
+from benchmarks.result import FOLDER, RESULTS_HELP, Run, share, work_folder
+
 HASHES = ("trajectory", "map", "answers")
 
 
@@ -32,7 +32,7 @@ def simulated_drive(world: str, seed: int) -> Path:
     from robot.simulation.routes import plan_route
     from robot.simulation.worlds import make_world
 
-    folder = RESULTS / f"replay-{world}-{seed}"
+    folder = work_folder() / "drives" / f"replay-{world}-{seed}"
     if not folder.is_dir():
         settings = SimulationConfig()
         flat = make_world(world, seed, settings)
@@ -67,13 +67,19 @@ def main(
     backends: Annotated[str, typer.Option(help="Separated by commas.")] = "ukf,sfm",
     threads: Annotated[str, typer.Option(help="Of each replay, separated by commas.")] = "1,1,2",
     last: Annotated[int, typer.Option(help="Number of the last frame to use; 0: all.")] = 0,
-    out: Annotated[Path, typer.Option(help="Results, a line per replay; what is in there is not done again.")] = DONE,
+    rows: Annotated[
+        Path | None,
+        typer.Option(help="A line per replay; what is in there is not done again. Usually in benchmarks/results/work."),
+    ] = None,
+    results: Annotated[Path, typer.Option(help=RESULTS_HELP)] = FOLDER / "replay.json",
 ) -> None:
     """Print a line per replay."""
+    run = Run.begin()
+    out = rows or work_folder() / "replay.jsonl"
     path = dataset or simulated_drive(world, seed)
     out.parent.mkdir(parents=True, exist_ok=True)
     done = [json.loads(line) for line in out.read_text().splitlines()] if out.is_file() else []
-    differing = []
+    differing, figures = [], []
     for backend in backends.split(","):
         seen = []
         for number, count in enumerate(map(int, threads.split(","))):
@@ -92,8 +98,11 @@ def main(
                 f" answers ({'done before' if earlier else f'{seconds:.0f} s'})",
                 flush=True,
             )
+        what = f"replays of {path.name} by {backend} on {threads} threads with the same trajectory, map and answers"
+        figures.append(share(what, max(map(seen.count, seen)), len(seen), at_least=100))
         if len(set(seen)) != 1:
             differing.append(backend)
+    run.write(results, figures)
     if differing:
         sys.exit(f"replays differ: {', '.join(differing)}")
 

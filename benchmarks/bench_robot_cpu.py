@@ -1,6 +1,6 @@
 """CPU time of robot-server, idle and streaming: serial line with a Mega's frames at 225 Hz, pictures of 50 kB at 30 Hz.
 
-    python -m benchmarks.bench_robot_cpu [--seconds 20]
+    python -m benchmarks.bench_robot_cpu [--seconds 20] [--results FILE]
 
 The line is a pseudo terminal at which this program plays the Mega (the emulated one may starve on a busy PC, and then
 sends less). CPU time of the process is taken, not wall time, and divided by the frames there were, so a busy PC matters
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import json
 import os
 import pty
 import sys
@@ -22,21 +21,19 @@ import tempfile
 import threading
 import time
 import tty
-from pathlib import Path
 
 import cv2
 import numpy as np
 import psutil
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from shared import serial_protocol as sp  # noqa: E402
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status  # noqa: E402
-from station.robots.link import RobotLink  # noqa: E402
+from benchmarks.result import Figure, Run, add_results_option
+from shared import serial_protocol as sp
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.robots.link import RobotLink
+from tests.support.paths import ROOT
+from tests.support.robot_cpu import starved
 
 RATE_HZ, FRAME_BYTES, IMU_RATE_HZ = 30, 50_000, 225
-LEAST_RATE_HZ = 27.0
 
 
 class PlayedMega:
@@ -139,7 +136,7 @@ async def measure(seconds: float) -> dict[str, object]:
     results: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as folder:
         mega = PlayedMega()
-        command = [sys.executable, "-m", "benchmarks.stop_robot", "--serial", mega.port]
+        command = [sys.executable, "-m", "tests.support.stopping.robot", "--serial", mega.port]
         command += ["--log", f"{folder}/log", "--rate-hz", str(RATE_HZ), "--ready-frames", str(FRAME_BYTES)]
         server = await asyncio.create_subprocess_exec(*command, cwd=ROOT, stdin=-1, stdout=-1)
         try:
@@ -180,7 +177,7 @@ async def measure(seconds: float) -> dict[str, object]:
 
 async def drive(link: RobotLink) -> None:
     while True:
-        link.drive(0.2, 0.0, 250)
+        link.commands.drive(0.2, 0.0, 250)
         await asyncio.sleep(0.05)
 
 
@@ -197,27 +194,28 @@ def jpeg_cpu_ms() -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each of the four measurements")
+    add_results_option(parser, "robot_cpu")
     options = parser.parse_args()
+    run = Run.begin()
     result = asyncio.run(measure(options.seconds))
     for name, value in result.items():
         print(f"{name}: {value}")
-    folder = ROOT / "benchmarks" / "results"
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "robot_cpu.json").write_text(json.dumps(result, indent=1))
     if slow := starved(result):
         print(f"bench_robot_cpu: worthless, too few frames came: {', '.join(slow)}", file=sys.stderr)
         return 1
+    run.write(options.results, figures(result))
     return 0
 
 
-def starved(result: dict[str, object]) -> list[str]:
-    """The measurements in which this PC could not even make the frames in time."""
-    rates = {
-        name: value["frames_per_s"]
-        for name, value in result.items()
-        if isinstance(value, dict) and "frames_per_s" in value
-    }
-    return [name for name, rate in rates.items() if rate < LEAST_RATE_HZ]
+def figures(result: dict[str, object]) -> list[Figure]:
+    """CPU of robot-server in each state, and whether the inertial samples were whole."""
+    found = []
+    for name, value in result.items():
+        if isinstance(value, dict) and "percent_of_a_core" in value:
+            found.append(Figure(f"robot-server, {name}: CPU", value["percent_of_a_core"], "% of a core"))
+        elif isinstance(value, dict):
+            found.append(Figure("IMU samples lost at the first station", value["imu_lost"], at_most=0))
+    return found
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Structure from motion against the truth: simulated flats by seed, or recorded datasets by path.
 
-    python benchmarks/bench_sfm.py --seeds 0-9                       mapping drives in ten flats (made where missing)
-    python benchmarks/bench_sfm.py ../shared/data/euroc_v1_01_keyframes
-    python benchmarks/bench_sfm.py ../shared/data/redkitchen --first 0 --last 398
+    python -m benchmarks.bench_sfm --seeds 0-9                       mapping drives in ten flats (made where missing)
+    python -m benchmarks.bench_sfm ../shared/data/euroc_v1_01_keyframes
+    python -m benchmarks.bench_sfm ../shared/data/redkitchen --first 0 --last 398
 
 One JSON line per drive: errors after alignment by yaw (metric, gravity-aligned navigations) and by a similarity, the
 scale's error, CPU seconds while driving and after the drive has ended. Failures are printed like successes.
@@ -12,13 +12,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from benchmarks.bench_mapping import parse_seeds, render
+from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
 from station.datasets import open_dataset
 from station.experiments.trajectory import absolute_trajectory_error, path_length
@@ -70,20 +72,26 @@ def judge(path: Path, first: int | None, last: int | None, backend_name: str, th
     return row
 
 
-def simulate(seed: int, folder: Path) -> Path:
+def simulate(seed: int, folder: Path, max_duration_s: float) -> Path:
     """The mapping drive in the flat of this seed; rendered where it is missing."""
-    path = folder / f"home{seed}"
-    if not path.exists():
-        from robot.simulation.cli import main as robot_sim
+    ends = ["--max-duration", str(max_duration_s)] if max_duration_s else []
+    return render(folder / f"home{seed}-mapping{max_duration_s:g}", seed, "home", "--route", "mapping", *ends)
 
-        arguments = ["dataset", "--world", "home", "--seed", str(seed), "--route", "mapping", "--out", str(path)]
-        sys.argv = ["robot-sim", *arguments]
-        try:
-            robot_sim()
-        except SystemExit as exc:
-            if exc.code not in (0, None):
-                raise
-    return path
+
+def figures(rows: list[dict[str, Any]]) -> list[Figure]:
+    """Of the drives together; a drive that failed counts as one without a navigation."""
+    good = [row for row in rows if "failed" not in row]
+    found = [share("drives followed by structure from motion", len(good), len(rows))]
+    for key, what, unit, factor in (
+        ("ate_yaw_m", "error of the path after position and yaw", "m", 1.0),
+        ("ate_sim3_m", "error of the path after a similarity", "m", 1.0),
+        ("scale_error", "error of the scale", "%", 100.0),
+    ):
+        values = [factor * abs(row[key]) for row in good if key in row]
+        if values:
+            worst = f"structure from motion, {what}, worst"
+            found.append(Figure(worst, max(values), unit, of=len(values)))
+    return found
 
 
 def main() -> None:
@@ -91,20 +99,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("datasets", nargs="*", type=Path)
     parser.add_argument("--seeds", default="", help="flats to simulate: 0-9 or 1,4,7")
-    parser.add_argument("--scratch", type=Path, default=Path("benchmarks/results/drives"))
+    parser.add_argument("--max-duration", type=float, default=0.0, help="of a simulated drive, in s; 0: to its end")
+    parser.add_argument("--scratch", type=Path, help="where simulated drives are kept; usually benchmarks/results/work")
     parser.add_argument("--first", type=int)
     parser.add_argument("--last", type=int)
     parser.add_argument("--backend", default="sfm")
     parser.add_argument("--threads", type=int, default=-1)
+    add_results_option(parser, "sfm")
     arguments = parser.parse_args()
-    seeds: list[int] = []
-    for part in filter(None, arguments.seeds.split(",")):
-        begin, _, end = part.partition("-")
-        seeds.extend(range(int(begin), int(end or begin) + 1))
-    arguments.scratch.mkdir(parents=True, exist_ok=True)
-    for path in chain(arguments.datasets, (simulate(seed, arguments.scratch) for seed in seeds)):
-        row = judge(path, arguments.first, arguments.last, arguments.backend, arguments.threads)
-        print(json.dumps(row), flush=True)
+    run = Run.begin()
+    seeds = parse_seeds(arguments.seeds) if arguments.seeds else []
+    scratch = arguments.scratch or work_folder() / "drives"
+    scratch.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for path in chain(arguments.datasets, (simulate(seed, scratch, arguments.max_duration) for seed in seeds)):
+        rows.append(judge(path, arguments.first, arguments.last, arguments.backend, arguments.threads))
+        print(json.dumps(rows[-1]), flush=True)
+    run.write(arguments.results, figures(rows))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Can a visual front end live on the simulated pictures? Corners per view, tracking, agreement with the true motion.
 
-    python benchmarks/bench_simulated_views.py [--world small] [--seeds 10] [--pairs 40]
+    python -m benchmarks.bench_simulated_views [--world small] [--seeds 10] [--pairs 40] [--results FILE]
 
 Per seed: pairs of frames 50 ms apart along the mapping route, all imperfections on. A corner counts when its smaller
 eigenvalue (5x5, OpenCV's scale) is at least 4e-4; on the real kitchen (7-Scenes) nearly all of 300 corners are.
@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from benchmarks.bench_renderer import drive
+from benchmarks.result import Figure, Run, add_results_option
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.config import SimulationConfig
 from robot.simulation.imaging import SimulatedCamera
@@ -28,7 +29,7 @@ from shared.geometry import inverse, skew
 
 STRONG = 4e-4
 FRAME_S = 0.05
-LK = {"winSize": (21, 21), "maxLevel": 4}
+LK_WINDOW_PX, LK_LEVELS = (21, 21), 4
 
 
 def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
@@ -56,8 +57,12 @@ def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
         plain.append(float(is_plain[np.minimum(surface, len(flat.surfaces))].mean()))
         if strong[-1] < 30:
             continue
-        q, found, _ = cv2.calcOpticalFlowPyrLK(first, second, p, None, **LK)
-        r, found_back, _ = cv2.calcOpticalFlowPyrLK(second, first, q, None, **LK)
+        q, found, _ = cv2.calcOpticalFlowPyrLK(
+            first, second, p, np.empty_like(p), winSize=LK_WINDOW_PX, maxLevel=LK_LEVELS
+        )
+        r, found_back, _ = cv2.calcOpticalFlowPyrLK(
+            second, first, q, np.empty_like(q), winSize=LK_WINDOW_PX, maxLevel=LK_LEVELS
+        )
         good = (found[:, 0] > 0) & (found_back[:, 0] > 0) & (np.linalg.norm(r - p, axis=2)[:, 0] < 1.0)
         tracked.append(float(good.mean()))
         if not good.any():
@@ -92,10 +97,29 @@ def main() -> None:
     parser.add_argument("--world", default="small")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--pairs", type=int, default=40)
+    add_results_option(parser, "simulated_views")
     arguments = parser.parse_args()
+    run = Run.begin()
     cv2.setNumThreads(1)
+    rows = []
     for seed in range(arguments.seeds):
-        print(json.dumps({"world": arguments.world, **measure(arguments.world, seed, arguments.pairs)}), flush=True)
+        rows.append(measure(arguments.world, seed, arguments.pairs))
+        print(json.dumps({"world": arguments.world, **rows[-1]}), flush=True)
+
+    def median(key: str) -> float:
+        return float(np.median([row[key] for row in rows]))
+
+    views = 100 * median("views_with_100")
+    tracked = 100 * median("forward_backward_median")
+    flats = f"median of {len(rows)} flats"
+    run.write(
+        arguments.results,
+        [
+            Figure(f"simulated views with 100 corners and more, {flats}", views, "%", of=arguments.pairs * len(rows)),
+            Figure(f"corners tracked there and back within 1 px, {flats}", tracked, "%"),
+            Figure(f"tracks against the true motion, epipolar distance, {flats}", median("epipolar_px_median"), "px"),
+        ],
+    )
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """The ukf backend against the truth: recorded sequences, rendered paths, simulated flats, consistency.
 
-    python benchmarks/bench_slam.py datasets ../shared/data/euroc_v1_01_flight --start own --start given
-    python benchmarks/bench_slam.py variants DATASET…          right/left Lie UKF, plain UKF, invariant EKF side by side
-    python benchmarks/bench_slam.py wheels DATASET…            each piece of knowledge about wheels switched off in turn
-    python benchmarks/bench_slam.py consistency --runs 50      NEES of the pose and NIS over synthetic runs
-    python benchmarks/bench_slam.py points ../shared/data/euroc_v1_02_imu --seeds 0-19
+    python -m benchmarks.bench_slam datasets ../shared/data/euroc_v1_01_flight --start own --start given
+    python -m benchmarks.bench_slam variants DATASET…          right/left Lie UKF, plain UKF, invariant EKF side by side
+    python -m benchmarks.bench_slam wheels --flats 1           each piece of knowledge about wheels switched off in turn
+    python -m benchmarks.bench_slam consistency --runs 50      NEES of the pose and NIS over synthetic runs
+    python -m benchmarks.bench_slam points ../shared/data/euroc_v1_02_imu --seeds 0-19
                                                                a recorded IMU with projected points instead of images
 
+Instead of recorded datasets, or beside them, `--flats` gives seeds of simulated ones (world `small`, mapping route).
 One JSON line per run, failures too. Errors: root mean square of the position after alignment by position and yaw;
 `live` is what the filter said at the time, `final` the navigation at the end of the drive.
 """
@@ -18,12 +19,15 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
+from benchmarks.bench_mapping import parse_seeds, render
+from benchmarks.result import Figure, Run, add_results_option, work_folder
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
@@ -51,6 +55,11 @@ VARIANTS = {
     "invariant EKF": FilterConfig(use_sigma_points=False),
 }
 FIGURES = ("nees_mean", "nees_in_95_band", "nis_per_degree", "rmse_m")
+# Asked of the default filter on the recorded flight: metres, and seconds until its own start in motion.
+BOUNDS: dict[tuple[str, str, str | None], dict[str, float]] = {
+    ("euroc_v1_01_flight", "right Lie UKF", "own"): {"first_pose_s": 1.6, "ate_live_m": 0.025},
+    ("euroc_v1_01_flight", "right Lie UKF", "given"): {"ate_live_m": 0.020},
+}
 WHEELS = {
     "all": WheelConfig(),
     "no zero velocity": WheelConfig(use_zero_velocity=False),
@@ -198,8 +207,8 @@ def points_run(
     found_t, found_T = [], []
     for k, frame in enumerate(frames):
         if vio is None:
-            waiting = WaitingFrame(k, int(times[k]), frame, np.zeros(3), np.full(3, np.inf))
-            found = starter.try_start(waiting, buffer, is_resting(buffer, int(times[k]), frames, k), ORIGIN)
+            waiting = WaitingFrame(k, int(times[k]), frame)
+            found = starter.try_start(waiting, buffer, is_resting(buffer, int(times[k]), frames, k), lambda _t: ORIGIN)
             if isinstance(found, str):
                 row["waiting"] = found
                 continue
@@ -224,34 +233,66 @@ def is_resting(imu: ImuBuffer, t_ns: int, frames: tuple[object, ...], k: int) ->
     return bool(gyro.std(axis=0).max() < 0.01 and samples.accel_imu.std(axis=0).max() < 0.1)
 
 
-def seeds(text: str) -> list[int]:
-    """`0-19` or `3,5,8`."""
-    if "-" in text:
-        first, last = text.split("-")
-        return list(range(int(first), int(last) + 1))
-    return [int(x) for x in text.split(",")]
+def simulate(seed: int, max_duration_s: float) -> Path:
+    """The mapping drive in the small flat of this seed; rendered where it is missing."""
+    folder = work_folder() / "drives"
+    folder.mkdir(parents=True, exist_ok=True)
+    ends = ["--max-duration", str(max_duration_s)] if max_duration_s else []
+    return render(folder / f"small{seed}-mapping{max_duration_s:g}", seed, "small", "--route", "mapping", *ends)
+
+
+def figures_of_drives(rows: list[dict[str, Any]]) -> list[Figure]:
+    """Of each drive: its first pose, and the errors of its path, live and finished."""
+    found = []
+    for row in rows:
+        case = [row["variant"], *([f"{row['start']} start"] if "start" in row else [])]
+        title = f"{row['dataset']}, {', '.join(case)}"
+        if "failed" in row:
+            found.append(Figure(f"{title}: error of the path", None, "m"))
+            continue
+        bounds = BOUNDS.get((row["dataset"], row["variant"], row.get("start")), {})
+        for key, what, unit in (
+            ("first_pose_s", "first pose after", "s"),
+            ("ate_live_m", "error of the live path", "m"),
+            ("ate_final_m", "error of the finished path", "m"),
+        ):
+            if key in row:
+                found.append(Figure(f"{title}: {what}", row[key], unit, bounds.get(key), of=row["frames"]))
+    return found
+
+
+def figures_of_consistency(label: str, mean: dict[str, float], runs: int) -> list[Figure]:
+    """How well a filter knows its own error, over all runs."""
+    return [
+        Figure(f"synthetic runs, {label}: NEES of the pose, mean (6 expected)", mean["nees_mean"], of=runs),
+        Figure(f"synthetic runs, {label}: NIS per degree of freedom (1 expected)", mean["nis_per_degree"], of=runs),
+    ]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["datasets", "variants", "wheels", "consistency", "points"])
     parser.add_argument("paths", nargs="*", type=Path)
+    parser.add_argument("--flats", default="", help="seeds of simulated flats to drive through: 1 or 0-3")
+    parser.add_argument("--max-duration", type=float, default=0.0, help="of a simulated drive, in s; 0: to its end")
     parser.add_argument("--start", action="append", choices=["own", "given"])
     parser.add_argument("--seeds", default="0-0")
     parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS))
+    add_results_option(parser, "slam")
     args = parser.parse_args()
+    run = Run.begin()
     variants = {k: v for k, v in VARIANTS.items() if args.variant is None or k in args.variant}
     starts = args.start or ["own"]
-    rows = []
+    rows: list[dict[str, Any]] = []
 
-    def tell(row: dict[str, object]) -> None:
+    def tell(row: dict[str, Any]) -> None:
         rows.append(row)
         print(json.dumps(row, default=str), flush=True)
 
     if args.what == "consistency":
-        calibration = consistency_calibration()
+        calibration, figures = consistency_calibration(), []
         for seed in range(args.runs):
             for label, config in variants.items():
                 row = consistency_run(label, config, calibration, seed, args.duration)
@@ -260,8 +301,11 @@ def main() -> int:
             chosen = [r for r in rows if r["variant"] == label]
             mean = {key: round(float(np.mean([float(str(r[key])) for r in chosen])), 3) for key in FIGURES}
             print(json.dumps({"summary": label, "runs": len(chosen), **mean}))
+            figures += figures_of_consistency(label, mean, len(chosen))
+        run.write(args.results, figures)
         return 0
-    for path in args.paths:
+    simulated = [simulate(seed, args.max_duration) for seed in (parse_seeds(args.flats) if args.flats else [])]
+    for path in [*args.paths, *simulated]:
         if args.what == "datasets":
             for start in starts:
                 tell(run_dataset(path, "right Lie UKF", UkfConfig(), start))
@@ -275,8 +319,9 @@ def main() -> int:
         else:
             for start in starts:
                 for label, config in variants.items():
-                    for seed in seeds(args.seeds):
+                    for seed in parse_seeds(args.seeds):
                         tell(points_run(path, label, config, seed, start))
+    run.write(args.results, figures_of_drives(rows))
     failed = sum("failed" in row for row in rows)
     print(f"{len(rows)} runs, {failed} failed", file=sys.stderr)
     return 1 if failed else 0

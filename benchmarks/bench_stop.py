@@ -1,10 +1,10 @@
 """How long the robot moves after a fault, judged at robot-server's serial line and at the motor pins.
 
-    python -m benchmarks.bench_stop            # about half an hour; goes on where it was ended
-    python -m benchmarks.bench_stop --report   # the table of what is in the results file
+    python -m benchmarks.bench_stop            # over an hour; with the same code it goes on where it was ended
+    python -m benchmarks.bench_stop --report   # the table of what there is
 
 The page is a WebSocket client, station and robot-server are the real programs, the Mega is the real firmware in the
-emulated board in real time. Each fault is one line in benchmarks/results/stop.jsonl. Exit code 1 when one breaks a
+emulated board in real time. Each fault is one line of a file. Exit code 1 when one breaks a
 bound.
 
 What is measured is the robot, not a busy PC: robot-server's stop is stamped in robot-server, and from the moment a
@@ -20,23 +20,20 @@ import asyncio
 import contextlib
 import random
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
+from benchmarks.result import Figure, Run, add_results_option, work_folder
+from robot.devices.emulated.board import BoardEvent
+from tests.support.emulator import board
+from tests.support.stopping import firmware as stop_firmware
+from tests.support.stopping import report as stop_report
+from tests.support.stopping.chain import Chain, LineEntry
+from tests.support.stopping.faults import FAULTS, Fault, Instant
+from tests.support.stopping.report import PINS_BOUND_MS, SERVER_BOUND_MS, Judged, started_at_us
 
-from benchmarks import stop_firmware, stop_report  # noqa: E402
-from benchmarks.stop_chain import Chain, LineEntry  # noqa: E402
-from benchmarks.stop_faults import FAULTS, Fault, Instant  # noqa: E402
-from benchmarks.stop_report import Judged  # noqa: E402
-from robot.devices.emulated.board import BoardEvent  # noqa: E402
-from tests.emulator import board  # noqa: E402
-
-RESULTS = ROOT / "benchmarks" / "results" / "stop.jsonl"
 GIVE_UP_S = 3.0  # all waits are in the Mega's time
 HELD_S = 0.3  # the joystick is still held after the stop
 LET_GO_S = 0.3  # then let go, longer than a command lives
@@ -52,12 +49,6 @@ def pins_zero(events: list[BoardEvent], since_us: int) -> BoardEvent | None:
             if not turning and event.t_mega_us >= since_us:
                 return event
     return None
-
-
-def started_at_us(events: list[BoardEvent], t_us: int) -> int | None:
-    """When the motors first turned again after a moment of rest; None while they did not."""
-    moves = (e.t_mega_us for e in events if e.text.startswith("pins ") and e.text != "pins 0 0" and e.t_mega_us > t_us)
-    return min(moves, default=None)
 
 
 def server_stop(log: list[LineEntry]) -> LineEntry | None:
@@ -226,30 +217,35 @@ async def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="faults whose name holds this")
     parser.add_argument("--part", choices=("all", "chain", "firmware"), default="all", help="run one half by itself")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="file of one line per fault; it is added to")
-    parser.add_argument("--report", action="store_true", help="only print the table of the results file")
+    parser.add_argument(
+        "--rows", type=Path, help="a line per fault; it is added to. Usually in benchmarks/results/work"
+    )
+    parser.add_argument("--report", action="store_true", help="only print the table of those lines")
+    add_results_option(parser, "stop")
     options = parser.parse_args()
+    this_run = Run.begin()
+    rows = options.rows or work_folder() / "stop.jsonl"
+    kinds = {**{f.name: f.count for f in FAULTS}, **stop_firmware.FAULTS}
+    counts = {name: max(1, round(n * options.scale)) for name, n in kinds.items() if options.only in name}
     if not options.report:
         if (reason := board.missing_reason()) is not None:
             print(f"bench_stop: {reason}", file=sys.stderr)
             return 1
         board.build()
-        await run(options)
-    results = stop_report.load(options.results)
+        await run(options, counts, rows, this_run.state.commit)
+    results = stop_report.load(rows)
     print(stop_report.table(results))
     print(stop_report.verdict(results))
-    reasons = stop_report.refusals(results, {**{f.name: f.count for f in FAULTS}, **stop_firmware.FAULTS})
+    if not options.report:
+        this_run.write(options.results, figures(results))
+    reasons = stop_report.refusals(results, counts)
     for reason in reasons:
         print(f"bench_stop: {reason}", file=sys.stderr)
     return 0 if results and not reasons and all(r.is_good for r in results) else 1
 
 
-async def run(options: argparse.Namespace) -> None:
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=ROOT).stdout
-    commit = commit.strip()
-    done = stop_report.load(options.results)
-    kinds = {**{f.name: f.count for f in FAULTS}, **stop_firmware.FAULTS}
-    counts = {name: max(1, round(n * options.scale)) for name, n in kinds.items() if options.only in name}
+async def run(options: argparse.Namespace, counts: dict[str, int], rows: Path, commit: str) -> None:
+    done = stop_report.load(rows)
     left = work_left(counts, done)
     rng = random.Random(options.seed * 1000 + len(done))
     if options.part != "firmware":
@@ -257,7 +253,7 @@ async def run(options: argparse.Namespace) -> None:
         rng.shuffle(work)
         for number in (signal.SIGTERM, signal.SIGINT):  # end with what there is, and leave no process behind
             asyncio.get_running_loop().add_signal_handler(number, work.clear)
-        await run_chain(work, rng.randrange(1 << 30), options.results, commit)
+        await run_chain(work, rng.randrange(1 << 30), rows, commit)
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().remove_signal_handler(number)
     if options.part != "chain":
@@ -265,8 +261,31 @@ async def run(options: argparse.Namespace) -> None:
             for begin in range(0, left.get(name, 0), stop_firmware.AT_ONCE):
                 count = min(stop_firmware.AT_ONCE, left[name] - begin)
                 for judged in stop_firmware.run(name, count, rng):
-                    stop_report.append(options.results, replace(judged, commit=commit))
+                    stop_report.append(rows, replace(judged, commit=commit))
 
 
 if __name__ == "__main__":
     sys.exit(asyncio.run(main()))
+
+
+def figures(results: list[Judged]) -> list[Figure]:
+    """What is asked of every fault, over all kinds of them."""
+    judged = [r for r in results if not r.not_judged]
+    n, kinds = len(judged), len({r.fault for r in judged})
+    server_ms = [r.server_ms for r in judged if r.server_ms is not None]
+    pins_ms = [r.pins_ms for r in judged if r.pins_ms is not None]
+    started, never = sum(bool(r.started) for r in judged), sum(r.never_stopped for r in judged)
+    at_server = f"{kinds} kinds of faults: robot-server's stop, slowest"
+    return [
+        Figure(at_server, max(server_ms, default=None), "ms", SERVER_BOUND_MS, of=len(server_ms)),
+        Figure(
+            f"{kinds} kinds of faults: motors without power, slowest",
+            max(pins_ms, default=None),
+            "ms",
+            PINS_BOUND_MS,
+            of=len(pins_ms),
+        ),
+        Figure("faults that started a motor", started, at_most=0, of=n),
+        Figure("faults after which the motors never stopped", never, at_most=0, of=n),
+        Figure("faults that could not be judged", len(results) - n, at_most=0, of=len(results)),
+    ]

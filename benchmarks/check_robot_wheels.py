@@ -1,6 +1,6 @@
 """What the `[robot]` extra brings to a 64-bit Pi: every package must have a wheel there, and none may be heavy.
 
-    python benchmarks/check_robot_wheels.py
+    python -m benchmarks.check_robot_wheels [--results FILE]
 
 Resolves with pip for aarch64 and the Pi OS Pythons (bookworm 3.11, trixie 3.13) beside the numpy that Debian has there
 (robot/install.sh keeps it); downloads into a temporary folder.
@@ -8,20 +8,24 @@ Resolves with pip for aarch64 and the Pi OS Pythons (bookworm 3.11, trixie 3.13)
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
 import tempfile
 import tomllib
 from pathlib import Path
+from typing import Any
 
-ROOT = Path(__file__).parents[1]
-HEAVY = {"open3d", "scipy", "pycolmap", "gtsam", "scikit-learn", "opencv-python-headless", "matplotlib"}
-DEBIAN_NUMPY = {"3.11": "1.24.2", "3.13": "2.2.4"}  # python3-numpy of bookworm, of trixie
+from benchmarks.result import Figure, Run, add_results_option
+from tests.support.debian import DEBIAN_NUMPY
+from tests.support.paths import ROOT
+
+HEAVY = {"open3d", "scipy", "pycolmap", "scikit-learn", "opencv-python-headless", "matplotlib"}
 PLATFORMS = [f"manylinux_2_{minor}_aarch64" for minor in (17, 24, 26, 27, 28, 31, 34)] + ["manylinux2014_aarch64"]
 
 
-def check(python: str, requirements: list[str]) -> dict[str, object]:
+def check(python: str, requirements: list[str]) -> dict[str, Any]:
     """Wheels and their size for one Python. Raises CalledProcessError where one has no wheel."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
@@ -40,10 +44,20 @@ def check(python: str, requirements: list[str]) -> dict[str, object]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_results_option(parser, "robot_wheels")
+    options = parser.parse_args()
+    run = Run.begin()
+    figures = []
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     requirements = project["dependencies"] + project["optional-dependencies"]["robot"]
     for python, numpy in DEBIAN_NUMPY.items():
-        print(json.dumps(check(python, [*requirements, f"numpy=={numpy}"]), indent=1))
+        found = check(python, [*requirements, f"numpy=={numpy}"])
+        print(json.dumps(found, indent=1))
+        wheels = len(found["wheels"])
+        what = f"packages that a Pi downloads for Python {python}, all as wheels for aarch64"
+        figures.append(Figure(what, found["megabytes"], "MB", of=wheels))
+    run.write(options.results, figures)
 
 
 if __name__ == "__main__":

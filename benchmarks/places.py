@@ -1,31 +1,32 @@
 """Repeatability of places on made-up rooms: two drives each, default and thesis mode, and what other lengths change.
 
-    python -m benchmarks.places [--seeds 30] [--first 0] [--mode MODE ...] [--out benchmarks/results/places.json]
+    python -m benchmarks.places [--seeds 30] [--first 0] [--mode MODE ...] [--results FILE]
 
-Clouds are synthetic (tests/synthetic_home.py): no images, no SLAM; registration is by clouds alone, from any yaw.
+Clouds are synthetic (tests/support/synthetic_home.py): no images, no SLAM; registration is by clouds alone, any yaw.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from shared.geometry import FloatArray, se3, yaw_rotation
+from benchmarks.result import Figure, Run, add_results_option, share
+from shared.geometry import se3, yaw_rotation
 from station.datasets import Truth
 from station.experiments.matches import MatchJudgement, judge_matches
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
-from station.places.joining.match import MatchResult, match_navigation
+from station.places.joining.match import match_navigation
+from station.places.joining.match_result import MatchResult
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, ThesisConfig
-from tests.synthetic_home import drive, furnished_room, navigate
+from tests.support.days import truth_of
+from tests.support.synthetic_home import drive, furnished_room, navigate
 
 FRAMES = 70
 VARIANTS = {
@@ -71,10 +72,6 @@ def make_pair(seed: int) -> tuple[tuple[Navigation, Truth], tuple[Navigation, Tr
         navigation = navigate(home, poses, seed=10 * seed + number, T_nav_world=T, images=False, noise_m=0.02)
         drives.append((navigation, truth_of(poses)))
     return drives[0], drives[1]
-
-
-def truth_of(poses: FloatArray) -> Truth:
-    return Truth(np.arange(len(poses), dtype=np.int64) * 100_000_000, poses)
 
 
 def run(pair: tuple[tuple[Navigation, Truth], tuple[Navigation, Truth]], config: PlacesConfig) -> Outcome:
@@ -132,8 +129,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--first", type=int, default=0, help="seed of the first room")
     parser.add_argument("--mode", nargs="*", default=list(VARIANTS), choices=list(VARIANTS), help="beside the default")
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/places.json"))
+    add_results_option(parser, "places")
     arguments = parser.parse_args()
+    started = Run.begin()
     names = [name for name in VARIANTS if name == "default" or name in arguments.mode]
     outcomes: dict[str, list[Outcome]] = {name: [] for name in names}
     changes: dict[str, list[float]] = {name: [] for name in names}
@@ -147,16 +145,37 @@ def main() -> None:
         told = ", ".join(f"{name}: {1 - changes[name][-1]:.2f} kept" for name in names if changes[name])
         print(f"room {seed}: {len(outcomes['default'][-1].result.matches)} matches; {told}", file=sys.stderr)
     table = {name: summarise(outcomes[name], changes[name]) for name in names}
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(
-        json.dumps({"first": arguments.first, "seeds": arguments.seeds, "table": table}, indent=1) + "\n"
-    )
     keys = list(next(iter(table.values())))
     print("| mode | " + " | ".join(keys) + " |")
     print("|" + " --- |" * (len(keys) + 1))
     for name, row in table.items():
         cells = ("–" if v is None else f"{v:.3g}" for v in row.values())
         print(f"| {name} | " + " | ".join(cells) + " |")
+    started.write(arguments.results, figures(outcomes, changes))
+
+
+def figures(outcomes: dict[str, list[Outcome]], changes: dict[str, list[float]]) -> list[Figure]:
+    """What is asked of the default mode, what a wrong length changes, and the thesis' method beside it."""
+    found = []
+    for name, title in (("default", "made-up rooms"), ("thesis eps 0.3 m, MinPts 11", "made-up rooms, thesis mode")):
+        mine = outcomes.get(name, [])
+        judged = [j.correct for o in mine for j in o.judgement.judged]
+        co_visible = sum(len(o.judgement.co_visible) for o in mine)
+        seen = sum((o.judgement.recall or 0.0) * len(o.judgement.co_visible) for o in mine)
+        if mine:
+            found.append(share(f"{title}: matches that are right", sum(judged), len(judged)))
+            found.append(share(f"{title}: co-visible places found", seen, co_visible))
+    rand = [o.judgement.rand_index for o in outcomes["default"] if o.judgement.rand_index is not None]
+    if rand:
+        median = float(np.median(rand))
+        found.append(Figure("made-up rooms: adjusted Rand index, median", median, at_least=0.8, of=len(rand)))
+    for name in ("eps x 0.5", "eps x 1.5"):
+        if changes.get(name):
+            percent = 100 * float(np.mean(changes[name]))
+            found.append(
+                Figure(f"made-up rooms: matches that change with {name}", percent, "%", 10, of=len(changes[name]))
+            )
+    return found
 
 
 if __name__ == "__main__":

@@ -34,6 +34,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.bench_mapping import parse_seeds, render, run_program
 from benchmarks.bench_slam import FIGURES, VARIANTS, WHEELS, consistency_calibration, consistency_run, run_dataset
+from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from station.datasets import open_dataset
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.slam.ukf.backend import UkfBackend
@@ -41,6 +42,7 @@ from station.slam.ukf.config import UkfConfig
 
 EUROC = Path("../shared/data/euroc_v1_02_imu")
 FLAT_S = 90.0
+TITLES = {"v102": "EuRoC V1_02, real IMU and rendered pictures", "flats": "tours of simulated flats"}
 
 
 class Results:
@@ -244,10 +246,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--map", choices=["auto", "tracks", "views"], default="auto")
     parser.add_argument("--discard", action="store_true")
-    parser.add_argument("--scratch", type=Path, default=Path("benchmarks/results/drives"))
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/slam.jsonl"))
+    parser.add_argument("--scratch", type=Path, help="where drives are kept; usually in benchmarks/results/work")
+    parser.add_argument("--rows", type=Path, help="a line per run; usually in benchmarks/results/work")
+    add_results_option(parser, "slam_study")
     args = parser.parse_args()
-    results = Results(args.out)
+    run = Run.begin()
+    results = Results(args.rows or work_folder() / "slam.jsonl")
+    args.scratch = args.scratch or work_folder() / "drives"
     args.scratch.mkdir(parents=True, exist_ok=True)
     if args.what in ("v102", "flats", "wheels"):
         run_drives(results, args)
@@ -260,6 +265,77 @@ def main() -> None:
         run_speed(results, args.paths or [v102_drive(args.scratch, 0)], UkfConfig(map=args.map))
     else:
         tables(results)
+        return
+    run.write(args.results, figures(results, args))
+
+
+def figures(results: Results, args: argparse.Namespace) -> list[Figure]:
+    """What is asked of the runs that were wanted now, and what was found."""
+    study, seeds = args.what, parse_seeds(args.seeds)
+    rows = [row for row in results.rows if row["study"] == study and row.get("seed", seeds[0]) in seeds]
+    rows = [row for row in rows if row.get("start", args.start) == args.start]
+    found = []
+    if study in ("v102", "flats"):
+        for variant in dict.fromkeys(row["variant"] for row in rows):
+            mine = [row for row in rows if row["variant"] == variant]
+            title = f"{TITLES[study]}, {args.start} start" + ("" if variant == "right Lie UKF" else f", {variant}")
+            found += _figures_of_drives(study, title, mine)
+    elif study == "wheels":
+        for label in dict.fromkeys(row["variant"] for row in rows):
+            errors = [row["ate_live_m"] for row in rows if row["variant"] == label and "ate_live_m" in row]
+            found.append(
+                Figure(
+                    f"simulated flats, knowledge of wheels: {label}: error of the live path, median",
+                    _median(errors),
+                    "m",
+                    of=len(errors),
+                )
+            )
+    elif study == "consistency":
+        for label in dict.fromkeys(row["variant"] for row in rows):
+            nees = [row["nees_mean"] for row in rows if row["variant"] == label]
+            found.append(
+                Figure(
+                    f"synthetic runs, {label}: NEES of the pose, mean (6 expected)", float(np.mean(nees)), of=len(nees)
+                )
+            )
+    elif study == "memory":
+        for row in rows:
+            resident = row["resident_mb_per_minute"]
+            grown = (resident[-1] - resident[0]) / (len(resident) - 1) if len(resident) > 1 else None
+            found.append(Figure(f"memory that {row['minutes']:g} minutes of SLAM add", grown, "MB a minute"))
+    else:
+        for row in rows[-1:]:  # the last one: each is measured anew
+            where = f"{row['dataset']}, one core"
+            p99_ms = row["wall_ms_p50_p99_max"][1]
+            found.append(
+                Figure(f"{where}: seconds of data a second", row["realtime_factor_wall"], at_least=3, of=row["frames"])
+            )
+            found.append(Figure(f"{where}: time per picture, 99 %", p99_ms, "ms", at_most=50, of=row["frames"]))
+    return found
+
+
+def _figures_of_drives(study: str, title: str, rows: list[dict[str, Any]]) -> list[Figure]:
+    good = [row for row in rows if "failed" not in row]
+    lost_s = [row.get("lost_s", 0.0) for row in good]
+    errors = [row["ate_final_m"] for row in good if "ate_final_m" in row]
+    found = [share(f"{title}: followed to the end", len(good), len(rows), at_least=100)]
+    if study == "v102":
+        found.append(Figure(f"{title}: error of the path, median", _median(errors), "m", 0.10, of=len(errors)))
+        found.append(Figure(f"{title}: error of the path, worst", max(errors, default=None), "m", 0.25, of=len(errors)))
+    else:
+        percent = [100 * row["ate_final_m"] / row["path_m"] for row in good if "ate_final_m" in row]
+        scale = [100 * abs(row["scale_final"] - 1) for row in good if "scale_final" in row]
+        found.append(
+            Figure(f"{title}: error of the path, median", _median(percent), "% of its length", 1, of=len(percent))
+        )
+        found.append(Figure(f"{title}: error of the scale, median", _median(scale), "%", 3, of=len(scale)))
+        found.append(Figure(f"{title}: longest time lost", max(lost_s, default=None), "s", 2, of=len(lost_s)))
+    return found
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None
 
 
 if __name__ == "__main__":

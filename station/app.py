@@ -25,14 +25,26 @@ from station.library.maps import Maps, PlacesChange
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.library.navigations import Navigations
 from station.library.recordings import recover_recordings, retain_recordings
-from station.maps.store import MapSummary, StoreAddress
+from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place
+from station.places.making.config import PlacesMode
 from station.recordings.recorder import Recorder
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.session import RobotSession, Shared
-from station.workers.jobs import Job, Jobs
-from station.workers.turns import Turns
-from station.workers.worker import Worker, warm_up
+from station.workers.jobs import Job, Jobs, JobWorker
+from station.workers.library_requests import (
+    LIBRARY,
+    BuildMap,
+    CompareNavigations,
+    IndexMap,
+    LibraryProgram,
+    MeasurePlaces,
+    Reprocess,
+)
+from station.workers.place_requests import PLACES, PlaceEvent, PlaceProgram
+from station.workers.request import ProgramName
+from station.workers.scheduling import ComputeSlots
+from station.workers.worker import warm_up
 
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin")
@@ -47,9 +59,9 @@ class Station:
         self,
         config: StationConfig,
         make_recorder: Callable[[Path], NavigationRecorder | None] | None = None,
-        place_servant: str = "station.workers.places:PlaceServant",
+        place_program: ProgramName[PlaceProgram, PlaceEvent] = PLACES,
     ) -> None:
-        """`place_servant` names the class that the localisation workers run.
+        """`place_program` is what the localisation workers run.
 
         Raises ConfigError: others than this machine would reach it, and it is not set up who may.
         """
@@ -57,7 +69,7 @@ class Station:
         self.started_s = time.monotonic()
         self.events = EventsOfAll()
         self.access = open_access(config)
-        self.jobs = Jobs(self.events)
+        self.jobs = Jobs(self.events, LIBRARY)
         store = StoreAddress(config.data_dir / "maps", config.store.database, config.store.blobs, config.name)
         self.maps = Maps(store, self.events)
         self.comparisons = Comparisons(config.data_dir / "comparisons")
@@ -69,8 +81,8 @@ class Station:
             self.navigations,
             self.access.robots,
             make_recorder or (lambda path: open_recorder(path, config.recordings)),
-            place_servant,
-            Turns(),
+            place_program,
+            ComputeSlots(),
         )
         self.robots: dict[str, RobotSession] = {}
         for robot in config.fleet:
@@ -146,27 +158,26 @@ class Station:
         """End the recording of a navigation, whichever robot drives it. Raises Unknown, Conflict."""
         navigation = self.navigations.get(navigation_id)
         for robot in self.robots.values():
-            if robot.recording.running is not None and robot.recording.running.id == navigation_id:
-                return await robot.recording.stop(navigation_id)
+            current = robot.current_navigation
+            if current.running is not None and current.running.id == navigation_id:
+                return await current.stop(navigation_id)
         raise Conflict(f"{navigation.name} is not being recorded (it is {navigation.state})")
 
     def cancel_navigation(self, navigation_id: str) -> NavigationRecord:
         """Give up what SLAM still computes of a navigation whose recording has ended. Raises Unknown, Conflict."""
-        return self._robot_of(self.navigations.get(navigation_id)).recording.cancel(navigation_id)
+        return self._robot_of(self.navigations.get(navigation_id)).current_navigation.cancel(navigation_id)
 
-    def build_map(self, navigation_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
+    def build_map(self, navigation_ids: list[str], name: str, mode: PlacesMode | None, activate: bool) -> Job:
         """Places from finished navigations, in the background. Raises Unknown, Conflict."""
         navigations = [self._ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
         folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in navigations]
         title = f"map of {', '.join(navigation.name for navigation in navigations)}"
 
-        async def work(worker: Worker) -> dict[str, Any]:
-            built = await worker.call(
-                "build_map", folders, self.maps.address, name or title, mode, self.config.executor
-            )
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
+            built = await worker.call(BuildMap(folders, self.maps.address, name or title, mode, self.config.executor))
             self.maps.changed()
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
-                await worker.call("index_map", folders, self.maps.address)
+                await worker.call(IndexMap(folders, self.maps.address))
             if activate:
                 await self.use_maps(built.map_id)
             return {"map": built.map_id, "places": built.places}
@@ -177,9 +188,8 @@ class Station:
         """How surely each place of the active map would be found again, in the background. Raises Conflict."""
         place_map = self.maps.require_active().place_map
 
-        async def work(worker: Worker) -> dict[str, Any]:
-            shares: dict[str, float] = await worker.call("measure_places", self.maps.address, place_map.id)
-            return shares
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
+            return await worker.call(MeasurePlaces(self.maps.address, place_map.id))
 
         return self.jobs.start("measure places", f"repeatability of the places of {place_map.name}", work)
 
@@ -193,12 +203,13 @@ class Station:
             f'In this report Navigation1, whose places make the map, is the navigation "{first.name}"; '
             f'Navigation2, in which they are looked for, is "{second.name}".'
         )
-        folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in (first, second)]
+        folder = self.navigations.library.navigation_folder
 
-        async def work(worker: Worker) -> dict[str, Any]:
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             comparison_id, scratch = await asyncio.to_thread(self.comparisons.prepare)
             try:
-                results = await worker.call("compare", *folders, scratch, title, setting)
+                compare = CompareNavigations(folder(first.id), folder(second.id), scratch, title, setting)
+                results = await worker.call(compare)
                 made = summarise(comparison_id, title, (first.id, second.id), results)
                 await asyncio.to_thread(self.comparisons.keep, made, scratch)
             finally:
@@ -219,12 +230,12 @@ class Station:
         folder = self.navigations.library.navigation_folder(navigation_id)
         self.navigations.reserve(navigation_id)
 
-        async def work(worker: Worker) -> dict[str, Any]:
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             try:
-                arguments = (recording, chosen, self.config.slam.seed, navigation_id, folder, self.config.executor)
-                report = await worker.call("reprocess", *arguments)
+                seed, executor = self.config.slam.seed, self.config.executor
+                report = await worker.call(Reprocess(recording, chosen, seed, navigation_id, folder, executor))
                 navigation = await self.navigations.reprocessed(navigation_id, report)
-                await self._robot_of(navigation).recording.show(navigation_id)
+                await self._robot_of(navigation).current_navigation.show(navigation_id)
             finally:
                 self.navigations.release(navigation_id)
             return {"navigation": navigation_id, "landmarks": report.landmarks}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import re
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -244,3 +246,23 @@ def choose_backend(name: str, calibration: Calibration) -> str:
         return name
     is_measured = calibration.camera is not None and calibration.camera.is_measured
     return "ukf" if is_measured and calibration.imu is not None and calibration.has_wheels else "sfm"
+
+
+def check_backend(name: str) -> None:
+    """Whether there is such a backend: one of BACKENDS, "auto" or "package.module:factory". Raises ConfigError."""
+    if name not in (*BACKENDS, AUTO):
+        load_factory(name)
+
+
+def load_factory(name: str) -> Callable[[Calibration], Any]:
+    """What makes the backend "package.module:factory". Raises ConfigError."""
+    choices = ", ".join((AUTO, *BACKENDS))
+    module, colon, factory = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), factory, None) if colon else None
+    except (ImportError, ValueError) as exc:
+        raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {choices}") from exc
+    if not callable(found):
+        raise ConfigError(f"backend {name!r} is unknown; choose one of {choices}")
+    make: Callable[[Calibration], Any] = found
+    return make

@@ -8,6 +8,7 @@ from typing import Literal
 import msgspec
 
 from shared.access import Token
+from shared.advice import option
 from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
 from shared.listening import is_loopback
@@ -38,10 +39,11 @@ class _File(msgspec.Struct, frozen=True, kw_only=True):
 class PairedRobots:
     """The station's file of robots; read anew whenever it is asked, so that a pairing counts at once."""
 
-    def __init__(self, folder: Path, allow_open: bool = False) -> None:
-        """`allow_open`: robots beyond loopback may be met without TLS (`--insecure`)."""
+    def __init__(self, folder: Path, allow_open: bool = False, data_dir: Path | None = None) -> None:
+        """`allow_open`: robots beyond loopback may be met without TLS (`--insecure`). `data_dir` is named in advice."""
         self.path = folder / FILE_NAME
         self._allow_open = allow_open
+        self._data = option("--data", data_dir)
 
     def all(self) -> tuple[PairedRobot, ...]:
         """Raises ConfigError: the file cannot be used."""
@@ -76,7 +78,7 @@ class PairedRobots:
                 )
         return (
             f"the robot at {host}:{port} (certificate {shown}) is not paired with this station;"
-            f" run `robot-server pair` on it, then `station pair {host}:{port} --code CODE`"
+            f" run `robot-server pair` on it, then `station pair {host}:{port} --code CODE{self._data}`"
         )
 
     def keep(self, robot: PairedRobot) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from shared.access import GuessLimit, Role
+from shared.advice import complete, option
 from shared.certificates import Identity, open_identity
 from shared.errors import ConfigError
 from shared.listening import is_loopback
@@ -44,8 +45,12 @@ EVERYBODY = Visitor("everybody on this machine", Role.ADMIN, "", "open")
 class Door:
     """Lets in who shows a token. Without a book the door stands open."""
 
-    def __init__(self, book: TokenBook | None, now_s: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, book: TokenBook | None, now_s: Callable[[], float] = time.time, data_dir: Path | None = None
+    ) -> None:
+        """`data_dir` is the station's, to be named in advice."""
         self._book = book
+        self._data_dir = data_dir
         self._now_s = now_s
         self._guesses = GuessLimit()
         self._visits: dict[str, set[Callable[[], None]]] = {}  # token id → how to end what it has open
@@ -63,7 +68,8 @@ class Door:
     def book(self) -> TokenBook:
         """Raises Conflict: this station has none."""
         if self._book is None:
-            raise Conflict("this station has no access control; `station access init` sets it up (docs/access.md)")
+            sentence = "this station has no access control; `access init` sets it up (docs/access.md)"
+            raise Conflict(complete(sentence, "station", {"--data": self._data_dir}))
         return self._book
 
     def admit(self, shown: str, by: Literal["bearer", "cookie"], address: str) -> Visitor:
@@ -163,18 +169,18 @@ def open_access(config: StationConfig) -> Access:
     Raises ConfigError: others would reach the station, and nothing says who may.
     """
     folder = access_folder(config.data_dir)
-    robots = PairedRobots(folder, allow_open=config.access.insecure)
+    robots = PairedRobots(folder, config.access.insecure, config.data_dir)
     host = config.api.host
     if config.access.insecure and not is_loopback(host):
         logger.warning("--insecure: whoever reaches %s can watch your home and drive", host)
     if config.access.insecure or (not config.access.on_loopback and is_loopback(host)):
-        return Access(Door(None), robots, None)
+        return Access(Door(None, data_dir=config.data_dir), robots, None)
     try:
         return Access(Door(TokenBook(folder)), robots, open_identity(folder))
     except ConfigError as exc:
         why = "access.on_loopback is set" if is_loopback(host) else f"--host {host} lets others in"
-        wrong = f" ({exc})" if folder.exists() else ""
+        wrong = f" ({complete(str(exc), 'station', {'--data': config.data_dir})})" if folder.exists() else ""
         raise ConfigError(
             f"{why}, and it is not set up who may{wrong};"
-            f" run `station access init --data {config.data_dir}` (docs/access.md)"
+            f" run `station access init{option('--data', config.data_dir)}` (docs/access.md)"
         ) from exc

@@ -17,8 +17,9 @@ from station.access.pairing import PairingFailed, pair
 from station.access.visitors import SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
-from station.api.models import Model, SessionModel
 from station.api.problems import responses
+from station.api.schema.base import Model
+from station.api.schema.station import SessionModel
 from station.config import parse_address
 from station.errors import Conflict, OutOfRange, Unknown
 

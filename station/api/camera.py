@@ -5,27 +5,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import struct
 import time
 from collections.abc import AsyncIterator
 
 from fastapi import APIRouter, Response, WebSocket, WebSocketDisconnect
 from fastapi.responses import StreamingResponse
-from starlette.types import Receive, Scope, Send
 
 from station.api.deps import RobotDep
-from station.api.limits import MAX_STREAMS, Seats, receive_text, refuse, seated
+from station.api.limits import receive_text, refuse, seated
 from station.api.problems import responses
+from station.api.streams import BOUNDARY, HEADER, STREAM, SeatedStream
 from station.errors import Busy, NoRobot
 from station.robots.session import RobotSession, SeenFrame
 
 of_robot = APIRouter(tags=["camera"])
 
-# Little endian: seq u32, width u16, height u16, t_robot_ns i64, age_s f64 (NaN: clocks unknown), skipped u32, 0 u32.
-HEADER = struct.Struct("<IHHqdII")
-BOUNDARY = b"sentinel-frame"
 JPEG = {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}, "description": "JPEG"}
-STREAM = {"content": {"multipart/x-mixed-replace": {}}, "description": "JPEGs, one after the other"}
 
 
 @of_robot.get(
@@ -53,19 +48,6 @@ async def stream(robot: RobotDep) -> StreamingResponse:
     """For viewers that know nothing else; /ws/camera is quicker."""
     _require(robot)
     return SeatedStream(_parts(robot), f"the stream of {robot.name}")
-
-
-class SeatedStream(StreamingResponse):
-    """Multipart JPEG that keeps one of its kind's seats as long as it is sent."""
-
-    def __init__(self, parts: AsyncIterator[bytes], kind: str) -> None:
-        super().__init__(parts, media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY.decode()}")
-        self._kind = kind
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        seats: Seats = scope["app"].state.seats
-        with seats.take(self._kind, MAX_STREAMS):
-            await super().__call__(scope, receive, send)
 
 
 @of_robot.websocket("/ws/camera")

@@ -8,9 +8,10 @@ from fastapi import APIRouter, Body, Response
 from fastapi.responses import FileResponse
 
 from station.api.deps import RobotDep, StationDep
-from station.api.models import BinModel, JobModel, NavigationModel, NavigationStart, NewName
 from station.api.problems import responses
-from station.api.views import bin_model, job_model, navigation_model
+from station.api.schema.base import NewName
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.navigations import BinModel, NavigationModel, NavigationStart, bin_model, navigation_model
 from station.errors import Conflict, Unknown
 
 router = APIRouter(tags=["navigations"])

@@ -12,13 +12,13 @@ from fastapi import APIRouter, Query, Response, WebSocket, WebSocketDisconnect
 from fastapi.responses import StreamingResponse
 
 from shared.errors import RobotSystemError
-from station.api.camera import BOUNDARY, HEADER, STREAM, SeatedStream
 from station.api.deps import StationDep
 from station.api.limits import refuse, seated
-from station.api.models import JobModel, ReplayModel, ReprocessOrder
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.views import job_model, replay_model
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.navigations import ReplayModel, ReprocessOrder, replay_model
+from station.api.streams import BOUNDARY, HEADER, STREAM, SeatedStream
 from station.app import Station
 from station.errors import Busy, Conflict, OutOfRange
 from station.files.navigation_folder import load_navigation
@@ -29,7 +29,7 @@ from station.recordings.playback import replay
 router = APIRouter(tags=["navigations"])
 FromS = Annotated[float, Query(ge=0, le=86_400, allow_inf_nan=False, description="seconds after the first picture")]
 Speed = Annotated[float, Query(ge=0.1, le=16, allow_inf_nan=False, description="1: as it was")]
-NO_SUCH_DRIVE = 4404  # close code of /ws/replay
+NO_SUCH_NAVIGATION = 4404  # close code of /ws/replay
 
 
 @router.post(
@@ -102,7 +102,7 @@ async def _play(socket: WebSocket, station: Station, navigation: str, from_s: fl
     try:
         path = _recording(station, navigation, from_s)
     except RobotSystemError as exc:
-        await socket.close(NO_SUCH_DRIVE, str(exc)[:120])
+        await socket.close(NO_SUCH_NAVIGATION, str(exc)[:120])
         return
     acknowledged = asyncio.Event()
     sending = asyncio.create_task(_send(socket, path, from_s, speed, acknowledged))

@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import uvicorn
+from fastapi import FastAPI
 
+from shared.advice import complete, option
 from shared.certificates import HANDSHAKE_WITHIN_S
 from shared.errors import ConfigError
 from shared.listening import is_loopback
 from shared.reception import Reception
 from station.access.expiry import watch_expiry
-from station.api.server import make_api
 from station.app import Station
 
 logger = logging.getLogger(__name__)
@@ -82,15 +83,16 @@ def _is_silent(transport: asyncio.Transport, protocol: asyncio.Protocol) -> bool
     )
 
 
-async def serve(station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None) -> None:
+async def serve(
+    station: Station, api: FastAPI, listener: socket.socket, started: Callable[[], None] = lambda: None
+) -> None:
     """Run until cancelled. Raises ConfigError: the socket is open to others than the settings' host meant."""
     bound = str(listener.getsockname()[0])
     if station.access.door.is_open and not station.config.access.insecure and not is_loopback(bound):
         raise ConfigError(
             f"{station.config.api.host} means {bound} here, which others reach; give --host 127.0.0.1, or run"
-            " `station access init` and give --host 0.0.0.0"
+            f" `station access init{option('--data', station.config.data_dir)}` and give --host 0.0.0.0"
         )
-    api = make_api(station)
     identity = station.access.identity
     settings = uvicorn.Config(
         api,
@@ -110,9 +112,10 @@ async def serve(station: Station, listener: socket.socket, started: Callable[[],
     opened = asyncio.Event()  # before it the last active map is not active yet
     running = asyncio.create_task(station.run(opened.set), name="station")
     serving = asyncio.create_task(server.serve(sockets=[listener]), name="API")
+    data = {"--data": station.config.data_dir}
     watching = asyncio.create_task(
-        watch_expiry(identity, lambda sentence: _warn(station, sentence)), name="certificate"
-    )  # fmt: skip
+        watch_expiry(identity, lambda sentence: _warn(station, complete(sentence, "station", data))), name="certificate"
+    )
     try:
         while not (server.started and opened.is_set()) and not serving.done() and not running.done():
             await asyncio.sleep(0.01)
@@ -137,11 +140,11 @@ def _warn(station: Station, sentence: str) -> None:
 
 
 async def serve_until_signal(
-    station: Station, listener: socket.socket, started: Callable[[], None] = lambda: None
+    station: Station, api: FastAPI, listener: socket.socket, started: Callable[[], None] = lambda: None
 ) -> None:
     """Run until SIGINT or SIGTERM."""
     loop = asyncio.get_running_loop()
-    serving = asyncio.ensure_future(serve(station, listener, started))
+    serving = asyncio.ensure_future(serve(station, api, listener, started))
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, serving.cancel)
     with contextlib.suppress(asyncio.CancelledError):

@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from shared.access import Role
+from shared.advice import complete, option
 from shared.certificates import CERTIFICATE_NAME, make_identity, open_identity, show_fingerprint
 from shared.errors import ConfigError
 from shared.pairing import parse_code
@@ -113,7 +114,7 @@ def list_tokens(data: Data = None, config: Config = None, as_json: Json = False)
     show_tokens(TokenBook(folder), as_json)
     identity = open_identity(folder) if (folder / CERTIFICATE_NAME).exists() else None
     if sentence := expiry_sentence(identity, datetime.datetime.now(datetime.UTC)):
-        typer.echo(f"warning: {sentence}", err=True)
+        typer.echo(f"warning: {complete(sentence, 'station', {'--data': data, '--config': config})}", err=True)
 
 
 @access.command()
@@ -143,7 +144,8 @@ def pair(
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))
         return
-    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {host}:{port}")
+    where = f"{option('--data', data)}{option('--config', config)}"
+    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {host}:{port}{where}")
 
 
 def robots(

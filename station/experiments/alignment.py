@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, transform, yaw_rotation
+from shared.geometry import FloatArray, sim3, transform, yaw_rotation
 
 AlignmentKind = Literal["yaw", "se3", "sim3"]
 MIN_SPREAD = 1e-12  # m^2: below it all points are one point
@@ -55,9 +55,7 @@ def align_points(p_target: FloatArray, p_source: FloatArray, kind: AlignmentKind
         R = (U * S) @ Vt  # eq. 40
         if kind == "sim3":
             scale = float((D * S).sum() / (source**2).sum(axis=1).mean())  # eq. 42
-    T = np.eye(4)
-    T[:3, :3] = scale * R
-    T[:3, 3] = mu_target - scale * R @ mu_source  # eq. 41
+    T = sim3(scale, R, mu_target - scale * R @ mu_source)  # eq. 41
     rms = float(np.sqrt(((p_target - transform(T, p_source)) ** 2).sum(axis=1).mean()))
     return Alignment(T, R, scale, rms)
 

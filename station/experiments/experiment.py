@@ -14,10 +14,11 @@ from station.datasets import Truth
 from station.experiments.matches import MatchJudgement, judge_matches
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
-from station.places.joining.match import MatchResult, match_navigation
+from station.places.joining.match import match_navigation
+from station.places.joining.match_result import MatchResult
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
-from station.places.registration import uncertainty_of
+from station.places.registration.result import uncertainty_of
 
 
 @dataclass(frozen=True, slots=True)

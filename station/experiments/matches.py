@@ -15,7 +15,7 @@ from station.datasets import Truth
 from station.experiments.alignment import align_points
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
-from station.places.joining.match import MatchResult, PlaceMatch
+from station.places.joining.match_result import MatchResult, PlaceMatch
 from station.places.making.clusters import MIN_LANDMARKS
 from station.places.making.extent import half_extent
 
@@ -95,8 +95,9 @@ def true_landmarks(navigation: Navigation, truth: Truth) -> FloatArray:
     scale = align_points(T_true_cam[known, :3, 3], T_nav_cam[known, :3, 3], "sim3").scale
     landmarks = navigation.landmarks
     total, count = np.zeros((len(landmarks), 3)), np.zeros(len(landmarks))
+    observed = landmarks.observations_by_keyframe(len(known))
     for k in np.flatnonzero(known):
-        seen = landmarks.observed_landmark[landmarks.observed_keyframe == k]
+        seen = landmarks.observed_landmark[observed[k]]
         p_cam = transform(inverse(T_nav_cam[k]), landmarks.p_world[seen])
         np.add.at(total, seen, transform(T_true_cam[k], scale * p_cam))
         np.add.at(count, seen, 1.0)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,7 +56,7 @@ def find_preset(name: str, seed: int, euroc: Path | None) -> Preset:
     return _first(seed, euroc) if name == "I" else _rooms(name, seed)
 
 
-def make_dataset(arguments: tuple[str, ...], folder: Path, say: Callable[[str], None]) -> Path:
+def make_dataset(arguments: tuple[str, ...], folder: Path) -> Path:
     """Run robot-sim into `folder`, unless just this was made there before.
 
     Raises DataError: robot-sim's last words, or the folder holds something else.
@@ -69,7 +68,6 @@ def make_dataset(arguments: tuple[str, ...], folder: Path, say: Callable[[str], 
         raise DataError(
             f"{folder} holds another navigation (of another seed or version); remove it, or give another --out"
         )
-    say(f"simulating {folder.name}")
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = folder.with_name(f".{folder.name}.new")
     for leftover in folder.parent.glob(f"{scratch.name}*"):  # of a run that was killed

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
 from shared.geometry import inverse, quat_from_rotation
@@ -31,8 +29,7 @@ def export_colmap(nav: Navigation, folder: Path) -> None:
         if encoded:
             (folder / "images" / name).write_bytes(encoded)
     landmarks = nav.landmarks
-    order = np.argsort(landmarks.observed_keyframe, kind="stable")
-    split = np.searchsorted(landmarks.observed_keyframe[order], np.arange(len(nav.keyframes) + 1))
+    observed = landmarks.observations_by_keyframe(len(nav.keyframes))
     image_lines: list[str] = []
     tracks: list[list[str]] = [[] for _ in range(len(landmarks))]
     for k, name in enumerate(names):
@@ -40,7 +37,7 @@ def export_colmap(nav: Navigation, folder: Path) -> None:
         numbers = [*quat_from_rotation(T_cam_world[:3, :3]), *T_cam_world[:3, 3]]
         image_lines.append(f"{k + 1} {' '.join(f'{x:.12g}' for x in numbers)} {CAMERA_ID} {name}\n")
         points = []
-        for position, row in enumerate(order[split[k] : split[k + 1]]):
+        for position, row in enumerate(observed[k]):
             u, v = landmarks.observed_uv_px[row] + PIXEL_CENTRE
             landmark = int(landmarks.observed_landmark[row])
             points.append(f"{u:.6g} {v:.6g} {landmark + 1}")

@@ -6,7 +6,7 @@ landmarks.ply       x y z (double), red green blue, first_frame, num_observation
 navigation.json     the report
 calibration.json    camera and IMU the navigation was made with
 keyframes/          NNNNNN.jpg|png as recorded, and observations.npz: poses, segments, observations
-pictures.npz        derived, may be missing: what localisation sees in the keyframes (station/places/pictures.py)
+pictures.npz        derived, may be missing: what localisation sees in the keyframes (places/localisation)
 ```
 """
 
@@ -14,9 +14,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import shutil
-import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +23,7 @@ import msgspec
 import numpy as np
 
 from shared.calibration import Calibration
+from shared.disk import make_folder, replacing_folder
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, IntArray, quat_from_rotation, rotation_from_quat, se3
 from station.files.ply import decode_ply, encode_ply
@@ -50,15 +48,11 @@ def save_navigation(nav: Navigation, folder: Path) -> None:
     folder = folder.absolute()
     try:
         check_navigation_folder(folder)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=folder.parent))
-        try:
-            fresh = scratch / "fresh"
-            _write(nav, fresh)
-            swap_folder(fresh, folder, scratch / "old")
-            _flush(folder.parent)  # the name too: who reads that a navigation is ready may pull the plug
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
+        make_folder(folder.parent)
+        with replacing_folder(folder) as fresh:
+            (fresh / IMAGES).mkdir()
+            for name, content in encode_navigation(nav).items():
+                (fresh / name).write_bytes(content)
     except OSError as exc:
         raise DataError(f"{folder} cannot be written ({exc.strerror}); choose another folder") from exc
 
@@ -69,19 +63,6 @@ def check_navigation_folder(folder: Path) -> None:
         foreign = {p.name for p in folder.iterdir()} - OUR_ENTRIES if folder.is_dir() else {folder.name}
         if foreign:
             raise DataError(f"{folder} holds {sorted(foreign)[0]}, which is no part of a navigation; give a new folder")
-
-
-def swap_folder(fresh: Path, folder: Path, old: Path) -> None:
-    """Let `fresh` take the name `folder`; what had it becomes `old`, or has it again where that fails (OSError)."""
-    had_one = folder.exists()
-    if had_one:
-        folder.rename(old)
-    try:
-        fresh.rename(folder)
-    except OSError:
-        if had_one:
-            old.rename(folder)
-        raise
 
 
 def load_navigation(folder: Path) -> Navigation:
@@ -191,24 +172,6 @@ def parse_tum(text: str, path: Path) -> Trajectory:
         times.append(t_ns)
         poses.append(se3(rotation_from_quat(np.array([qw, qx, qy, qz])), np.array([x, y, z])))
     return Trajectory(np.array(times, dtype=np.int64), np.array(poses).reshape(-1, 4, 4))
-
-
-def _write(nav: Navigation, folder: Path) -> None:
-    (folder / IMAGES).mkdir(parents=True)
-    for name, content in encode_navigation(nav).items():
-        (folder / name).write_bytes(content)
-        _flush(folder / name)
-    for directory in (folder / IMAGES, folder):
-        _flush(directory)
-
-
-def _flush(file: Path) -> None:
-    """Onto the disk before the folder takes its name: a power cut must not leave empty files under a good name."""
-    descriptor = os.open(file, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _landmark_columns(nav: Navigation) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Arrays that are put aside until the end of a drive: in files without names, not in memory."""
+"""Arrays that wait on the disk, in files without names, until the navigation that they belong to ends."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ KEPT_FREE_BYTES = 1024 * 1024 * 1024  # more than a recording asks for: this mus
 FOLDER = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108  # nosec B108
 
 
-class Shelf:
+class Spill:
     """Takes arrays and gives read-only ones with the same bits back, which take no memory while nobody looks at them.
 
-    A drive of an hour has gigabytes of features, of which only the last few are looked at before it ends. Where the
-    disk is full, or there is none, they stay in memory.
+    A navigation of an hour has gigabytes of features, of which only the last few are looked at before it ends. Where
+    the disk is full, or there is none, they stay in memory.
     """
 
     def __init__(self, file_bytes: int = FILE_BYTES, resident_bytes: int = RESIDENT_BYTES) -> None:
@@ -41,7 +41,7 @@ class Shelf:
         self._is_full = False
 
     def put(self, array: npt.NDArray[A]) -> npt.NDArray[A]:
-        """The same array, on the shelf."""
+        """The same array, mapped from a file."""
         if not array.nbytes or self._is_full:
             return array
         chunk = self._room_for(array.nbytes)
@@ -65,7 +65,7 @@ class Shelf:
                 self._chunk, self._used = _map_file(max(size, self._file_bytes)), 0
             except OSError as exc:
                 self._is_full = True
-                logger.warning("no room on the disk to put arrays aside (%s); they stay in memory", exc.strerror)
+                logger.warning("the disk has no room for arrays (%s); they stay in memory", exc.strerror)
                 return None
         return self._chunk
 
@@ -77,15 +77,15 @@ class Shelf:
                 chunk.madvise(mmap.MADV_DONTNEED)
 
 
-class ShelvedFiles(Sequence[bytes]):
-    """Files, such as pictures, on a shelf."""
+class SpilledFiles(Sequence[bytes]):
+    """Files, such as pictures, in spilled arrays."""
 
-    def __init__(self, shelf: Shelf) -> None:
-        self._shelf = shelf
+    def __init__(self, spill: Spill) -> None:
+        self._spill = spill
         self._files: list[npt.NDArray[np.uint8]] = []
 
     def append(self, file: bytes) -> None:
-        self._files.append(self._shelf.put(np.frombuffer(file, np.uint8)))
+        self._files.append(self._spill.put(np.frombuffer(file, np.uint8)))
 
     def __len__(self) -> int:
         return len(self._files)

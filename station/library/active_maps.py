@@ -7,14 +7,19 @@ order of the others means nothing.
 from __future__ import annotations
 
 import itertools
-import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 
-from station.files.disk import cannot_write, flush
-from station.model.place_map import PlaceMap
+from shared.disk import make_folder, replace_file
+from station.errors import Conflict, Unknown
+from station.files.unwritable import cannot_write
+from station.model.map_store import StoreAddress
+from station.model.place_map import Place, PlaceMap
 
 FILE = "active.json"  # beside the maps
 
@@ -37,12 +42,8 @@ def keep_choice(root: Path, chosen: tuple[str, ...]) -> None:
         return
     content = msgspec.json.encode(_Choice(chosen[0] if chosen else None, chosen[1:])) + b"\n"
     try:
-        root.mkdir(parents=True, exist_ok=True)
-        scratch = root / f".{FILE}"
-        scratch.write_bytes(content)
-        flush(scratch)
-        os.replace(scratch, root / FILE)
-        flush(root)
+        make_folder(root)
+        replace_file(root / FILE, content)
     except OSError as exc:
         raise cannot_write(root, exc) from exc
 
@@ -77,3 +78,53 @@ def why_not_together(maps: Sequence[PlaceMap]) -> str:
 def _navigations(place_map: PlaceMap) -> set[str]:
     """Those it was made from: the ids of several are joined (merge.py)."""
     return set(place_map.navigation.id.split("+"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActiveMap:
+    """A map in use, and what is derived from it once."""
+
+    place_map: PlaceMap
+    place_of_point: npt.NDArray[np.uint8]  # (M,) number of its place, NO_PLACE for none
+    numbers: Mapping[str, int]  # of the places, by id; also of some that are gone and may come back
+
+    def place(self, place_id: str) -> Place:
+        """Raises Unknown."""
+        for place in self.place_map.places:
+            if place.id == place_id:
+                return place
+        raise Unknown(f"the active map has no place {place_id!r}; GET /places lists them")
+
+    @property
+    def visible_places(self) -> tuple[Place, ...]:
+        """Those that are not hidden: the graph's nodes."""
+        return tuple(place for place in self.place_map.places if not place.hidden)
+
+
+class ActiveMaps:
+    """The maps in which robots are looked for; *the* active map is the first of them."""
+
+    def __init__(self, address: StoreAddress) -> None:
+        self.address = address
+        self._active: tuple[ActiveMap, ...] = ()
+        self.revision = 0  # counts what the active map was, so that a page knows when to read it again
+
+    @property
+    def active(self) -> ActiveMap | None:
+        """The first of the active maps."""
+        return self._active[0] if self._active else None
+
+    @property
+    def all_active(self) -> tuple[ActiveMap, ...]:
+        """The first one first."""
+        return self._active
+
+    def among_active(self, map_id: str) -> ActiveMap | None:
+        """The active map of this id."""
+        return next((active for active in self._active if active.place_map.id == map_id), None)
+
+    def require_active(self) -> ActiveMap:
+        """Raises Conflict in words when no map is active."""
+        if not self._active:
+            raise Conflict("no map is active; build one with POST /maps and choose it with PUT /maps/active")
+        return self._active[0]

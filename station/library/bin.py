@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Literal
 
 import msgspec
 
+from shared.disk import make_folder, replace_file
 from shared.errors import DataError
 
 KEEP_S = 7 * 86_400.0  # deleted things are kept so long,
@@ -74,9 +74,7 @@ class Bin:
 
     def _write(self) -> None:
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            scratch = self._path.with_suffix(".new")
-            scratch.write_bytes(msgspec.json.encode(self.list()))
-            os.replace(scratch, self._path)
+            make_folder(self._path.parent)
+            replace_file(self._path, msgspec.json.encode(self.list()))
         except OSError as exc:
             raise DataError(f"{self._path} cannot be written ({exc.strerror}); free space or choose another") from exc

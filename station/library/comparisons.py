@@ -13,6 +13,7 @@ import msgspec
 
 from shared.errors import DataError
 from station.errors import Unknown
+from station.library.dated_id import free_dated_id
 
 _SCRATCH = ".new-"
 FILES = {"report.html": "text/html; charset=utf-8", "results.json": "application/json"}
@@ -69,11 +70,9 @@ class Comparisons:
         """A new id and an empty folder for a job to write into; what an ended job left there is removed."""
         try:
             self._root.mkdir(parents=True, exist_ok=True)
-            stem = time.strftime("cmp-%Y%m%d-%H%M%S", time.localtime())
-            number, candidate = 1, stem
-            while (self._root / candidate).exists() or (self._root / (_SCRATCH + candidate)).exists():
-                number += 1
-                candidate = f"{stem}-{number}"
+            candidate = free_dated_id(
+                "cmp", lambda name: any((self._root / (s + name)).exists() for s in ("", _SCRATCH))
+            )
             folder = self._root / (_SCRATCH + candidate)
             folder.mkdir()
         except OSError as exc:

@@ -12,16 +12,17 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shared.advice import complete
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
-from station.files.disk import Unwritable
-from station.library.active_maps import keep_choice, kept_choice, why_not_together
+from station.files.unwritable import Unwritable
+from station.library.active_maps import ActiveMap, ActiveMaps, keep_choice, kept_choice, why_not_together
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.record import MapRecord, says_same_of_places
-from station.maps.repair.check import collect_garbage
-from station.maps.repair.purging import purge
-from station.maps.store import MapStore, MapSummary, StoreAddress
+from station.maps.repair.purging import collect_garbage, purge
+from station.maps.store import MapStore
+from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.localisation.index_file import forget_index
@@ -34,27 +35,6 @@ MAX_WHY = 200
 WHITE_DEVIATION = 100.0  # grey levels, as in the reports: images of one place seldom differ by more
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ActiveMap:
-    """A map in use, and what is derived from it once."""
-
-    place_map: PlaceMap
-    place_of_point: npt.NDArray[np.uint8]  # (M,) number of its place, NO_PLACE for none
-    numbers: Mapping[str, int]  # of the places, by id; also of some that are gone and may come back
-
-    def place(self, place_id: str) -> Place:
-        """Raises Unknown."""
-        for place in self.place_map.places:
-            if place.id == place_id:
-                return place
-        raise Unknown(f"the active map has no place {place_id!r}; GET /places lists them")
-
-    @property
-    def visible_places(self) -> tuple[Place, ...]:
-        """Those that are not hidden: the graph's nodes."""
-        return tuple(place for place in self.place_map.places if not place.hidden)
-
-
 @dataclass(frozen=True, slots=True)
 class PlacesChange:
     """A place was renamed, hidden or shown, or places were merged."""
@@ -65,7 +45,7 @@ class PlacesChange:
     changed_wall_s: float
 
 
-class Maps:
+class Maps(ActiveMaps):
     """The store and the active maps. Reading and writing maps happens in threads.
 
     The robots are looked for in all active maps. *The* active map is the first of them: places, graph and what is made
@@ -73,34 +53,12 @@ class Maps:
     """
 
     def __init__(self, address: StoreAddress, events: Notifier) -> None:
-        self.address = address
+        super().__init__(address)
         self._store = MapStore(address, self._found_damage)
         self._events = events
         self._loop: asyncio.AbstractEventLoop | None = None
         self._chosen: tuple[str, ...] = ()  # by a person; of these the active maps are those that can be read
-        self._active: tuple[ActiveMap, ...] = ()
         self._changing = asyncio.Lock()
-        self.revision = 0  # counts what the active map was, so that a page knows when to read it again
-
-    @property
-    def active(self) -> ActiveMap | None:
-        """The first of the active maps."""
-        return self._active[0] if self._active else None
-
-    @property
-    def all_active(self) -> tuple[ActiveMap, ...]:
-        """The first one first."""
-        return self._active
-
-    def among_active(self, map_id: str) -> ActiveMap | None:
-        """The active map of this id."""
-        return next((active for active in self._active if active.place_map.id == map_id), None)
-
-    def require_active(self) -> ActiveMap:
-        """Raises Conflict in words when no map is active."""
-        if not self._active:
-            raise Conflict("no map is active; build one with POST /maps and choose it with PUT /maps/active")
-        return self._active[0]
 
     async def list(self) -> tuple[MapSummary, ...]:
         return await asyncio.to_thread(self._store.list)
@@ -196,8 +154,8 @@ class Maps:
 
     async def purge(self, map_id: str) -> None:
         """Delete a deleted map for good."""
-        await asyncio.to_thread(purge, self._store, map_id)
-        await asyncio.to_thread(collect_garbage, self._store)
+        await asyncio.to_thread(lambda: purge(self._store.for_writing(), map_id))
+        await asyncio.to_thread(lambda: collect_garbage(self._store.for_writing()))
         await asyncio.to_thread(forget_index, self._store.address.root, map_id)
 
     async def rename(self, map_id: str, name: str) -> MapSummary:
@@ -284,6 +242,8 @@ class Maps:
 
     def _found_damage(self, sentence: str) -> None:
         """The store found something wrong, in whatever thread it was read."""
+        if not (self.address.database or self.address.blobs):  # they are named by a file that we do not know
+            sentence = complete(sentence, "station", {"--data": self.address.root.parent})
         logger.warning("%s", sentence)
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._events.notify, "map", sentence, "warning")

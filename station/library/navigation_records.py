@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,13 +13,15 @@ from typing import Literal
 
 import msgspec
 
+from shared.disk import make_folder, replace_file
 from shared.errors import DataError
 from station.errors import Unknown
-from station.files.disk import Unwritable, cannot_write, flush, why_unwritable
-from station.library.retention import KeptRecording
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
+from station.library.dated_id import free_dated_id
 
 NavigationState = Literal["recording", "finishing", "ready", "failed"]
 RECORD = "record.json"
+RECORDING = "recording.mcap"
 OLD_RECORD = "drive.json"  # its name until November 2026
 BIN = ".bin"  # the folder of deleted navigations
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
@@ -79,7 +79,7 @@ class NavigationLibrary:
             try:
                 navigation = _read_record(folder)
             except (OSError, msgspec.DecodeError):
-                if not (folder / "recording.mcap").is_file():
+                if not (folder / RECORDING).is_file():
                     continue  # half a navigation of a killed station, in which nothing was recorded yet
                 navigation = _without_record(folder)
             if navigation.state in ("recording", "finishing"):
@@ -107,12 +107,8 @@ class NavigationLibrary:
 
     def new_id(self) -> str:
         """A name from the clock on the wall, unused so far."""
-        stem = time.strftime("nav-%Y%m%d-%H%M%S", time.localtime())
-        number, candidate = 1, stem
-        while any((folder / candidate).exists() for folder in (self._root, self._root / BIN)):
-            number += 1
-            candidate = f"{stem}-{number}"
-        return candidate
+        folders = (self._root, self._root / BIN)
+        return free_dated_id("nav", lambda candidate: any((folder / candidate).exists() for folder in folders))
 
     def folder(self, navigation_id: str) -> Path:
         """Where a navigation's files are."""
@@ -132,16 +128,10 @@ class NavigationLibrary:
         """Write a record, whole or not at all; when this returns it survives a power cut. Raises Unwritable."""
         folder = self.folder(navigation.id)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            scratch = folder / f".{RECORD}"
-            with scratch.open("w", encoding="utf-8") as file:
-                file.write(json.dumps(msgspec.to_builtins(navigation), indent=1) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(scratch, folder / RECORD)
+            make_folder(folder)
+            content = json.dumps(msgspec.to_builtins(navigation), indent=1) + "\n"
+            replace_file(folder / RECORD, content.encode())
             (folder / OLD_RECORD).unlink(missing_ok=True)
-            for changed in (folder, self._root):  # the names too survive a power cut
-                flush(changed)
         except OSError as exc:
             raise cannot_write(folder, exc) from exc
 
@@ -151,32 +141,11 @@ class NavigationLibrary:
 
     def recording(self, navigation_id: str) -> Path:
         """Where a navigation's recording is, or would be."""
-        return self.folder(navigation_id) / "recording.mcap"
+        return self.folder(navigation_id) / RECORDING
 
-    def _recorded(self, navigation_id: str) -> Sequence[Path]:
-        """The recording, and what its recovery kept of a damaged one (recovery.py)."""
-        return sorted(self.folder(navigation_id).glob("recording.mcap*"))
-
-    def finished_recordings(self) -> Sequence[KeptRecording]:
-        """The recordings of navigations that are over."""
-        kept = []
-        for navigation in self.list():
-            if navigation.state in ("ready", "failed"):
-                with contextlib.suppress(OSError):  # there is none, or somebody deletes it just now
-                    if files := self._recorded(navigation.id):
-                        size = sum(file.stat().st_size for file in files)
-                        kept.append(KeptRecording(navigation.id, navigation.started_wall_s, size))
-        return kept
-
-    def remove_recording(self, navigation_id: str) -> None:
-        """Delete a recording and keep its navigation."""
-        try:
-            for file in self._recorded(navigation_id):
-                file.unlink(missing_ok=True)
-        except OSError as exc:
-            raise DataError(
-                f"{self.recording(navigation_id)} cannot be deleted ({exc.strerror}); delete it by hand"
-            ) from exc
+    def recording_files(self, navigation_id: str) -> Sequence[Path]:
+        """The recording, and what its recovery left of a damaged one (recovery.py)."""
+        return sorted(self.folder(navigation_id).glob(f"{RECORDING}*"))
 
     def delete(self, navigation_id: str) -> None:
         """Forget a navigation; `restore` brings it back until it is purged. Raises Unknown."""
@@ -229,5 +198,5 @@ def _read_record(folder: Path) -> NavigationRecord:
 
 def _without_record(folder: Path) -> NavigationRecord:
     """A navigation of which only the recording is left."""
-    started_s = (folder / "recording.mcap").stat().st_mtime
+    started_s = (folder / RECORDING).stat().st_mtime
     return NavigationRecord(folder.name, folder.name, "recording", started_s, "unknown")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+from shared.disk import SCRATCH
 from shared.errors import DataError
-from station.files.disk import SCRATCH
 from station.maps.address import address_of, heal, is_whole
 from station.maps.bucket import Bucket
 

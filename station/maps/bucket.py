@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from shared.disk import PRIVATE, make_folder, replace_file
 from shared.errors import ConfigError, DataError
-from station.files.disk import SCRATCH, cannot_write, flush
+from station.files.unwritable import cannot_write
 
 
 class Bucket(Protocol):
@@ -52,9 +52,8 @@ class FolderBucket:
     def put(self, files: Mapping[str, bytes]) -> None:
         try:
             for name, data in files.items():
-                self._put(self._root / name, data)
-            for folder in {(self._root / name).parent for name in files}:
-                flush(folder)
+                make_folder((self._root / name).parent)
+                replace_file(self._root / name, data, mode=PRIVATE)
         except OSError as exc:
             raise cannot_write(self._root, exc) from exc
 
@@ -79,22 +78,6 @@ class FolderBucket:
             (self._root / name).unlink(missing_ok=True)
         except OSError as exc:
             raise cannot_write(self._root, exc) from exc
-
-    def _put(self, path: Path, data: bytes) -> None:
-        if not path.parent.is_dir():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            flush(path.parent.parent)
-        descriptor, scratch = tempfile.mkstemp(prefix=SCRATCH, dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(descriptor)
-            os.replace(scratch, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(scratch)
-            raise
 
 
 class UrlBucket:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -62,6 +63,12 @@ class Landmarks:
         np.minimum.at(first, self.observed_landmark, self.observed_keyframe)
         first[first == np.iinfo(np.int64).max] = -1
         return first
+
+    def observations_by_keyframe(self, num_keyframes: int) -> list[IntArray]:
+        """For each keyframe the rows of its observations, in the order in which they are stored."""
+        order = np.argsort(self.observed_keyframe, kind="stable")
+        begin = np.searchsorted(self.observed_keyframe[order], np.arange(num_keyframes + 1))
+        return [order[a:b] for a, b in itertools.pairwise(begin)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, se3, so3_exp
+from shared.geometry import FloatArray, IntArray, se3, so3_exp, upright
 from station.model.frames import DriveSample, ImuBatch
 from station.motion.drive_commands import CommandedRest, WheelSpeed, resting_samples, wheel_motion
 from station.motion.inertial_track import InertialTrack
@@ -127,7 +127,4 @@ def level(imu: ImuBatch, track: InertialTrack, drive: list[DriveSample]) -> Floa
     rest = resting_samples(imu, drive)
     use = rest if rest.sum() > 50 else np.ones(len(imu), dtype=bool)  # a whole drive's mean: accelerations cancel
     up = np.einsum("nij,nj->i", track.R[use], imu.accel_imu[use])
-    up /= np.linalg.norm(up)
-    x = np.array([1.0, 0.0, 0.0]) - up * up[0]
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
+    return upright(up, np.eye(3))

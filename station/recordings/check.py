@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,8 @@ from mcap.records import Footer, Message
 from mcap.stream_reader import StreamReader
 
 from shared.mcap_recording import DAMAGE, MAX_RECORD_BYTES
-from station.files.lock import is_being_written
 from station.recordings.chunks import MAGIC, Survey, has_end, parts_of
+from station.recordings.writer_lock import is_being_written
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class RecordingCheck:
             return f"{self.path}: {state or 'whole'}, {amount}"
         said = f"{self.path}: {', '.join(filter(None, (state, self.damage)))}; readable: {amount}"
         if self.messages and not state:
-            said += f"; `station recordings recover {self.path}` makes a proper file of these"
+            said += f"; `station recordings recover {shlex.quote(str(self.path))}` makes a proper file of these"
         return said
 
 

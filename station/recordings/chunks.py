@@ -1,7 +1,7 @@
 """A recording's bytes in order: its sound chunks, wherever they lie, and what is damaged between or behind them.
 
 A damaged length or kind hides nothing: what every chunk says of its compression, always in the same place of its head,
-is searched for, and the chunk's own checksum decides. Only chunks as station/recorder.py writes them are found.
+is searched for, and the chunk's own checksum decides. Only chunks as recorder.py writes them are found.
 """
 
 from __future__ import annotations

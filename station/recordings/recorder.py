@@ -20,13 +20,12 @@ from typing import Any, BinaryIO
 import msgspec
 from mcap.writer import CompressionType, Writer
 
+from shared.disk import flush
 from shared.errors import DataError
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.events import LogLine
-from station.files.disk import flush
 from station.files.foxglove import camera_calibration, encode_image, time_of
-from station.files.lock import hold
 from station.model.place_answer import PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.recordings.topics import (
@@ -47,6 +46,7 @@ from station.recordings.topics import (
     slam_pose,
     slam_state,
 )
+from station.recordings.writer_lock import hold
 
 logger = logging.getLogger(__name__)
 

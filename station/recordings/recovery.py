@@ -12,12 +12,13 @@ from mcap.reader import make_reader
 from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.writer import CompressionType, Writer
 
+from shared.disk import replacing
 from shared.errors import DataError
 from shared.mcap_recording import DAMAGE
-from station.files.lock import hold
 from station.recordings.check import check_file
 from station.recordings.chunks import SoundChunk, Survey, parts_of
 from station.recordings.topics import LIBRARY, register_channels
+from station.recordings.writer_lock import hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,17 +59,13 @@ def recover_recording(path: Path) -> Recovery | None:
                 raise DataError(f"{path} is being recorded; end that, then it needs no recovery")
             if not check_file(path, source).damage:
                 return None
-            try:
-                with scratch.open("wb") as target:
-                    survey = _copy(source, target, path)
-                    target.flush()
-                    os.fsync(target.fileno())
+            with replacing(path, scratch=scratch) as target:
+                survey = _copy(source, target, path)
                 if not survey.messages:
                     raise DataError(f"{path} holds nothing that can be recovered; it stays as it is")
+                target.flush()
+                os.fsync(target.fileno())  # before the old one gets a second name
                 kept = _keep(path) if survey.num_damaged else None
-                os.replace(scratch, path)
-            finally:
-                scratch.unlink(missing_ok=True)
     except OSError as exc:
         raise DataError(f"{path} cannot be recovered ({exc.strerror}); look at the disk and its free space") from exc
     return Recovery(path, survey.messages, survey.seconds, survey.inside, survey.bytes_cut, kept)

@@ -10,103 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from shared.lease import DriverLease
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.config import DriveConfig
 from station.errors import Conflict, NoRobot, NotCapable, NotDriver, OutOfRange
+from station.robots.camera_head import AHEAD, CameraHead
 
 MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 250 ms at most (station/api/robot.py)
 MAX_DRIVER_NAME = 64
-LATE_FOR_NS = 500_000_000
 TAKE_OVER_S = 5.0  # until the first command: time to reach for the joystick, or to type the next line
-LET_GO_NS = 500_000_000  # of silence after the last command's end: whoever was stopped by somebody else let go
-HEAD_TURNS_NS = 1_000_000_000  # servos need half a second from one end to the other; the picture is a little late
-
-
-class DriverLease:
-    """One driver at a time. A driver keeps the wheel by speaking; silence gives it back. Time is an argument."""
-
-    def __init__(self, lease_ns: int) -> None:
-        self._lease_ns = lease_ns
-        self._driver: str | None = None
-        self._heard_ns = 0
-        self._hold_ns = 0  # so long the last command held
-        self._free_ns = 0  # when silence has given the wheel back
-        self._held: str | None = None  # who was stopped by somebody else and has not let go since
-
-    def driver(self, now_ns: int) -> str | None:
-        """Who drives now."""
-        return self._driver if self._driver is not None and now_ns < self._free_ns else None
-
-    def left_ns(self, now_ns: int) -> int:
-        """For how long the driver keeps the wheel without another word."""
-        return max(0, self._free_ns - now_ns)
-
-    def claim(self, driver: str, now_ns: int, hold_ns: int = 0) -> bool:
-        """Take or keep the wheel, by a word that holds for `hold_ns`; False when another one has it."""
-        if self.driver(now_ns) not in (None, driver):
-            return False
-        self.take_over(driver, now_ns, hold_ns)
-        self._hold_ns = hold_ns
-        return True
-
-    def take_over(self, driver: str, now_ns: int, hold_ns: int = 0) -> None:
-        """Take the wheel whoever has it."""
-        free_ns = now_ns + hold_ns + self._lease_ns
-        self._free_ns = max(free_ns, self._free_ns) if driver == self._driver else free_ns
-        self._driver, self._heard_ns, self._hold_ns = driver, now_ns, 0
-
-    def stop(self, by: str | None, now_ns: int) -> None:
-        """A stop by somebody else holds until the driver lets go; our own is letting go.
-
-        The robot has the same rule for its stations (robot/driving.py); to it all pages of this station are one.
-        """
-        if by is not None and by == self._held:
-            self._held = None
-        elif (driver := self.driver(now_ns)) is not None and driver != by:
-            self._held = driver
-            self._heard_ns = now_ns  # the silence that counts begins now
-
-    def must_let_go(self, driver: str, is_zero: bool, now_ns: int) -> bool:
-        """Somebody else stopped this driver, who has held on since. To be asked before the claim, which is a word.
-
-        Silence while the last command would still hold is none: a program that repeats once a second holds on too.
-        """
-        if driver == self._held and (is_zero or now_ns - self._heard_ns >= self._hold_ns + LET_GO_NS):
-            self._held = None
-        return driver == self._held
-
-    def release(self, driver: str) -> None:
-        """Let go, if it is ours."""
-        if self._held == driver:
-            self._held = None
-        if self._driver == driver:
-            self._driver = None
-
-
-class LateOrders:
-    """Tells a link that is too slow for driving from one that stood still for a moment. Time is an argument.
-
-    Commands that arrive older than they may hold move nothing. After a standstill they come in one burst and fresh
-    ones follow; where they keep coming one by one, whoever holds the joystick must be told why nothing moves.
-    """
-
-    def __init__(self) -> None:
-        self._since_ns: int | None = None
-        self._last_ns = 0
-
-    def fresh(self) -> None:
-        """A command came in time."""
-        self._since_ns = None
-
-    def late(self, now_ns: int) -> bool:
-        """A command came too late. True when they have done so, and nothing else, for LATE_FOR_NS; told anew after."""
-        if self._since_ns is None or now_ns - self._last_ns > LATE_FOR_NS:
-            self._since_ns = now_ns
-        self._last_ns = now_ns
-        if now_ns - self._since_ns < LATE_FOR_NS:
-            return False
-        self._since_ns = None
-        return True
 
 
 class DriveLink(Protocol):
@@ -139,7 +51,7 @@ class Driving:
         now_ns: Callable[[], int] = time.monotonic_ns,
         on_command: Callable[[str, float, float, int], None] = lambda *_: None,
     ) -> None:
-        """`on_command` hears what was sent to the robot: driver, m/s, rad/s, ms to live."""
+        """`on_command` gets what was sent to the robot: driver, m/s, rad/s, ms to live."""
         self._on_command = on_command
         self._link = link
         self._config = config
@@ -147,13 +59,12 @@ class Driving:
         self._on_driver = on_driver
         self._on_silence = on_silence
         self._now_ns = now_ns
-        self._lease = DriverLease(round(config.lease_s * 1e9))
-        self._told: str | None = None
+        self._lease: DriverLease[str] = DriverLease(round(config.lease_s * 1e9))
+        self._notified: str | None = None  # the driver that `on_driver` heard of last
         self._command: _Command | None = None
         self._sent_ns = 0
         self._changed = asyncio.Event()
-        self._head = (0.0, 0.0)  # where the camera head was told to look
-        self._head_rests_ns = 0  # when it looks there
+        self._head = CameraHead()
 
     @property
     def driver(self) -> str | None:
@@ -173,17 +84,17 @@ class Driving:
     @property
     def head_is_centred(self) -> bool:
         """The camera was told to look straight ahead, as its calibration says."""
-        return self._head == (0.0, 0.0)
+        return self._head.is_centred
 
     @property
     def looks_ahead(self) -> bool:
         """It was, and had the time to get there: its pictures are what the calibration says."""
-        return self.head_is_centred and self._now_ns() >= self._head_rests_ns
+        return self._head.looks_ahead(self._now_ns())
 
     def centre_head(self) -> None:
         """Let the camera look straight ahead, whoever drives."""
-        if not self.head_is_centred and self._link.point(0.0, 0.0):
-            self._turn_head(0.0, 0.0)
+        if not self.head_is_centred and self._link.point(*AHEAD):
+            self._head.turn(*AHEAD, self._now_ns())
 
     def drive(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
         """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
@@ -197,9 +108,9 @@ class Driving:
         if not 1 <= ttl_ms <= MAX_TTL_MS:
             raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
         is_still = linear == 0.0 and angular == 0.0
-        must_let_go = self._lease.must_let_go(driver, is_still, self._now_ns())
-        self._claim(driver, ttl_ms)
-        if must_let_go:
+        verdict = self._lease.command(_named(driver), is_still, self._now_ns(), ttl_ms * 1_000_000)
+        self._require_wheel(verdict != "taken")
+        if verdict == "stopped":
             raise Conflict("somebody else stopped the robot; let go of the joystick once, then drive on")
         if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
@@ -221,10 +132,10 @@ class Driving:
             False when no robot is connected.
         """
         self._command = None
-        is_told = self._link.stop()  # before all else
+        is_sent = self._link.stop()  # before all else
         self._lease.stop(by, self._now_ns())
         self._on_command(by or "station", 0.0, 0.0, 0)
-        return is_told
+        return is_sent
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
         """Point the camera head (rad). Needs the wheel, as driving does."""
@@ -233,14 +144,10 @@ class Driving:
             raise NotCapable("this robot has no pan-tilt head")
         _check("pan", pan, math.pi, "rad")
         _check("tilt", tilt, math.pi, "rad")
-        self._claim(driver)
+        self._require_wheel(self._lease.claim(_named(driver), self._now_ns()))
         if not self._link.point(pan, tilt):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
-        self._turn_head(pan, tilt)
-
-    def _turn_head(self, pan: float, tilt: float) -> None:
-        if (pan, tilt) != self._head:
-            self._head, self._head_rests_ns = (pan, tilt), self._now_ns() + HEAD_TURNS_NS
+        self._head.turn(pan, tilt, self._now_ns())
 
     def take_over(self, driver: str) -> None:
         """Become the driver, whoever drives, and stay so for some seconds without a word.
@@ -257,14 +164,14 @@ class Driving:
         if self.driver != driver:
             self.stop(driver)
         self._lease.take_over(driver, self._now_ns(), round(TAKE_OVER_S * 1e9))
-        self._tell()
+        self._notify_driver()
 
     def release(self, driver: str) -> None:
         """Let go of the wheel; stops the robot when it was ours."""
         if self.driver == driver:
             self.stop(driver)
         self._lease.release(driver)
-        self._tell()
+        self._notify_driver()
 
     async def run(self) -> None:
         """The timer: repeats, and stops when silent. Runs until cancelled, and stops the robot then."""
@@ -276,7 +183,7 @@ class Driving:
 
     async def _step(self) -> None:
         now_ns = self._now_ns()
-        self._tell()
+        self._notify_driver()
         command = self._command
         if command is not None and now_ns >= command.until_ns:
             self._command = None
@@ -309,14 +216,15 @@ class Driving:
             raise NotCapable("this robot cannot drive (a recorded one only replays)")
         return able
 
-    def _claim(self, driver: str, ttl_ms: int = 0) -> None:
-        if not self._lease.claim(_named(driver), self._now_ns(), ttl_ms * 1_000_000):
+    def _require_wheel(self, is_ours: bool) -> None:
+        """After a claim. Raises NotDriver."""
+        if not is_ours:
             raise NotDriver(f"{self.driver} drives; take over with POST /drive/take-over")
-        self._tell()
+        self._notify_driver()
 
-    def _tell(self) -> None:
-        if (driver := self.driver) != self._told:
-            self._told = driver
+    def _notify_driver(self) -> None:
+        if (driver := self.driver) != self._notified:
+            self._notified = driver
             self._on_driver(driver)
 
 

@@ -6,31 +6,22 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 from shared.access import prove
-from shared.errors import ConfigError, LocalProtocolError, RemoteProtocolError
+from shared.errors import ConfigError, RemoteProtocolError
 from shared.messages import (
-    MAX_DRIVE_TTL_MS,
     PROTOCOL_VERSION,
     CameraFrame,
-    Drive,
     DriveApplied,
     ErrorNotice,
-    Heartbeat,
     HeartbeatReply,
     Hello,
-    Hijack,
     ImuBatch,
     Join,
     Message,
-    PanTilt,
     Prove,
-    Received,
     Refusal,
-    StationMessage,
     Status,
-    Stop,
     Welcome,
 )
 from shared.session import Event, Session, State, Tick
@@ -44,10 +35,11 @@ from station.access.connecting import (
     in_words,
 )
 from station.access.paired_robots import PairedRobots
-from station.errors import NoRobot
-from station.robots.link_state import LinkClock, LinkState, RateMeter
-
-__all__ = ["LinkListener", "LinkState", "RobotLink"]
+from station.robots.link_commands import LinkCommands
+from station.robots.link_events import LinkListener
+from station.robots.link_hearing import Hearing
+from station.robots.link_sending import DueMessages
+from station.robots.link_state import Arrivals, LinkClock, LinkState, RateMeter
 
 logger = logging.getLogger(__name__)
 
@@ -55,43 +47,11 @@ RETRY_S = 0.25  # a robot that just started is found well within two seconds
 REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a handshake was cut in the middle
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
-# Heartbeats are answered before anything else is sent. So late an answer, and the robot spoke on for so long with so
-# many messages: it does not hear us. After a stall of the network all comes at once, and the answers right behind.
-UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
 AUTO = "auto"  # as host: look for a robot
 FIND_WITHIN_S = 2.0
-ANSWER_WITHIN_S = 2.0
 NO_ROBOT_FOUND = (
     "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
 )
-# What is sent first when several things are due. Each kind has room for one: the newest wins.
-SENDING_ORDER: tuple[type, ...] = (Prove, Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
-
-
-class LinkListener(Protocol):
-    """What a link tells. Called on the event loop: return at once, hand computing to others."""
-
-    def on_connected(self, hello: Hello) -> None: ...
-
-    def on_disconnected(self, reason: str) -> None: ...
-
-    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
-        """A camera image and the station's monotonic time of its arrival."""
-        ...
-
-    def on_imu(self, batch: ImuBatch) -> None: ...
-
-    def on_gap(self, num_samples: int) -> None:
-        """IMU samples are missing between the last batch and the next one."""
-        ...
-
-    def on_drive_applied(self, applied: DriveApplied) -> None: ...
-
-    def on_status(self, status: Status) -> None: ...
-
-    def on_notice(self, notice: ErrorNotice) -> None:
-        """The robot refused something, or a device failed."""
-        ...
 
 
 class RobotLink:
@@ -122,27 +82,19 @@ class RobotLink:
         self._connection: Connection | None = None
         self._retry_s = RETRY_S
         self._session = Session("station", now_ns())
-        self._due: dict[type, StationMessage] = {}
-        self._wake = asyncio.Event()
+        self._due = DueMessages()
         self._silence = asyncio.Event()
-        self._seq = 0  # of drive, stop and heartbeat
+        self.commands = LinkCommands(self._due, now_ns)
         self._connected = False
         self._reason = "not connected yet"
         self._hello: Hello | None = None
-        self._next_imu_sequence = -1
-        self._newest_frame = -1
         self._clock = LinkClock()
         self._rates = RateMeter()
+        self._arrived = Arrivals()
+        self._hearing = Hearing()
         self._connections = 0
-        self._bytes = self._frames = self._frames_skipped = 0
-        self._imu_samples = self._imu_gaps = self._imu_lost = 0
         self._status: Status | None = None
         self._notice: ErrorNotice | None = None
-        self._answer: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for what the robot says
-        self._answer_seq = 0  # of the heartbeat behind the question
-        self._heard_us_ns = 0  # when the last heartbeat was answered
-        self._unanswered = 0  # messages that came when an answer was late already
-        self._unanswered_since_ns = 0  # when the first of them came
 
     @property
     def state(self) -> LinkState:
@@ -162,11 +114,11 @@ class RobotLink:
             frame_rate_hz=frame_rate_hz,
             imu_rate_hz=imu_rate_hz,
             received_bytes_per_s=bytes_per_s,
-            frames=self._frames,
-            frames_skipped=self._frames_skipped,
-            imu_samples=self._imu_samples,
-            imu_gaps=self._imu_gaps,
-            imu_lost=self._imu_lost,
+            frames=self._arrived.frames,
+            frames_skipped=self._arrived.frames_skipped,
+            imu_samples=self._arrived.imu_samples,
+            imu_gaps=self._arrived.imu_gaps,
+            imu_lost=self._arrived.imu_lost,
             status=self._status,
             notice=self._notice,
         )
@@ -174,80 +126,6 @@ class RobotLink:
     def to_station_ns(self, t_robot_ns: int) -> int | None:
         """The station's monotonic time of a robot time; None before the clocks are known."""
         return self._clock.to_station_ns(t_robot_ns)
-
-    # Commands
-
-    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
-        """Hold a velocity (m/s, rad/s) for `ttl_ms` (above the protocol's limit: the limit); newest wins.
-
-        Returns False, and sends nothing, when no robot is connected or it cannot drive.
-        Raises LocalProtocolError when a number is not finite or out of the protocol's range.
-        """
-        ttl_ms = max(1, min(ttl_ms, MAX_DRIVE_TTL_MS))
-        try:
-            command = Drive(
-                seq=self._count(), t_station_ns=self._now_ns(), linear=linear, angular=angular, ttl_ms=ttl_ms
-            )
-        except ValueError as exc:
-            raise LocalProtocolError(f"drive command refused: {exc}") from exc
-        return self._can("drive") and self._put(command)
-
-    def stop(self) -> bool:
-        """Motors off now. False when no robot is connected (its own watchdog has stopped it by then)."""
-        self._due.pop(Drive, None)
-        return self._connected and self._put(Stop(seq=self._count()))
-
-    def point(self, pan: float, tilt: float) -> bool:
-        """Point the camera head (rad, positive left and up); newest wins. False when there is none."""
-        try:
-            command = PanTilt(pan=pan, tilt=tilt)
-        except ValueError as exc:
-            raise LocalProtocolError(f"pan-tilt command refused: {exc}") from exc
-        return self._can("pan_tilt") and self._put(command)
-
-    async def hijack(self, spot: tuple[float, float, float] | None) -> ErrorNotice | None:
-        """Put a simulated robot down elsewhere: x m, y m, yaw rad, or None for a spot of its own choice.
-
-        Returns why the robot refused, or None when it did as it was asked. Raises NoRobot when it said neither.
-        """
-        x, y, yaw = spot or (0.0, 0.0, 0.0)
-        try:
-            command = Hijack(x=x, y=y, yaw=yaw, anywhere=spot is None)
-        except ValueError as exc:
-            raise LocalProtocolError(f"hijack refused: {exc}") from exc
-        if not self._can("hijack"):
-            raise NoRobot("the robot is not connected just now; the link comes back by itself")
-        # A robot speaks only to refuse, and in order: the answer to a heartbeat behind the question says it did not.
-        self._answer = answer = asyncio.get_running_loop().create_future()
-        self._put(command)
-        self._beat()
-        self._answer_seq = self._seq
-        try:
-            async with asyncio.timeout(ANSWER_WITHIN_S):
-                return await answer
-        except TimeoutError as exc:
-            raise NoRobot("the robot did not answer; the link comes back by itself") from exc
-        finally:
-            if self._answer is answer:
-                self._answer = None
-
-    def _answered(self, refusal: ErrorNotice | None) -> None:
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_result(refusal)
-
-    def _can(self, capability: str) -> bool:
-        return self._connected and self._hello is not None and bool(getattr(self._hello.capabilities, capability))
-
-    def _put(self, message: StationMessage) -> bool:
-        self._due[type(message)] = message
-        self._wake.set()
-        return True
-
-    def _count(self) -> int:
-        self._seq += 1
-        return self._seq
-
-    # Connection
 
     async def run(self) -> None:
         """Connect, and connect again whenever the connection is lost, until cancelled."""
@@ -258,6 +136,7 @@ class RobotLink:
                 self._reason = await self._connect_once()
             finally:
                 was_connected, self._connected = self._connected, False
+                self.commands.close()
                 self._rates = RateMeter()  # nothing arrives now
             if was_connected:
                 logger.warning("robot lost: %s", self._reason)
@@ -291,7 +170,7 @@ class RobotLink:
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
         self._silence.clear()
-        self._seq = 0
+        self.commands.restart_count()
         # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
         tasks = [
             asyncio.create_task(part)
@@ -319,11 +198,11 @@ class RobotLink:
     async def _read(self, reader: asyncio.StreamReader) -> None:
         session = self._session
         while data := await reader.read(READ_BYTES):
-            self._bytes += len(data)
+            self._arrived.bytes += len(data)
             session.receive(data)
             try:
                 while (message := session.next_message(self._now_ns())) is not None:
-                    self._take(message, self._now_ns())
+                    self._receive(message, self._now_ns())
                     if session.state is State.CLOSED:
                         raise _Ended
             except RemoteProtocolError as exc:
@@ -334,10 +213,8 @@ class RobotLink:
     async def _write(self, writer: asyncio.StreamWriter) -> None:
         writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
         while True:
-            await self._wake.wait()
-            self._wake.clear()
-            while (kind := next((kind for kind in SENDING_ORDER if kind in self._due), None)) is not None:
-                message = self._due.pop(kind)
+            await self._due.wait()
+            while (message := self._due.pop()) is not None:
                 if self._session.state is State.CLOSED:
                     raise _Ended  # the reader saw the end while we waited: what was due is said to nobody
                 writer.write(self._session.send(message))
@@ -349,7 +226,7 @@ class RobotLink:
             now_ns = self._now_ns()
             for duty in session.tick(now_ns):
                 if duty is Tick.SEND_HEARTBEAT:
-                    self._beat()
+                    self.commands.beat()
                     self._confirm()
                 elif duty is Tick.WENT_QUIET:
                     self._silence.set()
@@ -358,7 +235,7 @@ class RobotLink:
                     raise _Ended
             if self._is_unheard(now_ns):
                 self._silence.set()
-            self._rates.sample(now_ns, self._frames, self._imu_samples, self._bytes)
+            self._rates.sample(now_ns, self._arrived.frames, self._arrived.imu_samples, self._arrived.bytes)
             await asyncio.sleep(TICK_S)
 
     async def _look_for_another_way(self) -> None:
@@ -371,9 +248,9 @@ class RobotLink:
             await self._silence.wait()
             self._silence.clear()
             while session.state is State.QUIET or self._is_unheard(self._now_ns()):
-                num_bytes = self._bytes  # half a message that trickles is life enough
+                num_bytes = self._arrived.bytes  # half a message that trickles is life enough
                 is_there = await answers(self._host, self._port, self._robots)
-                is_silent = session.state is State.QUIET and self._bytes == num_bytes
+                is_silent = session.state is State.QUIET and self._arrived.bytes == num_bytes
                 if is_there and (is_silent or self._is_unheard(self._now_ns())):
                     self._retry_s = 0.0
                     what = "carries nothing any more" if is_silent else "does not reach the robot any more"
@@ -382,46 +259,37 @@ class RobotLink:
                 await asyncio.sleep(RETRY_S)
 
     def _is_unheard(self, now_ns: int) -> bool:
-        """The robot speaks and does not answer: what we say is lost, or its end waits for the rest of something."""
-        speaks_on = now_ns - self._unanswered_since_ns >= UNHEARD_FOR_NS
-        return self._connected and speaks_on and self._unanswered >= UNHEARD_MESSAGES
+        return self._connected and self._hearing.is_lost(now_ns)
 
-    # What arrives
-
-    def _take(self, message: Message, now_ns: int) -> None:
-        if now_ns - self._heard_us_ns >= UNHEARD_AFTER_NS:
-            if self._unanswered == 0:
-                self._unanswered_since_ns = now_ns
-            self._unanswered += 1
+    def _receive(self, message: Message, now_ns: int) -> None:
+        self._hearing.note_message(now_ns)
         match message:
             case CameraFrame():
-                self._frames += 1
-                self._frames_skipped += message.skipped
-                self._newest_frame = message.seq
+                self._arrived.add_frame(message)
                 self._confirm()
                 self._listener.on_frame(message, now_ns)
             case ImuBatch():
-                self._take_imu(message)
+                self._receive_imu(message)
             case DriveApplied():
                 self._clock.add_stamp(message.t_robot_ns, now_ns)
                 self._listener.on_drive_applied(message)
             case HeartbeatReply():
-                self._heard_us_ns, self._unanswered = now_ns, 0
+                self._hearing.note_answer(now_ns)
                 self._clock.add_reply(message, now_ns)
-                if message.seq >= self._answer_seq:
-                    self._answered(None)
+                self.commands.receive_beat(message.seq)
             case Status():
                 self._status = message
                 self._listener.on_status(message)
             case ErrorNotice():
-                self._take_notice(message)
+                self._receive_notice(message)
             case Hello():
-                self._take_hello(message)
+                self._greet(message)
             case Welcome():
                 self._connected = True
+                self.commands.open(None if self._hello is None else self._hello.capabilities)
                 self._connections += 1
-                self._heard_us_ns, self._unanswered = now_ns, 0
-                self._beat()  # at once: the robot needs something to tell late commands by
+                self._hearing.note_answer(now_ns)
+                self.commands.beat()  # at once: the robot needs something to tell late commands by
                 if self._hello is not None:
                     self._listener.on_connected(self._hello)
             case Refusal():
@@ -430,47 +298,37 @@ class RobotLink:
             case _:
                 pass
 
-    def _beat(self) -> None:
-        self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
-
     def _confirm(self) -> None:
-        self._put(Received(frame_seq=self._newest_frame, next_imu_sequence=self._next_imu_sequence))
+        self._due.put(self._arrived.confirmation)
 
-    def _take_hello(self, hello: Hello) -> None:
+    def _greet(self, hello: Hello) -> None:
         is_same_run = self._hello is not None and self._hello.session_id == hello.session_id
         if not is_same_run:  # another count of samples, and perhaps another clock
-            self._next_imu_sequence = -1
-            self._newest_frame = -1
+            self._arrived.begin_run()
             self._clock = LinkClock()
         self._hello = hello
         connection = self._connection
         if hello.challenge and connection is not None and connection.token is not None:
             proof = prove(connection.token, hello.challenge, connection.fingerprint)
-            self._put(Prove(token_id=connection.token.id, proof=proof))
-        self._put(
+            self._due.put(Prove(token_id=connection.token.id, proof=proof))
+        self._due.put(
             Join(
                 protocol=PROTOCOL_VERSION,
                 station_name=self._station_name,
                 resume_session_id=hello.session_id if is_same_run else "",
-                next_imu_sequence=self._next_imu_sequence,
+                next_imu_sequence=self._arrived.next_imu_sequence,
             )
         )
 
-    def _take_imu(self, batch: ImuBatch) -> None:
-        if self._next_imu_sequence >= 0 and batch.first_sequence > self._next_imu_sequence:
-            missing = batch.first_sequence - self._next_imu_sequence
-            self._imu_gaps += 1
-            self._imu_lost += missing
+    def _receive_imu(self, batch: ImuBatch) -> None:
+        if missing := self._arrived.add_imu(batch):
             self._listener.on_gap(missing)
-        self._next_imu_sequence = batch.next_sequence
-        self._imu_samples += len(batch.samples)
         self._listener.on_imu(batch)
 
-    def _take_notice(self, notice: ErrorNotice) -> None:
+    def _receive_notice(self, notice: ErrorNotice) -> None:
         self._notice = notice
         logger.warning("robot: %s", notice.message)
-        if notice.about == "hijack":
-            self._answered(notice)
+        self.commands.receive_notice(notice)
         if notice.fatal:
             self._session.close_reason = f"the robot closed the connection: {notice.message}"
         self._listener.on_notice(notice)

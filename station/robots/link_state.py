@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from shared.clock import RemoteClock
-from shared.messages import ErrorNotice, HeartbeatReply, Hello, Status
+from shared.messages import CameraFrame, ErrorNotice, HeartbeatReply, Hello, ImuBatch, Received, Status
 
 RATE_WINDOW_NS = 2_000_000_000
 KEPT_ROUND_TRIPS = 600  # a minute of heartbeats
@@ -36,6 +36,40 @@ class LinkState:
     imu_lost: int = 0  # how many samples were in them
     status: Status | None = None  # the last one
     notice: ErrorNotice | None = None  # the last one
+
+
+class Arrivals:
+    """Counts of what arrived over a link, and the numbers of the newest."""
+
+    def __init__(self) -> None:
+        self.bytes = self.frames = self.frames_skipped = 0
+        self.imu_samples = self.imu_gaps = self.imu_lost = 0
+        self.next_imu_sequence = self._newest_frame = -1
+
+    def begin_run(self) -> None:
+        """The robot was started anew, or is another one: it numbers frames and samples from the beginning."""
+        self.next_imu_sequence = self._newest_frame = -1
+
+    def add_frame(self, frame: CameraFrame) -> None:
+        self.frames += 1
+        self.frames_skipped += frame.skipped
+        self._newest_frame = frame.seq
+
+    def add_imu(self, batch: ImuBatch) -> int:
+        """Returns how many samples are missing before it."""
+        missing = 0
+        if self.next_imu_sequence >= 0:
+            missing = max(0, batch.first_sequence - self.next_imu_sequence)
+        self.imu_gaps += missing > 0
+        self.imu_lost += missing
+        self.next_imu_sequence = batch.next_sequence
+        self.imu_samples += len(batch.samples)
+        return missing
+
+    @property
+    def confirmation(self) -> Received:
+        """For the robot: up to where everything is here."""
+        return Received(frame_seq=self._newest_frame, next_imu_sequence=self.next_imu_sequence)
 
 
 class LinkClock:

@@ -53,7 +53,7 @@ class LivePose:
 
 
 class LiveSlam:
-    """What one navigation's SLAM said so far."""
+    """What is known so far of one navigation."""
 
     def __init__(self, navigation_id: str) -> None:
         self.navigation_id = navigation_id
@@ -79,7 +79,7 @@ class LiveSlam:
         """The newest pose."""
         return self.poses[-1] if self.poses else None
 
-    def say(self, message: str) -> None:
+    def set_message(self, message: str) -> None:
         """How SLAM is, when no update can say it."""
         self.message = message
 

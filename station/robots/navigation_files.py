@@ -13,7 +13,7 @@ from station.events import LogLine
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.model.place_answer import PlaceReport
 from station.model.slam_update import SlamUpdate
-from station.robots.link import LinkListener
+from station.robots.link_events import LinkListener
 
 
 class NavigationRecorder(LinkListener, Protocol):

@@ -1,14 +1,13 @@
-"""SLAM of one drive in a worker process; when that dies, another takes its place and knows what comes from then on."""
+"""SLAM of one navigation in a worker; when that dies, another takes its place and knows what comes from then on."""
 
 from __future__ import annotations
 
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
@@ -16,18 +15,19 @@ from station.config import SlamConfig, choose_backend
 from station.events import Notifier
 from station.model.navigation import NavigationReport
 from station.model.slam_update import SlamUpdate
-from station.workers.worker import Worker, WorkerDied
+from station.workers.request import Limit, Request, WorkerDied
+from station.workers.slam_requests import SLAM, AddFrame, AddImu, BeginNavigation, FinishNavigation, SlamProgram
+from station.workers.worker import Worker
 
 LIVE_BACKENDS = ("ukf",)
-DRIVE_BACKLOG = 6000  # reports, 20 a second: five minutes
 MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
 QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes
-HEAD_START_S = 10.0  # a drive waits for its first word
-MAX_TOLD_FAILURES = 20  # different sentences; some hold numbers that never repeat
+HEAD_START_S = 10.0  # somebody waits for its first update
+MAX_NOTED_FAILURES = 20  # different sentences; some hold numbers that never repeat
 
 
-class SlamProcess:
-    """Starts its worker, replaces one that dies, hands on what SLAM says. All methods belong on the event loop."""
+class SlamWorker:
+    """Starts the worker, replaces one that dies, hands on its updates. All methods belong on the event loop."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class SlamProcess:
     ) -> None:
         """`on_trouble` gets a sentence on how SLAM is when no update can say it.
 
-        `on_restart` is told that what comes from now on is in another frame than what came before.
+        After `on_restart` everything is in another frame than what came before.
         """
         self._name = name
         self._config = config
@@ -57,8 +57,8 @@ class SlamProcess:
         self._launched_s = 0.0
         self._first_segment = self._segment = 0
         self.restarts = 0
-        self._dropped: Counter[str] = Counter()  # by the workers that died
-        self._told: set[str] = set()
+        self._dropped: Counter[Hashable] = Counter()  # by the workers that died
+        self._noted: set[str] = set()
         self.failures = 0  # requests that the backend refused
         self.failure = ""  # the first one's sentence
         self.trouble = ""  # why SLAM does not run, or did not until a moment ago; empty while it does
@@ -72,27 +72,27 @@ class SlamProcess:
     @property
     def imu_dropped(self) -> int:
         """Batches that found a full queue."""
-        return self._dropped["imu"] + self._worker.dropped.get("imu", 0)
+        return self._dropped[AddImu] + self._worker.dropped.get(AddImu, 0)
 
     @property
     def frames_dropped(self) -> int:
         """Frames that found a full queue."""
-        return self._dropped["frame"] + self._worker.dropped.get("frame", 0)
+        return self._dropped[AddFrame] + self._worker.dropped.get(AddFrame, 0)
 
     @property
     def frames_waiting(self) -> int:
         """Frames that SLAM has not looked at yet."""
-        return self._worker.waiting("frame")
+        return self._worker.waiting(AddFrame)
 
-    def post(self, method: str, *arguments: Any, kind: str = "") -> bool:
+    def post(self, request: Request[SlamProgram, None]) -> bool:
         """Hand on sensor data. False when older ones were dropped for them, and not only because SLAM is lost."""
-        return self._worker.post(method, *arguments, kind=kind) or bool(self.trouble)
+        return self._worker.post(request) or bool(self.trouble)
 
     async def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation. Raises what the backend raises, or WorkerDied."""
         self._ended = True  # a process that dies now has nothing to come back for
         await asyncio.wait({self._starting})
-        self._report = self._worker.ask("finish", navigation_id, folder)
+        self._report = self._worker.ask(FinishNavigation(navigation_id, folder))
         return await self._report
 
     def give_up(self) -> bool:
@@ -111,40 +111,36 @@ class SlamProcess:
         await self._worker.close()
         await asyncio.wait({self._starting})
 
-    def _launch(self) -> tuple[Worker, asyncio.Task[None]]:
-        is_live = self.backend in LIVE_BACKENDS  # an offline backend may be behind, a live one may not
-        limits = {
-            "frame": self._config.live_frame_backlog if is_live else self._config.frame_backlog,
-            "imu": self._config.imu_backlog,
-            "add_drive": DRIVE_BACKLOG,
-        }
-        max_age_s = {"frame": self._config.live_frame_wait_s if is_live else self._config.frame_wait_s}
+    def _launch(self) -> tuple[Worker[SlamProgram, SlamUpdate], asyncio.Task[None]]:
+        config = self._config
+        frames = Limit(config.frame_backlog, config.frame_wait_s)
+        if self.backend in LIVE_BACKENDS:  # an offline backend may be behind, a live one may not
+            frames = Limit(config.live_frame_backlog, config.live_frame_wait_s)
         self._launched_s = time.monotonic()
         worker = Worker(
             self._name,
-            "station.workers.slam:SlamServant",
-            limits=limits,
-            max_age_s=max_age_s,
+            SLAM,
+            limits={AddFrame: frames, AddImu: Limit(config.imu_backlog)},
             head_start_s=HEAD_START_S,
-            on_event=self._take,
+            on_event=self._receive,
             on_death=self._on_death,
             on_failure=self._on_failure,
         )
         # Asked before the first frame can come; what arrives until SLAM is up waits behind it.
-        begun = worker.ask("begin", self.backend, self._calibration, self._config.seed)
+        begun = worker.ask(BeginNavigation(self.backend, self._calibration, config.seed))
         return worker, asyncio.create_task(self._start(worker, begun), name=f"start {self._name}")
 
-    async def _start(self, worker: Worker, begun: asyncio.Future[None]) -> None:
+    async def _start(self, worker: Worker[SlamProgram, SlamUpdate], begun: asyncio.Future[None]) -> None:
         try:
             await worker.start()
             await begun
             self.trouble = ""
         except WorkerDied:
-            pass  # told by _on_death, unless we closed it
+            pass  # _on_death notifies of it, unless we closed it
         except (RobotSystemError, OSError) as exc:
-            # The recording goes on: a drive without live SLAM is better than none.
+            # The recording goes on: a navigation without live SLAM is better than none.
             begun.cancel()
-            self._say("slam", f"SLAM does not run: {exc}")
+            self._report_trouble("slam", f"SLAM does not run: {exc}")
 
     def _on_death(self, reason: str) -> None:
         self.trouble = reason
@@ -154,7 +150,9 @@ class SlamProcess:
             self._deaths = 0
         self._deaths += 1
         if self._deaths >= MAX_DEATHS:
-            self._say("worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it")
+            self._report_trouble(
+                "worker", f"{reason}; SLAM died {self._deaths} times, the recording goes on without it"
+            )
             return
         self._on_trouble("SLAM was lost; the recording goes on")
         self._events.notify("worker", f"{reason}; it is started again, the part before is lost to SLAM", "error")
@@ -164,7 +162,7 @@ class SlamProcess:
         self._on_restart()
         self._worker, self._starting = self._launch()
 
-    def _take(self, update: SlamUpdate) -> None:
+    def _receive(self, update: SlamUpdate) -> None:
         """A new worker counts its segments from 0 again, and its world is another one."""
         if self._first_segment:
             update = replace(update, segment=update.segment + self._first_segment)
@@ -174,11 +172,11 @@ class SlamProcess:
     def _on_failure(self, sentence: str) -> None:
         self.failures += 1
         self.failure = self.failure or sentence
-        if sentence not in self._told and len(self._told) < MAX_TOLD_FAILURES:
-            self._told.add(sentence)
+        if sentence not in self._noted and len(self._noted) < MAX_NOTED_FAILURES:
+            self._noted.add(sentence)
             self._events.notify("slam", f"SLAM refused what it was given: {sentence}", "warning")
 
-    def _say(self, topic: str, sentence: str) -> None:
+    def _report_trouble(self, topic: str, sentence: str) -> None:
         self.trouble = sentence
         self._on_trouble(sentence)
         self._events.notify(topic, sentence, "error")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shared.geometry import FloatArray, inverse, se3, so3_exp
+from shared.geometry import FloatArray, inverse, se3, so3_exp, transform
 
 RANSAC_ITERATIONS = 400
 RANSAC_CONFIDENCE = 0.999
@@ -98,7 +98,7 @@ def solve_pose_from(T_map_cam: FloatArray, p_map: FloatArray, rays: FloatArray, 
 def _residuals(
     T_cam_map: FloatArray, p_map: FloatArray, rays: FloatArray, tolerance: float
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    p_cam = p_map @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
+    p_cam = transform(T_cam_map, p_map)
     ahead = p_cam[:, 2] > 1e-9
     residual = p_cam[:, :2] / np.where(ahead, p_cam[:, 2], 1.0)[:, None] - rays
     return p_cam, residual, ahead & ((residual**2).sum(axis=1) < tolerance**2)

@@ -1,4 +1,4 @@
-"""Heavy work in the background, each job in a process of its own: visible progress, and it can be cancelled."""
+"""Work in the background, each job with a worker of its own: its progress is seen, and it can be cancelled."""
 
 from __future__ import annotations
 
@@ -7,17 +7,20 @@ import logging
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Generic, Literal
 
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
+from station.workers.library_requests import Progress
+from station.workers.request import ProgramName, ProgramT
 from station.workers.worker import Worker
 
 logger = logging.getLogger(__name__)
 
-MAX_KEPT_JOBS = 50
+MAX_STORED_JOBS = 50
 MAX_RUNNING_JOBS = 2  # a job loads a core; more at once would slow SLAM and localisation
+JobWorker = Worker[ProgramT, Progress]
 JobState = Literal["running", "done", "failed", "cancelled"]
 
 
@@ -34,14 +37,15 @@ class Job:
     result: dict[str, Any] | None = None  # of a job that is done
 
 
-class Jobs:
+class Jobs(Generic[ProgramT]):
     """All jobs since the station started, newest last."""
 
-    def __init__(self, events: Notifier, servant: str = "station.workers.library_jobs:JobServant") -> None:
+    def __init__(self, events: Notifier, program: ProgramName[ProgramT, Progress]) -> None:
+        """`program` is what the worker of each job runs."""
         self._events = events
-        self._servant = servant
+        self._program = program
         self._jobs: OrderedDict[str, Job] = OrderedDict()
-        self._running: dict[str, tuple[asyncio.Task[None], Worker]] = {}
+        self._running: dict[str, tuple[asyncio.Task[None], JobWorker[ProgramT]]] = {}
         self._cancelled: set[str] = set()  # those of them that somebody cancelled
         self._count = 0
 
@@ -58,15 +62,15 @@ class Jobs:
         self,
         kind: str,
         title: str,
-        work: Callable[[Worker], Awaitable[dict[str, Any]]],
+        work: Callable[[JobWorker[ProgramT]], Awaitable[dict[str, Any]]],
     ) -> Job:
-        """Run `work` with a fresh worker process. Raises Conflict when enough jobs run."""
+        """Run `work` with a fresh worker. Raises Conflict when enough jobs run."""
         if len(self._running) >= MAX_RUNNING_JOBS:
             raise Conflict(f"{MAX_RUNNING_JOBS} jobs run already; wait for one or cancel it with DELETE /jobs/{{id}}")
         self._count += 1
         job = Job(id=f"job-{self._count}", kind=kind, title=title)
-        worker = Worker(job.id, self._servant, on_event=lambda event: self._advance(job.id, event))
-        self._keep(job)
+        worker = Worker(job.id, self._program, on_event=lambda progress: self._advance(job.id, progress))
+        self._store(job)
         self._running[job.id] = (asyncio.create_task(self._run(job.id, worker, work), name=job.id), worker)
         return job
 
@@ -91,12 +95,17 @@ class Jobs:
         worker.kill()
         await asyncio.wait([task])
 
-    async def _run(self, job_id: str, worker: Worker, work: Callable[[Worker], Awaitable[dict[str, Any]]]) -> None:
+    async def _run(
+        self,
+        job_id: str,
+        worker: JobWorker[ProgramT],
+        work: Callable[[JobWorker[ProgramT]], Awaitable[dict[str, Any]]],
+    ) -> None:
         try:
             await worker.start()
             result = await work(worker)
             done = replace(self._jobs[job_id], state="done", progress=1.0, message="done", result=result)
-            self._keep(done)
+            self._store(done)
             self._events.notify("job", f"{done.title}: done")
         except RobotSystemError as exc:
             self._fail(job_id, str(exc))
@@ -111,20 +120,20 @@ class Jobs:
     def _fail(self, job_id: str, sentence: str) -> None:
         job = self._jobs[job_id]
         if job_id in self._cancelled:
-            self._keep(replace(job, state="cancelled", message="cancelled"))
+            self._store(replace(job, state="cancelled", message="cancelled"))
         else:
-            self._keep(replace(job, state="failed", message=sentence))
+            self._store(replace(job, state="failed", message=sentence))
             self._events.notify("job", f"{job.title}: {sentence}", "error")
 
-    def _advance(self, job_id: str, event: tuple[float, str]) -> None:
+    def _advance(self, job_id: str, progress: Progress) -> None:
         job = self._jobs[job_id]
         if job.state == "running":
-            self._keep(replace(job, progress=event[0], message=event[1]))
+            self._store(replace(job, progress=progress.fraction, message=progress.message))
 
-    def _keep(self, job: Job) -> None:
+    def _store(self, job: Job) -> None:
         self._jobs[job.id] = job
         self._events.changed("job", job, job.id)
         for old in list(self._jobs):
-            if len(self._jobs) > MAX_KEPT_JOBS and self._jobs[old].state != "running":
+            if len(self._jobs) > MAX_STORED_JOBS and self._jobs[old].state != "running":
                 del self._jobs[old]
                 self._events.forget("job", old)

@@ -20,8 +20,7 @@ from station.places.making.config import PlacesConfig
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.executors.port import Executor
-from station.workers.replay import repeatable
-from station.workers.worker import resolve
+from station.workers.repeatable import repeatable
 
 MAX_TRAVEL_BYTES = 2**31  # a recording that travels is held in memory by us, by the scheduler and by the worker
 
@@ -61,10 +60,7 @@ def reconstruct(piece: Reconstruction) -> Navigation:
         data = open_dataset(_unpacked(piece.recorded, Path(scratch)), piece.first, piece.last)
         if not data.has_images:
             raise DataError(f"{piece.recorded.path} has no pictures; SLAM needs them")
-        if ":" in piece.backend:
-            backend = resolve(piece.backend)(data.calibration)
-        else:
-            backend = make_backend(piece.backend, data.calibration, piece.seed, 1, data.intrinsics_known)
+        backend = make_backend(piece.backend, data.calibration, piece.seed, 1, data.intrinsics_known)
         navigation = run_backend(backend, data.events())
     return replace(navigation, id=piece.id or navigation.id)
 

@@ -1,4 +1,4 @@
-"""What runs in the localisation worker process."""
+"""What runs in a localisation worker: pictures in, the current place out."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import DataError, EstimationError, RobotSystemError
 from shared.geometry import FloatArray
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import MapIndex
-from station.places.making.changes import shown
+from station.places.making.changes import without_hidden
 from station.places.tracking.tracker import PlaceTracker
+from station.workers.place_requests import PlaceEvent, PlaceProgram, Vectors
 
-TELL_EVERY = 4  # pictures of the map
+REPORT_EVERY = 4  # pictures of the map
 WAITING = "another robot's localisation is looking at the pictures of the map; this one shares what it finds"
 
 
-class PlaceServant:
+class PlaceFinder(PlaceProgram):
     """Answers pictures from the active maps, of which the first is meant while nobody knows where the robot is.
 
     Sends HijackNotices when the robot was picked up, MapReading while it prepares, MapLeftOut for one that is damaged.
     """
 
-    def __init__(self, emit: Callable[[HijackNotice | MapReading | MapLeftOut], None]) -> None:
+    def __init__(self, emit: Callable[[PlaceEvent], None]) -> None:
         self._emit = emit
         self._maps: tuple[PlaceMap, ...] = ()
         self._localizer: Localizer | None = None
@@ -66,22 +68,21 @@ class PlaceServant:
         which = "the map" if len(maps) == 1 else place_map.name
         seen = 0
 
-        def tell() -> None:
+        def count() -> None:
             nonlocal seen
             seen += 1
-            if seen % TELL_EVERY == 1 or seen == total:
+            if seen % REPORT_EVERY == 1 or seen == total:
                 # The last tenth is the index of their words.
                 fraction = 0.9 * (before + seen - 1) / all_total
                 self._emit(MapReading(fraction, f"looking at picture {seen} of {total} of {which}"))
 
         return index_of(
-            store.root, place_map, tell, lambda: self._emit(MapReading(0.9 * before / max(all_total, 1), WAITING))
+            store.root, place_map, count, lambda: self._emit(MapReading(0.9 * before / max(all_total, 1), WAITING))
         )
 
-    def use(self, maps: PlaceMap | Sequence[PlaceMap], indexes: Sequence[MapIndex] | None = None) -> None:
+    def use(self, maps: Sequence[PlaceMap], indexes: Sequence[MapIndex] | None = None) -> None:
         """Answer from these maps; `indexes`: of each of them, else they are made."""
-        given = (maps,) if isinstance(maps, PlaceMap) else maps
-        self._maps = tuple(shown(place_map) for place_map in given)
+        self._maps = tuple(without_hidden(place_map) for place_map in maps)
         self._localizer = Localizer(self._maps, index=indexes)
 
     def calibrate(self, calibration: Calibration) -> None:
@@ -95,25 +96,25 @@ class PlaceServant:
         if not self._maps:
             raise EstimationError("no map was given to the localisation worker; activate one")
         self._maps = tuple(
-            shown(replace(one, places=places, edges=edges)) if one.id == map_id else one for one in self._maps
+            without_hidden(replace(one, places=places, edges=edges)) if one.id == map_id else one for one in self._maps
         )
         if self._tracker is not None:
             self._tracker.estimator.regroup(self._maps)
 
-    def imu(self, t_robot_ns: list[int], gyro: list[tuple[float, ...]], accel: list[tuple[float, ...]]) -> None:
+    def add_imu(self, t_robot_ns: Sequence[int], gyro: Vectors, accel: Vectors) -> None:
         """Inertial samples, times and (N, 3) values."""
         if self._tracker is not None:
             self._tracker.on_imu(
                 ImuBatch(np.array(t_robot_ns, np.int64), np.array(gyro, np.float64), np.array(accel, np.float64))
             )
-            self._tell_hijacks(None)
+            self._notify_hijacks(None)
 
-    def drive(self, sample: DriveSample) -> None:
+    def add_drive(self, sample: DriveSample) -> None:
         """What the motors were told."""
         if self._tracker is not None:
             self._tracker.on_drive(sample)
 
-    def odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
+    def add_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation: carries the estimate between pictures."""
         if self._tracker is not None:
             self._tracker.on_odometry(t_robot_ns, T_nav_body, segment)
@@ -137,10 +138,10 @@ class PlaceServant:
             t_evidence_ns=found.t_robot_ns if found else None,
             attempt=why_not,
         )
-        self._tell_hijacks(report)
+        self._notify_hijacks(report)
         return replace(report, num_hijacks=self._num_hijacks)
 
-    def _tell_hijacks(self, report: PlaceReport | None) -> None:
+    def _notify_hijacks(self, report: PlaceReport | None) -> None:
         """At once, with the answer since: the next picture's may be seconds away on a busy machine."""
         assert self._tracker is not None
         for event in self._tracker.take_events():

@@ -1,7 +1,7 @@
 """What workers need and takes seconds to import: loaded once, by the server process that all workers are forked from.
 
 Importing is all that may happen here. A library that started threads now would leave its locks to children without
-them (tests/unit/test_preloaded.py looks).
+them (tests/unit/station/workers/test_preload.py looks).
 """
 
 from __future__ import annotations
@@ -9,19 +9,16 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
-import pkgutil
 
-import station.commands
+from station.workers.library_requests import LIBRARY
+from station.workers.place_requests import PLACES
+from station.workers.slam_requests import SLAM
 
-SERVANTS = ("station.workers.slam", "station.workers.places", "station.workers.library_jobs")
+PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module)
 BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
-# multiprocessing imports the main module of the program in every child: so what that imports must be there too. Not it
-# itself: where it is run with `python -m` it would be there twice, and runpy warns of that.
-COMMANDS = tuple(
-    f"{station.commands.__name__}.{found.name}" for found in pkgutil.iter_modules(station.commands.__path__)
-)
+MAIN = ("shared.command_line",)  # and with it Typer: multiprocessing imports station.main in every child
 
-for _name in (*SERVANTS, *BACKENDS, *COMMANDS):
+for _name in (*PROGRAMS, *BACKENDS, *MAIN):
     with contextlib.suppress(ImportError):  # who needs it says what is missing
         importlib.import_module(_name)
 gc.collect()

@@ -7,15 +7,12 @@ worker is free.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 
-import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from shared.errors import ConfigError
 from shared.geometry import FloatArray
@@ -27,10 +24,13 @@ from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.build import build_map
-from station.workers.places import PlaceServant
-from station.workers.slam import SlamServant
+from station.workers.place_requests import PlaceEvent
+from station.workers.places import PlaceFinder
+from station.workers.repeatable import repeatable
+from station.workers.slam import NavigationSlam
 
-Pace = Callable[[int], None]  # told the recorded time before something of it is used; may wait
+Pace = Callable[[int], None]  # given the recorded time before something of it is used; may wait
+Say = Callable[[str], None]  # given what is done next
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,11 @@ class Replay:
 
 
 def replay(
-    data: Dataset, options: ReplayOptions, known_map: PlaceMap | None = None, pace: Pace = lambda _: None
+    data: Dataset,
+    options: ReplayOptions,
+    known_map: PlaceMap | None = None,
+    pace: Pace = lambda _: None,
+    say: Say = lambda _: None,
 ) -> Replay:
     """Run SLAM over a recorded drive, make its map, and ask at every moment which place the robot is at.
 
@@ -75,16 +79,21 @@ def replay(
         DataError: the recording has no images, or one that cannot be read.
     """
     with repeatable(options.threads):
-        navigation, updates = follow(data, options, pace)
+        navigation, updates = follow(data, options, pace, say)
+        say("clustering landmarks into places")
         place_map = build_map(navigation)
+        say("looking for the current place")
         answers, hijacks = locate(data, known_map or place_map, updates, options, pace)
     return Replay(navigation, place_map, answers, hijacks)
 
 
-def follow(data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None) -> tuple[Navigation, list[SlamUpdate]]:
+def follow(
+    data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None, say: Say = lambda _: None
+) -> tuple[Navigation, list[SlamUpdate]]:
     """The SLAM worker's part."""
+    say("following the robot")
     updates: list[SlamUpdate] = []
-    slam = SlamServant(updates.append)
+    slam = NavigationSlam(updates.append)
     slam.begin(options.backend, data.calibration, options.seed, 1, data.intrinsics_known)
     for event in _paced(data.events(), pace):
         if isinstance(event, ImuBatch):
@@ -93,6 +102,7 @@ def follow(data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None) -
             slam.add_drive(event)
         else:
             slam.add_frame(event)
+    say("making the navigation")
     return slam.complete(f"replay-{data.path.stem}"), updates
 
 
@@ -105,8 +115,13 @@ def locate(
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
     """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
     hijacks: list[HijackEvent] = []
-    places = PlaceServant(lambda told: hijacks.append(told.event) if isinstance(told, HijackNotice) else None)
-    places.use(place_map)
+
+    def receive(event: PlaceEvent) -> None:
+        if isinstance(event, HijackNotice):
+            hijacks.append(event.event)
+
+    places = PlaceFinder(receive)
+    places.use([place_map])
     places.calibrate(data.calibration)
     poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
     following: Iterator[tuple[int, FloatArray, int]] = iter(poses)
@@ -116,18 +131,14 @@ def locate(
     answers = []
     for event in _paced(data.events(), pace):
         if isinstance(event, ImuBatch):
-            places.imu(
-                event.t_robot_ns.tolist(),
-                [(x, y, z) for x, y, z in event.gyro_imu.tolist()],
-                [(x, y, z) for x, y, z in event.accel_imu.tolist()],
-            )
+            places.add_imu(event.t_robot_ns.tolist(), event.gyro_imu.tolist(), event.accel_imu.tolist())
         elif isinstance(event, DriveSample):
-            places.drive(event)
+            places.add_drive(event)
         elif next_ns is None or event.t_robot_ns >= next_ns:
             next_ns = event.t_robot_ns + interval_ns
             answers.append(places.answer(event).answer)
         while pose is not None and pose[0] <= _begin(event):
-            places.odometry(*pose)
+            places.add_pose(*pose)
             pose = next(following, None)
     return tuple(answers), tuple(hijacks)
 
@@ -161,14 +172,3 @@ def _paced(
 
 def _begin(event: ImuBatch | DriveSample | ImageFrame) -> int:
     return int(event.t_robot_ns[0]) if isinstance(event, ImuBatch) else event.t_robot_ns
-
-
-@contextlib.contextmanager
-def repeatable(threads: int) -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(threads)
-    try:
-        with threadpool_limits(limits=1):
-            yield
-    finally:
-        cv2.setNumThreads(before)

@@ -1,13 +1,12 @@
-"""What runs in the SLAM worker process: one backend, following one navigation."""
+"""What runs in a SLAM worker: one backend, following one navigation."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,40 +15,38 @@ from shared.errors import EstimationError
 from station.files.navigation_folder import PICTURES, save_navigation
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, NavigationReport
+from station.model.slam_update import SlamUpdate
 from station.motion.sensor_order import Sequencer
 from station.places.localisation.described_pictures import DescribedPictures
 from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
-from station.workers.worker import resolve
+from station.workers.slam_requests import SlamProgram, Vectors
 
 logger = logging.getLogger(__name__)
 
 
-class SlamServant:
+class NavigationSlam(SlamProgram):
     """Follows one navigation; sends a SlamUpdate for every frame."""
 
-    def __init__(self, emit: Callable[[Any], None]) -> None:
+    def __init__(self, emit: Callable[[SlamUpdate], None]) -> None:
         self._emit = emit
         self._backend: SlamBackend | None = None
         self._sequencer = Sequencer(0.0, has_imu=False)
         self._started_s = 0.0
         self._pictures = DescribedPictures()
-        self._looked_at = 0  # of the backend's keyframes
+        self._num_described = 0  # how many of the backend's keyframes were looked at
 
     def begin(
         self, backend: str, calibration: Calibration, seed: int, threads: int = -1, intrinsics_known: bool = True
     ) -> None:
         """Start a navigation with a backend by name, or by "package.module:factory"."""
         camera = calibration.camera
-        if ":" in backend:
-            self._backend = resolve(backend)(calibration)
-        else:
-            self._backend = make_backend(backend, calibration, seed, threads, intrinsics_known)
+        self._backend = make_backend(backend, calibration, seed, threads, intrinsics_known)
         shift_s = camera.middle_row_shift_s if camera else 0.0
         self._sequencer = Sequencer(shift_s, has_imu=calibration.imu is not None)
         self._started_s = time.monotonic()
 
-    def add_imu(self, t_robot_ns: list[int], gyro: list[Any], accel: list[Any]) -> None:
+    def add_imu(self, t_robot_ns: Sequence[int], gyro: Vectors, accel: Vectors) -> None:
         times = np.array(t_robot_ns, dtype=np.int64)
         self._sequencer.add_imu(ImuBatch(times, np.array(gyro, dtype=np.float64), np.array(accel, dtype=np.float64)))
         self._advance()
@@ -68,22 +65,22 @@ class SlamServant:
     def _describe_next(self, backend: SlamBackend) -> bool:
         """Describe a keyframe for localisation, which needs all of them as soon as there is a map."""
         pictures = backend.keyframe_pictures()
-        if len(pictures) < self._looked_at:  # the backend left some out
-            self._looked_at = 0
+        if len(pictures) < self._num_described:  # the backend left some out
+            self._num_described = 0
             self._pictures.keep_only(pictures)
-        if self._looked_at == len(pictures):
+        if self._num_described == len(pictures):
             return False
-        self._looked_at += 1
-        features = backend.keyframe_features(self._looked_at - 1)
+        self._num_described += 1
+        features = backend.keyframe_features(self._num_described - 1)
         if features is not None:
-            return True  # taken at the end, with all others
+            return True  # stored at the end, with all others
         try:
-            self._pictures.describe(pictures[self._looked_at - 1])
+            self._pictures.describe(pictures[self._num_described - 1])
         except Exception:  # whoever needs it describes it again; SLAM's own work that waits must not end with it
             logger.exception("a picture could not be described")
         return True
 
-    def _take_described(self) -> None:
+    def _store_features(self) -> None:
         """What the backend found in its keyframes while it made the map."""
         if self._backend is None:
             return
@@ -97,7 +94,7 @@ class SlamServant:
         """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""
         navigation = self.complete(navigation_id)
         save_navigation(navigation, folder)
-        self._take_described()
+        self._store_features()
         self._pictures.keep_only(navigation.keyframes.encoded)
         try:
             self._pictures.write(folder / PICTURES)

@@ -1,6 +1,6 @@
 """Structure from motion on recorded and simulated drives, judged by their truth.
 
-Bounds are about twice what was measured (docs/results.md): they notice a broken step, not a bad day.
+Bounds are about twice what was measured (docs/studies/sfm.md): they notice a broken step, not a bad day.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from station.experiments.trajectory import absolute_trajectory_error
 from station.model.navigation import Navigation
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from tests.support.paths import RECORDINGS
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
+DATA = RECORDINGS
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"recorded data is not at {DATA}")
 
 

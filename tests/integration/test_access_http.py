@@ -17,9 +17,9 @@ from shared.token_book import TokenBook
 from station.api.doorkeeper import COOKIE, REVOKED
 from station.api.roles import ROLES
 from station.api.server import all_calls
-from tests.access_support import Guarded, guarded_station
-from tests.link_support import running_robot, until
-from tests.station_support import Film, running_station
+from tests.support.access import Guarded, guarded_station
+from tests.support.link import running_robot, until
+from tests.support.station import Film, running_station
 
 SOCKETS = {"/ws/events": "", "/ws/camera": "", "/ws/drive": "", "/ws/replay": "?navigation=none"}
 SOCKETS |= {f"/robots/{{robot}}/ws/{kind}": "" for kind in ("events", "camera", "drive")}

@@ -12,9 +12,8 @@ import websockets
 
 from station.maps.store import MapStore
 from station.places.making.repeatability import repeatability
-from tests.integration.test_station_navigations import keep_navigation
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import running_station, store_map
+from tests.support.station import running_station, store_map
+from tests.support.station_at_work import at_work, is_problem, keep_navigation, wait_for
 
 
 async def test_a_hijack_is_answered_by_what_the_robot_made_of_it(tmp_path: Path) -> None:

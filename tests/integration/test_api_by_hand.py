@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.test_station_navigations import keep_navigation
-from tests.station_at_work import at_work, wait_for
-from tests.station_support import Desk, store_map
+from tests.support.paths import ROOT
+from tests.support.station import Desk, store_map
+from tests.support.station_at_work import at_work, keep_navigation, wait_for
 
 pytestmark = [
     pytest.mark.timeout(600),
     pytest.mark.skipif(shutil.which("curl") is None, reason="the documented lines need curl: apt-get install curl"),
 ]
-DOCS = Path(__file__).parents[2] / "docs" / "api.md"
+DOCS = ROOT / "docs" / "api.md"
 NAMES = re.compile(r"\b(ID|OTHER|MAP|PLACE|SECOND|JOB|CMP)\b")
 
 

@@ -12,7 +12,7 @@ from robot import announce
 from robot.announce import Announcement, announced_addresses
 from station.robots.discovery import find_robot
 from station.robots.link import RobotLink
-from tests.link_support import Notes, running_robot, until
+from tests.support.link import Notes, running_robot, until
 
 LOOPBACK = ["127.0.0.1"]
 

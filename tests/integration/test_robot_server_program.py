@@ -22,9 +22,9 @@ from shared.errors import DeviceUnavailable
 from station.datasets import open_dataset
 from station.recordings.recorder import Recorder
 from station.robots.link import RobotLink
-from tests.link_support import linked, until
+from tests.support.link import linked, until
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[2]
 FLIGHT = ROOT.parent / "shared" / "data" / "euroc_v1_01_flight"
 CAMERA_YAML = "resolution: [64, 48]\nintrinsics: [60.0, 60.0, 32.0, 24.0]\nrate_hz: 30\n"
 

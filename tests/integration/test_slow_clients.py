@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.events import MAX_WAITING_MESSAGES, MessageHub
-from tests.link_support import until
-from tests.station_at_work import at_work, wait_for
-from tests.station_support import Desk, store_map
+from tests.support.link import until
+from tests.support.station import Desk, store_map
+from tests.support.station_at_work import at_work, wait_for
 
 UPGRADE = (
     "GET {path} HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

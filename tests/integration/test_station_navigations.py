@@ -11,15 +11,12 @@ import pytest
 import websockets
 
 from shared.mcap_recording import recorded_pictures
-from station.api.camera import HEADER
-from station.files.navigation_folder import save_navigation
+from station.api.streams import HEADER
 from station.library.bin import KEEP_S, MAX_KEPT, Bin
-from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.recordings.playback import replay
-from tests.link_support import until
-from tests.made_up_workers import made_up_navigation
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import Desk, Film, running_station, store_map
+from tests.support.link import until
+from tests.support.station import Desk, Film, running_station, store_map
+from tests.support.station_at_work import at_work, is_problem, keep_navigation, wait_for
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -32,17 +29,6 @@ async def record(desk: Desk, film: Film, name: str, pictures: int = 8) -> str:
     await desk.http.post(f"/navigations/{navigation}/stop")
     await wait_for(desk, f"/navigations/{navigation}", lambda n: n["state"] in ("ready", "failed"))
     return str(navigation)
-
-
-def keep_navigation(data_dir: Path, navigation_id: str) -> NavigationRecord:
-    """A finished navigation without a recording."""
-    library = NavigationLibrary(data_dir / "navigations")
-    navigation = NavigationRecord(
-        navigation_id, f"Drive {navigation_id}", "ready", 1.0, "sfm", landmarks=5, scale="metric"
-    )
-    library.keep(navigation)
-    save_navigation(made_up_navigation(), library.navigation_folder(navigation_id))
-    return navigation
 
 
 async def test_what_is_deleted_comes_back_also_after_a_restart(tmp_path: Path) -> None:
@@ -121,7 +107,7 @@ async def test_a_recording_is_played_again_at_its_own_pace(tmp_path: Path) -> No
 
 
 async def test_slam_runs_again_over_a_recording_whose_slam_crashed(tmp_path: Path) -> None:
-    async with at_work(tmp_path, backend="tests.made_up_workers:FailingSlam") as (desk, _, film):
+    async with at_work(tmp_path, backend="tests.support.made_up_workers:FailingSlam") as (desk, _, film):
         navigation = await record(desk, film, "Crashed")
         assert (await desk.http.get(f"/navigations/{navigation}")).json()["state"] == "failed"
     async with running_station(1, tmp_path) as desk:  # with SLAM that works

@@ -14,10 +14,10 @@ import pytest
 from station.files.navigation_folder import save_navigation
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.maps.store import MapStore
-from tests.disk_support import unwritable
-from tests.made_up_workers import made_up_navigation
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import running_station, store_map
+from tests.support.disk import unwritable
+from tests.support.made_up_workers import made_up_navigation
+from tests.support.station import running_station, store_map
+from tests.support.station_at_work import at_work, is_problem, wait_for
 
 pytestmark = pytest.mark.timeout(600)
 NAMED = "Sofa"

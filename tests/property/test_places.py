@@ -15,7 +15,7 @@ from station.places.making.config import PlacesConfig
 from station.places.making.graph import shortest_route
 from station.places.making.modes import climb, smooth_density
 from station.places.making.place_images import gather_evidence
-from tests.synthetic_home import drive, furnished_room, navigate, with_points
+from tests.support.synthetic_home import drive, furnished_room, navigate, with_points
 
 HOME = furnished_room(5, density=80)
 NAVIGATION = navigate(HOME, drive(HOME, 5, frames=40), seed=5, images=False)
@@ -51,7 +51,7 @@ def test_no_reach_is_long_enough_to_bridge_a_valley(seed: int, count: int, reach
 
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_half_and_one_and_a_half_of_the_reach_change_few_labels(factor: float) -> None:
-    """In the middle of rooms 0 to 7, not in each: docs/results.md has those where half the reach splits a place."""
+    """In the middle of rooms 0 to 7, not in each: docs/studies/places.md has those where half the reach splits one."""
     agreement = []
     for seed in range(8):
         home = furnished_room(seed, density=200)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, scale_of
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.joining.appearance_alignment import AppearanceAlignment, align_by_appearance
@@ -14,8 +14,9 @@ from station.places.joining.thesis_registration import register_as_thesis
 from station.places.making.config import PlacesConfig
 from station.places.making.outliers import usable_landmarks
 from station.places.making.scale import viewing_distance
-from station.places.registration import Rays, Registration, register_clouds
-from station.places.registration.result import refused
+from station.places.registration.free_space import Rays
+from station.places.registration.register import register_clouds
+from station.places.registration.result import Registration, refused
 
 FREE_SCALE = 1.67  # two drives of one home differ in viewing distance by less than this factor
 NEAR_SCALE = 1.05  # images leave a scale open by less
@@ -79,7 +80,7 @@ def _check_by_geometry(found: AppearanceAlignment, clouds: _Clouds, seed: int) -
         accepted=accepted,
         reasons=(told,) if accepted else (told, reason),
         T_target_source=found.T_map_nav,
-        scale=float(np.cbrt(np.linalg.det(found.T_map_nav[:3, :3]))),
+        scale=scale_of(found.T_map_nav),
         covariance=found.covariance,
         backend="appearance + small_gicp",
     )
@@ -99,7 +100,7 @@ class _Clouds:
         """By global search, or refined `around` a known motion (4, 4)."""
         scale, spread = self._ratio, FREE_SCALE
         if around is not None:
-            scale, spread = float(np.cbrt(np.linalg.det(around[:3, :3]))), NEAR_SCALE
+            scale, spread = scale_of(around), NEAR_SCALE
         return register_clouds(
             self._target,
             self._source,

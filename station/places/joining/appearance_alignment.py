@@ -8,7 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.errors import RobotSystemError
-from shared.geometry import FloatArray, IntArray, orthonormal, so3_log
+from shared.geometry import (
+    FloatArray,
+    IntArray,
+    carry_poses,
+    orthonormal,
+    rotation_angle,
+    scale_of,
+    sim3,
+    so3_log,
+    transform,
+)
 from station.model.frames import ImageFrame
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
@@ -92,7 +102,7 @@ def _localize(place_map: PlaceMap, navigation: Navigation) -> tuple[FloatArray, 
         place_map.navigation.keyframes,
         encoded=tuple(picture if news else b"" for picture, news in zip(pictures, described, strict=True)),
     )
-    localizer = Localizer(replace(place_map, navigation=replace(place_map.navigation, keyframes=thinned)))
+    localizer = Localizer([replace(place_map, navigation=replace(place_map.navigation, keyframes=thinned))])
     chosen = np.unique(np.linspace(0, len(usable) - 1, min(MAX_QUERIES, len(usable))).round().astype(int))
     in_map, in_nav = [], []
     for k in (usable[i] for i in chosen):
@@ -114,12 +124,10 @@ def keyframes_with_news(navigation: Navigation) -> list[bool]:
     a map of rooms that somebody drove through nearly all are needed.
     """
     landmarks = navigation.landmarks
-    order = np.argsort(landmarks.observed_keyframe, kind="stable")
-    begin = np.searchsorted(landmarks.observed_keyframe[order], np.arange(len(navigation.keyframes) + 1))
     sightings = np.zeros(len(landmarks), dtype=np.int64)
     has_news = []
-    for k in range(len(navigation.keyframes)):
-        seen = landmarks.observed_landmark[order[begin[k] : begin[k + 1]]]
+    for observed in landmarks.observations_by_keyframe(len(navigation.keyframes)):
+        seen = landmarks.observed_landmark[observed]
         has_news.append(bool(len(seen)) and float((sightings[seen] < MAX_SIGHTINGS).mean()) >= MIN_NEWS)
         sightings[seen] += has_news[-1]
     return has_news
@@ -134,10 +142,7 @@ def _fit(T_map_cam: FloatArray, T_nav_cam: FloatArray, fixed_scale: bool) -> Flo
     if not fixed_scale:
         # Ratio of spreads instead of a projection: it does not shrink when positions are noisy.
         scale = float(np.sqrt((d_map**2).sum() / max((d_nav**2).sum(), 1e-12)))
-    T = np.eye(4)
-    T[:3, :3] = scale * R
-    T[:3, 3] = c_map.mean(axis=0) - scale * R @ c_nav.mean(axis=0)
-    return T
+    return sim3(scale, R, c_map.mean(axis=0) - scale * R @ c_nav.mean(axis=0))
 
 
 def covariance_of_motion(T_map_cam: FloatArray, T_nav_cam: FloatArray, *, fixed_scale: bool) -> FloatArray | None:
@@ -151,25 +156,22 @@ def covariance_of_motion(T_map_cam: FloatArray, T_nav_cam: FloatArray, *, fixed_
     if count < 3:
         return None
     T = _fit(T_map_cam, T_nav_cam, fixed_scale)
-    scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
+    scale = scale_of(T)
     middle = T_nav_cam[:, :3, 3].mean(axis=0)
     changes = np.zeros((count, 7))
     for k in range(count):
         others = np.arange(count) != k
         T_k = _fit(T_map_cam[others], T_nav_cam[others], fixed_scale)
-        scale_k = max(float(np.cbrt(np.linalg.det(T_k[:3, :3]))), 1e-9)
+        scale_k = max(scale_of(T_k), 1e-9)
         changes[k, :3] = so3_log(T_k[:3, :3] @ T[:3, :3].T / (scale_k * scale))
-        changes[k, 3:6] = (T_k - T)[:3, :3] @ middle + (T_k - T)[:3, 3]
+        changes[k, 3:6] = transform(T_k - T, middle)
         changes[k, 6] = 0.0 if fixed_scale else np.log(scale_k / scale)
     changes -= changes.mean(axis=0)
     return (count - 1) / count * changes.T @ changes
 
 
 def _agreeing(T: FloatArray, T_map_cam: FloatArray, T_nav_cam: FloatArray, tolerance: float) -> IntArray:
-    scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
-    carried = T_nav_cam[:, :3, 3] @ T[:3, :3].T + T[:3, 3]
-    distance = np.linalg.norm(carried - T_map_cam[:, :3, 3], axis=1)
-    R = np.einsum("ij,njk->nik", T[:3, :3] / scale, T_nav_cam[:, :3, :3])
-    trace = np.einsum("nij,nij->n", R, T_map_cam[:, :3, :3])
-    angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
+    carried = carry_poses(T, T_nav_cam)
+    distance = np.linalg.norm(carried[:, :3, 3] - T_map_cam[:, :3, 3], axis=1)
+    angle = rotation_angle(np.swapaxes(carried[:, :3, :3], 1, 2) @ T_map_cam[:, :3, :3])
     return np.flatnonzero((distance <= tolerance) & (angle <= MAX_ANGLE_RAD)).astype(np.int64)

@@ -67,8 +67,8 @@ def _grown(earlier: PlaceMap, new: PlaceMap) -> PlaceMap:
         for k in [int(owner[place.landmark_index[0]])]
         if k < len(earlier.places)
     }
-    shown = regrouped(replace(new, places=places), places)
-    return named_after(earlier, shown, inherited)
+    named = regrouped(replace(new, places=places), places)
+    return named_after(earlier, named, inherited)
 
 
 def _owners(earlier: PlaceMap, new: PlaceMap, label: IntArray) -> IntArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,40 +10,18 @@ from shared.geometry import FloatArray, IntArray, transform
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
 from station.places.joining.align import align_navigation
+from station.places.joining.match_result import MatchResult, PlaceMatch
 from station.places.joining.territory import Territory
 from station.places.making.build import describe_clusters
 from station.places.making.clusters import MIN_LANDMARKS, NOISE, Clusters, Lengths, cluster_landmarks
 from station.places.making.config import PlacesConfig
 from station.places.making.extent import half_extent
-from station.places.registration import Registration
+from station.places.registration.result import Registration
 
 MAX_DISTANCE_SHARE = 0.8  # of the place's half extent: a farther centroid is another place, or a part of this one
 MIN_SUPPORT = 0.5  # share of a location's landmarks that lie in the place
 MIN_PART = 0.2  # of a location's landmarks in one place: less is its blurred edge,
 MIN_SEEN = 0.5  # unless they are so many as the place has: a small place beside a large one, seen as a whole
-
-
-@dataclass(frozen=True, slots=True)
-class PlaceMatch:
-    """One location and the place it is held to be."""
-
-    place_id: str
-    location_id: str
-    distance: float  # between the centroids, map units
-    support: float  # share of the location's landmarks nearest to this place's
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchResult:
-    """What a second navigation has in common with the map."""
-
-    registration: Registration
-    clusters: Clusters  # of the navigation alone, before the map had a say
-    locations: tuple[Place, ...]  # in the navigation's own frame; in the default mode cut and joined like the places
-    matches: tuple[PlaceMatch, ...]  # one-to-one, closest first
-    refused: tuple[tuple[PlaceMatch, str], ...]  # pairs that a stricter look turned down, with the reason
-    position_map: FloatArray  # (F, 3) the robot's camera at every keyframe; (0, 3) without a registration
-    nearest_place: IntArray  # (F,) index into map.places; empty likewise, or where the map has no place
 
 
 def match_navigation(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from shared.errors import EstimationError
-from shared.geometry import FloatArray, IntArray, transform
+from shared.geometry import FloatArray, IntArray, carry_poses, transform
 from station.model.navigation import Keyframes, Landmarks, Navigation, Trajectory
 from station.places.joining.align import align_navigation
 from station.places.making.build import build_map
@@ -77,15 +77,6 @@ def append_navigation(first: Navigation, second: Navigation, T_first_second: Flo
         messages=(*first.report.messages, f"joined with {second.id}"),
     )
     return Navigation(f"{first.id}+{second.id}", first.calibration, trajectory, keyframes, landmarks, report)
-
-
-def carry_poses(T_a_b: FloatArray, T_b_c: FloatArray) -> FloatArray:
-    """Rigid poses (n, 4, 4) of c in frame a; a scale in T_a_b moves positions and leaves rotations alone."""
-    scale = float(np.cbrt(np.linalg.det(T_a_b[:3, :3])))
-    out = T_b_c.copy()
-    out[:, :3, :3] = T_a_b[:3, :3] / scale @ T_b_c[:, :3, :3]
-    out[:, :3, 3] = transform(T_a_b, T_b_c[:, :3, 3])
-    return out
 
 
 def _joined(a: IntArray, b: IntArray) -> IntArray:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from shared.errors import EstimationError
-from shared.geometry import FloatArray, transform
+from shared.geometry import FloatArray, inverse_sim3, scale_of, sim3, transform
 from station.places.making.clusters import centre_and_normalise
 from station.places.making.config import ThesisConfig
 from station.places.registration.gicp import align_gicp
@@ -53,12 +53,12 @@ def register_as_thesis(
             break
     distance = tree.query(transform(T, B))[0]
     kept = distance <= np.quantile(distance, config.inlier_ratio)
-    T_target_source = np.linalg.inv(T_unit_target) @ T @ T_unit_source
+    T_target_source = inverse_sim3(T_unit_target) @ T @ T_unit_source
     return Registration(
         accepted=True,
         reasons=("thesis mode: not verified, judge by eye",),
         T_target_source=T_target_source,
-        scale=float(np.cbrt(np.linalg.det(T_target_source[:3, :3]))),
+        scale=scale_of(T_target_source),
         rmse=float(np.sqrt((distance[kept] ** 2).mean())),  # in the units registered in: normalised ones in the thesis
         inlier_ratio=config.inlier_ratio,
         confidence=float("nan"),
@@ -75,7 +75,4 @@ def register_as_thesis(
 def _normalisation(p: FloatArray) -> FloatArray:
     """(4, 4) that centres and normalises the cloud."""
     _, centre, scale = centre_and_normalise(p)
-    T = np.eye(4) / scale
-    T[:3, 3] = -centre / scale
-    T[3, 3] = 1.0
-    return T
+    return sim3(1 / scale, np.eye(3), -centre / scale)

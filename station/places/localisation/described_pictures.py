@@ -6,7 +6,6 @@ Features are found by the picture's content, so whoever describes a picture firs
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from station.files.disk import flush
-from station.files.spill import Shelf
+from shared.disk import replacing
+from station.files.spill import Spill
 from station.vision.features import FeatureExtractor, Features, extract_encoded
 
 A = TypeVar("A", bound=np.generic)
@@ -46,7 +45,7 @@ class DescribedPictures:
 
     def __init__(self) -> None:
         self._extractor = FeatureExtractor()
-        self._shelf = Shelf()
+        self._spill = Spill()
         self._known: dict[bytes, Features] = {}
 
     def __len__(self) -> int:
@@ -69,7 +68,7 @@ class DescribedPictures:
             self._keep(digest, features)
 
     def _keep(self, digest: bytes, features: Features) -> None:
-        self._known[digest] = Features(self._shelf.put(features.uv_px), self._shelf.put(features.descriptors))
+        self._known[digest] = Features(self._spill.put(features.uv_px), self._spill.put(features.descriptors))
 
     def keep_only(self, pictures: Iterable[bytes]) -> None:
         """Forget all others."""
@@ -84,21 +83,18 @@ class DescribedPictures:
         """
         features = list(self._known.values())
         counts = [len(f) for f in features]
-        scratch = path.with_name(f".{path.name}")
-        try:
-            with scratch.open("wb") as file, zipfile.ZipFile(file, "w") as archive:
-                described_by = np.array(DESCRIBED_BY)
-                _write_array(archive, "described_by", described_by.dtype, (), [described_by])
-                digests = (np.frombuffer(digest, np.uint8) for digest in self._known)
-                _write_array(archive, "digest", DIGEST.dtype, (len(features), DIGEST.size), digests)
-                _write_array(archive, "count", np.dtype(np.int64), (len(features),), [np.array(counts, np.int64)])
-                _write_array(archive, "uv_px", UV.dtype, (sum(counts), UV.size), (f.uv_px for f in features))
-                descriptors = (f.descriptors for f in features)
-                _write_array(archive, "descriptors", DESCRIPTOR.dtype, (sum(counts), DESCRIPTOR.size), descriptors)
-            flush(scratch)
-            os.replace(scratch, path)
-        finally:
-            scratch.unlink(missing_ok=True)
+        with (
+            replacing(path, scratch=path.with_name(f".{path.name}")) as file,
+            zipfile.ZipFile(file, "w") as archive,
+        ):
+            described_by = np.array(DESCRIBED_BY)
+            _write_array(archive, "described_by", described_by.dtype, (), [described_by])
+            digests = (np.frombuffer(digest, np.uint8) for digest in self._known)
+            _write_array(archive, "digest", DIGEST.dtype, (len(features), DIGEST.size), digests)
+            _write_array(archive, "count", np.dtype(np.int64), (len(features),), [np.array(counts, np.int64)])
+            _write_array(archive, "uv_px", UV.dtype, (sum(counts), UV.size), (f.uv_px for f in features))
+            descriptors = (f.descriptors for f in features)
+            _write_array(archive, "descriptors", DESCRIPTOR.dtype, (sum(counts), DESCRIPTOR.size), descriptors)
 
     def add(self, path: Path) -> bool:
         """Take over what `write` wrote; False, and nothing is added, when it is gone, damaged or of another version."""
@@ -126,7 +122,7 @@ class DescribedPictures:
                 raise ValueError(f"{name} has shape {shape} of {dtype}")
             for count in counts:
                 data = member.read(count * row.size * row.dtype.itemsize)
-                parts.append(self._shelf.put(np.frombuffer(data, row.dtype).reshape(count, row.size)))
+                parts.append(self._spill.put(np.frombuffer(data, row.dtype).reshape(count, row.size)))
             if member.read(1):  # the checksum is compared at the end only
                 raise ValueError(f"{name} is longer than its header says")
         return parts

@@ -7,12 +7,10 @@ missing, damaged or of another version it is made again; when it cannot be kept,
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import logging
 import mmap
 import os
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
@@ -21,6 +19,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from shared.disk import lock, replacing
 from station.config import MAX_ACTIVE_MAPS
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
@@ -32,7 +31,6 @@ SUFFIX, SCRATCH, LOCK = ".index", ".new", "lock"
 KEPT = MAX_ACTIVE_MAPS  # else a set of them would be described anew at each start
 MAGIC = b"SentinelIndex\n"
 ALIGNED = 64  # as numpy's own arrays
-LOOK_AGAIN_S = 0.1
 
 
 class _Part(msgspec.Struct, frozen=True):
@@ -70,12 +68,12 @@ def index_of(
         return kept
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = (path.parent / LOCK).open("ab")
+        lock_file = (path.parent / LOCK).open("ab")
     except OSError as exc:
         logger.warning("%s cannot be written (%s); each robot makes its own index", path.parent, exc.strerror)
         return make_index(place_map, on_keyframe, pictures)
-    with lock:
-        _wait_for(lock, on_wait)
+    with lock_file:
+        _wait_for(lock_file, on_wait)
         if (kept := _read(path, wanted)) is not None:  # made while we waited
             return kept
         made = make_index(place_map, on_keyframe, pictures)
@@ -93,21 +91,14 @@ def forget_index(root: Path, map_id: str) -> None:
         (root / FOLDER / f"{map_id}{SUFFIX}").unlink(missing_ok=True)
 
 
-def _wait_for(lock: IO[bytes], on_wait: Callable[[], None]) -> None:
-    """The kernel gives the lock back when its holder ends, however that was. Where files have no locks: go on."""
-    has_told = False
-    while True:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        except BlockingIOError:
-            if not has_told:
-                on_wait()
-                has_told = True
-            time.sleep(LOOK_AGAIN_S)
-        except OSError as exc:
-            logger.warning("no file can be locked here (%s)", exc.strerror)
-            return
+def _wait_for(file: IO[bytes], on_wait: Callable[[], None]) -> None:
+    """Lock a file, however long that takes; where files have no locks, go on without."""
+    try:
+        if not lock(file, timeout_s=0):
+            on_wait()
+            lock(file)
+    except OSError as exc:
+        logger.warning("no file can be locked here (%s)", exc.strerror)
 
 
 def _read(path: Path, wanted: str) -> MapIndex | None:
@@ -154,11 +145,9 @@ def _write(path: Path, wanted: str, index: MapIndex) -> None:
     for piece in pieces:
         digest.update(piece)
     head = MAGIC + msgspec.json.encode(_Head(wanted, digest.hexdigest(), tuple(parts))) + b"\n"
-    new = path.with_name(path.name + SCRATCH)
-    with new.open("wb") as file:
+    with replacing(path, scratch=path.with_name(path.name + SCRATCH)) as file:
         file.write(head.ljust(_aligned(len(head)), b"\0"))
         file.writelines(pieces)
-    os.replace(new, path)  # not flushed: whatever a power cut leaves of it does not fit its checksum
     for old in list(_newest_first(path.parent))[KEPT:]:
         old.unlink(missing_ok=True)
 

@@ -39,12 +39,9 @@ def describe_keyframes(
     navigation = place_map.navigation
     landmarks, keyframes = navigation.landmarks, navigation.keyframes
     camera = navigation.calibration.camera
-    order = np.argsort(landmarks.observed_keyframe, kind="stable")
-    begin = np.searchsorted(landmarks.observed_keyframe[order], np.arange(len(keyframes) + 1))
     out = []
-    for k in range(len(keyframes)):
+    for k, observed in enumerate(landmarks.observations_by_keyframe(len(keyframes))):
         on_keyframe()
-        observed = order[begin[k] : begin[k + 1]]
         features = describe(keyframes.encoded[k])
         if camera is None or not len(observed) or not len(features):
             out.append(_nothing(features))

@@ -8,22 +8,20 @@ measurements behind the thresholds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from shared.calibration import Calibration, CameraCalibration
 from shared.errors import ConfigError
-from shared.geometry import FloatArray, IntArray, inverse
+from shared.geometry import FloatArray, IntArray, rotation_angle
 from station.model.frames import ImageFrame
 from station.model.place_answer import Localization
 from station.model.place_map import PlaceMap
 from station.places.localisation.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.localisation.map_index import MapIndex
-from station.places.localisation.recognised import extent_of
-from station.vision.camera_pose import CameraPose, solve_pose, solve_pose_from
-from station.vision.features import FeatureExtractor, Features, extract_encoded, to_floats, to_rays
+from station.places.localisation.region_pose import FoundPose, MatchingConfig, find_pose
+from station.vision.features import FeatureExtractor, Features, extract_encoded, to_rays
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +31,7 @@ class LocalizerConfig:
     num_proposals: int = 16  # keyframes taken from the appearance index of each map
     max_groups: int = 3  # regions of each map that geometry is tried on
     group_size: int = 6  # keyframes matched together
-    ratio: float = 0.85  # nearest descriptor against the nearest of another landmark
-    min_similarity: float = 0.75  # of RootSIFT descriptors, 0..1
-    pixel_tolerance: float = 4.0
-    guided_radius_px: float = 10.0
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
     min_inliers: int = 16
     min_inlier_ratio: float = 0.3  # of the guided matches
     min_cells: int = 6  # of 8 x 6 image cells that hold an inlier: one poster is no room
@@ -73,27 +68,26 @@ class Localizer:
 
     def __init__(
         self,
-        maps: PlaceMap | Sequence[PlaceMap],
+        maps: Sequence[PlaceMap],
         config: LocalizerConfig | None = None,
         described: Sequence[Sequence[KeyframeFeatures]] | None = None,
-        index: MapIndex | Sequence[MapIndex] | None = None,
+        index: Sequence[MapIndex] | None = None,
     ) -> None:
         """Describe and index all keyframes of the maps: some 100 ms per keyframe on one core.
 
         `described`: the features of every map's keyframes, where they are known already; `index`: of every map.
         """
-        self.maps = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
+        self.maps = tuple(maps)
         self.config = config or LocalizerConfig()
         self._extractor = FeatureExtractor()
         if index is None:
             if described is None:
                 described = [describe_keyframes(place_map, self._describe) for place_map in self.maps]
             index = [MapIndex.of_keyframes(keyframes) for keyframes in described]
-        indexes = (index,) if isinstance(index, MapIndex) else tuple(index)
-        self.appearances = tuple(one.appearance for one in indexes)
+        self.appearances = tuple(one.appearance for one in index)
         self._keyframes: list[_Keyframe] = []
         self._first: list[int] = []  # of each map's keyframes
-        for m, (place_map, one) in enumerate(zip(self.maps, indexes, strict=True)):
+        for m, (place_map, one) in enumerate(zip(self.maps, index, strict=True)):
             self._first.append(len(self._keyframes))
             poses = place_map.navigation.keyframes.T_world_cam
             self._keyframes += [_Keyframe(m, k, features, poses[k]) for k, features in enumerate(one.keyframes)]
@@ -125,9 +119,10 @@ class Localizer:
         poses = []
         # Similarities by the words of different maps cannot be compared (a small map has few words, which more images
         # share), so that they must not compete for being tried.
-        for first, (images, _) in zip(self._first, proposed, strict=True):
+        for m, (first, (images, _)) in enumerate(zip(self._first, proposed, strict=True)):
             for group in self._groups(first + images):
-                pose = self._pose_in(group, features, rays, camera)
+                members = [self._keyframes[i].features for i in group]
+                pose = find_pose(m, members, features, rays, camera, self.config.matching)
                 if pose is not None:
                     poses.append(pose)
         best_similarity = max(float(similarity[0]) for _, similarity in proposed if len(similarity))
@@ -171,56 +166,20 @@ class Localizer:
             groups.append(group)
         return groups
 
-    def _pose_in(
-        self, group: list[int], features: Features, rays: FloatArray, camera: CameraCalibration
-    ) -> _FoundPose | None:
-        """A pose from the keyframes of one region: matches, RANSAC, then matches guided by the pose."""
-        c = self.config
-        members = [self._keyframes[i] for i in group if len(self._keyframes[i].features.landmark)]
-        if not members:
-            return None
-        descriptors = np.concatenate([m.features.descriptors for m in members])
-        p_map = np.concatenate([m.features.p_map for m in members])
-        landmark = np.concatenate([m.features.landmark for m in members])
-        query, found = _match(features, descriptors, landmark, c.ratio, c.min_similarity)
-        if len(query) < 6:
-            return None
-        tolerance = c.pixel_tolerance / camera.fx
-        first = solve_pose(p_map[found], rays[query], tolerance)
-        if first is None or first.num_inliers < 6:
-            return None
-        similarity = to_floats(features.descriptors) @ to_floats(descriptors).T
-        query, found = _match_guided(first, rays, p_map, similarity, c.guided_radius_px / camera.fx, c.min_similarity)
-        if len(query) < 6:
-            return None
-        pose = solve_pose_from(first.T_map_cam, p_map[found], rays[query], tolerance)
-        if pose is None:
-            return None
-        inlier = np.flatnonzero(pose.inlier)
-        _, first_of_each = np.unique(landmark[found[inlier]], return_index=True)
-        return _FoundPose(
-            pose=pose,
-            map_index=members[0].map_index,
-            query=query[inlier],
-            landmark=landmark[found[inlier]],
-            num_matches=len(query),
-            extent=extent_of(p_map[found[inlier[first_of_each]]]),
-        )
-
-    def _distinct(self, poses: list[_FoundPose]) -> list[_FoundPose]:
+    def _distinct(self, poses: list[FoundPose]) -> list[FoundPose]:
         """The poses by their inliers; of those that say the same, the best one."""
-        out: list[_FoundPose] = []
+        out: list[FoundPose] = []
         for found in sorted(poses, key=lambda p: -p.pose.num_inliers):
             if all(self._differ(found, other) for other in out):
                 out.append(found)
         return out
 
-    def _rival(self, best: _FoundPose, poses: list[_FoundPose]) -> int | None:
+    def _rival(self, best: FoundPose, poses: list[FoundPose]) -> int | None:
         """Inliers of another pose that explains the image nearly as well; None when there is none."""
         enough = self.config.max_rival * best.pose.num_inliers
         return next((p.pose.num_inliers for p in poses if p is not best and p.pose.num_inliers > enough), None)
 
-    def _objection(self, best: _FoundPose, features: Features, camera: CameraCalibration) -> str | None:
+    def _objection(self, best: FoundPose, features: Features, camera: CameraCalibration) -> str | None:
         """Why a pose may not be believed; None when it may."""
         c = self.config
         pose = best.pose
@@ -240,15 +199,15 @@ class Localizer:
             return f"only {support:.0%} of the landmarks that should be in view are there"
         return None
 
-    def _differ(self, a: _FoundPose, b: _FoundPose) -> bool:
+    def _differ(self, a: FoundPose, b: FoundPose) -> bool:
         gap = 0.3 * max(a.pose.median_depth, b.pose.median_depth)
         if a.map_index != b.map_index:
             return True
         A, B = a.pose.T_map_cam, b.pose.T_map_cam
-        cosine = (np.trace(A[:3, :3].T @ B[:3, :3]) - 1) / 2
-        return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or cosine < np.cos(np.radians(15.0)))
+        angle = rotation_angle(A[:3, :3].T @ B[:3, :3])
+        return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or angle > np.radians(15.0))
 
-    def _support(self, found: _FoundPose, camera: CameraCalibration) -> float:
+    def _support(self, found: FoundPose, camera: CameraCalibration) -> float:
         """Of the landmarks that the keyframes most like this view saw and that fall into it, the share found."""
         views = np.unique(self._views[found.map_index].of(found.landmark))
         if not len(views):
@@ -266,7 +225,7 @@ class Localizer:
         in_view = ahead & (np.abs(xy) < 0.95 * half).all(axis=1)
         return len(np.unique(found.landmark)) / max(1, int(np.count_nonzero(in_view)))
 
-    def _answer(self, found: _FoundPose, num_features: int, t_robot_ns: int) -> Localization:
+    def _answer(self, found: FoundPose, num_features: int, t_robot_ns: int) -> Localization:
         evidence = int(np.argmax(np.bincount(self._views[found.map_index].of(found.landmark))))
         return Localization(
             t_robot_ns=t_robot_ns,
@@ -284,18 +243,6 @@ class Localizer:
 
 def _nothing(reason: str, features: Features, similarity: float = 0.0) -> Attempt:
     return Attempt(None, (), reason, len(features), 0, similarity, features)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _FoundPose:
-    """A pose and the matches it rests on."""
-
-    pose: CameraPose
-    map_index: int
-    query: IntArray  # (i,) feature numbers of the inliers
-    landmark: IntArray  # (i,) their landmarks
-    num_matches: int
-    extent: float  # map units
 
 
 class _Views:
@@ -318,42 +265,3 @@ class _Views:
         length = np.searchsorted(self._landmark, landmark, side="right") - begin
         at = np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum())
         return self._view[at]
-
-
-def _match(
-    features: Features, descriptors: np.ndarray, landmark: IntArray, ratio: float, min_similarity: float
-) -> tuple[IntArray, IntArray]:
-    """Feature i ↔ row j, where j's landmark is clearly nearer than every other one. Arrays (m,), (m,)."""
-    similarity = to_floats(features.descriptors) @ to_floats(descriptors).T
-    best = np.argmax(similarity, axis=1)
-    rows = np.arange(len(best))
-    first = similarity[rows, best]
-    # The second best must be of another landmark, and not the same spot in another keyframe.
-    rival = np.where(landmark[None, :] == landmark[best][:, None], -1.0, similarity).max(axis=1)
-    distance = np.sqrt(np.maximum(2 - 2 * first, 0))
-    distance_rival = np.sqrt(np.maximum(2 - 2 * rival, 1e-12))
-    good = np.flatnonzero((distance < ratio * distance_rival) & (first > min_similarity))
-    return good.astype(np.int64), best[good].astype(np.int64)
-
-
-def _match_guided(
-    pose: CameraPose, rays: FloatArray, p_map: FloatArray, similarity: np.ndarray, radius: float, min_similarity: float
-) -> tuple[IntArray, IntArray]:
-    """Matches between features and map points that the pose projects near them: the best row per feature."""
-    T_cam_map = inverse(pose.T_map_cam)
-    p_cam = p_map @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
-    ahead = np.flatnonzero(p_cam[:, 2] > 1e-6)
-    if not len(ahead):
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    xy = p_cam[ahead, :2] / p_cam[ahead, 2:]
-    near = cKDTree(rays).query_ball_tree(cKDTree(xy), radius)
-    query, found = [], []
-    for i, candidates in enumerate(near):
-        if not candidates:
-            continue
-        rows = ahead[candidates]
-        j = int(rows[np.argmax(similarity[i, rows])])
-        if similarity[i, j] > min_similarity:
-            query.append(i)
-            found.append(j)
-    return np.array(query, dtype=np.int64), np.array(found, dtype=np.int64)

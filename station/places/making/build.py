@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shared.geometry import FloatArray, transform
+from shared.geometry import FloatArray, scale_of, transform
 from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
 from station.places.making.changes import regrouped
@@ -88,7 +88,7 @@ def carry_names(old: PlaceMap, new: PlaceMap, T_new_old: FloatArray | None = Non
     `T_new_old` (4, 4) maps the old map's frame to the new one's; None: same frame, as after clustering again.
     """
     T = np.eye(4) if T_new_old is None else T_new_old
-    scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
+    scale = scale_of(T)
     pairs = sorted(
         (float(np.linalg.norm(after - before.centroid_map)), i, j)
         for i, source in enumerate(old.places)

@@ -13,7 +13,7 @@ from station.places.making.graph import place_edges
 from station.places.making.place_images import evidence_of_place, observing_keyframes
 
 
-def shown(place_map: PlaceMap) -> PlaceMap:
+def without_hidden(place_map: PlaceMap) -> PlaceMap:
     """The map without its hidden places: what localisation answers from. Edges never lead to hidden places."""
     return replace(place_map, places=tuple(place for place in place_map.places if not place.hidden))
 

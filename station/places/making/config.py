@@ -36,7 +36,7 @@ class PlacesConfig:
     mode: PlacesMode = "default"
     thesis: ThesisConfig = field(default_factory=ThesisConfig)
     align_by: AlignBy = "both"  # default mode: images find the map first, clouds otherwise; or only one of the two
-    # The two factors exist for sensitivity studies (docs/results.md); nobody needs to set them.
+    # The two factors exist for sensitivity studies (docs/studies/places.md); nobody needs to set them.
     eps_factor: float = 1.0  # on the neighbourhood that the cloud's density asks for
     size_factor: float = 1.0  # on the size of a place that the viewing distance asks for
     voxelise_above: int = 100_000  # points; DBSCAN and hill climbing slow down beyond (docs/places.md)

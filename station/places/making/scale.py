@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, median_radius, upright
 from station.model.navigation import Navigation
 
 UP_PRIOR = 0.02  # weight of the cameras' mean up against their lack of roll
@@ -19,8 +19,8 @@ def viewing_distance(navigation: Navigation) -> float | None:
     landmarks, keyframes = navigation.landmarks, navigation.keyframes
     distance = observation_distances(navigation)
     medians = []
-    for k in range(len(keyframes)):
-        seen = distance[(landmarks.observed_keyframe == k) & np.isfinite(distance)]
+    for observed in landmarks.observations_by_keyframe(len(keyframes)):
+        seen = distance[observed][np.isfinite(distance[observed])]
         if len(seen):
             medians.append(float(np.median(seen)))
     if medians and np.median(medians) > 0:
@@ -29,7 +29,7 @@ def viewing_distance(navigation: Navigation) -> float | None:
     if not len(finite):
         return None
     # Without observations: half the cloud's radius is about how far one stands from what one looks at in one room.
-    radius = float(np.median(np.linalg.norm(finite - np.median(finite, axis=0), axis=1)))
+    radius = median_radius(finite)
     return radius if radius > 0 else None
 
 
@@ -44,7 +44,7 @@ def observation_distances(navigation: Navigation) -> FloatArray:
 
 
 def ground_rotation(navigation: Navigation) -> FloatArray:
-    """Rotation R_ground_map (3, 3) to axes whose z is up.
+    """Rotation R_ground_map (3, 3) to axes whose z is up, the map's x axis at yaw 0.
 
     Identity where gravity is known. Elsewhere up is what the cameras' horizontal axes are most perpendicular to:
     people and robots hold cameras without roll on the whole, but look down. Good enough to draw and to give
@@ -57,8 +57,4 @@ def ground_rotation(navigation: Navigation) -> FloatArray:
     # A drive that never turned leaves a circle of directions open: the mean of the cameras' up decides among them.
     M = right.T @ right / len(T) - UP_PRIOR * np.outer(mean_up, mean_up)
     z = np.linalg.eigh(M)[1][:, 0]
-    z = z if z @ mean_up >= 0 else -z
-    x = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = x - z * (x @ z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
+    return upright(z if z @ mean_up >= 0 else -z, np.eye(3))

@@ -1,84 +1,64 @@
-"""Numbers behind the current place: one hypothesis of where the robot is, and how odometry and images change it."""
+"""What is believed of where the robot is: hypotheses with weights, and how motion and measurements change one of them.
+
+`filter.py` has the steps over all of them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log
-from station.places.localisation.recognised import NOTHING, Recognised
-from station.places.tracking.likelihoods import (
-    FAILS_AT_POSE,
-    FAILS_IN_MAP,
-    FAILS_UNMAPPED,
-    RIGHT,
-    UNMAPPED,
-    Failing,
-    Recognising,
-)
+from shared.geometry import FloatArray, IntArray, inverse, median_radius, se3, so3_exp, so3_log
+from station.model.place_answer import Localization
+from station.places.tracking.config import BeliefConfig
 
 
-@dataclass(frozen=True, slots=True)
-class BeliefConfig:
-    """Rates and likelihoods. Probabilities are per independent view, distances in metres."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Recognised:
+    """Landmarks of one map that were recognised lately.
 
-    # Of the answer being right, ties within 10 % of distance included. On 62 development drives (docs/results.md) 43 of
-    # 43 answers between 0.85 and 0.9 were right, 21 of 22 between 0.8 and 0.85.
-    known_from: float = 0.85
-    unknown_from: float = 0.5
-    prior_unmapped: float = 0.4  # of a robot that was just put down somewhere
-    prior_lost: float = 0.6
-    other_room_per_m: float = 0.25  # rooms are some 4 m wide
-    unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
-    # What tells a right pose from a look-alike, and how much rarer an image that shows this is in a room that no map
-    # knows. Measured, as is how often nothing is recognised: docs/localisation.md, `station/places/likelihoods.py`.
-    right: Recognising = RIGHT
-    unmapped: Recognising = UNMAPPED
-    false_localization_floor: float = 0.02
-    deceived_again: float = 0.5  # of the wrong images: deceived by what deceived an earlier one, at a pose that fits it
-    landmark_memory_s: float = 15.0  # landmarks seen again within this time are no new evidence
-    fails_at_pose: Failing = FAILS_AT_POSE
-    fails_in_map: Failing = FAILS_IN_MAP  # at a pose that nobody knows
-    fails_unmapped: Failing = FAILS_UNMAPPED
-    uncertain_m: float = 1.0  # at a pose as uncertain as this, nobody knows what is in view
-    uncertain_rad: float = 0.5  # ... turned by this, another view: without odometry after a second
-    informative_features: int = 60  # an image with fewer says nothing about where it was taken
-    new_view_rad: float = 0.2  # turning or driving this far makes an image independent of the last one
-    new_view_m: float = 0.3
-    same_view: float = 0.03  # weight of the evidence of an unchanged view
-    same_landmarks: float = 0.02  # ... of an image that recognises nothing new
-    same_view_per_s: float = 0.25  # without odometry: how fast views become independent
-    # What the map reaches: all within `surely_covered_m` of the mapping drive's path, and up to `covered_m` what has
-    # nearly as many recognisable views as the path itself (`Coverage.views`). Along second drives through simulated
-    # flats 101 and 102, 0.3 m and more off the path: 0.81 to 1 at 95 % of the positions in mapped rooms, and below
-    # 0.67 at 95 % of those in unmapped rooms. Corners of mapped rooms where nobody drove are no better than doorways.
-    covered_m: float = 1.0
-    covered_softness_m: float = 0.15
-    surely_covered_m: float = 0.4
-    surely_covered_softness_m: float = 0.04
-    covered_views: float = 0.72
-    covered_views_softness: float = 0.02
-    # Odometry's error is a random walk: reckoned by gyro and commanded speed, 46 drives (flats 101 to 112, 200, 203,
-    # 204, 310 to 312) err per axis by 0.015 m over 0.15 m, 0.028 over 0.6, 0.054 over 2.2 and 0.058 over 4.4 m; turning
-    # on the spot by 0.02 m; the heading by 0.005 to 0.013 rad. Beside it there is what wheels and gyro are wrongly
-    # calibrated by: that adds up, and is a guess; with it and the heading's, a pose known exactly is taken to be
-    # 0.04 m off after 0.6 m, 0.09 after 2.2 and 0.14 after 4.4: too much by half there, and twice and a half.
-    walk_m_per_root_m: float = 0.04
-    walk_m_per_root_rad: float = 0.015
-    walk_rad_per_root_rad: float = 0.006
-    walk_rad_per_root_m: float = 0.006
-    drift_per_m: float = 0.01
-    drift_rad_per_rad: float = 0.003
-    drift_per_s: float = 0.001
-    blind_speed_m_s: float = 0.3  # how fast the robot may go where nothing tells
-    blind_turn_rad_s: float = 0.5
-    pose_floor_m: float = 0.04  # map errors that no image's covariance knows
-    pose_floor_rad: float = 0.03
-    max_hypotheses: int = 8
-    believed_from: float = 0.9  # weight of a hypothesis that counts as where the robot is
-    jump_m: float = 1.0  # two believed positions this far apart are a jump
-    jump_rad: float = 0.7
+    A piece of furniture that looks like another one deceives every image of it, also when it comes into view bit by
+    bit. So images do not count one by one: what counts is how large all is that they recognised together.
+    """
+
+    seen: Mapping[int, int]  # landmark -> robot time, ns, when it was recognised last
+
+    def lately(self, t_robot_ns: int, memory_s: float) -> Recognised:
+        """Those recognised less than `memory_s` before this time."""
+        forgotten = t_robot_ns - round(memory_s * 1e9)
+        return Recognised({landmark: t for landmark, t in self.seen.items() if t > forgotten})
+
+    def and_then(self, landmarks: IntArray, t_robot_ns: int) -> Recognised:
+        """With these (n,) too; images may come late."""
+        return self | Recognised(dict.fromkeys(landmarks.tolist(), t_robot_ns))
+
+    def __or__(self, other: Recognised) -> Recognised:
+        both = {**self.seen, **other.seen}
+        return Recognised({k: max(t, self.seen.get(k, t)) for k, t in both.items()})
+
+    def share_of_new(self, landmarks: IntArray) -> float:
+        """Of landmarks (n,), those that are not among these; of none all."""
+        return sum(k not in self.seen for k in landmarks.tolist()) / len(landmarks) if len(landmarks) else 1.0
+
+    def extent(self, p_map: FloatArray) -> float:
+        """Median distance of the landmarks from their middle, in the units of their positions `p_map` (L, 3)."""
+        return median_radius(p_map[np.fromiter(self.seen, np.int64, len(self.seen))]) if self.seen else 0.0
+
+
+NOTHING = Recognised({})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseMeasurement:
+    """A verified pose of an image, in the terms of the filter."""
+
+    localization: Localization
+    map_index: int
+    unit: float  # map units per metre
+    T_map_body: FloatArray  # (4, 4) map units
+    sigma_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,92 +71,123 @@ class Hypothesis:
     sigma_m: float  # position, per axis
     sigma_rad: float  # heading
     weight: float
-    evidence_t_robot_ns: int
+    evidence_t_robot_ns: int  # of the last image that was recognised here, and the map's keyframe most like it
     evidence_keyframe: int
     inliers: int
-    number: int = 0  # stays when the hypothesis is moved, so that one can be told from another
+    number: int = 0  # stays when the hypothesis is moved: by it one is known from another
     recognised: Recognised = NOTHING
-    credited: float = 0.0  # log odds that were counted for what is recognised
-    look_alike: float = 1.0  # were the robot elsewhere: probability that a look-alike, not the way here, told of it
+    counted_log_odds: float = 0.0  # how much was counted already for what is recognised
+    look_alike: float = 1.0  # probability, were the robot elsewhere, that a look-alike gave this pose
+
+    @classmethod
+    def started(
+        cls, m: PoseMeasurement, T_nav_body: FloatArray, weight: float, counted: float, number: int, c: BeliefConfig
+    ) -> Hypothesis:
+        """A new one: the robot is where this measurement says."""
+        z = m.localization
+        return cls(
+            map_index=m.map_index,
+            T_map_nav=_nav_in_map(m.T_map_body, T_nav_body, m.unit),
+            unit=m.unit,
+            sigma_m=m.sigma_m,
+            sigma_rad=c.pose_floor_rad,
+            weight=weight,
+            evidence_t_robot_ns=z.t_robot_ns,
+            evidence_keyframe=z.keyframe_index,
+            inliers=z.num_inliers,
+            number=number,
+            recognised=NOTHING.and_then(z.landmarks, z.t_robot_ns),
+            counted_log_odds=counted,
+        )
 
     def pose(self, T_nav_body: FloatArray) -> FloatArray:
         """T_map_body (4, 4) for an odometry pose in metres."""
-        return self.T_map_nav @ in_units(T_nav_body, self.unit)
+        return self.T_map_nav @ _in_units(T_nav_body, self.unit)
 
     def moved_to(self, T_map_body: FloatArray, T_nav_body: FloatArray) -> Hypothesis:
         """The hypothesis whose pose is T_map_body while odometry says T_nav_body."""
-        return replace(self, T_map_nav=T_map_body @ inverse(in_units(T_nav_body, self.unit)))
+        return replace(self, T_map_nav=_nav_in_map(T_map_body, T_nav_body, self.unit))
+
+    def grown(self, distance_m: float, turn_rad: float, seconds: float, c: BeliefConfig) -> Hypothesis:
+        """After odometry moved it: noise adds up in squares, wrong calibration and heading linearly."""
+        walk_m = c.walk_m_per_root_m**2 * distance_m + c.walk_m_per_root_rad**2 * turn_rad
+        walk_rad = c.walk_rad_per_root_m**2 * distance_m + c.walk_rad_per_root_rad**2 * turn_rad
+        sigma_m = float(np.sqrt(self.sigma_m**2 + walk_m)) + (c.drift_per_m + 0.5 * self.sigma_rad) * distance_m
+        sigma_m += c.drift_per_s * seconds
+        sigma_rad = float(np.sqrt(self.sigma_rad**2 + walk_rad)) + c.drift_rad_per_rad * turn_rad
+        return replace(self, sigma_m=sigma_m, sigma_rad=min(sigma_rad, np.pi))
+
+    def blurred(self, seconds: float, c: BeliefConfig) -> Hypothesis:
+        """After a time without odometry."""
+        sigma_rad = min(self.sigma_rad + c.blind_turn_rad_s * seconds, np.pi)
+        return replace(self, sigma_m=self.sigma_m + c.blind_speed_m_s * seconds, sigma_rad=sigma_rad)
+
+    def begun_anew(self, share: float) -> Hypothesis:
+        """With this share of its weight, after the robot was picked up: put down here again, it is recognised anew.
+
+        Where the robot was, no look-alike deceived; that one did is as probable as that the robot was not here.
+        """
+        return replace(
+            self,
+            weight=self.weight * share,
+            recognised=NOTHING,
+            counted_log_odds=0.0,
+            look_alike=self.look_alike * (1 - self.weight),
+        )
+
+    def corrected(
+        self, m: PoseMeasurement, doubt: float, T_nav_body: FloatArray, counted: float, c: BeliefConfig
+    ) -> Hypothesis:
+        """After a measurement that it expected: a Kalman update.
+
+        `doubt`: how many times larger the measurement's variance is taken for; `counted`: log odds of its image.
+        """
+        gain = self.sigma_m**2 / (self.sigma_m**2 + doubt * m.sigma_m**2)
+        gain_heading = self.sigma_rad**2 / (self.sigma_rad**2 + doubt * c.pose_floor_rad**2)
+        z = m.localization
+        before = self.recognised.lately(z.t_robot_ns, c.landmark_memory_s)
+        T_map_body = _between(self.pose(T_nav_body), m.T_map_body, gain, gain_heading)
+        return replace(
+            self.moved_to(T_map_body, T_nav_body),
+            sigma_m=float(np.sqrt(max(1 - gain, 0.05))) * self.sigma_m,
+            sigma_rad=float(np.sqrt(max(1 - gain_heading, 0.05))) * self.sigma_rad,
+            evidence_t_robot_ns=z.t_robot_ns,
+            evidence_keyframe=z.keyframe_index,
+            inliers=z.num_inliers,
+            recognised=before.and_then(z.landmarks, z.t_robot_ns),
+            counted_log_odds=(self.counted_log_odds if before.seen else 0.0) + counted,
+            look_alike=1.0,
+        )
 
 
-def in_units(T: FloatArray, unit: float) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Where the robot may be; all weights together sum to one."""
+
+    hypotheses: tuple[Hypothesis, ...]  # at a tracked pose, one of these
+    lost: float  # somewhere in a map
+    unmapped: float  # where no map knows
+
+    @property
+    def localised(self) -> float:
+        """Weight of all hypotheses."""
+        return sum(h.weight for h in self.hypotheses)
+
+
+def _nav_in_map(T_map_body: FloatArray, T_nav_body: FloatArray, unit: float) -> FloatArray:
+    """T_map_nav (4, 4) of a robot at T_map_body (map units) while odometry says T_nav_body (metres)."""
+    T_nav_body_units = _in_units(T_nav_body, unit)
+    return T_map_body @ inverse(T_nav_body_units)
+
+
+def _in_units(T: FloatArray, unit: float) -> FloatArray:
     """A motion in metres as one in map units."""
     out = T.copy()
     out[:3, 3] *= unit
     return out
 
 
-def grown(h: Hypothesis, distance_m: float, turn_rad: float, seconds: float, c: BeliefConfig) -> Hypothesis:
-    """The hypothesis after odometry moved it: noise adds up in squares, wrong calibration and heading linearly."""
-    walk_m = c.walk_m_per_root_m**2 * distance_m + c.walk_m_per_root_rad**2 * turn_rad
-    walk_rad = c.walk_rad_per_root_m**2 * distance_m + c.walk_rad_per_root_rad**2 * turn_rad
-    sigma_m = float(np.sqrt(h.sigma_m**2 + walk_m)) + (c.drift_per_m + 0.5 * h.sigma_rad) * distance_m
-    sigma_m += c.drift_per_s * seconds
-    sigma_rad = float(np.sqrt(h.sigma_rad**2 + walk_rad)) + c.drift_rad_per_rad * turn_rad
-    return replace(h, sigma_m=sigma_m, sigma_rad=min(sigma_rad, np.pi))
-
-
-def blurred(h: Hypothesis, seconds: float, c: BeliefConfig) -> Hypothesis:
-    """The hypothesis after a time without odometry."""
-    sigma_rad = min(h.sigma_rad + c.blind_turn_rad_s * seconds, np.pi)
-    return replace(h, sigma_m=h.sigma_m + c.blind_speed_m_s * seconds, sigma_rad=sigma_rad)
-
-
-def begun_anew(h: Hypothesis, share: float) -> Hypothesis:
-    """The hypothesis with this share of its weight when the robot was picked up: put down again, it is recognised anew.
-
-    Where the robot was, no look-alike deceived; that one did is as probable as that the robot was not here.
-    """
-    return replace(
-        h, weight=h.weight * share, recognised=NOTHING, credited=0.0, look_alike=h.look_alike * (1 - h.weight)
-    )
-
-
-# Errors of right candidates (689 images of development drives, docs/results.md) have long tails: 5 to 19 % of those
-# with fewer than 120 inliers lie beyond four standard deviations. So they are taken to follow Student's t.
-FREEDOM = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class Agreement:
-    """How a measured pose fits a hypothesis."""
-
-    squared: float  # Mahalanobis, 4 degrees of freedom (position, heading)
-    density: float  # against a uniform one over the map
-
-    @property
-    def doubt(self) -> float:
-        """How many times larger the measurement's variance is taken for: 1 for one that fits."""
-        return max(1.0, (FREEDOM + self.squared) / (FREEDOM + 3.0))
-
-
-def agreement(
-    T_expected: FloatArray,
-    T_measured: FloatArray,
-    sigma_m: float,
-    sigma_rad: float,
-    map_area_m2: float,
-    unit: float,
-) -> Agreement:
-    """Compare poses. Height and tilt of a robot on a floor carry no choice, so the density counts x, y and heading."""
-    gap = (T_measured[:3, 3] - T_expected[:3, 3]) / unit
-    turn = float(np.linalg.norm(so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])))
-    squared = float(gap @ gap) / sigma_m**2 + turn**2 / sigma_rad**2
-    uniform = 1.0 / (max(map_area_m2, 1.0) * 2 * np.pi)
-    peak = 1.0 / ((2 * np.pi) ** 1.5 * sigma_m**2 * sigma_rad)
-    return Agreement(squared, max(peak / uniform, 1.0) * (1.0 + squared / FREEDOM) ** (-0.5 * (FREEDOM + 3.0)))
-
-
-def fused(T_expected: FloatArray, T_measured: FloatArray, gain_position: float, gain_heading: float) -> FloatArray:
+def _between(T_expected: FloatArray, T_measured: FloatArray, gain_position: float, gain_heading: float) -> FloatArray:
     """Between the expected and the measured pose, by Kalman gains 0..1."""
     turn = so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])
     R = T_expected[:3, :3] @ so3_exp(gain_heading * turn)

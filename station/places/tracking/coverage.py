@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
 from station.model.place_map import PlaceMap
+from station.places.tracking.config import BeliefConfig
 
 # A keyframe recognises views from about this near and this parallel (33 degrees of view, SIFT's limits).
 VIEW_DISTANCE = 1.2
@@ -54,6 +55,18 @@ class Coverage:
     def knows_views(self) -> bool:
         """Whether the map says what its keyframes saw, so that what should be in view can be counted."""
         return self._seen.is_enough
+
+    def covers(self, p_map: FloatArray, c: BeliefConfig) -> FloatArray:
+        """(n,) probability that the map reaches the points (n, 3): it went there, or nearly, and knows the views."""
+        distance = self.distance(p_map)
+        within = _below(distance, c.covered_m, c.covered_softness_m)
+        surely = _below(distance, c.surely_covered_m, c.surely_covered_softness_m)
+        views = np.zeros(len(p_map))
+        asked = np.flatnonzero((within > 1e-3) & (surely < 1 - 1e-3))  # elsewhere views change nothing
+        if len(asked):
+            known = self.views(p_map[asked])
+            views[asked] = _below(-known, -c.covered_views, c.covered_views_softness)
+        return np.asarray(surely + (1 - surely) * within * views, dtype=np.float64)
 
     def distance(self, p_map: FloatArray) -> FloatArray:
         """(n,) m from points (n, 3) to the nearest camera position of the mapping drive; inf without keyframes."""
@@ -135,6 +148,11 @@ class Coverage:
         return np.asarray(now[alike][once])
 
 
+def _below(value: FloatArray, limit: float, softness: float) -> FloatArray:
+    """0..1, a soft value < limit."""
+    return np.asarray(1.0 / (1.0 + np.exp(np.clip((value - limit) / softness, -50, 50))), dtype=np.float64)
+
+
 def _hidden(landmark: IntArray, d: FloatArray, far: FloatArray, margin: float) -> npt.NDArray[np.bool_]:
     """(n,) whether other landmarks stand in front of these, that lie at d (n, 3), `far` away: a wall, from behind."""
     _, once = np.unique(landmark, return_index=True)
@@ -156,12 +174,13 @@ class _Seen:
         count = len(place_map.navigation.keyframes)
         every = max(1, len(landmarks.observed_landmark) // max(1, THINNED_VIEW * count))
         somewhere = np.asarray(np.isfinite(landmarks.p_world).all(axis=1), dtype=np.bool_)
-        kept = np.flatnonzero((landmarks.observed_landmark % every == 0) & somewhere[landmarks.observed_landmark])
-        kept = kept[np.argsort(landmarks.observed_keyframe[kept], kind="stable")]
+        kept = (landmarks.observed_landmark % every == 0) & somewhere[landmarks.observed_landmark]
         self.p_map = landmarks.p_world
-        self._landmark = landmarks.observed_landmark[kept]
-        self._first = np.searchsorted(landmarks.observed_keyframe[kept], np.arange(count + 1))
-        self.per_keyframe = float(np.median(np.diff(self._first))) if count else 0.0
+        self._landmarks = [
+            landmarks.observed_landmark[observed[kept[observed]]]
+            for observed in landmarks.observations_by_keyframe(count)
+        ]
+        self.per_keyframe = float(np.median([len(seen) for seen in self._landmarks])) if count else 0.0
         self.usual = max(1.0, self.per_keyframe * every)  # landmarks in a keyframe, those that were left out included
 
     @property
@@ -171,17 +190,5 @@ class _Seen:
 
     def by(self, keyframes: IntArray) -> tuple[IntArray, IntArray]:
         """Every (landmark, keyframe) that these keyframes (k,) saw: arrays (n,), (n,)."""
-        length = self._first[keyframes + 1] - self._first[keyframes]
-        begin = np.cumsum(length) - length
-        at = np.repeat(self._first[keyframes] - begin, length) + np.arange(length.sum())
-        return self._landmark[at], np.repeat(keyframes, length)
-
-
-def units_per_metre(place_map: PlaceMap) -> float:
-    """Map units per metre; of an arbitrary scale a guess: a drive through a flat spans about five metres."""
-    if place_map.navigation.is_metric:
-        return 1.0
-    positions = place_map.navigation.keyframes.T_world_cam[:, :3, 3]
-    if len(positions) < 2:
-        return 1.0
-    return max(float(np.max(np.ptp(positions, axis=0))) / 5.0, 1e-6)
+        seen = [self._landmarks[k] for k in keyframes]
+        return np.concatenate(seen), np.repeat(keyframes, [len(landmarks) for landmarks in seen])

@@ -1,4 +1,4 @@
-"""One active map, as the estimator of the current place looks at it."""
+"""One active map with what is asked of it for every image and answer: its places' tree, its unit, what it covers."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from scipy.spatial import cKDTree
 
 from shared.geometry import FloatArray
 from station.model.place_map import PlaceMap
-from station.places.tracking.belief import BeliefConfig
-from station.places.tracking.coverage import Coverage, units_per_metre
+from station.places.tracking.coverage import Coverage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapView:
-    """A map with what is asked of it for every answer."""
+    """A map, prepared once."""
 
     place_map: PlaceMap
     centroids: FloatArray  # (P, 3)
@@ -27,7 +26,7 @@ class MapView:
     @classmethod
     def of(cls, place_map: PlaceMap) -> MapView:
         """Prepare a map."""
-        unit = units_per_metre(place_map)
+        unit = _units_per_metre(place_map)
         positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
         size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
         centroids = _centroids(place_map)
@@ -56,23 +55,6 @@ class MapView:
         shares = np.bincount(index, minlength=count), np.bincount(np.unique(pairs) % count, minlength=count)
         return shares[0] / len(p_map), shares[1] / len(p_map)
 
-    def covered(self, p_map: FloatArray, c: BeliefConfig) -> FloatArray:
-        """(n,) probability that the map reaches the points (n, 3): it went there, or nearly, and knows the views."""
-        distance = self.coverage.distance(p_map)
-        within = _below(distance, c.covered_m, c.covered_softness_m)
-        surely = _below(distance, c.surely_covered_m, c.surely_covered_softness_m)
-        views = np.zeros(len(p_map))
-        asked = np.flatnonzero((within > 1e-3) & (surely < 1 - 1e-3))  # elsewhere views change nothing
-        if len(asked):
-            known = self.coverage.views(p_map[asked])
-            views[asked] = _below(-known, -c.covered_views, c.covered_views_softness)
-        return np.asarray(surely + (1 - surely) * within * views, dtype=np.float64)
-
-
-def _below(value: FloatArray, limit: float, softness: float) -> FloatArray:
-    """0..1, a soft value < limit."""
-    return np.asarray(1.0 / (1.0 + np.exp(np.clip((value - limit) / softness, -50, 50))), dtype=np.float64)
-
 
 def _centroids(place_map: PlaceMap) -> FloatArray:
     """(P, 3) of its places."""
@@ -81,3 +63,13 @@ def _centroids(place_map: PlaceMap) -> FloatArray:
 
 def _tree(centroids: FloatArray) -> cKDTree | None:
     return cKDTree(centroids) if len(centroids) else None
+
+
+def _units_per_metre(place_map: PlaceMap) -> float:
+    """Map units per metre; of an arbitrary scale a guess: a drive through a flat spans about five metres."""
+    if place_map.navigation.is_metric:
+        return 1.0
+    positions = place_map.navigation.keyframes.T_world_cam[:, :3, 3]
+    if len(positions) < 2:
+        return 1.0
+    return max(float(np.max(np.ptp(positions, axis=0))) / 5.0, 1e-6)

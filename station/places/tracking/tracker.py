@@ -27,14 +27,11 @@ ODOMETRY_EVERY_NS = 50_000_000
 class PlaceTracker:
     """Everything between sensor data and `PlaceAnswer`. Not thread-safe: one per worker."""
 
-    def __init__(
-        self, maps: PlaceMap | Sequence[PlaceMap], calibration: Calibration, localizer: Localizer | None = None
-    ) -> None:
+    def __init__(self, maps: Sequence[PlaceMap], calibration: Calibration, localizer: Localizer | None = None) -> None:
         """`localizer`: one that was made for these maps, to save describing their keyframes again."""
-        given = (maps,) if isinstance(maps, PlaceMap) else tuple(maps)
         self._calibration = calibration
-        self.localizer = localizer or Localizer(given)
-        self.estimator = CurrentPlaceEstimator(given, calibration)
+        self.localizer = localizer or Localizer(maps)
+        self.estimator = CurrentPlaceEstimator(maps, calibration)
         self.hijacks = HijackDetector()
         self._reckoning = DeadReckoning()
         self._blended = BlendedOdometry()
@@ -47,7 +44,9 @@ class PlaceTracker:
         self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
 
     def on_imu(self, imu: ImuBatch) -> None:
-        self._note(self.hijacks.on_imu(imu))
+        event = self.hijacks.on_imu(imu)
+        if event is not None:
+            self._on_hijack(event)
         self._reckoning.add_imu(imu)
         t, last = self._reckoning.t_robot_ns, self._odometry_t_ns
         if t is not None and (last is None or t - last >= ODOMETRY_EVERY_NS):
@@ -73,8 +72,9 @@ class PlaceTracker:
             return None
         attempt = self.localizer.attempt(frame, self._calibration)
         self.last_attempt = attempt
-        if attempt.features is not None:
-            self._note(self.hijacks.on_view(t, attempt.features))
+        seen = self.hijacks.on_view(t, attempt.features) if attempt.features is not None else None
+        if seen is not None:
+            self._on_hijack(seen)
         if not attempt.candidates:
             self.estimator.on_failure(t, attempt.num_features)
             return attempt
@@ -93,11 +93,10 @@ class PlaceTracker:
         events, self._events = self._events, []
         return events
 
-    def _note(self, event: HijackEvent | None) -> None:
-        if event is not None:
-            self._events.append(event)
-            self._moved_ns = event.t_robot_ns
-            self.estimator.on_hijack(event.t_robot_ns, event.reason, event.confidence)
+    def _on_hijack(self, event: HijackEvent) -> None:
+        self._events.append(event)
+        self._moved_ns = event.t_robot_ns
+        self.estimator.on_hijack(event.t_robot_ns, event.reason, event.confidence)
 
     def _odometry(self, t: int, T_nav_body: FloatArray) -> None:
         self._odometry_t_ns = t

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, rotation_angle
 from station.model.frames import DriveSample, ImuBatch
 from station.motion.dead_reckoning import reckon_drive
 from station.motion.inertial_track import InertialTrack
@@ -72,7 +72,7 @@ def dead_reckon(
     step = track.increments(t_ns)
     p = np.einsum("nji,nj->ni", R_world[:-1], np.diff(p_world, axis=0))
     length = np.linalg.norm(p, axis=1)
-    turn = np.arccos(np.clip((np.trace(step.R, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0))
+    turn = rotation_angle(step.R)
     along = np.sqrt(POSITION_FLOOR_M**2 + (SLIP * length) ** 2 + (SLIP_PER_RADIAN_M * turn) ** 2)
     sigma_position = np.column_stack([along, along, np.hypot(VERTICAL_SIGMA_M, 0.01 * length)])
     sigma_rotation = np.sqrt(noise.gyro_density**2 * step.dt + (0.003 * turn) ** 2 + 2e-4**2)

@@ -14,7 +14,7 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
-from station.files.spill import Shelf, ShelvedFiles
+from station.files.spill import Spill, SpilledFiles
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Keyframes, Navigation, NavigationReport
 from station.model.slam_update import SlamUpdate
@@ -60,9 +60,9 @@ class SfmBackend:
         self._shortlist = Shortlist(self._config.matching)
         self._imu: list[ImuBatch] = []
         self._drive: list[DriveSample] = []
-        self._shelf = Shelf()
+        self._spill = Spill()
         self._frames: list[ImageFrame] = []  # keyframes, without their files
-        self._encoded = ShelvedFiles(self._shelf)  # these
+        self._encoded = SpilledFiles(self._spill)  # these
         self._features: list[PinholeFeatures] = []
         self._pairs: list[Pairs] = []  # feature pairs, unverified
         self._matches: list[Match] = []  # verified
@@ -116,7 +116,7 @@ class SfmBackend:
             self._shortlist.add(features)
         self._frames.append(replace(frame, encoded=b""))
         self._encoded.append(frame.encoded)
-        put = self._shelf.put
+        put = self._spill.put
         self._features.append(PinholeFeatures(put(features.uv_px), put(features.sift), put(features.uv_ideal_px)))
         for a in older:
             pairs = match_descriptors(self._features[a].descriptors, features.descriptors, config.max_ratio)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, rotation_angle
 from station.model.frames import DriveSample
 from station.motion.drive_commands import wheel_motion
 from station.slam.mapping.pose_alignment import ScaleEstimate
@@ -32,7 +32,7 @@ def scale_from_drive(
             continue
         commanded = distance[j] - distance[i]
         rates = [abs(d.angular_rad_s) for d in drive if t_ns[i] - 3e8 <= d.t_robot_ns <= t_ns[j]]
-        turned = float(np.arccos(np.clip((np.trace(R_world_body[i].T @ R_world_body[j]) - 1) / 2, -1, 1)))
+        turned = float(rotation_angle(R_world_body[i].T @ R_world_body[j]))
         moved = float(np.linalg.norm(p_world_body[j] - p_world_body[i]))
         straight = turned < STRAIGHT_RATE * span_s and all(rate < STRAIGHT_RATE for rate in rates)
         if straight and abs(commanded) > 0.1 and span_s < 4.0 and moved > 1e-9:

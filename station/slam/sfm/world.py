@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, IntArray, inverse, se3, transform
+from shared.geometry import FloatArray, IntArray, inverse, se3, transform, upright
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Landmarks, Trajectory
 from station.motion.inertial_track import InertialTrack
@@ -152,11 +152,5 @@ def _guess_up(T_world_cam: FloatArray) -> FloatArray:
 
 def _first_pose_is_origin(up: FloatArray, T_model_body: FloatArray) -> FloatArray:
     """T_world_model (4, 4): z along up, origin at the first body pose, its forward axis (x) at yaw 0."""
-    up = up / np.linalg.norm(up)
-    for axis in (0, 2, 1):  # a body that points straight up has no yaw of its x axis: take another one
-        forward = T_model_body[:3, axis] - up * float(T_model_body[:3, axis] @ up)
-        if float(np.linalg.norm(forward)) > 0.3:
-            break
-    forward /= np.linalg.norm(forward)
-    R_world_model = np.stack([forward, np.cross(up, forward), up])
+    R_world_model = upright(up, T_model_body[:3, :3])
     return se3(R_world_model, -R_world_model @ T_model_body[:3, 3])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shared.advice import install
 from shared.errors import ConfigError
 from station.config import DASK, PROCESSES, check_executor
 from station.workers.executors.port import Executor
@@ -16,7 +17,5 @@ def open_executor(address: str = PROCESSES) -> Executor:
     try:
         from station.workers.executors.dask import DaskExecutor
     except ImportError as exc:
-        raise ConfigError(
-            f"{address} needs {exc.name}, which is missing; run: pip install '.[station,fleet]' in Sentinel's folder"
-        ) from exc
+        raise ConfigError(f"{address} needs {exc.name}, which is missing; run: {install('station', 'fleet')}") from exc
     return DaskExecutor(f"tcp://{address.removeprefix(DASK)}")

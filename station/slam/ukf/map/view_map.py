@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import CameraCalibration, ImuNoise
-from shared.geometry import FloatArray, inverse
+from shared.geometry import FloatArray, inverse, se3, transform, upright
 from station.model.navigation import Keyframes, Landmarks
 from station.motion import lie
 from station.slam.mapping.assemble import Reconstructed, read_odometry_map
@@ -124,18 +124,13 @@ def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibrat
     T = part.keyframes.T_world_cam @ T_cam_body
     up_body = T_filter[:, 2, :3]  # the world's z axis in each body frame, by the filter
     up = np.median(np.einsum("nij,nj->ni", T[:, :3, :3], up_body), axis=0)
-    up /= np.linalg.norm(up)
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(axis))
-    turn = np.eye(4)
-    turn[:3, :3] = lie.so3_exp(axis * (np.arcsin(min(sine, 1.0)) / max(sine, 1e-12)))
-    turn[:3, 3] = T[0, :3, 3] - turn[:3, :3] @ T[0, :3, 3]
-    R = turn[:3, :3]
+    R = upright(up)
+    turn = se3(R, T[0, :3, 3] - R @ T[0, :3, 3])
     k, m = part.keyframes, part.landmarks
     return Reconstructed(
         Keyframes(k.frame_index, k.t_robot_ns, turn @ k.T_world_cam, k.encoded, k.segment),
         Landmarks(
-            m.p_world @ R.T + turn[:3, 3],
+            transform(turn, m.p_world),
             m.rgb,
             R @ m.cov_world @ R.T,
             m.observed_landmark,

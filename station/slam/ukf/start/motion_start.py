@@ -13,7 +13,7 @@ import numpy as np
 
 from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, upright
 from station.motion import lie
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import Preintegration, compose, preintegrate
@@ -139,15 +139,6 @@ def _parallax(tracks: WindowTracks, R: FloatArray, camera: CameraModel) -> float
     return float(np.percentile(np.linalg.norm(moved, axis=1), 75)) * camera.lens.camera.fx
 
 
-def upright_rotation(down_body: FloatArray) -> FloatArray:
-    """R_world_body (3, 3) with z up and the body's x axis (or z, if x is near vertical) at zero yaw."""
-    up = -down_body / np.linalg.norm(down_body)
-    forward = np.eye(3)[0] if abs(up[0]) < 0.9 else np.eye(3)[2]
-    x = forward - up * (forward @ up)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
-
-
 def _upright(
     R: FloatArray,
     v0: FloatArray,
@@ -159,7 +150,7 @@ def _upright(
     links: list[Preintegration],
 ) -> WindowStates:
     """States in a world frame with z up, origin in the first pose."""
-    up = upright_rotation(g0)
+    up = upright(-g0, np.eye(3))
     v = v0 + t[:, None] * g0 + dv
     x = v0 * t[:, None] + 0.5 * (t * t)[:, None] * g0 + dp
     omega = np.array([lie.so3_log(link.dR) / link.duration_s for link in links])

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, IntArray, yaw_rotation
+from shared.geometry import FloatArray, IntArray, upright, yaw_rotation
 from station.model.frames import ImuBatch
 from station.motion import lie
 from station.motion.error_coordinates import ErrorKind
 from station.motion.imu_buffer import ImuBuffer
 from station.slam.mapping.inertial_bundle import N
 from station.slam.ukf.filter.state import CORE, PHI, XI_V, XI_X, FilterState, add_clone, initial_state
-from station.slam.ukf.start.motion_start import MotionStart, StartConfig, start_in_motion, upright_rotation
+from station.slam.ukf.start.motion_start import MotionStart, StartConfig, start_in_motion
 from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 
@@ -157,7 +157,7 @@ def state_rolling(
         v_wheels: (3,) body frame.
     """
     lean = accel / np.linalg.norm(accel) + np.array([0.0, 0.0, 1.0])
-    R = yaw_rotation(anchor.yaw_rad) @ upright_rotation(-lean / np.linalg.norm(lean))
+    R = yaw_rotation(anchor.yaw_rad) @ upright(lean, np.eye(3))
     bias = np.zeros(6) if anchor.bias is None else anchor.bias
     given = GivenState(
         t_imu_ns=t_imu_ns,
@@ -182,7 +182,7 @@ def state_at_rest(
     bias_accel = np.zeros(3) if anchor.bias is None else anchor.bias[3:]
     up = (accel - bias_accel) / np.linalg.norm(accel - bias_accel)
     bias_accel = bias_accel + up * (float(np.linalg.norm(accel - bias_accel)) - gravity)
-    R = yaw_rotation(anchor.yaw_rad) @ upright_rotation(-up)
+    R = yaw_rotation(anchor.yaw_rad) @ upright(up, np.eye(3))
     tilt = SIGMA_TILT_REST if anchor.bias is None else 0.5 * SIGMA_TILT_REST
     count = max(len(imu), 1)
     sigma_gyro = max(3.0 * noise.gyro_density * np.sqrt(noise.rate_hz / count), 1e-4)

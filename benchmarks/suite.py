@@ -1,0 +1,75 @@
+"""Every benchmark that `make bench` and `make results` run: its arguments, and where its figures belong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+DATA = "../shared/data"  # recorded data, beside the repository
+LINK, SLAM, PLACES = "Robot, link and stop", "Simulator and SLAM", "Places and registration"
+CURRENT, PAGE, KEPT = "Current place", "Page and API", "Maps and recordings"
+
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """One run of a module, and where its figures belong."""
+
+    name: str  # of its result file
+    subject: str  # heading in docs/results.md
+    module: str
+    full: str  # arguments as in a shell
+    quick: str | None  # None: it cannot be made short
+    has_own_target: bool = False  # `make bench` leaves it to that
+    data: str = ""  # recorded data that must be there
+
+
+SUITE = (
+    Benchmark("clock", LINK, "bench_clock", "--runs 1000", "--runs 20"),
+    Benchmark("link", LINK, "bench_link", "--minutes 10 --stall-minutes 2", "--minutes 0.1 --stall-minutes 0.2"),
+    Benchmark("disconnects", LINK, "bench_disconnects", "--disconnects 10000", "--disconnects 20 --links 2 --pages 1"),
+    Benchmark("access", LINK, "bench_access", "--frames 600", "--frames 20"),
+    Benchmark("robot_cpu", LINK, "bench_robot_cpu", "--seconds 20", "--seconds 2"),
+    Benchmark("robot_wheels", LINK, "check_robot_wheels", "", None),
+    Benchmark("fuzz", LINK, "bench_fuzz", "--inputs 1000000", "--inputs 2000"),
+    Benchmark("stop", LINK, "bench_stop", "", "--scale 0.01", has_own_target=True),
+    Benchmark("fleet", LINK, "bench_fleet", "--minutes 10", "--minutes 0.5 --robots 2"),
+    Benchmark("renderer", SLAM, "bench_renderer", "--frames 200", "--frames 5"),
+    Benchmark("simulated_views", SLAM, "bench_simulated_views", "--seeds 10", "--seeds 1 --pairs 2"),
+    Benchmark("sfm", SLAM, "bench_sfm", "--seeds 0-3", "--seeds 1 --max-duration 12"),
+    Benchmark(
+        "slam_flight", SLAM, "bench_slam", f"datasets {DATA}/euroc_v1_01_flight --start own --start given", None,
+        data=f"{DATA}/euroc_v1_01_flight",
+    ),
+    Benchmark("slam_drive", SLAM, "bench_slam", "datasets --flats 1", "datasets --flats 1 --max-duration 12"),
+    Benchmark("slam_wheels", SLAM, "bench_slam", "wheels --flats 1", None),
+    Benchmark("slam_consistency", SLAM, "bench_slam", "consistency --runs 50", "consistency --runs 1 --duration 3"),
+    Benchmark(
+        "slam_v102_own", SLAM, "slam_studies", "v102 --start own --discard", None, data=f"{DATA}/euroc_v1_02_imu"
+    ),
+    Benchmark(
+        "slam_v102_given", SLAM, "slam_studies", "v102 --start given --discard", None, data=f"{DATA}/euroc_v1_02_imu"
+    ),
+    Benchmark("slam_flats", SLAM, "slam_studies", "flats --discard", None),
+    Benchmark(
+        "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
+    ),
+    Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
+    Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
+    Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
+    Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
+    Benchmark(
+        "current_place", CURRENT, "bench_current_place", "--seed 500 --flats 25 --drives 4", "--flats 1 --drives 1"
+    ),
+    Benchmark("false_alarms", CURRENT, "bench_false_alarms", "--seed 270", "--flats 1 --drives 1"),
+    Benchmark("hijack", CURRENT, "bench_hijack", "--trials 100", "--trials 2 --plain-minutes 0.5"),
+    Benchmark("demo", CURRENT, "bench_demo", "--seeds 1-20", None),
+    Benchmark("place_scale", CURRENT, "bench_place_scale", "--answers 120", "--rooms 1 10 --answers 12"),
+    Benchmark("page", PAGE, "bench_page", "--seconds 30", "--seconds 5", has_own_target=True),
+    Benchmark("openapi", PAGE, "bench_openapi", "--examples 100", "--examples 2"),
+    Benchmark("crash", KEPT, "bench_crash", "--kills 600", "--kills 6"),
+    Benchmark("crash_full", KEPT, "bench_crash", "--fault full --kills 60", None),
+    Benchmark("crash_read_only", KEPT, "bench_crash", "--fault read-only --kills 60", None),
+    Benchmark("flips", KEPT, "bench_flips", "--flips 1000", "--flips 10"),
+    Benchmark("replay", KEPT, "bench_replay", "", None),
+    Benchmark("days_made_up", KEPT, "bench_days", "--made-up 30 --first 200", "--made-up 1"),
+    Benchmark("days", KEPT, "bench_days", "--flats 1-3", None),
+)  # fmt: skip
