@@ -25,7 +25,7 @@ from station.maps.store import MapStore
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
-from station.places.localisation.index_file import forget_index
+from station.places.localisation.index_path import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
 from station.places.making.colours import number_places
 from station.places.making.place_images import evidence_of_place
