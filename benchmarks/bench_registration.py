@@ -26,9 +26,9 @@ import numpy as np
 
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.geometry import FloatArray, rotation_of, scale_of, so3_log, transform
-from station.places.registration import register_clouds
 from station.places.registration.gicp import align_gicp
 from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.register import register_clouds
 from tests.support.registration_clouds import CloudPair, make_pair
 
 SETS: dict[str, dict[str, Any]] = {

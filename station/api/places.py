@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep, StationDep
-from station.api.maps import image_response
+from station.api.images import image_response
 from station.api.problems import responses
 from station.api.schema.jobs import JobModel, job_model
 from station.api.schema.places import (

@@ -28,16 +28,8 @@ from station.api.messages import (
 )
 from station.api.problems import kind_of, responses
 from station.api.schema.base import Accepted
-from station.api.schema.robot import (
-    DriveOrder,
-    DriverModel,
-    HijackOrder,
-    PanTiltOrder,
-    RobotEntry,
-    RobotModel,
-    robot_entry,
-    robot_model,
-)
+from station.api.schema.fleet import RobotEntry, robot_entry
+from station.api.schema.robot import DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel, robot_model
 from station.errors import Busy, NoRobot
 from station.events import Event, MessageReader
 from station.robots.driving import MAX_DRIVER_NAME

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from shared.errors import ConfigError
+from station.commands.match_report import finish
 from station.commands.outputs import check_out_folder
+from station.commands.places_options import align_by_mode, places_mode
 from station.commands.progress import working
 from station.commands.slam import run_with_progress
-from station.commands.verdict import verdict
 from station.datasets import Dataset
-from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
+from station.experiments.experiment import Story, run_experiment
 from station.experiments.inputs import FrameRange, Input, open_input
-from station.experiments.output import write_experiment
 from station.experiments.presets import Preset, find_preset, make_dataset
 from station.files.navigation_folder import check_navigation_folder, save_navigation
 from station.model.navigation import Navigation
-from station.places.making.config import AlignBy, PlacesConfig, PlacesMode, ThesisConfig
+from station.places.making.config import PlacesConfig, ThesisConfig
 from station.slam.backends import make_backend
 
 
@@ -141,36 +139,6 @@ def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
         return made, make_dataset(second, folder / "drive2")
 
 
-def finish(done: Experiment, out: Path, as_json: bool) -> None:
-    """Write the files and say what came out. Exit code 2 when registration was refused, as of `station register`."""
-    with working("drawing the report"):
-        write_experiment(done, out)
-    results = results_dict(done)
-    if as_json:
-        print(json.dumps(results, default=str))
-    else:
-        _tell(done, results, out)
-    if not done.result.registration.accepted:
-        why = done.result.registration.reasons[0]
-        print(f"station: nothing was matched, since registration is refused: {why}", file=sys.stderr)
-        raise typer.Exit(2)
-
-
-def _tell(done: Experiment, results: dict[str, Any], out: Path) -> None:
-    print(f"{results['places']} places, {results['locations']} locations, {len(results['matches'])} matches")
-    if not results["places"]:
-        print("the map holds no place, so there was nothing to match with")
-    if not done.result.registration.accepted:
-        print(f"registration {verdict(False, done.result.registration.reasons)}")
-    if done.not_judged:
-        print(done.not_judged)
-    if results["precision"] is not None:
-        print(f"precision {results['precision']:.3f} by the recorded poses")
-    if results["recall"] is not None:
-        print(f"recall {results['recall']:.3f} of {len(results['co_visible'])} co-visible places")
-    print(f"written to {out / 'report.html'}")
-
-
 def with_options(
     thesis: ThesisConfig, eps: float | None, min_pts: int | None, inlier_ratio: float | None
 ) -> ThesisConfig:
@@ -181,29 +149,3 @@ def with_options(
         min_pts=thesis.min_pts if min_pts is None else min_pts,
         inlier_ratio=thesis.inlier_ratio if inlier_ratio is None else inlier_ratio,
     )
-
-
-def places_config(mode: str, eps: float, min_pts: int, inlier_ratio: float, align_by: str = "both") -> PlacesConfig:
-    """Configuration from command-line options. Raises ConfigError naming the one that is wrong."""
-    return PlacesConfig(
-        mode=places_mode(mode),
-        align_by=align_by_mode(align_by),
-        thesis=ThesisConfig(eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio),
-    )
-
-
-def places_mode(text: str) -> PlacesMode:
-    """The mode by name. Raises ConfigError for any other word."""
-    if text == "thesis":
-        return "thesis"
-    if text == "default":
-        return "default"
-    raise ConfigError(f'--mode is "{text}", must be "thesis" or "default"')
-
-
-def align_by_mode(text: str) -> AlignBy:
-    """What registration looks at, by name. Raises ConfigError for any other word."""
-    for known in ("both", "geometry", "appearance"):
-        if text == known:
-            return known
-    raise ConfigError(f'--align-by is "{text}", must be "both", "geometry" or "appearance"')

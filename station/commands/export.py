@@ -12,8 +12,8 @@ from typing import Annotated
 import typer
 
 from shared.errors import DataError
-from station.commands.map import open_map
 from station.commands.map_store import Config, Data
+from station.commands.opening_maps import open_map
 from station.files.colmap import export_colmap
 from station.files.export import export_euroc, export_mcap, export_ply
 from station.files.navigation_folder import load_navigation, write_tum

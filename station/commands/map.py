@@ -13,8 +13,9 @@ import typer
 
 from shared.errors import DataError
 from station.commands import map_store
-from station.commands.experiment import places_config
+from station.commands.opening_maps import MapArgument, open_map
 from station.commands.outputs import check_out_folder
+from station.commands.places_options import places_config
 from station.commands.progress import Bar, working
 from station.config import check_backend, check_executor
 from station.datasets import open_dataset
@@ -122,24 +123,6 @@ def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from:
     ids = [navigation.id for navigation in navigations]
     if old.navigation.id not in ("+".join(ids[: n + 1]) for n in range(len(ids))):
         raise DataError(f"{names_from} was made from {old.navigation.id}, not {ids[0]}; give its own map")
-
-
-MapArgument = Annotated[
-    str, typer.Argument(metavar="MAP", help="Folder written by `station map build`, or id of a map the station keeps.")
-]
-
-
-def open_map(which: str, data: Path | None, config: Path | None) -> PlaceMap:
-    """A map from a folder, or from the station's store.
-
-    Raises:
-        DataError: there is none, or it is damaged.
-    """
-    if Path(which).is_dir():
-        return load_map_folder(Path(which))
-    if len(Path(which).parts) > 1:
-        raise DataError(f"{which} is no folder; give one written by `station map build`, or the id of a map")
-    return map_store.open_store(data, config).load(which)
 
 
 def show(

@@ -9,9 +9,10 @@ import typer
 
 from shared.errors import ConfigError
 from station.commands import map_store
-from station.commands.experiment import finish, places_config
-from station.commands.map import MapArgument, open_map
+from station.commands.match_report import finish
+from station.commands.opening_maps import MapArgument, open_map
 from station.commands.outputs import check_out_folder
+from station.commands.places_options import places_config
 from station.commands.progress import working
 from station.experiments.experiment import Experiment, Story, judge
 from station.experiments.inputs import open_truth

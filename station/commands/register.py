@@ -31,7 +31,8 @@ def register_files(
 ) -> None:
     """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
     from station.files.ply import read_rows
-    from station.places.registration import register_clouds, uncertainty_of
+    from station.places.registration.register import register_clouds
+    from station.places.registration.result import uncertainty_of
 
     p_target, p_source = read_rows(target), read_rows(source)  # registration says what is wrong with them
     print(f"registering {len(p_source)} points of {source} to {len(p_target)} of {target} ...", file=sys.stderr)

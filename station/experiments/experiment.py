@@ -17,7 +17,7 @@ from station.model.place_map import PlaceMap
 from station.places.joining.match import MatchResult, match_navigation
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
-from station.places.registration import uncertainty_of
+from station.places.registration.result import uncertainty_of
 
 
 @dataclass(frozen=True, slots=True)

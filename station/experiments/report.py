@@ -13,7 +13,7 @@ import jinja2
 
 from station.experiments.experiment import Experiment, results_dict
 from station.places.making.repeatability import repeatability
-from station.places.registration import uncertainty_of
+from station.places.registration.result import uncertainty_of
 
 FIGURES = (
     ("clouds_before", "Point clouds before registration",

@@ -12,7 +12,7 @@ import pytest
 
 from shared.geometry import inverse, se3, so3_log, transform, yaw_rotation
 from station.files.ply import read_points
-from station.places.registration import register_clouds
+from station.places.registration.register import register_clouds
 from tests.support.paths import RECORDINGS
 
 DATA = RECORDINGS / "lidar_pair"

@@ -10,7 +10,7 @@ from station.files.navigation_folder import load_navigation
 from station.places.joining.align import align_navigation
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
-from station.places.registration import Registration
+from station.places.registration.result import Registration
 from tests.support.days import made_up_days
 
 

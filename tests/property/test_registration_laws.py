@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.geometry import inverse, inverse_sim3, se3, so3_exp, transform, yaw_rotation
-from station.places.registration import register_clouds
+from station.places.registration.register import register_clouds
 from station.vision.camera_pose import solve_pose
 from tests.support.registration_clouds import make_pair
 

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
 from station.api.schema.base import Model, Number, Question
-from station.api.schema.places import (
-    PlaceName,
-    current_place,
-)
 from station.robots.session import RobotSession
 
 
@@ -79,17 +75,6 @@ class RobotModel(Model):
     applied: AppliedModel | None
     head_must_rest: str = Field(description="why the camera head must look straight ahead; empty: it may turn")
     faults: list[str]
-
-
-class RobotEntry(Model):
-    """One of the station's robots, and where it is."""
-
-    name: str = Field(description="in this station", examples=["robot-1"])
-    path: str = Field(description="put before a call to ask for this robot", examples=["/robots/robot-1"])
-    navigation: str | None = Field(description="id of the drive that is being recorded")
-    state: Literal["known", "unknown", "lost"]
-    place: PlaceName | None
-    robot: RobotModel
 
 
 class DriveOrder(Question):
@@ -181,17 +166,4 @@ def robot_model(robot: RobotSession) -> RobotModel:
         applied=AppliedModel(linear=applied.linear, angular=applied.angular) if applied and state.connected else None,
         head_must_rest=robot.head_must_rest,
         faults=list(status.faults) if status else [],
-    )
-
-
-def robot_entry(robot: RobotSession) -> RobotEntry:
-    running = robot.current_navigation.running
-    here = current_place(robot)
-    return RobotEntry(
-        name=robot.name,
-        path=f"/robots/{robot.name}",
-        navigation=None if running is None else running.id,
-        state=here.state,
-        place=here.place,
-        robot=robot_model(robot),
     )

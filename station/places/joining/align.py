@@ -14,8 +14,9 @@ from station.places.joining.thesis_registration import register_as_thesis
 from station.places.making.config import PlacesConfig
 from station.places.making.outliers import usable_landmarks
 from station.places.making.scale import viewing_distance
-from station.places.registration import Rays, Registration, register_clouds
-from station.places.registration.result import refused
+from station.places.registration.free_space import Rays
+from station.places.registration.register import register_clouds
+from station.places.registration.result import Registration, refused
 
 FREE_SCALE = 1.67  # two drives of one home differ in viewing distance by less than this factor
 NEAR_SCALE = 1.05  # images leave a scale open by less

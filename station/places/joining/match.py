@@ -15,7 +15,7 @@ from station.places.making.build import describe_clusters
 from station.places.making.clusters import MIN_LANDMARKS, NOISE, Clusters, Lengths, cluster_landmarks
 from station.places.making.config import PlacesConfig
 from station.places.making.extent import half_extent
-from station.places.registration import Registration
+from station.places.registration.result import Registration
 
 MAX_DISTANCE_SHARE = 0.8  # of the place's half extent: a farther centroid is another place, or a part of this one
 MIN_SUPPORT = 0.5  # share of a location's landmarks that lie in the place

@@ -15,7 +15,7 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
-from station.motion.inertial_track import InertialTrack, exp_many
+from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.features import Features
 from station.slam.mapping.loops import find_loops
@@ -27,6 +27,7 @@ from station.slam.mapping.odometry_bundle import (
     landmark_covariances,
     reprojection_errors,
 )
+from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
 from station.vision.lens import Lens
 from station.vision.triangulation import intersect_rays
@@ -124,9 +125,7 @@ def straight_rays(features: Features, t_imu_ns: int, track: InertialTrack, camer
     middle = np.array([t_imu_ns + round(0.5e9 * camera.line_delay_s * camera.height)])
     R_cam_body = camera.T_cam_body_matrix[:3, :3]
     omega_cam = R_cam_body @ track.rate_at(middle)[0]
-    late = features.uv_px[:, 1] * camera.line_delay_s
-    turned = exp_many(late[:, None] * omega_cam) @ np.column_stack([xy, np.ones(len(xy))])[:, :, None]
-    return np.asarray(turned[:, :2, 0] / turned[:, 2:, 0])
+    return turned_back(xy, features.uv_px[:, 1] * camera.line_delay_s, omega_cam)
 
 
 def verify_by_gyro(

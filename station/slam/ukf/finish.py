@@ -18,7 +18,7 @@ from station.motion.imu_buffer import ImuCounts
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.map.keyframes import Keyframe
-from station.slam.ukf.map.landmark_map import Observations, assemble, make_landmarks
+from station.slam.ukf.map.landmark_map import TrackObservations, assemble, make_landmarks
 from station.slam.ukf.map.refine import refine_segment
 from station.slam.ukf.map.view_map import map_views
 from station.slam.ukf.memory import NavigationMemory
@@ -80,7 +80,7 @@ def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Cal
         segment=np.array([k.segment for k in items], dtype=np.int64),
     )
     if is_thesis:
-        landmarks = assemble(*memory.live.as_entered(), Observations.of(items))
+        landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:
         landmarks = make_landmarks(items, camera, config.quality)
     return _Made(keyframes, landmarks, {"mapped_from": "tracks"}, messages)

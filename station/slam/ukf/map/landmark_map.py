@@ -29,7 +29,7 @@ class LandmarkQuality:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observations:
+class TrackObservations:
     """Flat table of what the keyframes saw, sorted by track."""
 
     track: IntArray  # (K,)
@@ -39,7 +39,7 @@ class Observations:
     rgb: npt.NDArray[np.uint8]  # (K, 3)
 
     @classmethod
-    def of(cls, keyframes: list[Keyframe]) -> Observations:
+    def of(cls, keyframes: list[Keyframe]) -> TrackObservations:
         if not keyframes:
             none, empty = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
             return cls(none, none, empty, empty, np.zeros((0, 3), dtype=np.uint8))
@@ -54,12 +54,12 @@ class Observations:
             np.concatenate([k.rgb for k in keyframes])[order],
         )
 
-    def select(self, keep: BoolArray) -> Observations:
-        return Observations(self.track[keep], self.keyframe[keep], self.uv_px[keep], self.xy[keep], self.rgb[keep])
+    def select(self, keep: BoolArray) -> TrackObservations:
+        return TrackObservations(self.track[keep], self.keyframe[keep], self.uv_px[keep], self.xy[keep], self.rgb[keep])
 
 
 def triangulate_tracks(
-    keyframes: list[Keyframe], observations: Observations, camera: CameraModel
+    keyframes: list[Keyframe], observations: TrackObservations, camera: CameraModel
 ) -> tuple[IntArray, Triangulation]:
     """Track ids (F,) with enough views, and their points."""
     ids, start, count = np.unique(observations.track, return_index=True, return_counts=True)
@@ -104,7 +104,7 @@ def make_landmarks(
     quality: LandmarkQuality,
 ) -> Landmarks:
     """All tracks of the keyframes that are good enough, as the map's landmarks."""
-    observations = Observations.of(keyframes)
+    observations = TrackObservations.of(keyframes)
     ids, points = triangulate_tracks(keyframes, observations, camera)
     good = points.is_good & (points.rms < quality.max_rms) & (points.depth_sigma < quality.max_depth_sigma)
     return assemble(ids[good], points.p[good], points.cov[good], observations)
@@ -114,7 +114,7 @@ def assemble(
     ids: IntArray,
     p: FloatArray,
     cov: FloatArray,
-    observations: Observations,
+    observations: TrackObservations,
 ) -> Landmarks:
     """Landmarks with all their observations in keyframes; ids ascend."""
     place = np.searchsorted(ids, observations.track)

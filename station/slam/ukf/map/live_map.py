@@ -7,7 +7,7 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.map.keyframes import Keyframe
-from station.slam.ukf.map.landmark_map import MAX_VIEWS, LandmarkQuality, Observations, triangulate_tracks
+from station.slam.ukf.map.landmark_map import MAX_VIEWS, LandmarkQuality, TrackObservations, triangulate_tracks
 from station.vision.camera_model import CameraModel
 
 
@@ -28,7 +28,7 @@ class LiveMap:
             self._recent = [keyframe]
             return None
         ended = np.setdiff1d(self._recent[-1].tracked.ids, keyframe.tracked.ids)
-        table = Observations.of(self._recent)
+        table = TrackObservations.of(self._recent)
         table = table.select(np.isin(table.track, ended))
         ids, points = triangulate_tracks(self._recent, table, self._camera)
         self._recent = [*self._recent, keyframe][-MAX_VIEWS:]

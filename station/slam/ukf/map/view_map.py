@@ -18,6 +18,7 @@ from station.motion import lie
 from station.slam.mapping.assemble import Reconstructed, read_odometry_map
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import map_with_motions
+from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
 from station.vision.camera_model import CameraModel
@@ -111,9 +112,7 @@ def straight_rays(view: View, camera: CameraModel) -> FloatArray:
     if camera.line_delay_s == 0.0 or not len(xy):
         return xy
     omega_cam = camera.R_body_cam.T @ view.keyframe.omega_body
-    turn = lie.so3_exp(camera.row_delay_s(uv[:, 1])[:, None] * omega_cam)
-    rays = np.einsum("nij,nj->ni", turn, np.column_stack([xy, np.ones(len(xy))]))
-    return np.asarray(rays[:, :2] / rays[:, 2:])
+    return turned_back(xy, camera.row_delay_s(uv[:, 1]), omega_cam)
 
 
 def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibration) -> Reconstructed:

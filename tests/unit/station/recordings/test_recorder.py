@@ -7,7 +7,6 @@ import logging
 import math
 import os
 import threading
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
 import station.recordings.recorder
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError
-from shared.mcap_recording import IMAGE_TOPIC, IMU_TOPIC, decode_image
+from shared.mcap_recording import IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import (
     CameraFrame,
     ImuBatch,
@@ -31,7 +28,6 @@ from shared.messages import (
 )
 from station.datasets import open_dataset
 from station.events import LogLine
-from station.files.foxglove import encode_image
 from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
@@ -87,17 +83,6 @@ def test_foxglove_finds_schemas_and_index(tmp_path: Path) -> None:
         assert msgspec.json.decode(names[IMU_TOPIC].data)["type"] == "object"
         for _, channel, message in make_reader(file).iter_messages(topics=["/robot/status", "/camera/calibration"]):
             assert channel.message_encoding == "json" and msgspec.json.decode(message.data)
-
-
-@given(t_ns=st.integers(-(2**62), 2**62), jpeg=st.binary(max_size=500))
-def test_images_survive_their_protobuf(t_ns: int, jpeg: bytes) -> None:
-    assert decode_image(encode_image(t_ns, jpeg)) == jpeg
-
-
-@given(st.binary(max_size=60))
-def test_what_is_no_image_message_is_refused_or_read(data: bytes) -> None:
-    with suppress(DataError):
-        assert isinstance(decode_image(data), bytes)
 
 
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:

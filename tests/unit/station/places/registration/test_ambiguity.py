@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, inverse, rotation_of, scale_of, se3, so3_exp, so3_log, transform, yaw_rotation
-from station.places.registration import Rays, register, register_clouds, verify
-from station.places.registration.free_space import watched_points
+from station.places.registration import register, verify
+from station.places.registration.free_space import Rays, watched_points
 from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.register import register_clouds
 from station.places.registration.verify import MIN_WATCHED
 from tests.support.registration_clouds import CloudPair, make_pair
 

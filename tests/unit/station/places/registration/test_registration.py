@@ -7,9 +7,9 @@ import pytest
 
 from shared.errors import DataError
 from shared.geometry import FloatArray, rotation_of, scale_of, se3, so3_log, transform, yaw_rotation
-from station.places.registration import register_clouds
 from station.places.registration.beside import alignments_beside, best_fits, surface_fit
 from station.places.registration.cloud import prepare_cloud
+from station.places.registration.register import register_clouds
 from station.places.registration.yaw_search import make_searches
 from tests.support.registration_clouds import make_pair
 

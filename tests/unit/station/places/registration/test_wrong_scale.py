@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, scale_of
-from station.places.registration import register_clouds, verify
+from station.places.registration import verify
 from station.places.registration.cloud import PreparedCloud, prepare_cloud
 from station.places.registration.freed_scale import free_the_scale, noise_of_scale
-from station.places.registration.register import _odd_sizes
+from station.places.registration.register import _odd_sizes, register_clouds
 from tests.support.registration_clouds import CloudPair, make_pair
 
 VOXEL = 0.2
