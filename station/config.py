@@ -228,7 +228,7 @@ def check_executor(address: str) -> None:
     raise ConfigError(f"executor {address!r} is none; give {PROCESSES} or dask://HOST:PORT of a Dask scheduler")
 
 
-MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept (kept_index.py)
+MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept
 
 
 BACKENDS = ("sfm", "ukf")

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from station.model.place_map import PlaceMap
-from station.places.localisation.index_file import FOLDER, KEPT, LOCK, SUFFIX, forget_index, index_of
+from station.places.localisation.index_file import KEPT, LOCK, index_of
+from station.places.localisation.index_path import FOLDER, SUFFIX, forget_index
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import fingerprint, make_index
 from tests.support.link import until

@@ -17,7 +17,7 @@ from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
-from station.places.localisation.index_file import FOLDER, SUFFIX
+from station.places.localisation.index_path import FOLDER, SUFFIX
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import make_index
 from station.vision.features import Features

@@ -23,11 +23,11 @@ from shared.disk import lock, replacing
 from station.config import MAX_ACTIVE_MAPS
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
+from station.places.localisation.index_path import SUFFIX, index_path
 from station.places.localisation.map_index import MapIndex, fingerprint, make_index
 
 logger = logging.getLogger(__name__)
-FOLDER = "localisation"  # beside the maps
-SUFFIX, SCRATCH, LOCK = ".index", ".new", "lock"
+SCRATCH, LOCK = ".new", "lock"
 KEPT = MAX_ACTIVE_MAPS  # else a set of them would be described anew at each start
 MAGIC = b"SentinelIndex\n"
 ALIGNED = 64  # as numpy's own arrays
@@ -63,7 +63,7 @@ def index_of(
     `pictures`: what is described already.
     """
     wanted = fingerprint(place_map)
-    path = root / FOLDER / f"{place_map.id}{SUFFIX}"
+    path = index_path(root, place_map.id)
     if (kept := _read(path, wanted)) is not None:
         return kept
     try:
@@ -83,12 +83,6 @@ def index_of(
             logger.warning("%s cannot be written (%s); each robot makes its own index", path, exc.strerror)
             return made
     return _read(path, wanted) or made
-
-
-def forget_index(root: Path, map_id: str) -> None:
-    """A map is gone for good, and with it what was made of its pictures."""
-    with contextlib.suppress(OSError):
-        (root / FOLDER / f"{map_id}{SUFFIX}").unlink(missing_ok=True)
 
 
 def _wait_for(file: IO[bytes], on_wait: Callable[[], None]) -> None:
