@@ -29,7 +29,7 @@ from station.model.points import NO_PLACE
 from station.places.localisation.index_file import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
 from station.places.making.colours import number_places
-from station.places.making.place_images import evidence_of_place
+from station.places.making.place_images import images_of_place
 
 logger = logging.getLogger(__name__)
 MAX_WHY = 200
@@ -311,12 +311,12 @@ class Maps:
 
 def mean_image(place_map: PlaceMap, place: Place) -> bytes:
     """A place's mean image as JPEG (eq. 4.2). Raises Unknown when it has no images."""
-    return _as_jpeg(evidence_of_place(place_map, place).mean_bgr, place)
+    return _as_jpeg(images_of_place(place_map, place).mean_bgr, place)
 
 
 def deviation_image(place_map: PlaceMap, place: Place) -> bytes:
     """How much the brightness of a place's images differs, as JPEG. Raises Unknown when it has no images."""
-    deviation = evidence_of_place(place_map, place).deviation
+    deviation = images_of_place(place_map, place).deviation
     return _as_jpeg(np.clip(deviation * (255.0 / WHITE_DEVIATION), 0, 255).astype(np.uint8), place)
 
 

@@ -226,14 +226,14 @@ class Localizer:
         return len(np.unique(found.landmark)) / max(1, int(np.count_nonzero(in_view)))
 
     def _answer(self, found: FoundPose, num_features: int, t_robot_ns: int) -> Localization:
-        evidence = int(np.argmax(np.bincount(self._views[found.map_index].of(found.landmark))))
+        likest = int(np.argmax(np.bincount(self._views[found.map_index].of(found.landmark))))
         return Localization(
             t_robot_ns=t_robot_ns,
             T_map_cam=found.pose.T_map_cam,
             num_inliers=found.pose.num_inliers,
             inlier_ratio=found.pose.num_inliers / found.num_matches,
             sigma_position=found.pose.sigma_position,
-            keyframe_index=self._keyframes[evidence].keyframe_index,
+            keyframe_index=self._keyframes[likest].keyframe_index,
             map_id=self.maps[found.map_index].id,
             extent=found.extent,
             num_features=num_features,
