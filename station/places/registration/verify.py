@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, inverse_sim3, scale_of, transform
-from station.places.registration.cloud import PreparedCloud
 from station.places.registration.free_space import Rays, Watched, watched_points
 from station.places.registration.freed_scale import free_the_scale, noise_of_scale
 from station.places.registration.parts import PartsApart
+from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import Refined
-from station.places.registration.result import Gravity, Scale
 from station.places.registration.score import Contrast, Score
 
 # Logistic regression on 258 training pairs of benchmarks/bench_registration.py, of all its sets (docs/registration.md
@@ -54,23 +53,18 @@ FREED_SUBSET = 6000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class Findings:
     """All that the verdict is based on."""
 
-    target: PreparedCloud
-    source: PreparedCloud
+    problem: RegistrationProblem
     refined: Refined
     score: Score
     contrast: Contrast
     runner_up: Contrast | None  # of the best alignment that is a different answer
     beside: Score | None  # of the best other alignment within some decimetres
     parts: PartsApart  # how far parts of the landmarks, each by itself, disagree
-    tolerance: float
-    voxel: float
-    scale: Scale
     scale_range: tuple[float, float]
     known_to: float  # how far a known scale may be off, relative
-    gravity: Gravity
     target_rays: Rays | None
     source_rays: Rays | None
     target_given: FloatArray  # the clouds as the rays index them
@@ -114,7 +108,7 @@ class Verdict:
     # "freed scale's noise": one standard deviation of that, measured only where it moved far.
 
 
-def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
+def judge(e: Findings) -> Verdict:
     """Every check that fails adds a reason; none failed means accepted."""
     T = e.refined.T_target_source
     against: list[str] = []
@@ -142,11 +136,11 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
             f"parts of the clouds, each alone, differ by {e.parts.scales:.1%} in scale, "
             f"and at most {MAX_SCALES:.1%} is asked: the scale is not known"
         )
-    if e.gravity == "known":
+    if e.problem.upright:
         tilt = float(np.arccos(np.clip(T[2, 2] / np.linalg.norm(T[:3, 2]), -1, 1)))
         if tilt > MAX_TILT_RAD:
             against.append(f"the result tilts the source by {np.degrees(tilt):.1f} degrees, though z is up in both")
-    if e.scale == "free":
+    if e.problem.free_scale:
         scale = scale_of(T)
         low, high = e.scale_range
         if not low * 0.97 < scale < high * 1.03:
@@ -155,13 +149,13 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
     if eigenvalues is not None and eigenvalues[0] < MIN_EIGENVALUE:
         against.append(f"one direction is hardly determined (eigenvalue {eigenvalues[0]:.4f} per point)")
     checked: dict[str, float] = {}
-    watched = _watched(e, rng)
+    watched = _watched(e)
     if watched.points:
         checked |= {"free-space violation": watched.share, "watched points": watched.points}
     if watched.points >= MIN_WATCHED and watched.share > MAX_VIOLATION:
         against.append(f"{watched.share:.0%} of the points would hang where the other drive saw through empty space")
-    if e.scale == "known" and not against:  # the rest refuses most others without this cost
-        freed = _freed_scale(e, rng)
+    if not e.problem.free_scale and not against:  # the rest refuses most others without this cost
+        freed = _freed_scale(e)
         checked |= freed
         moved = freed.get("freed scale", 1.0)
         off = abs(float(np.log(moved)))
@@ -178,14 +172,14 @@ def judge(e: Evidence, rng: np.random.Generator) -> Verdict:
     return Verdict(True, confidence, tuple(pro), covariance, eigenvalues, checked)
 
 
-def _uncertainty(e: Evidence) -> tuple[FloatArray | None, FloatArray | None]:
+def _uncertainty(e: Findings) -> tuple[FloatArray | None, FloatArray | None]:
     """Covariance; and eigenvalues of the normal equations per unit of information, lengths in cloud radii."""
     H = e.refined.hessian
-    free = np.arange(7) if e.scale == "free" else np.arange(6)
+    free = np.arange(7) if e.problem.free_scale else np.arange(6)
     trace = float(np.trace(H[3:6, 3:6]))
     if trace <= 0:
         return None, None
-    unit = np.array([1 / e.target.radius] * 3 + [1.0] * 3 + [1 / e.target.radius])
+    unit = np.array([1 / e.problem.target.radius] * 3 + [1.0] * 3 + [1 / e.problem.target.radius])
     scaled = (H * np.outer(unit, unit))[np.ix_(free, free)] * (3.0 / trace)
     values = np.asarray(np.linalg.eigvalsh(scaled), dtype=np.float64)
     covariance = np.zeros((7, 7))
@@ -194,30 +188,30 @@ def _uncertainty(e: Evidence) -> tuple[FloatArray | None, FloatArray | None]:
     return covariance, values
 
 
-def _watched(e: Evidence, rng: np.random.Generator) -> Watched:
+def _watched(e: Findings) -> Watched:
     """What free space says: of both directions that with enough points and the larger share; no points without rays."""
-    T = e.refined.T_target_source
+    T, problem = e.refined.T_target_source, e.problem
     found = [Watched(0, 0)]
     if e.target_rays is not None:
-        moved = transform(T, e.source.points)
-        found.append(watched_points(e.target_given, e.target_rays, moved, e.voxel, rng))
+        moved = transform(T, problem.source.points)
+        found.append(watched_points(e.target_given, e.target_rays, moved, problem.voxel, problem.rng))
     if e.source_rays is not None:
-        moved = transform(inverse_sim3(T), e.target.points)
-        found.append(watched_points(e.source_given, e.source_rays, moved, e.voxel / scale_of(T), rng))
+        moved = transform(inverse_sim3(T), problem.target.points)
+        found.append(watched_points(e.source_given, e.source_rays, moved, problem.voxel / scale_of(T), problem.rng))
     return max(found, key=lambda w: (w.points >= MIN_WATCHED, w.share if w.points else -1.0))
 
 
-def _freed_scale(e: Evidence, rng: np.random.Generator) -> dict[str, float]:
+def _freed_scale(e: Findings) -> dict[str, float]:
     """What the known scale becomes where it is free; nothing where too few points meet."""
-    T, upright = e.refined.T_target_source, e.gravity == "known"
-    count = len(e.source.points)
-    subset = np.sort(rng.choice(count, size=min(FREED_SUBSET, count), replace=False))
-    freed = free_the_scale(e.target, e.source, T, subset=subset, voxel=e.voxel, upright=upright)
+    T, problem = e.refined.T_target_source, e.problem
+    count = len(problem.source.points)
+    subset = np.sort(problem.rng.choice(count, size=min(FREED_SUBSET, count), replace=False))
+    freed = free_the_scale(problem, T, subset=subset)
     if freed is None:
         return {}
     out = {"freed scale": scale_of(freed) / scale_of(T)}
     if abs(np.log(out["freed scale"])) > e.known_to:
-        noise = noise_of_scale(e.target, e.source, freed, subset=subset, voxel=e.voxel, upright=upright, rng=rng)
+        noise = noise_of_scale(problem, freed, subset=subset)
         if noise is not None:  # else too few points meet to say that it is wrong
             out["freed scale's noise"] = noise
     return out
