@@ -25,7 +25,7 @@ MIN_SEEN = 0.5  # unless they are so many as the place has: a small place beside
 
 @dataclass(frozen=True, slots=True)
 class PlaceMatch:
-    """One location and the place it is held to be."""
+    """A location and the place that it probably is."""
 
     place_id: str
     location_id: str
@@ -38,10 +38,10 @@ class MatchResult:
     """What a second navigation has in common with the map."""
 
     registration: Registration
-    clusters: Clusters  # of the navigation alone, before the map had a say
+    clusters: Clusters  # of the navigation alone, without the map
     locations: tuple[Place, ...]  # in the navigation's own frame; in the default mode cut and joined like the places
     matches: tuple[PlaceMatch, ...]  # one-to-one, closest first
-    refused: tuple[tuple[PlaceMatch, str], ...]  # pairs that a stricter look turned down, with the reason
+    refused: tuple[tuple[PlaceMatch, str], ...]  # pairs that are too far apart or share too little, with the reason
     position_map: FloatArray  # (F, 3) the robot's camera at every keyframe; (0, 3) without a registration
     nearest_place: IntArray  # (F,) index into map.places; empty likewise, or where the map has no place
 

@@ -101,7 +101,7 @@ class Localizer:
         return self.attempt(frame, calibration).localization
 
     def attempt(self, frame: ImageFrame, calibration: Calibration) -> Attempt:
-        """As `localize`, with the reason."""
+        """A verified pose and the reason, or why there is none. Raises as `localize` does."""
         camera = calibration.camera
         if camera is None:
             raise ConfigError("calibration has no camera; localisation needs one")
@@ -208,7 +208,7 @@ class Localizer:
         return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or angle > np.radians(15.0))
 
     def _support(self, found: FoundPose, camera: CameraCalibration) -> float:
-        """Of the landmarks that the keyframes most like this view saw and that fall into it, the share found."""
+        """Of the landmarks that should be in view the share found: seen by the likest keyframes, and inside the image."""
         views = np.unique(self._views[found.map_index].of(found.landmark))
         if not len(views):
             return 0.0

@@ -58,7 +58,7 @@ def keyframes_of_place(landmarks: Landmarks, members: IntArray, *, thesis: bool)
 
 
 def images_of_place(place_map: PlaceMap, place: Place) -> PlaceImages:
-    """Of a place of a map, from the same images that its representative one was chosen among."""
+    """What a place of a map looks like, made from the images that its representative one was chosen from."""
     navigation = place_map.navigation
     thesis = place_map.config.get("mode") == "thesis"
     chosen = keyframes_of_place(navigation.landmarks, place.landmark_index, thesis=thesis)

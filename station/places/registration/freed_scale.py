@@ -14,8 +14,8 @@ from shared.geometry import FloatArray, IntArray, scale_of
 from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import refine
 
-# Search radii in voxels. Wide at first, as at 5 % the far ends of a flat lie two voxels off; still wider ones (2.5)
-# came nearer to the truth where a scale was wrong, but led two of 53 right answers with little overlap 1.1 % astray.
+# Search radii in voxels. Wide at first, as at 5 % the far ends of a flat lie two voxels off; still wider ones may lead
+# right answers with little overlap astray.
 REACHES = (1.5, 1.5, 1.0, 1.0, *(0.75,) * 6, *(0.6,) * 3)
 SETTLED = 9  # of them, from the end: for parts of the points, from where all of them ended
 PARTS = 4  # drawn at random

@@ -1,7 +1,7 @@
 """Between the coarse grid and the refinement: the best of many small shifts and turns around a candidate.
 
-The grid's peak is off by up to a voxel and a yaw step. Point-to-plane refinement from there slid along walls into a
-wrong local optimum in 4 of 26 training pairs, from the best of these nudges in 1.
+The grid's peak is off by up to a voxel and a yaw step. From there, point-to-plane refinement may slide along walls into
+a wrong local optimum; from the best of these nudges it seldom does.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Checks that see what an inlier ratio cannot: yaw, scale and symmetry. docs/registration.md: measurements."""
+"""Checks that see what an inlier ratio cannot: wrong yaw, wrong scale, symmetry. docs/registration.md explains them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import Refined
 from station.places.registration.score import Contrast, Score
 
-# Logistic regression on 258 training pairs of benchmarks/bench_registration.py, of all its sets (docs/registration.md
-# says which): `python -m benchmarks.fit_registration_verdict` prints these numbers.
+# Logistic regression: `python -m benchmarks.fit_registration_verdict` prints these numbers (docs/registration.md).
 WEIGHTS = {
     "inlier ratio": 12.5,
     "coinciding landmarks": 6.5,
@@ -28,25 +27,21 @@ WEIGHTS = {
 OFFSET = -8.66
 MIN_CONFIDENCE = 0.85
 PARTS_RANGE = (0.03, 3.0)  # units; nearer or farther apart says no more
-# What no training pair could show, as these were checked first.
+# The next two are no result of training: pairs beyond them were refused before.
 MIN_OVERLAP = 0.2
 MAX_RUNNER_UP = 0.85
 # Alignments that the clouds can slide from: the best other one within some decimetres, as a share of this one's
 # inliers, and how far apart two sides of the shared space would lie, in units of parts.py. Each alone is no sign: a
 # rival means nothing where both sides agree, and sides disagree without a rival where furniture was moved in between
-# or a map bends. Real maps that lay right had sides of 0.9 to 1.2, and rivals of 0.84 at most.
+# or a map bends.
 SLIDES = ((0.95, 0.4), (0.9, 0.8))  # beside, sides
-# Scales of two parts, where it is free. 65 right training pairs: at most 0.8 %; one that was 1.7 % off: 1.7 %.
-MAX_SCALES = 0.015
+MAX_SCALES = 0.015  # between two parts, where the scale is free: about twice what right alignments have
 MAX_TILT_RAD = np.radians(6.0)
 MIN_EIGENVALUE = 0.01
 MAX_VIOLATION = 0.5
 MIN_WATCHED = 30  # points in watched space; a share of fewer says nothing
-# How far a known scale may move once it is left free, unless the caller knows it less well. Training pairs, seeds 520
-# to 579: 31 right ones at most 0.31 %, 40 with little overlap 0.68 %; accepted ones with a source 2 % too large or
-# small at least 1.41 % (46; of 26 with little overlap two less than 1 %), 5 % too large or small 1.84 % (20). In clouds
-# of 300 to 1000 points (seeds 600 to 647) 36 right ones move by up to 1.41 %, none of them by more than 1 % and three
-# standard deviations.
+# How far a known scale may move once it is left free, unless the caller knows it less well. Right scales of clouds of
+# thousands of points move by less; those of some hundred may move farther, but not by three standard deviations.
 KNOWN_TO = 0.01
 FREED_SIGMAS = 3.0
 FREED_SUBSET = 6000
