@@ -208,7 +208,7 @@ class Localizer:
         return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or angle > np.radians(15.0))
 
     def _support(self, found: FoundPose, camera: CameraCalibration) -> float:
-        """Of the landmarks that should be in view the share found: seen by the likest keyframes, and inside the image."""
+        """Share found of the landmarks that should be in view: in the likest keyframes, and inside the image."""
         views = np.unique(self._views[found.map_index].of(found.landmark))
         if not len(views):
             return 0.0
