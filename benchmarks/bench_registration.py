@@ -90,7 +90,7 @@ def run_pair(name: str, seed: int, points: tuple[int, int]) -> dict[str, Any]:
         "cpu_s": cpu,
         "errors": e,
         "reasons": result.reasons,
-        "evidence": result.evidence,
+        "measured": result.measured,
     }
 
 

@@ -43,7 +43,7 @@ def measure(name: str, seed: int) -> dict[str, Any]:
         "right": e is not None and is_right(e),
         "accepted": found.accepted,
         "reasons": found.reasons,
-        "evidence": found.evidence,
+        "measured": found.measured,
         "overlap": found.overlap,
         "sigmas": [] if found.covariance is None else np.sqrt(np.diag(found.covariance)).tolist(),
         "eigenvalues": [] if found.eigenvalues is None else found.eigenvalues.tolist(),
@@ -77,8 +77,8 @@ def main() -> None:
             if a.rows is not None:
                 with a.rows.open("a") as out:
                     out.write(json.dumps(rows[-1]) + "\n")
-    rows = [row for row in rows if row["evidence"]]
-    X = np.array([[row["evidence"][name] for name in WEIGHTS] for row in rows])
+    rows = [row for row in rows if row["measured"]]
+    X = np.array([[row["measured"][name] for name in WEIGHTS] for row in rows])
     right = np.array([row["right"] for row in rows])
     sets = np.array([row["set"] for row in rows])
     w, b = fit(X, right)

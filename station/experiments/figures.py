@@ -21,7 +21,7 @@ from station.experiments.experiment import Experiment
 from station.model.navigation import Navigation
 from station.model.place_map import Place
 from station.places.making.clusters import centre_and_normalise
-from station.places.making.place_images import PlaceEvidence, evidence_keyframes, gather_evidence
+from station.places.making.place_images import PlaceImages, keyframes_of_place, make_place_images
 from station.places.making.scale import ground_rotation
 
 # Okabe and Ito's colours first: told apart by colour-blind readers, too; then as many as a flat may need.
@@ -56,7 +56,7 @@ def draw_figures(experiment: Experiment, folder: Path) -> dict[str, Path]:
                 files[name] = folder / f"{name}.png"
                 figure.savefig(files[name])
                 plt.close(figure)
-        for name, figure in draw_evidence(scene):
+        for name, figure in draw_match_images(scene):
             files[name] = folder / f"{name}.png"
             figure.savefig(files[name])
             plt.close(figure)
@@ -212,30 +212,29 @@ def draw_trajectories(scene: Scene) -> Figure | None:
     return figure
 
 
-def draw_evidence(scene: Scene) -> Iterator[tuple[str, Figure]]:
+def draw_match_images(scene: Scene) -> Iterator[tuple[str, Figure]]:
     """Per match: representative image, mean image and brightness deviation of both sides (figs. A.3, A.5, A.7)."""
     matches = scene.experiment.result.matches
     thesis = scene.experiment.config.mode == "thesis"
     place_of = {place.id: place for place in scene.places}
     location_of = {location.id: location for location in scene.locations}
-    first = _evidence(scene.first, [place_of[m.place_id] for m in matches], thesis)
-    second = _evidence(scene.second, [location_of[m.location_id] for m in matches], thesis)
+    first = _place_images(scene.first, [place_of[m.place_id] for m in matches], thesis)
+    second = _place_images(scene.second, [location_of[m.location_id] for m in matches], thesis)
     for number, match in enumerate(matches, start=1):
         place, location = place_of[match.place_id], location_of[match.location_id]
         figure, axes = plt.subplots(2, 3, figsize=(10, 5.4))
         rows = ((place.name, scene.first, first[place.id]), (location.name, scene.second, second[location.id]))
-        for row, (name, navigation, evidence) in zip(axes, rows, strict=True):
-            _draw_evidence_row(row, name, navigation, evidence)
+        for row, (name, navigation, images) in zip(axes, rows, strict=True):
+            _draw_images_row(row, name, navigation, images)
         figure.tight_layout(h_pad=1.8)
         yield f"match_{number:02d}", figure
 
 
-def _draw_evidence_row(row: Sequence[Axes], name: str, navigation: Navigation, evidence: PlaceEvidence) -> None:
-    images = len(evidence.keyframe_index)
+def _draw_images_row(row: Sequence[Axes], name: str, navigation: Navigation, images: PlaceImages) -> None:
     titles = (
         f"{name}: representative",
-        f"mean of {images} images",
-        f"brightness deviation, mean {evidence.mean_deviation:.0f}",
+        f"mean of {len(images.keyframe_index)} images",
+        f"brightness deviation, mean {images.mean_deviation:.0f}",
     )
     for ax, title in zip(row, titles, strict=True):
         ax.set_title(title)
@@ -243,10 +242,10 @@ def _draw_evidence_row(row: Sequence[Axes], name: str, navigation: Navigation, e
         ax.set_yticks([])
         ax.grid(visible=False)
         ax.set_facecolor("#F3F4F6")
-    if evidence.representative_keyframe >= 0:
-        row[0].imshow(decode_rgb(navigation.keyframes.encoded[evidence.representative_keyframe]))
-        row[1].imshow(evidence.mean_bgr[..., ::-1])
-        row[2].imshow(evidence.deviation, cmap="magma", vmin=0, vmax=100)
+    if images.representative_keyframe >= 0:
+        row[0].imshow(decode_rgb(navigation.keyframes.encoded[images.representative_keyframe]))
+        row[1].imshow(images.mean_bgr[..., ::-1])
+        row[2].imshow(images.deviation, cmap="magma", vmin=0, vmax=100)
 
 
 def decode_rgb(encoded: bytes) -> np.typing.NDArray[np.uint8]:
@@ -256,9 +255,9 @@ def decode_rgb(encoded: bytes) -> np.typing.NDArray[np.uint8]:
     return np.asarray(image[..., ::-1], dtype=np.uint8)
 
 
-def _evidence(navigation: Navigation, clusters: Sequence[Place], thesis: bool) -> dict[str, PlaceEvidence]:
-    chosen = {c.id: evidence_keyframes(navigation.landmarks, c.landmark_index, thesis=thesis) for c in clusters}
-    return gather_evidence(navigation.keyframes, chosen)
+def _place_images(navigation: Navigation, clusters: Sequence[Place], thesis: bool) -> dict[str, PlaceImages]:
+    chosen = {c.id: keyframes_of_place(navigation.landmarks, c.landmark_index, thesis=thesis) for c in clusters}
+    return make_place_images(navigation.keyframes, chosen)
 
 
 def _unit(navigation: Navigation) -> str:

@@ -39,7 +39,7 @@ def write_report(experiment: Experiment, figures: Mapping[str, Path], path: Path
 def _content(experiment: Experiment, figures: Mapping[str, Path]) -> dict[str, Any]:
     results = results_dict(experiment)
     first, second = experiment.place_map.navigation, experiment.navigation
-    evidence = {name: _data_uri(path) for name, path in figures.items() if name.startswith("match_")}
+    of_matches = {name: _data_uri(path) for name, path in figures.items() if name.startswith("match_")}
     return {
         "story": experiment.story,
         "results": results,
@@ -51,7 +51,7 @@ def _content(experiment: Experiment, figures: Mapping[str, Path]) -> dict[str, A
             if name in figures
         ],
         "matches": [
-            {**match, "image": evidence.get(f"match_{number:02d}")}
+            {**match, "image": of_matches.get(f"match_{number:02d}")}
             for number, match in enumerate(results["matches"], start=1)
         ],
         "places": [

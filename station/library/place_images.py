@@ -8,19 +8,19 @@ import numpy.typing as npt
 
 from station.errors import Unknown
 from station.model.place_map import Place, PlaceMap
-from station.places.making.place_images import evidence_of_place
+from station.places.making.place_images import images_of_place
 
 WHITE_DEVIATION = 100.0  # grey levels, as in the reports: images of one place seldom differ by more
 
 
 def mean_image(place_map: PlaceMap, place: Place) -> bytes:
     """A place's mean image as JPEG (eq. 4.2). Raises Unknown when it has no images."""
-    return _as_jpeg(evidence_of_place(place_map, place).mean_bgr, place)
+    return _as_jpeg(images_of_place(place_map, place).mean_bgr, place)
 
 
 def deviation_image(place_map: PlaceMap, place: Place) -> bytes:
     """How much the brightness of a place's images differs, as JPEG. Raises Unknown when it has no images."""
-    deviation = evidence_of_place(place_map, place).deviation
+    deviation = images_of_place(place_map, place).deviation
     return _as_jpeg(np.clip(deviation * (255.0 / WHITE_DEVIATION), 0, 255).astype(np.uint8), place)
 
 

@@ -88,7 +88,7 @@ class NavigationSlam(SlamProgram):
         for number in range(len(pictures)):
             features = self._backend.keyframe_features(number)
             if features is not None:
-                self._pictures.take(pictures[number], features)
+                self._pictures.store(pictures[number], features)
 
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""

@@ -27,7 +27,7 @@ def align_second_day(room: int, folder: Path) -> tuple[Registration, float]:
 
 def test_sides_that_disagree_are_no_reason_to_refuse_where_nothing_else_fits(tmp_path: Path) -> None:
     found, off_m = align_second_day(7, tmp_path)
-    assert found.evidence["sides apart"] > 1.0 and found.evidence["beside"] < 0.5
+    assert found.measured["sides apart"] > 1.0 and found.measured["beside"] < 0.5
     assert found.accepted, found.reasons
     assert off_m < 0.02
 

@@ -1,4 +1,4 @@
-"""Laws of clustering, graph and evidence."""
+"""Laws of clustering, graph and place images."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from station.places.making.clusters import NOISE, cluster_landmarks
 from station.places.making.config import PlacesConfig
 from station.places.making.graph import shortest_route
 from station.places.making.modes import climb, smooth_density
-from station.places.making.place_images import gather_evidence
+from station.places.making.place_images import make_place_images
 from tests.support.synthetic_home import drive, furnished_room, navigate, with_points
 
 HOME = furnished_room(5, density=80)
@@ -102,16 +102,16 @@ def test_every_place_can_be_reached_from_every_other(seed: int) -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(levels=st.lists(st.integers(0, 255), min_size=1, max_size=6))
-def test_evidence_is_mean_deviation_and_nearest_image(levels: list[int]) -> None:
+def test_place_images_are_mean_deviation_and_the_nearest_one(levels: list[int]) -> None:
     encoded = tuple(cv2.imencode(".png", np.full((24, 32, 3), v, np.uint8))[1].tobytes() for v in levels)
     n = len(levels)
     index = np.arange(n, dtype=np.int64)
     keyframes = Keyframes(index, index, np.tile(np.eye(4), (n, 1, 1)), (*encoded, b"damaged"), index)
-    evidence = gather_evidence(keyframes, {"here": np.arange(n + 1, dtype=np.int64)})["here"]
-    assert abs(int(evidence.mean_bgr[0, 0, 0]) - np.mean(levels)) <= 1
-    assert abs(evidence.mean_deviation - np.std(levels)) <= 1
+    images = make_place_images(keyframes, {"here": np.arange(n + 1, dtype=np.int64)})["here"]
+    assert abs(int(images.mean_bgr[0, 0, 0]) - np.mean(levels)) <= 1
+    assert abs(images.mean_deviation - np.std(levels)) <= 1
     nearest = np.abs(np.array(levels) - np.mean(levels))
-    assert nearest[evidence.representative_keyframe] <= nearest.min() + 1e-6
+    assert nearest[images.representative_keyframe] <= nearest.min() + 1e-6
 
 
 def test_noise_has_no_name() -> None:

@@ -20,9 +20,7 @@ from station.places.registration.result import Registration, refused
 
 FREE_SCALE = 1.67  # two drives of one home differ in viewing distance by less than this factor
 NEAR_SCALE = 1.05  # images leave a scale open by less
-# Metric by wheels and IMU: of 35 pairs of simulated drives each scale was off by up to 3 %, and two against each other,
-# too; clouds that lay 3 to 8 cm right would have gone to another scale by up to 2.1 %.
-METRIC_TO = 0.03
+METRIC_TO = 0.03  # how far a scale by wheels and IMU may be off (docs/registration.md)
 MIN_OVERLAP = 0.15  # images that agree outweigh clouds that see little of each other, but not clouds apart
 
 
@@ -70,7 +68,7 @@ def _check_by_geometry(found: AppearanceAlignment, clouds: _Clouds, seed: int) -
     better than sparse landmarks do (docs/places.md has the table).
     """
     by_clouds = clouds.register(seed, around=found.T_map_nav)
-    told = f"{found.agreeing} of {found.found} images that were found in the map agree ({found.asked} were asked)"
+    agreement = f"{found.agreeing} of {found.found} images that were found in the map agree ({found.asked} were asked)"
     accepted = by_clouds.overlap >= MIN_OVERLAP
     reason = (
         "" if accepted else f"only {by_clouds.overlap:.0%} of the landmarks have a neighbour in the other cloud there"
@@ -78,7 +76,7 @@ def _check_by_geometry(found: AppearanceAlignment, clouds: _Clouds, seed: int) -
     return replace(
         by_clouds,
         accepted=accepted,
-        reasons=(told,) if accepted else (told, reason),
+        reasons=(agreement,) if accepted else (agreement, reason),
         T_target_source=found.T_map_nav,
         scale=scale_of(found.T_map_nav),
         covariance=found.covariance,

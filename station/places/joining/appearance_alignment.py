@@ -1,4 +1,4 @@
-"""A registration from images: keyframes of the navigation, found in the map, say together how its frame lies there."""
+"""A registration by images: the motion that most keyframes of the navigation agree on that are found in the map."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from station.model.place_map import PlaceMap
 from station.places.localisation.localizer import Localizer
 
 MAX_QUERIES = 24  # keyframes asked for, evenly spread
-MIN_AGREEING = 4  # independent images that must tell the same story
+MIN_AGREEING = 4  # independent images
 MIN_AGREEING_SHARE = 0.6  # of those that were found at all
 MAX_POSITION_SHARE = 0.1  # of the viewing distance: agreement in position
 MAX_ANGLE_RAD = 0.1  # agreement in rotation
@@ -120,8 +120,8 @@ def _localize(place_map: PlaceMap, navigation: Navigation) -> tuple[FloatArray, 
 def keyframes_with_news(navigation: Navigation) -> list[bool]:
     """(F,) which keyframes show enough landmarks that those before them leave open.
 
-    A camera in the air makes a keyframe every 0.05 s, and each shows what its neighbours show: half of them will do. Of
-    a map of rooms that somebody drove through nearly all are needed.
+    A camera in the air makes a keyframe every 0.05 s with the same landmarks as its neighbours: half of them will do.
+    Of a map of rooms that somebody drove through nearly all are needed.
     """
     landmarks = navigation.landmarks
     sightings = np.zeros(len(landmarks), dtype=np.int64)

@@ -62,7 +62,7 @@ def register_as_thesis(
         rmse=float(np.sqrt((distance[kept] ** 2).mean())),  # in the units registered in: normalised ones in the thesis
         inlier_ratio=config.inlier_ratio,
         confidence=float("nan"),
-        evidence={},
+        measured={},
         overlap=float(np.mean(distance <= 3 * np.median(distance))),
         covariance=None,
         eigenvalues=None,

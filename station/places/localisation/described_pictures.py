@@ -55,23 +55,23 @@ class DescribedPictures:
         return _digest(encoded) in self._known
 
     def describe(self, encoded: bytes) -> Features:
-        """The picture's features, none where it cannot be decoded; kept for the next who asks."""
+        """The picture's features, none where it cannot be decoded; computed once."""
         digest = _digest(encoded)
         if digest not in self._known:
-            self._keep(digest, extract_encoded(encoded, self._extractor))
+            self._store_as(digest, extract_encoded(encoded, self._extractor))
         return self._known[digest]
 
-    def take(self, encoded: bytes, features: Features) -> None:
-        """What a FeatureExtractor of somebody else's found in the picture."""
+    def store(self, encoded: bytes, features: Features) -> None:
+        """Add what another FeatureExtractor found in the picture."""
         digest = _digest(encoded)
         if digest not in self._known:
-            self._keep(digest, features)
+            self._store_as(digest, features)
 
-    def _keep(self, digest: bytes, features: Features) -> None:
+    def _store_as(self, digest: bytes, features: Features) -> None:
         self._known[digest] = Features(self._spill.put(features.uv_px), self._spill.put(features.descriptors))
 
     def keep_only(self, pictures: Iterable[bytes]) -> None:
-        """Forget all others."""
+        """Drop all others."""
         wanted = {_digest(encoded) for encoded in pictures}
         self._known = {digest: features for digest, features in self._known.items() if digest in wanted}
 

@@ -101,7 +101,7 @@ class Localizer:
         return self.attempt(frame, calibration).localization
 
     def attempt(self, frame: ImageFrame, calibration: Calibration) -> Attempt:
-        """As `localize`, with the reason."""
+        """A verified pose and the reason, or why there is none. Raises as `localize` does."""
         camera = calibration.camera
         if camera is None:
             raise ConfigError("calibration has no camera; localisation needs one")
@@ -208,7 +208,7 @@ class Localizer:
         return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) > gap or angle > np.radians(15.0))
 
     def _support(self, found: FoundPose, camera: CameraCalibration) -> float:
-        """Of the landmarks that the keyframes most like this view saw and that fall into it, the share found."""
+        """Share found of the landmarks that should be in view: in the likest keyframes, and inside the image."""
         views = np.unique(self._views[found.map_index].of(found.landmark))
         if not len(views):
             return 0.0
@@ -226,14 +226,14 @@ class Localizer:
         return len(np.unique(found.landmark)) / max(1, int(np.count_nonzero(in_view)))
 
     def _answer(self, found: FoundPose, num_features: int, t_robot_ns: int) -> Localization:
-        evidence = int(np.argmax(np.bincount(self._views[found.map_index].of(found.landmark))))
+        likest = int(np.argmax(np.bincount(self._views[found.map_index].of(found.landmark))))
         return Localization(
             t_robot_ns=t_robot_ns,
             T_map_cam=found.pose.T_map_cam,
             num_inliers=found.pose.num_inliers,
             inlier_ratio=found.pose.num_inliers / found.num_matches,
             sigma_position=found.pose.sigma_position,
-            keyframe_index=self._keyframes[evidence].keyframe_index,
+            keyframe_index=self._keyframes[likest].keyframe_index,
             map_id=self.maps[found.map_index].id,
             extent=found.extent,
             num_features=num_features,

@@ -71,7 +71,7 @@ def make_index(
 
 
 def fingerprint(place_map: PlaceMap) -> str:
-    """Of everything that decides the index: the same for the same drive, whatever its places are called."""
+    """A digest of all that the index is made from: it does not change with the places' names."""
     navigation = place_map.navigation
     landmarks, keyframes = navigation.landmarks, navigation.keyframes
     digest = hashlib.sha256(f"{VERSION} of {DESCRIBED_BY}".encode())

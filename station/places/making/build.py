@@ -17,7 +17,7 @@ from station.places.making.clusters import Clusters, cluster_landmarks
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.graph import place_edges
 from station.places.making.names import NAME_PREFIX
-from station.places.making.place_images import evidence_keyframes, gather_evidence, observing_keyframes
+from station.places.making.place_images import keyframes_of_place, make_place_images, observing_keyframes
 
 
 def build_map(
@@ -58,8 +58,8 @@ def describe_clusters(
     order = sorted(range(clusters.count), key=lambda k: (float(np.median(first_seen[members[k]])), k))
     ids = {k: f"{_word(prefix)}-{_digest(navigation.id, members[k].tolist())}" for k in order}
     thesis = config.mode == "thesis"
-    chosen = {ids[k]: evidence_keyframes(landmarks, members[k], thesis=thesis) for k in order}
-    evidence = gather_evidence(navigation.keyframes, chosen)
+    chosen = {ids[k]: keyframes_of_place(landmarks, members[k], thesis=thesis) for k in order}
+    images = make_place_images(navigation.keyframes, chosen)
     places = []
     for number, k in enumerate(order, start=1):
         p = landmarks.p_world[members[k]]
@@ -73,7 +73,7 @@ def describe_clusters(
                 radius=float(np.sqrt(((p - centroid) ** 2).sum(axis=1).mean())),
                 landmark_index=members[k],
                 keyframe_index=keyframe_index,
-                representative_keyframe=evidence[ids[k]].representative_keyframe,
+                representative_keyframe=images[ids[k]].representative_keyframe,
                 quality=float(clusters.quality[k]),
             )
         )

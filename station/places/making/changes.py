@@ -10,7 +10,7 @@ import numpy as np
 from shared.errors import DataError
 from station.model.place_map import Place, PlaceMap
 from station.places.making.graph import place_edges
-from station.places.making.place_images import evidence_of_place, observing_keyframes
+from station.places.making.place_images import images_of_place, observing_keyframes
 
 
 def without_hidden(place_map: PlaceMap) -> PlaceMap:
@@ -63,7 +63,7 @@ def _joined(place_map: PlaceMap, parts: Sequence[Place]) -> Place:
         quality=float(np.average([place.quality for place in parts], weights=weights)),
         hidden=all(place.hidden for place in parts),
     )
-    return replace(joined, representative_keyframe=evidence_of_place(place_map, joined).representative_keyframe)
+    return replace(joined, representative_keyframe=images_of_place(place_map, joined).representative_keyframe)
 
 
 def regrouped(place_map: PlaceMap, places: tuple[Place, ...]) -> PlaceMap:

@@ -17,7 +17,7 @@ class ThesisConfig:
 
     eps: float = 0.3  # metres, or normalised units where the scale is arbitrary
     min_pts: int = 11  # a core point has at least so many points, itself included, within eps
-    inlier_ratio: float = 0.75  # share of the closest pairs registration keeps
+    inlier_ratio: float = 0.75  # share of the closest pairs that registration uses
     normalise: bool | None = None  # centre and normalise clouds; None: where the scale is arbitrary
 
     def __post_init__(self) -> None:
@@ -31,7 +31,7 @@ class ThesisConfig:
 
 @dataclass(frozen=True, slots=True)
 class PlacesConfig:
-    """Everything `build_map` and matching may be told. No length in here: lengths come from the cloud."""
+    """Settings of `build_map` and of matching. No length in here: lengths come from the cloud."""
 
     mode: PlacesMode = "default"
     thesis: ThesisConfig = field(default_factory=ThesisConfig)

@@ -153,7 +153,7 @@ def climb(
 def _higher_around(
     p: FloatArray, rank: IntArray, chunk: IntArray, tree: cKDTree, reach: float
 ) -> tuple[IntArray, IntArray]:
-    """Of the k-th cell of a chunk: the higher cells within reach, nearest first, at begin[k] : begin[k + 1]."""
+    """Higher cells within reach of each cell, nearest first; of the chunk's k-th those at begin[k] : begin[k + 1]."""
     near = cKDTree(p[chunk]).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
     is_higher = rank[near.col] < rank[chunk[near.row]]
     row, col = near.row[is_higher], near.col[is_higher]

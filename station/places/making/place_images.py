@@ -13,14 +13,14 @@ from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Keyframes, Landmarks
 from station.model.place_map import Place, PlaceMap
 
-EVIDENCE_WIDTH = 160  # px; mean and deviation are blurred by nature, and memory is (places x pixels)
+WIDTH = 160  # px; mean and deviation are blurred by nature, and memory is (places x pixels)
 MAX_IMAGES = 64  # per place, evenly spread: more do not change a mean image
 MIN_SHARE = 0.5  # of the keyframe that sees most of a place's landmarks; below it the place is at the image's edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceEvidence:
-    """Images of one place."""
+class PlaceImages:
+    """What one place looks like."""
 
     keyframe_index: IntArray  # (k,) the keyframes it was made of
     representative_keyframe: int  # the image nearest to the mean image; -1 without a readable image
@@ -45,7 +45,7 @@ def generating_keyframes(landmarks: Landmarks, members: IntArray) -> IntArray:
     return first[first >= 0]
 
 
-def evidence_keyframes(landmarks: Landmarks, members: IntArray, *, thesis: bool) -> IntArray:
+def keyframes_of_place(landmarks: Landmarks, members: IntArray, *, thesis: bool) -> IntArray:
     """(k,) at most MAX_IMAGES keyframes whose images stand for a place, in time order."""
     if thesis:
         chosen = generating_keyframes(landmarks, members)
@@ -57,16 +57,18 @@ def evidence_keyframes(landmarks: Landmarks, members: IntArray, *, thesis: bool)
     return chosen
 
 
-def evidence_of_place(place_map: PlaceMap, place: Place) -> PlaceEvidence:
-    """Of one place: from the same images that its representative one was chosen among."""
+def images_of_place(place_map: PlaceMap, place: Place) -> PlaceImages:
+    """What a place of a map looks like, made from the images that its representative one was chosen from."""
     navigation = place_map.navigation
     thesis = place_map.config.get("mode") == "thesis"
-    chosen = evidence_keyframes(navigation.landmarks, place.landmark_index, thesis=thesis)
-    return gather_evidence(navigation.keyframes, {place.id: chosen})[place.id]
+    chosen = keyframes_of_place(navigation.landmarks, place.landmark_index, thesis=thesis)
+    return make_place_images(navigation.keyframes, {place.id: chosen})[place.id]
 
 
-def gather_evidence(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> dict[str, PlaceEvidence]:
-    """Evidence of every place, decoding each image twice and keeping none: memory is places x one small image.
+def make_place_images(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> dict[str, PlaceImages]:
+    """Images of every place, decoding each keyframe twice and keeping none: memory is places x one small image.
+
+    `chosen`: the keyframes (k,) that each place is seen in.
 
     Images that cannot be decoded are left out; a damaged file must not cost a map.
     """
@@ -94,16 +96,16 @@ def gather_evidence(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> dic
             difference = float(np.abs(image - mean[place]).mean())  # eq. 4.2
             nearest[place] = min(nearest.get(place, (np.inf, -1)), (difference, k))
     return {
-        place: _evidence(chosen[place], nearest.get(place, (0.0, -1))[1], mean[place], squares[place], count[place])
+        place: _images(chosen[place], nearest.get(place, (0.0, -1))[1], mean[place], squares[place], count[place])
         for place in chosen
     }
 
 
-def _evidence(index: IntArray, representative: int, mean: FloatArray, squares: FloatArray, count: int) -> PlaceEvidence:
+def _images(index: IntArray, representative: int, mean: FloatArray, squares: FloatArray, count: int) -> PlaceImages:
     if not count:
-        return PlaceEvidence(index, -1, np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.uint8), 0.0)
+        return PlaceImages(index, -1, np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.uint8), 0.0)
     deviation = np.sqrt(np.maximum(squares / count - _brightness(mean) ** 2, 0.0))
-    return PlaceEvidence(
+    return PlaceImages(
         keyframe_index=index,
         representative_keyframe=representative,
         mean_bgr=np.clip(mean.round(), 0, 255).astype(np.uint8),
@@ -121,7 +123,7 @@ def _common_shape(encoded: Sequence[bytes], wanted: Sequence[int]) -> tuple[int,
         image = _decode(encoded[k])
         if image is not None:
             height, width = image.shape[:2]
-            return max(1, round(EVIDENCE_WIDTH * height / width)), EVIDENCE_WIDTH
+            return max(1, round(WIDTH * height / width)), WIDTH
     return 1, 1
 
 

@@ -14,7 +14,7 @@ from station.model.place_map import PlaceMap
 from station.places.making.clusters import Clusters, Lengths, cluster_landmarks
 from station.places.making.config import PlacesConfig, ThesisConfig
 
-DRAWS = 10  # from seed to seed the mean of so many moves by up to 0.1, of small places by more (docs/places.md)
+DRAWS = 10  # the mean of so many is still good to 0.1 only, of small places to less (docs/places.md)
 
 
 def repeatability(place_map: PlaceMap, *, seed: int = 0) -> FloatArray:

@@ -10,8 +10,8 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray, se3, transform, yaw_rotation
 from station.places.registration.cloud import PreparedCloud
+from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import Refined, refine
-from station.places.registration.score import landed_apart
 
 SHIFTS = (0.6, 1.2, 2.0)  # voxels: 12 to 40 cm in a flat of 9 m
 DIRECTIONS = 8
@@ -23,48 +23,24 @@ START_GAP = 0.5  # voxels between two of them
 REACHES = (1.0, 1.0, 0.75, 0.75, 0.75, 0.75, 0.5, 0.5)  # voxels
 
 
-def alignments_beside(
-    target: PreparedCloud,
-    source: PreparedCloud,
-    T: FloatArray,
-    *,
-    R_up: FloatArray,
-    subset: IntArray,
-    few: IntArray,
-    voxel: float,
-    upright: bool,
-    free_scale: bool,
-) -> list[Refined]:
-    """Local optima (at most STARTS) reached from around T (4, 4).
+def alignments_beside(problem: RegistrationProblem, T: FloatArray, *, subset: IntArray, few: IntArray) -> list[Refined]:
+    """Local optima (at most STARTS) reached from around T (4, 4): shifted, and turned about the vertical.
 
     Args:
-        R_up: (3, 3) rotation that puts the target's vertical along z; shifts and turns happen in that frame.
         subset: (m,) source points for the refinement.
         few: (k,) source points to choose the starts by; a few hundred suffice.
-        voxel: of the global search, target units.
     """
-    starts = _starts(source.points[few], T, R_up, voxel, SCALES if free_scale else (1.0,))
+    voxel, points = problem.voxel, problem.source.points[few]
+    starts = _starts(points, T, problem.R_up, voxel, SCALES if problem.free_scale else (1.0,))
     chosen: list[FloatArray] = []
-    for k in best_fits(target, source.points[few], starts, voxel, keep=(len(starts) // 3, len(starts) // 3)):
+    for k in best_fits(problem.target, points, starts, voxel, keep=(len(starts) // 3, len(starts) // 3)):
         X = starts[k]
-        if all(landed_apart(X, other, source) > START_GAP * voxel for other in [T, *chosen]):
+        if all(problem.landed_apart(X, other) > START_GAP * voxel for other in [T, *chosen]):
             chosen.append(X)
             if len(chosen) == STARTS:
                 break
     reaches = tuple(r * voxel for r in REACHES)
-    found = [
-        refine(
-            target,
-            source,
-            X,
-            subset=subset,
-            reaches=reaches,
-            upright=upright,
-            free_scale=free_scale,
-            tolerance=1e-3 * voxel,
-        )
-        for X in chosen
-    ]
+    found = [refine(problem, X, subset=subset, reaches=reaches, tolerance=1e-3 * voxel) for X in chosen]
     return [refined for refined in found if np.isfinite(refined.rms)]
 
 

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray, scale_of, transform
-from station.places.registration.cloud import PreparedCloud
+from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import measure_residuals, refine
-from station.places.registration.score import landed_apart
 
 PASSES = 6
 MIN_POINTS = 30  # fewer landmarks determine no motion
@@ -34,49 +33,32 @@ class PartsApart:
 
 
 def parts_apart(
-    target: PreparedCloud,
-    source: PreparedCloud,
-    T: FloatArray,
-    *,
-    R_up: FloatArray,
-    subset: IntArray,
-    reach: float,
-    unit: float,
-    upright: bool,
-    free_scale: bool,
-    rng: np.random.Generator,
+    problem: RegistrationProblem, T: FloatArray, *, subset: IntArray, reach: float, unit: float
 ) -> PartsApart:
-    """Refine T (4, 4) by parts of the source alone.
+    """Refine T (4, 4) by parts of the source alone; sides are cut upright.
 
     Args:
-        R_up: (3, 3) rotation that puts the target's vertical along z; the cuts are upright.
         subset: (m,) source points to part.
         reach: search radius, target units.
-        unit: what distances are told in, target units.
+        unit: what distances are given in, target units.
     """
+    target, source = problem.target, problem.source
 
     def apart(first: IntArray, second: IntArray) -> tuple[float, float]:
         if min(len(first), len(second)) < MIN_POINTS:
             return UNKNOWN, 0.0
         one, other = (
             refine(
-                target,
-                source,
-                T,
-                subset=np.sort(part),
-                reaches=(0.8 * reach,) * PASSES,
-                upright=upright,
-                free_scale=free_scale,
-                tolerance=1e-4 * reach,
+                problem, T, subset=np.sort(part), reaches=(0.8 * reach,) * PASSES, tolerance=1e-4 * reach
             ).T_target_source
             for part in (first, second)
         )
-        return landed_apart(one, other, source) / unit, abs(float(np.log(scale_of(one) / scale_of(other))))
+        return problem.landed_apart(one, other) / unit, abs(float(np.log(scale_of(one) / scale_of(other))))
 
-    mixed = rng.permutation(subset)
+    mixed = problem.rng.permutation(subset)
     found = measure_residuals(target, source.points[subset], source.normals[subset], T, reach)
     shared = np.isfinite(found.distance)
-    on_floor = (transform(T, source.points[subset]) @ R_up.T)[:, :2]
+    on_floor = (transform(T, source.points[subset]) @ problem.R_up.T)[:, :2]
     halves = apart(mixed[::2], mixed[1::2])
     if np.count_nonzero(shared) < 2 * MIN_POINTS:
         return PartsApart(halves[0], UNKNOWN, halves[1], unit)

@@ -14,6 +14,7 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray, rotation_of, se3, skew, so3_exp, transform
 from station.places.registration.cloud import PreparedCloud
 from station.places.registration.nearest import NearestTracker
+from station.places.registration.problem import RegistrationProblem
 
 TILT_SIGMA_RAD = np.radians(1.0)  # gravity from a minute of IMU is good to about half a degree, times two clouds
 REACH_PER_SIGMA = 5.0  # of the robust weights: residuals beyond a fifth of the search radius fade
@@ -55,26 +56,17 @@ def measure_residuals(
 
 
 def refine(
-    target: PreparedCloud,
-    source: PreparedCloud,
-    T_start: FloatArray,
-    *,
-    subset: IntArray,
-    reaches: tuple[float, ...],
-    upright: bool,
-    free_scale: bool,
-    tolerance: float,
+    problem: RegistrationProblem, T_start: FloatArray, *, subset: IntArray, reaches: tuple[float, ...], tolerance: float
 ) -> Refined:
     """Improve T_start: one pass per reach (search radius), shrinking from coarse to fine.
 
     Args:
         subset: (m,) which source points to use.
         reaches: search radius of each iteration, target units.
-        upright: hold the tilt near zero.
-        free_scale: estimate the scale; else it stays that of T_start.
         tolerance: stop when an iteration at the last reach moves less than this (target units).
     Source: point-to-plane as in Chen and Medioni, IVC 10(3), 1992; Cauchy weights on residuals along normals.
     """
+    target, source = problem.target, problem.source
     T = T_start.copy()
     points, normals = source.points[subset], source.normals[subset]
     weight_flat = source.flatness[subset]
@@ -113,9 +105,9 @@ def refine(
         H, g = H + H_point, g + g_point
         rms = float(np.sqrt((w * along**2).sum() / max(w.sum(), 1e-12)))
         A, b = H.copy(), g.copy()
-        if upright:
+        if problem.upright:
             _add_tilt_prior(A, b, T)
-        if not free_scale:
+        if not problem.free_scale:
             A[6, :], A[:, 6], A[6, 6], b[6] = 0.0, 0.0, 1.0, 0.0
         A += 1e-9 * np.trace(A) * np.eye(7)
         step = np.linalg.solve(A, b)

@@ -33,7 +33,7 @@ class Registration:
     rmse: float  # of inliers along the target's surface normals, target units
     inlier_ratio: float  # share of the source's points in the shared space that lie on the target's surfaces
     confidence: float  # probability that the alignment is right, as learned from synthetic pairs
-    evidence: dict[str, float]  # what that is made from (Evidence.features), and what checks measured (Verdict.checked)
+    measured: dict[str, float]  # what that is made from (Findings.features), and by the checks (Verdict.checked)
     overlap: float  # share of points with a neighbour in the other cloud, the smaller of both directions
     # (7, 7) of (rotation rad, translation of the shared points' middle, log scale), target frame; fixed ones are 0.
     # Where images decided: of the middle of the cameras that agree.

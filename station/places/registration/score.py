@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, inverse_sim3, scale_of, transform
+from shared.geometry import FloatArray, IntArray, inverse_sim3, scale_of
 from station.places.registration.cloud import PreparedCloud
+from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import measure_residuals
 
 SLIDES = 6
@@ -30,32 +31,21 @@ class Score:
 class Contrast:
     """How much of the inlier share is lost by sliding the source a little over the floor.
 
-    Floors and long walls fit anywhere along themselves, also in the wrong flat; what fits only here is evidence.
+    Floors and long walls fit anywhere along themselves, also in the wrong flat; only what fits here and nowhere else
+    speaks for an alignment.
     """
 
     mean: float  # share lost on average over the directions
     least: float  # share lost in the direction that loses least
 
 
-def landed_apart(T: FloatArray, other: FloatArray, source: PreparedCloud) -> float:
-    """Median distance between where two alignments (4, 4) put the source's points."""
-    sample = source.points[:: max(1, len(source.points) // 200)]
-    return float(np.median(np.linalg.norm(transform(T - other, sample), axis=1)))
-
-
-def score_alignment(
-    target: PreparedCloud,
-    source: PreparedCloud,
-    T: FloatArray,
-    target_subset: IntArray,
-    source_subset: IntArray,
-    tolerance: float,
-) -> Score:
-    """Two-way score at one tolerance (target units)."""
+def score_alignment(problem: RegistrationProblem, T: FloatArray, subsets: tuple[IntArray, IntArray]) -> Score:
+    """Two-way score of an alignment (4, 4) by subsets of target and source."""
+    target, source, tolerance = problem.target, problem.source, problem.tolerance
     scale = scale_of(T)
     reach = max(3.0 * max(target.spacing, source.spacing * scale), 2 * tolerance)
-    forward = _one_way(target, source, T, source_subset, tolerance, reach)
-    back = _one_way(source, target, inverse_sim3(T), target_subset, tolerance / scale, reach / scale)
+    forward = _one_way(target, source, T, subsets[1], tolerance, reach)
+    back = _one_way(source, target, inverse_sim3(T), subsets[0], tolerance / scale, reach / scale)
     return Score(
         inlier_share=(forward[0] + back[0]) / 2,
         inlier_ratio=(forward[0] + back[0]) / max(forward[1] + back[1], 1e-9),
@@ -66,21 +56,15 @@ def score_alignment(
 
 
 def contrast_of(
-    target: PreparedCloud,
-    source: PreparedCloud,
-    T: FloatArray,
-    share: float,
-    target_subset: IntArray,
-    source_subset: IntArray,
-    tolerance: float,
+    problem: RegistrationProblem, T: FloatArray, share: float, subsets: tuple[IntArray, IntArray]
 ) -> Contrast:
     """Contrast of an alignment whose inlier share on the same subsets is `share`."""
     slid = []
     for k in range(SLIDES):
         angle = 2 * np.pi * k / SLIDES + 0.3  # off the axes, as walls often are along them
         moved = T.copy()
-        moved[:2, 3] += SLIDE_TOLERANCES * tolerance * np.array([np.cos(angle), np.sin(angle)])
-        slid.append(score_alignment(target, source, moved, target_subset, source_subset, tolerance).inlier_share)
+        moved[:2, 3] += SLIDE_TOLERANCES * problem.tolerance * np.array([np.cos(angle), np.sin(angle)])
+        slid.append(score_alignment(problem, moved, subsets).inlier_share)
     return Contrast(share - float(np.mean(slid)), share - max(slid))
 
 

@@ -42,8 +42,8 @@ class SearchConfig:
 
     cells: int = 44  # voxels along the target's larger horizontal extent: 20 cm in a flat of 9 m
     coarse_cells: int = 20  # of the first look
-    promising: float = 1 / 6  # share of the first look that is looked at again; the right one was in the first 1/29
-    least_promising: int = 12  # in 20 of 20 training pairs, and among the first three where the scale is known
+    promising: float = 1 / 6  # share of the first look that is looked at again: the right one is far in front
+    least_promising: int = 12  # where that share is few
     peaks_per_grid: int = 3
     workers: int = 2
 

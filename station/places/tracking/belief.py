@@ -39,7 +39,7 @@ class Recognised:
         return Recognised({k: max(t, self.seen.get(k, t)) for k, t in both.items()})
 
     def share_of_new(self, landmarks: IntArray) -> float:
-        """Of landmarks (n,), those that are not among these; of none all."""
+        """Share of landmarks (n,) that are not among these; 1 if there are none."""
         return sum(k not in self.seen for k in landmarks.tolist()) / len(landmarks) if len(landmarks) else 1.0
 
     def extent(self, p_map: FloatArray) -> float:
@@ -83,7 +83,7 @@ class Hypothesis:
     def started(
         cls, m: PoseMeasurement, T_nav_body: FloatArray, weight: float, counted: float, number: int, c: BeliefConfig
     ) -> Hypothesis:
-        """A new one: the robot is where this measurement says."""
+        """A new hypothesis: the robot is where this measurement has it."""
         z = m.localization
         return cls(
             map_index=m.map_index,

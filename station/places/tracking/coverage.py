@@ -31,7 +31,7 @@ TYPICAL_OF = 24  # keyframes that say what share of headings this map knows wher
 
 
 class Coverage:
-    """Keyframe poses of one map and what they saw, searchable."""
+    """What the keyframes of one map saw, and from where."""
 
     def __init__(self, place_map: PlaceMap, unit: float) -> None:
         """`unit`: map units per metre."""
@@ -123,7 +123,7 @@ class Coverage:
         return share
 
     def _share_of_headings(self, p_map: FloatArray) -> float:
-        """Of the directions a camera could look from here (3,), the share in which it would see what it knows."""
+        """Share of the directions a camera could look from here (3,) in which it would see enough known landmarks."""
         assert self._tree is not None
         near = np.array(self._tree.query_ball_point(p_map, LANDMARK_REACH * self._unit), dtype=np.int64)
         if not len(near):

@@ -146,7 +146,7 @@ class CurrentPlaceEstimator:
     # -- answers --------------------------------------------------------------------------------------------------
 
     def place_probabilities(self) -> PlaceProbabilities:
-        """Those of now."""
+        """How probable each place is at the time of the last event."""
         return self._reporter.probabilities(self._belief, self._nav_body_at(self._t_ns or 0))
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:

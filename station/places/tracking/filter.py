@@ -19,7 +19,7 @@ from station.places.tracking.image_model import ImageLikelihood
 
 
 def prior(c: BeliefConfig) -> Belief:
-    """Of a robot that nobody has seen yet."""
+    """The belief before the first image."""
     return Belief((), c.prior_lost, c.prior_unmapped)
 
 
@@ -27,9 +27,9 @@ def prior(c: BeliefConfig) -> Belief:
 
 
 def predict_motion(before: Belief, distance_m: float, turn_rad: float, seconds: float, c: BeliefConfig) -> Belief:
-    """After odometry moved the robot: hypotheses become less certain.
+    """The belief after odometry moved the robot: poses become less certain.
 
-    One of which nobody knows where it is may have driven out of the map, or into it.
+    A robot whose pose nobody knows may have driven out of the map, or into it.
     """
     grown = tuple(h.grown(distance_m, turn_rad, seconds, c) for h in before.hypotheses)
     left = 1 - float(np.exp(-c.other_room_per_m * distance_m))
@@ -39,12 +39,12 @@ def predict_motion(before: Belief, distance_m: float, turn_rad: float, seconds: 
 
 
 def predict_blind(before: Belief, seconds: float, c: BeliefConfig) -> Belief:
-    """After a time without odometry."""
+    """The belief after a time without odometry."""
     return replace(before, hypotheses=tuple(h.blurred(seconds, c) for h in before.hypotheses))
 
 
 def predict_time(before: Belief, seconds: float, blind_s: float, c: BeliefConfig) -> Belief:
-    """After a time, `blind_s` of it without odometry: somebody may have moved the robot without anyone noticing."""
+    """The belief after a time, `blind_s` of it without odometry: the robot may have been moved unnoticed."""
     if blind_s > 0:
         before = predict_blind(before, blind_s, c)
     stay = float(np.exp(-c.unnoticed_move_per_s * seconds))
@@ -57,7 +57,7 @@ def predict_time(before: Belief, seconds: float, blind_s: float, c: BeliefConfig
 
 
 def predict_hijack(before: Belief, confidence: float, c: BeliefConfig) -> Belief:
-    """After the robot was picked up: what was known of its position counts `1 - confidence`. Not normalised."""
+    """The belief after the robot was picked up: what was known of its pose counts `1 - confidence`. Not normalised."""
     known = before.localised * confidence
     known += (before.lost + before.unmapped) * confidence
     return Belief(
@@ -70,7 +70,7 @@ def predict_hijack(before: Belief, confidence: float, c: BeliefConfig) -> Belief
 def predict_new_frame(
     before: Belief, T_nav_body: FloatArray, T_new_body: FloatArray, gap_s: float, c: BeliefConfig
 ) -> Belief:
-    """After odometry began again in another frame: poses stay where they were, blurred by the gap."""
+    """The belief after odometry began again in another frame: poses stay where they were, blurred by the gap."""
     moved = (h.moved_to(h.pose(T_nav_body), T_new_body).blurred(gap_s, c) for h in before.hypotheses)
     return replace(before, hypotheses=tuple(moved))
 
@@ -81,7 +81,7 @@ def predict_new_frame(
 def weigh(
     before: Belief, image: ImageLikelihood, T_nav_body: FloatArray, numbers: Iterator[int], c: BeliefConfig
 ) -> Belief:
-    """After an image, not normalised: Bayes' rule, and a Kalman update of the hypotheses that a candidate fits.
+    """The belief after an image, not normalised: Bayes' rule, and a Kalman update of hypotheses that a candidate fits.
 
     What was "lost" goes to the candidates by their shares: to the hypothesis that expects one, else to a new one with
     the next of the `numbers`.
@@ -106,7 +106,7 @@ def weigh(
 
 
 def prune(before: Belief, c: BeliefConfig) -> Belief:
-    """The heaviest hypotheses, all weights normalised."""
+    """The belief without its lightest hypotheses, normalised."""
     total = before.lost + before.unmapped + sum(h.weight for h in before.hypotheses)
     if total <= 0:  # every explanation was ruled out at once: start over
         return prior(c)

@@ -35,9 +35,7 @@ LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
 NONE_IN_VIEW = 0.05
 NONE_RECOGNISED, FEW_EXPECTED = 0.015, 0.1
 SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
-FREEDOM = (
-    3.0  # of Student's t, which right poses' errors are taken to follow: a normal density forgets their long tails
-)
+FREEDOM = 3.0  # of Student's t: errors of right poses have longer tails than a normal density
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +91,9 @@ class ImageModel:
     def of_candidates(
         self, localizations: Sequence[Localization], before: Belief, T_nav_body: FloatArray, freshness: float
     ) -> ImageLikelihood:
-        """Of an image that was taken at one of several poses, or at none of them ("false").
+        """The likelihood of an image that was taken at one of several poses, or at none of them ("false").
 
-        Its likelihood at a hypothesis is a mixture: the candidates' densities (Student's t) there; a uniform one; and,
+        At a hypothesis it is a mixture: the candidates' densities (Student's t) there; a uniform one; and,
         as what looks alike deceives again and again, the candidates' densities at the pose of another hypothesis, as
         far as that one is a look-alike's. Where no map knows, a first candidate is as likely as strays are there.
         `freshness`: 0..1, how far the view is another one than the last image's.
@@ -206,7 +204,7 @@ class ImageModel:
         return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
 
     def _recognised_before(self, hypotheses: Sequence[Hypothesis], m: PoseMeasurement) -> Recognised:
-        """By these hypotheses, of the candidate's map."""
+        """Landmarks of the candidate's map that these hypotheses recognised lately."""
         seen = NOTHING
         for h in hypotheses:
             if h.map_index == m.map_index:
@@ -218,7 +216,7 @@ class ImageModel:
     def of_failure(
         self, num_features: int, failed_before: float, before: Belief, T_nav_body: FloatArray, freshness: float
     ) -> ImageLikelihood:
-        """Of an image with so many features that was not recognised. `failed_before`: nor was the last one, 0 to 1."""
+        """The likelihood of an image that was not recognised; `failed_before`: nor was the last one, 0 to 1."""
         c = self.config
         somewhere = failure_probability(c.fails_in_map, num_features, failed_before)
         factors = []
@@ -260,7 +258,7 @@ def support(recognised: float, expected: float) -> float:
 
 
 def log_odds(odds: RecognisedOdds, figures: MatchFigures) -> float:
-    """Of a verified pose with these figures."""
+    """Log odds of a verified pose with these figures."""
     log = odds.usual + odds.extent * np.log(max(figures.extent_m, LEAST_EXTENT_M) / USUAL_EXTENT_M)
     log += odds.inliers * np.log(max(figures.inliers, 1) / USUAL_INLIERS)
     log += odds.support * np.log(figures.support / USUAL_SUPPORT)

@@ -54,7 +54,7 @@ class Reporter:
         self._maps = maps
 
     def probabilities(self, belief: Belief, T_nav_body: FloatArray) -> PlaceProbabilities:
-        """Of every place, while odometry is at this pose."""
+        """How probable each place is while odometry is at this pose."""
         return self._probabilities(belief, [h.pose(T_nav_body)[:3, 3] for h in belief.hypotheses])
 
     def _probabilities(self, belief: Belief, position: Sequence[FloatArray]) -> PlaceProbabilities:

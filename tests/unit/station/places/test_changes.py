@@ -15,7 +15,7 @@ from station.model.place_map import PlaceMap
 from station.places.making.build import build_map, carry_names
 from station.places.making.changes import with_place_hidden, with_places_merged, without_hidden
 from station.places.making.config import PlacesMode
-from station.places.making.place_images import evidence_of_place
+from station.places.making.place_images import images_of_place
 from station.places.tracking.current import CurrentPlaceEstimator
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
@@ -49,11 +49,11 @@ def test_the_representative_image_is_nearest_to_the_mean_image_that_is_shown(mod
     assert len(place_map.places) > 2
     merged = with_places_merged(place_map, [place.id for place in place_map.places[:2]])
     for place in (*place_map.places, merged.places[0]):
-        evidence = evidence_of_place(place_map, place)
-        assert evidence.representative_keyframe == place.representative_keyframe >= 0
+        images = images_of_place(place_map, place)
+        assert images.representative_keyframe == place.representative_keyframe >= 0
         white = cv2.imdecode(np.frombuffer(deviation_image(place_map, place), np.uint8), cv2.IMREAD_GRAYSCALE)
-        assert white is not None and white.shape == evidence.deviation.shape
-        assert white.mean() == pytest.approx(np.minimum(2.55 * evidence.deviation, 255).mean(), abs=2)
+        assert white is not None and white.shape == images.deviation.shape
+        assert white.mean() == pytest.approx(np.minimum(2.55 * images.deviation, 255).mean(), abs=2)
 
 
 def test_merging_is_the_same_in_any_grouping(place_map: PlaceMap) -> None:

@@ -133,13 +133,13 @@ def test_an_alignment_through_which_the_other_drive_looked_is_refused_unless_few
     far = len(pair.target) + np.arange(60)
     rays = Rays(below - np.array([0.0, 0.0, 3.0]), np.repeat(np.arange(60), 3), np.repeat(far, 3))
     without = register_clouds(target, pair.source)
-    assert without.accepted and "free-space violation" not in without.evidence
+    assert without.accepted and "free-space violation" not in without.measured
     result = register_clouds(target, pair.source, target_rays=rays)
     assert not result.accepted
     [reason] = result.reasons
     assert "saw through empty space" in reason
-    share, points = result.evidence["free-space violation"], result.evidence["watched points"]
+    share, points = result.measured["free-space violation"], result.measured["watched points"]
     assert f"{share:.0%} of the points" in reason and points >= MIN_WATCHED
     monkeypatch.setattr(verify, "MIN_WATCHED", points + 1)
     of_few = register_clouds(target, pair.source, target_rays=rays)
-    assert of_few.accepted and of_few.evidence["free-space violation"] == share  # told, but no reason
+    assert of_few.accepted and of_few.measured["free-space violation"] == share  # measured, but no reason

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, IntArray
-from station.places.registration.cloud import prepare_cloud
 from station.places.registration.parts import UNKNOWN, PartsApart, parts_apart
+from station.places.registration.problem import make_problem
 from tests.support.registration_clouds import CloudPair, make_pair
 
 UNIT = 0.06  # three times the noise
@@ -21,12 +21,9 @@ def parts_of(pair: CloudPair, source: FloatArray, *, free_scale: bool = False, f
     """What parts of `source` say around the pair's true alignment."""
     T = pair.T_target_source
     assert T is not None
-    rng = np.random.default_rng(0)
-    A, B = prepare_cloud(pair.target, rng), prepare_cloud(source, rng)
-    subset: IntArray = np.arange(0, len(B.points), 2) if not few else np.arange(40)
-    return parts_apart(
-        A, B, T, R_up=np.eye(3), subset=subset, reach=0.2, unit=UNIT, upright=True, free_scale=free_scale, rng=rng
-    )
+    problem = make_problem(pair.target, source, upright=True, free_scale=free_scale, rng=np.random.default_rng(0))
+    subset: IntArray = np.arange(0, len(problem.source.points), 2) if not few else np.arange(40)
+    return parts_apart(problem, T, subset=subset, reach=0.2, unit=UNIT)
 
 
 def far_side(points: FloatArray) -> tuple[FloatArray, int]:

@@ -9,6 +9,7 @@ from shared.errors import DataError
 from shared.geometry import FloatArray, rotation_of, scale_of, se3, so3_log, transform, yaw_rotation
 from station.places.registration.beside import alignments_beside, best_fits, surface_fit
 from station.places.registration.cloud import prepare_cloud
+from station.places.registration.problem import make_problem
 from station.places.registration.register import register_clouds
 from station.places.registration.yaw_search import make_searches
 from tests.support.registration_clouds import make_pair
@@ -57,15 +58,12 @@ def test_from_an_alignment_beside_the_right_one_the_right_one_is_seen(
 ) -> None:
     pair = make_pair(9003, overlap=(0.8, 1.0), points=(3000, 5000))
     assert pair.T_target_source is not None
-    rng = np.random.default_rng(0)
-    A, B = prepare_cloud(pair.target, rng), prepare_cloud(pair.source, rng)
-    at = np.median(B.points, axis=0)
+    problem = make_problem(pair.target, pair.source, upright=True, free_scale=True, rng=np.random.default_rng(0))
+    count = len(problem.source.points)
+    at = np.median(problem.source.points, axis=0)
     beside = se3(scale * yaw_rotation(np.radians(turn_deg)) @ pair.T_target_source[:3, :3], np.zeros(3))
     beside[:3, 3] = (pair.T_target_source[:3, :3] - beside[:3, :3]) @ at + pair.T_target_source[:3, 3] + [*shift, 0]
-    found = alignments_beside(
-        A, B, beside, R_up=np.eye(3), subset=np.arange(0, len(B.points), 3), few=np.arange(0, len(B.points), 12),
-        voxel=0.2, upright=True, free_scale=True,
-    )  # fmt: skip
+    found = alignments_beside(problem, beside, subset=np.arange(0, count, 3), few=np.arange(0, count, 12))
     missed = [errors(refined.T_target_source, pair.T_target_source, at) for refined in found]
     assert any(rotation < 2 and shift_m < 0.05 and relative < 0.01 for rotation, shift_m, relative in missed)
 
