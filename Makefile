@@ -18,7 +18,7 @@ help:
 	@echo "make results         measure what docs/results.md lacks of the present code, for hours; goes on where it was ended"
 	@echo "                     (ONLY=\"clock fuzz\": these alone, QUICK=1: a try, RENDER=1: only make the page anew)"
 
-WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -type f -print 2>/dev/null)
+WEB_SOURCES := $(shell find station/web -path '*/node_modules' -prune -o -path '*/dist' -prune -o -path '*/__pycache__' -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.run: pyproject.toml constraints.txt $(WEB_SOURCES)
 	@scripts/setup.sh run
@@ -36,6 +36,8 @@ lint: $(VENV)/.dev
 	@$(BIN)/ruff check .
 	@$(BIN)/bandit -q -c pyproject.toml -r robot station shared
 	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/python station/web/build_hook.py --check
 
 audit: $(VENV)/.dev
 	@ADVISORIES=$(ADVISORIES) scripts/audit.sh

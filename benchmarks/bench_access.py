@@ -14,10 +14,10 @@ from pathlib import Path
 from benchmarks.result import Figure, Run, add_results_option
 from shared.access import Role
 from shared.pairing import Pake
-from station.link import RobotLink
-from station.paired_robots import PairedRobots
-from tests.access_support import guarded_robot
-from tests.link_support import Bench, Notes, running_robot, until
+from station.access.paired_robots import PairedRobots
+from station.robots.link import RobotLink
+from tests.support.access import guarded_robot
+from tests.support.link import Bench, Notes, running_robot, until
 
 FRAME_BYTES = 60_000
 

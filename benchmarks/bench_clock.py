@@ -13,7 +13,7 @@ import typer
 
 from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run
 from shared.clock import RemoteClock
-from tests.property.test_clock import S, feed
+from tests.support.clock import S, feed
 
 DRIFT_PPM = 5000.0
 DRIFT_BOUND_PPM, CLOCK_BOUND_US = 20.0, 300.0

@@ -24,9 +24,9 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
 from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run, share, work_folder
-from tests.postgres_support import running_postgres
+from tests.support.crashing.runs import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
+from tests.support.postgres import running_postgres
 
 TWO_STATIONS = "two stations"
 

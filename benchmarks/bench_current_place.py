@@ -27,7 +27,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.calibration_curve import calibration_bins, draw_calibration
 from benchmarks.result import Figure, Run, add_results_option, share
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
@@ -43,13 +42,14 @@ from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse
-from station.features import FeatureExtractor, to_floats
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import PlaceMap
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.places.build import build_map
-from station.places.localizer import Localizer
-from station.places.tracker import PlaceTracker
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.place_map import PlaceMap
+from station.places.localisation.localizer import Localizer
+from station.places.making.build import build_map
+from station.places.tracking.tracker import PlaceTracker
+from station.vision.features import FeatureExtractor, to_floats
+from tests.support.calibration_curve import calibration_bins, draw_calibration
 
 START_NS = 1_000_000_000
 KEYFRAME_M, KEYFRAME_RAD = 0.2, 0.2
@@ -216,7 +216,7 @@ def flat_to_drive(
     world = make_world(name, flat)
     renderer = Renderer(world, calibration.camera, default_cache_dir())
     place_map = map_flat(world, renderer, calibration, flat, None if whole else unmapped_room(world))
-    return world, renderer, place_map, Localizer(place_map)
+    return world, renderer, place_map, Localizer([place_map])
 
 
 def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
@@ -252,7 +252,7 @@ def judge_drive(
     """One drive with a hijack; answers once per image."""
     robot = Robot(world, renderer, calibration, "second", seed)
     hijack = planned_hijack(world, robot, unmapped, seed)
-    tracker = PlaceTracker(place_map, calibration, localizer)
+    tracker = PlaceTracker([place_map], calibration, localizer)
     driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
     rows: list[tuple[str, bool, float, bool, float | None, bool]] = []
     hijack_ns: int | None = None

@@ -20,7 +20,6 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from benchmarks.places import truth_of
 from benchmarks.result import FOLDER, RESULTS_HELP, Run, share, work_folder
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.config import SimulationConfig
@@ -28,29 +27,21 @@ from robot.simulation.recording import record_drive
 from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from shared.errors import EstimationError
-from shared.geometry import FloatArray, se3, yaw_rotation
+from shared.geometry import FloatArray
 from station.datasets import open_dataset
-from station.evaluation.matches import count_duplicates, true_landmarks
-from station.job_servant import JobServant
-from station.maps.map import PlaceMap
-from station.maps.store import MapStore, StoreAddress
-from station.navigation_files import load_navigation, save_navigation
-from station.places.extent import half_extent
+from station.experiments.matches import count_duplicates, true_landmarks
+from station.files.navigation_folder import load_navigation, save_navigation
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
+from station.places.making.extent import half_extent
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
-from tests.synthetic_home import Home, drive, furnished_room, navigate
+from station.workers.library_jobs import LibraryJobs
+from tests.support.days import Drive, made_up_days
 
 ROUTES = ("mapping", "second", "mapping")  # of the three days
-DAYS = len(ROUTES)
 NAMES_KEPT_PERCENT, DUPLICATES_PERCENT = 95.0, 5.0  # asked
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A day's navigation in its folder, and where its landmarks truly are."""
-
-    folder: Path
-    p_true: FloatArray  # (M, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,48 +95,18 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
     return drives
 
 
-def made_up_days(seed: int, folder: Path) -> list[Drive]:
-    """The same of points in one room: two pieces of furniture stand elsewhere on each later day."""
-    rng = np.random.default_rng(20_000 + seed)
-    size = (float(rng.uniform(3.5, 6.5)), float(rng.uniform(3.0, 5.0)))
-    home = furnished_room(seed, pieces=int(rng.integers(5, 11)), size=size, density=int(rng.integers(150, 700)))
-    drives = []
-    for day in range(DAYS):
-        poses = drive(home, 10 * seed + day, frames=70, turns=float(rng.uniform(1, 2.5)))
-        T = np.eye(4) if day == 0 else se3(yaw_rotation(rng.uniform(0, 2 * np.pi)), rng.uniform(-3, 3, 3))
-        navigation = navigate(
-            rearranged(home, rng) if day else home,
-            poses,
-            seed=10 * seed + day,
-            name=f"room-{seed}-day-{day}",
-            T_nav_world=T,
-            noise_m=0.02,
-        )
-        save_navigation(navigation, folder / f"day-{day}")
-        drives.append(Drive(folder / f"day-{day}", true_landmarks(navigation, truth_of(poses))))
-    return drives
-
-
-def rearranged(home: Home, rng: np.random.Generator) -> Home:
-    """Two pieces of furniture pushed by up to a metre."""
-    p = home.p.copy()
-    for piece in rng.choice(home.furniture.max() + 1, 2, replace=False):
-        p[home.furniture == piece, :2] += rng.uniform(-0.7, 0.7, 2)
-    return replace(home, p=p)
-
-
 # A person's work over the days
 
 
 def live_there(name: str, drives: list[Drive], folder: Path) -> Outcome:
     """Build, name, merge, name, merge; judged after each merge."""
     address = StoreAddress(folder / "maps")
-    store, servant = MapStore(address), JobServant(lambda _: None)
+    store, library = MapStore(address), LibraryJobs(lambda _: None)
     named = kept = elsewhere = 0
     before: PlaceMap | None = None
     for count in range(1, len(drives) + 1):
         try:
-            built = servant.build_map([drive.folder for drive in drives[:count]], address, name, None)
+            built = library.build_map([drive.folder for drive in drives[:count]], address, name, None)
         except EstimationError as exc:
             return Outcome(name, named, kept, elsewhere, 0, 0, refused=str(exc))
         place_map = store.load(built.map_id)
@@ -170,7 +131,7 @@ def judge(name: str, before: PlaceMap, after: PlaceMap, p_true: FloatArray) -> s
     """What became of a name: "kept", "moved" to what truly is another place, or "lost".
 
     The landmarks of `before` are the first of `after`. Kept: the true centroids lie nearer to each other than half the
-    larger one's extent, as for matches (station/evaluation/matches.py).
+    larger one's extent, as for matches (station/experiments/matches.py).
     """
     old = next(place for place in before.places if place.name == name)
     new = next((place for place in after.places if place.name == name), None)

@@ -34,8 +34,8 @@ import typer
 
 from benchmarks.disconnect_lines import LagMeter, Line, LinkLine, Return, disturb, link_line, page_line
 from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run, work_folder
-from tests.link_support import running_robot
-from tests.station_support import Film, running_station
+from tests.support.link import running_robot
+from tests.support.station import Film, running_station
 
 BACK_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 60.0  # the station pings a page that vanished, and gives it up within that

@@ -10,9 +10,9 @@ Can be ended at any moment and started again: every world's navigations and resu
 world after that time. `--summary` only prints the table of what is there. All modes see the same two navigations (the
 preset's backend, one thread, the world's seed).
 `geometry` and `appearance` are the default mode with the clouds or the images as its only ground for a registration;
-they may be added later to worlds that are there, at the price of the matching alone. What two drives share is made
-once: III's first drive is II's, and I's second is the beginning of its first. `--eps` also matches with the default
-mode's reach times these factors and counts the matches that change.
+they may be added later to worlds that are there, at the price of the matching alone. What two navigations share is made
+once: III's first navigation is II's, and I's second is the beginning of its first. `--eps` also matches with the
+default mode's reach times these factors and counts the matches that change.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ import numpy as np
 from benchmarks.places import changed_share
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
-from station.commands.experiment import reconstruct, say
+from station.commands.experiment import reconstruct
 from station.datasets import Dataset, Truth
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
 from station.experiments.output import write_experiment
 from station.experiments.presets import PRESETS, Preset, find_preset, make_dataset
-from station.frames import ImageFrame
-from station.navigation import Navigation
-from station.navigation_files import load_navigation, save_navigation
-from station.places.config import PlacesConfig, ThesisConfig
+from station.files.navigation_folder import load_navigation, save_navigation
+from station.model.frames import ImageFrame
+from station.model.navigation import Navigation
+from station.places.making.config import PlacesConfig, ThesisConfig
 from station.slam.backends import make_backend
 from station.slam.run import Events, run_backend
 
@@ -115,9 +115,9 @@ def open_world(name: str, seed: int, data: Path, folder: Path) -> World:
         preset = find_preset(name, seed, data / "euroc_v1_02_imu" if name == "I" else None)
         thesis, story, backend = preset.thesis, preset.story, preset.backend
         if name in SAME_FIRST_DRIVE:
-            _take_first_drive(folder.with_name(f"{SAME_FIRST_DRIVE[name]}_{seed}"), folder)
-        inputs = [_open_drive(preset, number, folder) for number in (0, 1)]
-        if preset.drives[0] == preset.drives[1] and isinstance(inputs[0].source, Dataset):
+            _take_first_navigation(folder.with_name(f"{SAME_FIRST_DRIVE[name]}_{seed}"), folder)
+        inputs = [_open_navigation(preset, number, folder) for number in (0, 1)]
+        if preset.navigations[0] == preset.navigations[1] and isinstance(inputs[0].source, Dataset):
             inputs = _reconstruct_with_prefix(inputs[0], inputs[1], preset, seed, folder, seconds)
     navigations = reconstruct(inputs, backend, seed, 1, folder, seconds)
     for path in folder.glob("drive*/mav0/cam0/data"):
@@ -125,19 +125,19 @@ def open_world(name: str, seed: int, data: Path, folder: Path) -> World:
     return World(navigations, (inputs[0].truth, inputs[1].truth), thesis, story, seconds)
 
 
-def _open_drive(preset: Preset, number: int, folder: Path) -> Input:
-    """One drive of a preset: finished, or simulated now."""
-    same = preset.drives[0] == preset.drives[1]
+def _open_navigation(preset: Preset, number: int, folder: Path) -> Input:
+    """One navigation of a preset: finished, or simulated now."""
+    same = preset.navigations[0] == preset.navigations[1]
     path, navigation = folder / f"drive{1 if same else number + 1}", folder / f"navigation{number + 1}"
     if is_navigation(navigation):
         return Input(path, load_navigation(navigation), open_truth(path))
     if not (path / "mav0" / "cam0" / "data").is_dir():
         shutil.rmtree(path, ignore_errors=True)
-    return open_input(make_dataset(preset.drives[number], path, say), preset.frames[number], None)
+    return open_input(make_dataset(preset.navigations[number], path), preset.frames[number], None)
 
 
-def _take_first_drive(other: Path, folder: Path) -> None:
-    """The same first drive of another world's folder, where it is there: linked, not copied."""
+def _take_first_navigation(other: Path, folder: Path) -> None:
+    """The same first navigation of another world's folder, where it is there: linked, not copied."""
     pairs = [(other / part, folder / part) for part in ("drive1", "navigation1")]
     if is_navigation(other / "navigation1") and not any(mine.exists() for _, mine in pairs):
         for theirs, mine in pairs:
@@ -147,7 +147,7 @@ def _take_first_drive(other: Path, folder: Path) -> None:
 def _reconstruct_with_prefix(
     whole: Input, prefix: Input, preset: Preset, seed: int, folder: Path, seconds: dict[str, float]
 ) -> list[Input]:
-    """Both navigations of one drive in one go: where the shorter ends, a copy of the process finishes it.
+    """Both navigations of one navigation in one go: where the shorter ends, a copy of the process finishes it.
 
     The backend has seen the same until then, so the result is that of a run of its own.
     """
@@ -165,7 +165,7 @@ def _reconstruct_with_prefix(
                 if child == 0:
                     is_copy = True
                     return
-                os.waitpid(child, 0)  # waited for: what is put on the shelf is shared
+                os.waitpid(child, 0)  # waited for: what is spilled is shared
                 has_branched = True
             yield event
 

@@ -25,10 +25,10 @@ from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
 from robot.simulation.world import World
 from shared.calibration import Calibration
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import PlaceMap
-from station.places.localizer import Localizer
-from station.places.tracker import PlaceTracker
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.place_map import PlaceMap
+from station.places.localisation.localizer import Localizer
+from station.places.tracking.tracker import PlaceTracker
 
 LIGHTS = (1.0, 0.4, 1.0, 1.6)
 CONDITIONS: dict[str, Callable[[float], Faults]] = {
@@ -46,7 +46,7 @@ def undisturbed_drive(
     """One drive to its end, at most 2 minutes; answers once per image."""
     assert calibration.camera is not None
     robot = Robot(world, renderer, calibration, "second" if seed % 2 else "tour", seed)
-    tracker = PlaceTracker(place_map, calibration, localizer)
+    tracker = PlaceTracker([place_map], calibration, localizer)
     states = {"known": 0, "unknown": 0, "lost": 0}
     alarms, wrong, seconds = [], 0, 0.0
     for item in robot.sense(120.0, 0.4, None, CONDITIONS[condition]):

@@ -27,11 +27,11 @@ import numpy as np
 import psutil
 
 from benchmarks.result import Figure, Run, add_results_option
-from station.executors.processes import ProcessExecutor
-from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 from station.maps.store import MapStore
+from station.workers.executors.processes import ProcessExecutor
+from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 FPS, DRIVE_S = 5, 60
 WARM_UP_S = 30.0  # workers start, queues of SLAM fill
 ALL_LOCATE_WITHIN_S = 240.0  # one robot's worker makes the index of the map first; answers are dear from then on

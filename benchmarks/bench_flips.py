@@ -16,8 +16,8 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.flips import flip_once, make_store
 from benchmarks.result import FOLDER, RESULTS_HELP, Run, share, work_folder
+from tests.support.crashing.flips import flip_once, make_store
 
 LOST = "LOST"
 REPORT_EVERY = 50

@@ -23,8 +23,9 @@ from robot.simulation.routes import plan_route
 from robot.simulation.sensors import ImuModel
 from robot.simulation.worlds import make_world
 from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
-from station.frames import DriveSample, ImuBatch
-from station.places.hijack import HijackDetector, HijackEvent
+from station.model.frames import DriveSample, ImuBatch
+from station.model.place_answer import HijackEvent
+from station.places.tracking.hijack import HijackDetector
 
 FLATS = 10
 BATCH = 10

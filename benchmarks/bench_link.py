@@ -26,9 +26,10 @@ import typer
 
 from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.link import LinkState, RobotLink
+from station.robots.link import RobotLink
+from station.robots.link_state import LinkState
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 FRAME_RATE_HZ, IMU_RATE_HZ, LOOP_S = 30, 225, 10
 WARM_UP_S = 12.0  # longer than the loop: all pictures are in the robot's cache then
 STALL_S = 5.0
@@ -284,7 +285,7 @@ async def run_cut(dataset: Path) -> Row:
 
 async def hold_joystick(link: RobotLink) -> None:
     while True:
-        link.drive(0.2, 0.0, 250)
+        link.commands.drive(0.2, 0.0, 250)
         await asyncio.sleep(0.05)
 
 

@@ -28,17 +28,18 @@ from threadpoolctl import threadpool_limits
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, transform
+from station.config import BACKENDS
 from station.datasets import Dataset, open_dataset
 from station.demo.judge import is_right
-from station.evaluation.alignment import align_points
-from station.evaluation.trajectory import absolute_trajectory_error, interpolate_poses, path_length
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.maps.map import PlaceMap
-from station.navigation import Navigation, Trajectory
-from station.places.build import build_map
-from station.places.localizer import Localizer
-from station.places.tracker import PlaceTracker
-from station.slam.backends import BACKENDS, make_backend
+from station.experiments.alignment import align_points
+from station.experiments.trajectory import absolute_trajectory_error, interpolate_poses, path_length
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation, Trajectory
+from station.model.place_map import PlaceMap
+from station.places.localisation.localizer import Localizer
+from station.places.making.build import build_map
+from station.places.tracking.tracker import PlaceTracker
+from station.slam.backends import make_backend
 from station.slam.run import run_backend
 
 LOOK_EVERY_NS = 250_000_000
@@ -65,7 +66,7 @@ def trajectory_of(data: Dataset) -> Trajectory:
     return Trajectory(truth.t_robot_ns, truth.T_world_body)
 
 
-def map_drive(path: Path, backend: str, step: int) -> tuple[Navigation, dict[str, Any]]:
+def map_navigation(path: Path, backend: str, step: int) -> tuple[Navigation, dict[str, Any]]:
     """The navigation of the mapping drive, and how far it is from the truth."""
     data = open_dataset(path, None, None, step)
     after = [0.0]
@@ -102,7 +103,7 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
     camera = data.calibration.camera
     assert camera is not None
     shift_ns = round(1e9 * camera.time_shift_s)
-    tracker = PlaceTracker(place_map, data.calibration, Localizer(place_map))
+    tracker = PlaceTracker([place_map], data.calibration, Localizer([place_map]))
     live = make_backend(backend, data.calibration, 0, 1) if backend == "ukf" else None  # gives the odometry
     centroids = {p.id: transform(T_truth_map, p.centroid_map[None])[0] for p in place_map.places}
     looked = localised = 0
@@ -161,7 +162,7 @@ def run_seed(seed: int, world: str, backend: str, step: int, scratch: Path) -> d
         "--put-down", str(seed), "--fps", "10", "--max-duration", str(SECOND_DRIVE_S),
     )  # fmt: skip
     try:
-        nav, figures = map_drive(first, backend, step)
+        nav, figures = map_navigation(first, backend, step)
         row |= figures
         place_map = build_map(nav)
         row["places"] = len(place_map.places)

@@ -18,12 +18,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.result import Figure, Run, add_results_option  # noqa: E402
-from tests.openapi_support import ask_everything, furnish  # noqa: E402
-from tests.station_at_work import at_work  # noqa: E402
+from benchmarks.result import Figure, Run, add_results_option
+from tests.support.openapi import ask_everything, furnish
+from tests.support.station_at_work import at_work
 
 
 async def run(examples: int, seed: int) -> dict[str, Any]:

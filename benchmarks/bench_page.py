@@ -22,26 +22,22 @@ import urllib.request
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from playwright.async_api import Browser, Page, async_playwright
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from playwright.async_api import Browser, Page, async_playwright  # noqa: E402
-
-from benchmarks.page_cloud import measure_first_paint, measure_orbit  # noqa: E402
-from benchmarks.result import Figure, Run, add_results_option, share  # noqa: E402
-from robot.devices.ports import CapturedFrame  # noqa: E402
-from shared.calibration import Calibration  # noqa: E402
-from station.frames import ImageFrame  # noqa: E402
-from station.slam.backend import SlamUpdate  # noqa: E402
-from tests.link_support import Bench, running_robot, until  # noqa: E402
-from tests.made_up_workers import StraightSlam  # noqa: E402
-from tests.station_support import picture  # noqa: E402
+from benchmarks.page_cloud import measure_first_paint, measure_orbit
+from benchmarks.result import Figure, Run, add_results_option, share
+from robot.devices.ports import CapturedFrame
+from shared.calibration import Calibration
+from station.model.frames import ImageFrame
+from station.model.slam_update import SlamUpdate
+from tests.support.link import Bench, running_robot, until
+from tests.support.made_up_workers import StraightSlam
+from tests.support.paths import ROOT
+from tests.support.station import picture
 
 FRAME_S = 1 / 30
 CHROMIUM_ARGUMENTS = [

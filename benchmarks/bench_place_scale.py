@@ -33,13 +33,13 @@ from robot.simulation.renderer import Renderer
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
-from station.features import DescriptorArray, FeatureExtractor, Features, extract_encoded
-from station.frames import ImageFrame
-from station.maps.map import Place, PlaceMap
-from station.navigation import Keyframes, Landmarks
-from station.places.current import CurrentPlaceEstimator
-from station.places.keyframe_features import KeyframeFeatures, describe_keyframes
-from station.places.localizer import Localizer
+from station.model.frames import ImageFrame
+from station.model.navigation import Keyframes, Landmarks
+from station.model.place_map import Place, PlaceMap
+from station.places.localisation.keyframe_features import KeyframeFeatures, describe_keyframes
+from station.places.localisation.localizer import Localizer
+from station.places.tracking.current import CurrentPlaceEstimator
+from station.vision.features import DescriptorArray, FeatureExtractor, Features, extract_encoded
 
 BASE_ROOMS = 2
 SPACING_M = 12.0  # between the copies
@@ -174,9 +174,9 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
     """One map size: build the index, then answer images from random rooms of it."""
     place_map, described = build_copies(rooms, count)
     start = time.perf_counter()
-    localizer = Localizer(place_map, described=[described])
+    localizer = Localizer([place_map], described=[described])
     build_s = time.perf_counter() - start
-    estimator = CurrentPlaceEstimator(place_map, calibration)
+    estimator = CurrentPlaceEstimator([place_map], calibration)
     centroids = np.array([place.centroid_map for place in place_map.places])
     rng = np.random.default_rng(count)
     asked = Asked(localizer, estimator, calibration, FeatureExtractor())

@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.registration_clouds import CloudPair, make_pair
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
-from shared.geometry import FloatArray, so3_log
-from station.places.registration import register_clouds
+from shared.geometry import FloatArray, rotation_of, scale_of, so3_log, transform
 from station.places.registration.gicp import align_gicp
 from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.register import register_clouds
+from tests.support.registration_clouds import CloudPair, make_pair
 
 SETS: dict[str, dict[str, Any]] = {
     "known": {"overlap": (0.5, 1.0)},
@@ -57,11 +57,10 @@ def errors(T: FloatArray, pair: CloudPair) -> tuple[float, float, float]:
     """Degrees, metres at the source's middle, relative scale."""
     T_true = pair.T_target_source
     assert T_true is not None
-    scale, scale_true = np.cbrt(np.linalg.det(T[:3, :3])), np.cbrt(np.linalg.det(T_true[:3, :3]))
-    turn = so3_log((T[:3, :3] / scale) @ (T_true[:3, :3] / scale_true).T)
-    at = np.median(pair.source, axis=0)
-    shift = (T - T_true)[:3, :3] @ at + (T - T_true)[:3, 3]
-    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), float(abs(scale / scale_true - 1))
+    turn = so3_log(rotation_of(T) @ rotation_of(T_true).T)
+    shift = transform(T - T_true, np.median(pair.source, axis=0))
+    growth = abs(scale_of(T) / scale_of(T_true) - 1)
+    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), growth
 
 
 def is_right(e: tuple[float, float, float]) -> bool:
@@ -79,7 +78,7 @@ def run_pair(name: str, seed: int, points: tuple[int, int]) -> dict[str, Any]:
         e = errors(result.T_target_source, pair)
     unit_error = None
     if "unit_error" in SETS[name] and pair.T_target_source is not None:
-        unit_error = float(1 / np.cbrt(np.linalg.det(pair.T_target_source[:3, :3])) - 1)
+        unit_error = 1 / scale_of(pair.T_target_source) - 1
     return {
         "set": name,
         "seed": seed,

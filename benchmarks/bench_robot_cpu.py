@@ -21,22 +21,19 @@ import tempfile
 import threading
 import time
 import tty
-from pathlib import Path
 
 import cv2
 import numpy as np
 import psutil
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.result import Figure, Run, add_results_option  # noqa: E402
-from shared import serial_protocol as sp  # noqa: E402
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status  # noqa: E402
-from station.link import RobotLink  # noqa: E402
+from benchmarks.result import Figure, Run, add_results_option
+from shared import serial_protocol as sp
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.robots.link import RobotLink
+from tests.support.paths import ROOT
+from tests.support.robot_cpu import starved
 
 RATE_HZ, FRAME_BYTES, IMU_RATE_HZ = 30, 50_000, 225
-LEAST_RATE_HZ = 27.0
 
 
 class PlayedMega:
@@ -139,7 +136,7 @@ async def measure(seconds: float) -> dict[str, object]:
     results: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as folder:
         mega = PlayedMega()
-        command = [sys.executable, "-m", "benchmarks.stop_robot", "--serial", mega.port]
+        command = [sys.executable, "-m", "tests.support.stopping.robot", "--serial", mega.port]
         command += ["--log", f"{folder}/log", "--rate-hz", str(RATE_HZ), "--ready-frames", str(FRAME_BYTES)]
         server = await asyncio.create_subprocess_exec(*command, cwd=ROOT, stdin=-1, stdout=-1)
         try:
@@ -180,7 +177,7 @@ async def measure(seconds: float) -> dict[str, object]:
 
 async def drive(link: RobotLink) -> None:
     while True:
-        link.drive(0.2, 0.0, 250)
+        link.commands.drive(0.2, 0.0, 250)
         await asyncio.sleep(0.05)
 
 
@@ -219,16 +216,6 @@ def figures(result: dict[str, object]) -> list[Figure]:
         elif isinstance(value, dict):
             found.append(Figure("IMU samples lost at the first station", value["imu_lost"], at_most=0))
     return found
-
-
-def starved(result: dict[str, object]) -> list[str]:
-    """The measurements in which this PC could not even make the frames in time."""
-    rates = {
-        name: value["frames_per_s"]
-        for name, value in result.items()
-        if isinstance(value, dict) and "frames_per_s" in value
-    }
-    return [name for name, rate in rates.items() if rate < LEAST_RATE_HZ]
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from benchmarks.bench_mapping import parse_seeds, render
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
 from station.datasets import open_dataset
-from station.evaluation.trajectory import absolute_trajectory_error, path_length
+from station.experiments.trajectory import absolute_trajectory_error, path_length
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 

@@ -33,18 +33,20 @@ from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.commands.slam import given_state
 from station.datasets import open_dataset
-from station.evaluation.synthetic import TruePath, observe, room_points, sine_path
-from station.evaluation.trajectory import absolute_trajectory_error, path_length, relative_pose_error
-from station.frames import DriveSample, ImuBatch
-from station.navigation import Trajectory
+from station.experiments.synthetic import TruePath, observe, room_points, sine_path
+from station.experiments.trajectory import absolute_trajectory_error, path_length, relative_pose_error
+from station.model.frames import DriveSample, ImuBatch
+from station.model.navigation import Trajectory
+from station.motion.error_coordinates import ErrorKind, difference_group
+from station.motion.imu_buffer import ImuBuffer
 from station.slam.ukf.backend import UkfBackend
-from station.slam.ukf.config import FilterConfig, UkfConfig
-from station.slam.ukf.constraints import WheelConfig
-from station.slam.ukf.filter import VioFilter
-from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.start import ORIGIN, GivenState, Starter, WaitingFrame, state_from_given
-from station.slam.ukf.state import PHI, XI_X, ErrorKind, difference_group, initial_state, retract
+from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.filter.config import FilterConfig
+from station.slam.ukf.filter.constraints import WheelConfig
+from station.slam.ukf.filter.filter import VioFilter
+from station.slam.ukf.filter.state import PHI, XI_X, initial_state, retract
+from station.slam.ukf.start.starter import ORIGIN, GivenState, Starter, WaitingFrame, state_from_given
+from station.vision.camera_model import CameraModel
 
 VARIANTS = {
     "right Lie UKF": FilterConfig(),

@@ -25,16 +25,14 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benchmarks import stop_firmware, stop_report  # noqa: E402
-from benchmarks.result import Run, add_results_option, work_folder  # noqa: E402
-from benchmarks.stop_chain import Chain, LineEntry  # noqa: E402
-from benchmarks.stop_faults import FAULTS, Fault, Instant  # noqa: E402
-from benchmarks.stop_report import Judged  # noqa: E402
-from robot.devices.emulated.board import BoardEvent  # noqa: E402
-from tests.emulator import board  # noqa: E402
+from benchmarks.result import Figure, Run, add_results_option, work_folder
+from robot.devices.emulated.board import BoardEvent
+from tests.support.emulator import board
+from tests.support.stopping import firmware as stop_firmware
+from tests.support.stopping import report as stop_report
+from tests.support.stopping.chain import Chain, LineEntry
+from tests.support.stopping.faults import FAULTS, Fault, Instant
+from tests.support.stopping.report import PINS_BOUND_MS, SERVER_BOUND_MS, Judged, started_at_us
 
 GIVE_UP_S = 3.0  # all waits are in the Mega's time
 HELD_S = 0.3  # the joystick is still held after the stop
@@ -51,12 +49,6 @@ def pins_zero(events: list[BoardEvent], since_us: int) -> BoardEvent | None:
             if not turning and event.t_mega_us >= since_us:
                 return event
     return None
-
-
-def started_at_us(events: list[BoardEvent], t_us: int) -> int | None:
-    """When the motors first turned again after a moment of rest; None while they did not."""
-    moves = (e.t_mega_us for e in events if e.text.startswith("pins ") and e.text != "pins 0 0" and e.t_mega_us > t_us)
-    return min(moves, default=None)
 
 
 def server_stop(log: list[LineEntry]) -> LineEntry | None:
@@ -245,7 +237,7 @@ async def main() -> int:
     print(stop_report.table(results))
     print(stop_report.verdict(results))
     if not options.report:
-        this_run.write(options.results, stop_report.figures(results))
+        this_run.write(options.results, figures(results))
     reasons = stop_report.refusals(results, counts)
     for reason in reasons:
         print(f"bench_stop: {reason}", file=sys.stderr)
@@ -274,3 +266,26 @@ async def run(options: argparse.Namespace, counts: dict[str, int], rows: Path, c
 
 if __name__ == "__main__":
     sys.exit(asyncio.run(main()))
+
+
+def figures(results: list[Judged]) -> list[Figure]:
+    """What is asked of every fault, over all kinds of them."""
+    judged = [r for r in results if not r.not_judged]
+    n, kinds = len(judged), len({r.fault for r in judged})
+    server_ms = [r.server_ms for r in judged if r.server_ms is not None]
+    pins_ms = [r.pins_ms for r in judged if r.pins_ms is not None]
+    started, never = sum(bool(r.started) for r in judged), sum(r.never_stopped for r in judged)
+    at_server = f"{kinds} kinds of faults: robot-server's stop, slowest"
+    return [
+        Figure(at_server, max(server_ms, default=None), "ms", SERVER_BOUND_MS, of=len(server_ms)),
+        Figure(
+            f"{kinds} kinds of faults: motors without power, slowest",
+            max(pins_ms, default=None),
+            "ms",
+            PINS_BOUND_MS,
+            of=len(pins_ms),
+        ),
+        Figure("faults that started a motor", started, at_most=0, of=n),
+        Figure("faults after which the motors never stopped", never, at_most=0, of=n),
+        Figure("faults that could not be judged", len(results) - n, at_most=0, of=len(results)),
+    ]

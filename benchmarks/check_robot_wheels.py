@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.result import Figure, Run, add_results_option
+from tests.support.debian import DEBIAN_NUMPY
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
-HEAVY = {"open3d", "scipy", "pycolmap", "gtsam", "scikit-learn", "opencv-python-headless", "matplotlib"}
-DEBIAN_NUMPY = {"3.11": "1.24.2", "3.13": "2.2.4"}  # python3-numpy of bookworm, of trixie
+HEAVY = {"open3d", "scipy", "pycolmap", "scikit-learn", "opencv-python-headless", "matplotlib"}
 PLATFORMS = [f"manylinux_2_{minor}_aarch64" for minor in (17, 24, 26, 27, 28, 31, 34)] + ["manylinux2014_aarch64"]
 
 

@@ -18,11 +18,11 @@ import websockets
 
 from shared.access import Role
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
-from station.link import RobotLink
-from station.paired_robots import PairedRobots
-from tests.access_support import GuardedBench, set_up
-from tests.fault_proxy import Direction, FaultProxy
-from tests.link_support import Bench
+from station.access.paired_robots import PairedRobots
+from station.robots.link import RobotLink
+from tests.support.access import GuardedBench, set_up
+from tests.support.fault_proxy import Direction, FaultProxy
+from tests.support.link import Bench
 
 FEED_S = 0.05
 IMU_PER_FEED, FRAME_EVERY, FRAME_BYTES = 11, 4, 8_000  # 220 Hz, 5 pictures a second
@@ -30,7 +30,7 @@ PAUSE_S = 0.05  # shorter ones are what an event loop does
 GIVE_UP_S = 30.0  # a line that is not back by then is broken for good
 BOTH: tuple[Direction, ...] = ("to robot", "to station")
 STEADY = "/ws/events"  # the station says something there every second
-# As in station/web/src/api.ts:
+# As in station/web/src/link/socket.ts:
 PAGE_FIRST_WAIT_S, PAGE_LONGEST_WAIT_S, PAGE_SILENCE_S, PAGE_PATIENCE_S, PAGE_GRACE_S = 0.25, 1.0, 1.25, 1.5, 0.4
 
 
@@ -299,7 +299,7 @@ async def link_line(name: str, folder: Path, seed: int, *, has_tls: bool) -> Asy
 
 @dataclass
 class PageLine:
-    """A page's sockets, which come back as station/web/src/api.ts makes them (a test in a browser looks at that one).
+    """A page's sockets, which come back as station/web/src/link/socket.ts makes them (a browser test looks at it).
 
     The one that is told things each second, the steady one, finds out for all of them that nothing comes any more.
     """

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from sklearn.linear_model import LogisticRegression
 
 from benchmarks.bench_registration import FIRST_SEED, SETS, errors, is_right
-from benchmarks.registration_clouds import make_pair
 from shared.geometry import FloatArray
-from station.places.registration import register_clouds
+from station.places.registration.register import register_clouds
 from station.places.registration.verify import WEIGHTS
+from tests.support.registration_clouds import make_pair
 
 # A wrong unit has a check of its own in verify.py; the seven figures cannot see it.
 LEARNED = [name for name in SETS if "unit_error" not in SETS[name]]
@@ -52,16 +53,11 @@ def measure(name: str, seed: int) -> dict[str, Any]:
 
 
 def fit(X: FloatArray, right: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:
-    """Weights (n,) and offset of P(right) = sigmoid(X w + b), by Newton's method."""
+    """Weights (n,) and offset of P(right) = sigmoid(X w + b)."""
     mean, spread = X.mean(axis=0), X.std(axis=0)
-    Z = np.column_stack([(X - mean) / spread, np.ones(len(X))])
-    decay = np.append(np.ones(X.shape[1]), 0.0)
-    w = np.zeros(Z.shape[1])
-    for _ in range(50):
-        p = 1.0 / (1.0 + np.exp(-Z @ w))
-        H = (Z * (p * (1 - p))[:, None]).T @ Z + np.diag(decay + 1e-9)
-        w -= np.linalg.solve(H, Z.T @ (p - right) + decay * w)
-    return w[:-1] / spread, float(w[-1] - (w[:-1] * mean / spread).sum())
+    model = LogisticRegression(C=1.0, tol=1e-10, max_iter=1000).fit((X - mean) / spread, right)
+    w = model.coef_[0] / spread
+    return w, float(model.intercept_[0] - (w * mean).sum())
 
 
 def main() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 from playwright.async_api import Browser, Page
 
 from shared.calibration import Calibration
-from station.frames import ImageFrame
-from station.slam.backend import SlamUpdate
-from tests.made_up_workers import StraightSlam
+from station.model.frames import ImageFrame
+from station.model.slam_update import SlamUpdate
+from tests.support.made_up_workers import StraightSlam
 
 POINTS = 200_000
 ORBIT_S = 6.0

@@ -2,7 +2,7 @@
 
     python -m benchmarks.places [--seeds 30] [--first 0] [--mode MODE ...] [--results FILE]
 
-Clouds are synthetic (tests/synthetic_home.py): no images, no SLAM; registration is by clouds alone, from any yaw.
+Clouds are synthetic (tests/support/synthetic_home.py): no images, no SLAM; registration is by clouds alone, any yaw.
 """
 
 from __future__ import annotations
@@ -16,15 +16,17 @@ from typing import Protocol
 import numpy as np
 
 from benchmarks.result import Figure, Run, add_results_option, share
-from shared.geometry import FloatArray, se3, yaw_rotation
+from shared.geometry import se3, yaw_rotation
 from station.datasets import Truth
-from station.evaluation.matches import MatchJudgement, judge_matches
-from station.maps.map import Place, PlaceMap
-from station.navigation import Navigation
-from station.places.build import build_map
-from station.places.config import PlacesConfig, ThesisConfig
-from station.places.match import MatchResult, match_navigation
-from tests.synthetic_home import drive, furnished_room, navigate
+from station.experiments.matches import MatchJudgement, judge_matches
+from station.model.navigation import Navigation
+from station.model.place_map import Place, PlaceMap
+from station.places.joining.match import match_navigation
+from station.places.joining.match_result import MatchResult
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig, ThesisConfig
+from tests.support.days import truth_of
+from tests.support.synthetic_home import drive, furnished_room, navigate
 
 FRAMES = 70
 VARIANTS = {
@@ -70,10 +72,6 @@ def make_pair(seed: int) -> tuple[tuple[Navigation, Truth], tuple[Navigation, Tr
         navigation = navigate(home, poses, seed=10 * seed + number, T_nav_world=T, images=False, noise_m=0.02)
         drives.append((navigation, truth_of(poses)))
     return drives[0], drives[1]
-
-
-def truth_of(poses: FloatArray) -> Truth:
-    return Truth(np.arange(len(poses), dtype=np.int64) * 100_000_000, poses)
 
 
 def run(pair: tuple[tuple[Navigation, Truth], tuple[Navigation, Truth]], config: PlacesConfig) -> Outcome:

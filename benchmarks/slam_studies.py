@@ -36,7 +36,7 @@ from benchmarks.bench_mapping import parse_seeds, render, run_program
 from benchmarks.bench_slam import FIGURES, VARIANTS, WHEELS, consistency_calibration, consistency_run, run_dataset
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from station.datasets import open_dataset
-from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.config import UkfConfig
 

@@ -13,6 +13,7 @@ from typing import get_args
 from robot.config import RobotConfig
 from robot.pairing import CODE_LIFE_S, PairingDesk
 from shared.access import GuessLimit, Role
+from shared.advice import complete, option
 from shared.certificates import open_identity
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError, LocalProtocolError
@@ -51,7 +52,8 @@ MESSAGE_ROLES: dict[type, Role | None] = {
     Hijack: Role.DRIVE,
 }
 UNKNOWN_STATION = (
-    "this robot admits only paired stations; run `robot-server pair` on it, then `station pair` with its code"
+    "this robot admits only paired stations;"
+    " run `robot-server pair` on it, then `station pair HOST --code CODE` on the PC"
 )
 TOKEN_REFUSED = "the station's token is not valid here any more; pair station and robot again"
 
@@ -135,12 +137,12 @@ def open_gate(config: RobotConfig, bound: str = "") -> Gate | None:
     try:
         return Gate(folder)
     except ConfigError as exc:
-        option = f" --folder {folder}" if access.folder else ""
+        folder_option = option("--folder", folder if access.folder else None)
         why = f"access.folder is {folder}" if is_loopback(host) else f"--host {host} lets others in"
-        wrong = f" ({exc})" if folder.exists() else ""
+        wrong = f" ({complete(str(exc), 'robot-server', {'--folder': folder})})" if folder.exists() else ""
         raise ConfigError(
             f"{why}, and it is not set up who may{wrong};"
-            f" run `robot-server access init{option}`, then `robot-server pair{option}` (docs/access.md)"
+            f" run `robot-server access init{folder_option}`, then `robot-server pair{folder_option}` (docs/access.md)"
         ) from exc
 
 

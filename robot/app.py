@@ -22,6 +22,7 @@ from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
 from robot.systemd import Systemd
+from shared.advice import install
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.listening import bind
 
@@ -101,7 +102,7 @@ def _adapter(kind: str, opener: str) -> Callable[..., DeviceSet]:
         module = importlib.import_module(f"robot.devices.{kind}")
     except ImportError as exc:
         raise DeviceUnavailable(
-            f"--devices {kind} needs {exc.name}, which is not installed: pip install 'sentinel-robot[{EXTRA[kind]}]'"
+            f"--devices {kind} needs {exc.name}, which is not installed; run: {install(EXTRA[kind])}"
         ) from exc
     found: Callable[..., DeviceSet] = getattr(module, opener)
     return found

@@ -10,9 +10,10 @@ import msgspec
 
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
-from robot.driving import CommandOrder, DriverLease
+from robot.driving import CommandOrder
 from robot.watchdog import MotorWatchdog, Velocity
 from shared.errors import HardwareError
+from shared.lease import DriverLease
 from shared.messages import (
     Capabilities,
     Drive,
@@ -26,6 +27,7 @@ from shared.messages import (
 )
 
 logger = logging.getLogger(__name__)
+LEASE_NS = 1_000_000_000  # who has not commanded for so long gives the wheel away
 About = Literal["hijack"] | msgspec.UnsetType  # which question a notice answers
 
 
@@ -36,7 +38,7 @@ class CommandDesk:
     devices: DeviceSet
     watchdog: MotorWatchdog | None  # None: a robot without motors
     limits: DriveConfig
-    lease: DriverLease = field(default_factory=DriverLease)
+    lease: DriverLease[int] = field(default_factory=lambda: DriverLease(LEASE_NS))  # by client id
     refused: int = 0
     stale: int = 0
     _orders: dict[int, CommandOrder] = field(default_factory=dict)  # client id → order of its commands
@@ -68,7 +70,7 @@ class CommandDesk:
             case Drive():
                 return self._drive(client, order, message, now_ns)
             case Stop():
-                return self._stop(client, order, message)
+                return self._stop(client, order, message, now_ns)
             case PanTilt():
                 return self._point(client, message, now_ns)
             case Hijack():
@@ -92,7 +94,7 @@ class CommandDesk:
         wish = Velocity(message.linear, message.angular)
         if (until_ns := order.until_ns(message, now_ns)) is None:
             self.stale += 1
-            if wish.is_zero and self.lease.driver == client:
+            if wish.is_zero and self.lease.last_driver == client:
                 self.watchdog.stop()  # letting go counts however late it comes
             return None  # the past needs no answer; what counts comes next
         limits = self.limits
@@ -103,15 +105,21 @@ class CommandDesk:
                 f"drive command ({message.linear:g} m/s, {message.angular:g} rad/s) exceeds this robot's limits"
                 f" of {limits.max_linear_m_s:g} m/s and {limits.max_angular_rad_s:g} rad/s",
             )
-        if reason := self.lease.request(client, wish.is_zero, now_ns):
-            return self._refuse("not_driver", reason)
+        match self.lease.command(client, wish.is_zero, now_ns):
+            case "taken":
+                return self._refuse("not_driver", "another station drives; wait until it has let go for a second")
+            case "stopped":
+                reason = "somebody else stopped the robot; let go of the joystick once, then drive on"
+                return self._refuse("not_driver", reason)
+            case "granted":
+                pass
         if not self.watchdog.command(wish, until_ns):
             return self._refuse("device", "the motors are shut down; restart robot-server")
         return None
 
-    def _stop(self, client: int, order: CommandOrder, message: Stop) -> ErrorNotice | None:
+    def _stop(self, client: int, order: CommandOrder, message: Stop, now_ns: int) -> ErrorNotice | None:
         order.is_newest(message.seq)  # commands sent before it are old now
-        self.lease.stop(client)
+        self.lease.stop(client, now_ns)
         if self.watchdog is not None:
             self.watchdog.stop()
         return None
@@ -143,8 +151,7 @@ class CommandDesk:
         return None
 
     def _is_driven_by_another(self, client: int, now_ns: int) -> bool:
-        self.lease.expire(now_ns)
-        return self.lease.driver not in (None, client)
+        return self.lease.driver(now_ns) not in (None, client)
 
     def _refuse(self, code: ErrorCode, reason: str, about: About = msgspec.UNSET) -> ErrorNotice:
         self.refused += 1

@@ -1,54 +1,11 @@
-"""Who may drive, and which of its commands count. Pure: time is an argument."""
+"""Which of a driver's commands count. Pure: time is an argument."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 from shared.clock import RemoteClock
 from shared.messages import Drive
 
-LEASE_NS = 1_000_000_000  # who has not commanded for so long gives the wheel away
-RELEASE_NS = 500_000_000  # after a stop by somebody else the driver must have let go for so long, or say zero once
 SETTLING_NS = 50_000_000  # a held-up burst is read at once; what comes so much later shows how late the burst was
-
-
-@dataclass
-class DriverLease:
-    """One station drives at a time: the first to command, until it falls silent or leaves."""
-
-    driver: int | None = None  # client id
-    _commanded_ns: int = 0
-    _must_let_go: bool = False
-
-    def request(self, client: int, is_zero: bool, now_ns: int) -> str:
-        """May this client's command pass? Empty: yes. Otherwise the reason why not, in a sentence."""
-        self.expire(now_ns)
-        if self.driver is not None and self.driver != client:
-            return "another station drives; wait until it has let go for a second"
-        silence_ns = now_ns - self._commanded_ns
-        self.driver, self._commanded_ns = client, now_ns
-        if is_zero or silence_ns >= RELEASE_NS:
-            self._must_let_go = False
-        if self._must_let_go:
-            return "somebody else stopped the robot; let go of the joystick once, then drive on"
-        return ""
-
-    def stop(self, client: int) -> None:
-        """A stop by somebody who does not drive holds until the driver lets go; by the driver it just stops."""
-        if self.driver is not None and client != self.driver:
-            self._must_let_go = True
-
-    def release(self, client: int) -> bool:
-        """The client left or went quiet. True when it was driving."""
-        if self.driver != client:
-            return False
-        self.driver = None
-        return True
-
-    def expire(self, now_ns: int) -> None:
-        """Take the wheel from a driver who has been silent."""
-        if self.driver is not None and now_ns - self._commanded_ns >= LEASE_NS:
-            self.driver = None
 
 
 class CommandOrder:

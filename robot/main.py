@@ -10,9 +10,6 @@ from typing import Annotated
 
 import typer
 
-from robot import app
-from robot.access_commands import cli as access_cli
-from robot.config import load_config
 from shared.command_line import run_program
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -65,6 +62,9 @@ def serve(
 
     Who may connect: robot-server access --help; a code for a new station: robot-server pair (docs/access.md).
     """
+    from robot import app  # numpy and the network's libraries: `--help` does without them
+    from robot.config import load_config
+
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="robot-server: %(levelname)s: %(message)s"
     )
@@ -89,7 +89,12 @@ def serve(
 def main() -> None:
     """Run one command; a mistake of usage or an error of ours becomes one sentence on stderr."""
     # Subcommands beside a program that is a command itself: `robot-server --devices …` stays as it is.
-    run_program(access_cli if sys.argv[1:2] in (["access"], ["pair"]) else cli, "robot-server")
+    if sys.argv[1:2] in (["access"], ["pair"]):
+        from robot.access_commands import cli as access_cli
+
+        run_program(access_cli, "robot-server")
+    else:
+        run_program(cli, "robot-server")
 
 
 if __name__ == "__main__":

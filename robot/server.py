@@ -288,7 +288,6 @@ class RobotServer:
                         client.put(self._status_for(client))
 
     def _check_motors(self) -> None:
-        self.desk.lease.expire(self._now_ns())
         if self.watchdog is None:
             return
         self.watchdog.check()
@@ -322,10 +321,12 @@ class RobotServer:
 
     def _status_for(self, client: StationClient) -> Status:
         battery = self._read_battery()
-        driver = self._clients.get(self.desk.lease.driver or 0)
+        now_ns = self._now_ns()
+        driver_id = self.desk.lease.driver(now_ns)
+        driver = None if driver_id is None else self._clients.get(driver_id)
         return Status(
             t_robot_ns=self._devices.clock(),
-            uptime_s=(self._now_ns() - self._started_ns) * 1e-9,
+            uptime_s=(now_ns - self._started_ns) * 1e-9,
             battery_v=battery[0],
             battery_fraction=battery[1],
             temperatures_c=read_temperatures(),
@@ -338,7 +339,7 @@ class RobotServer:
             messages_dropped=client.messages_dropped,
             stations=sum(c.is_joined for c in self._clients.values()),
             driver=driver.station_name if driver is not None else None,
-            you_drive=self.desk.lease.driver == client.id,
+            you_drive=driver_id == client.id,
             watchdog_stops=0 if self.watchdog is None else self.watchdog.stops,
             commands_refused=self.desk.refused,
             faults=self.faults.sentences(),

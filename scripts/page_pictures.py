@@ -84,7 +84,7 @@ def look_around(camera: Camera) -> None:
         page.locator("#review-close").click()
     if page.locator("#navigations li.ready").count():
         page.locator("#navigations li.ready").first.get_by_role("button", name="More about").click()
-        page.locator("#drive-dialog").get_by_role("button", name="Replay").click()
+        page.locator("#navigation-dialog").get_by_role("button", name="Replay").click()
         page.wait_for_timeout(3000)
         camera.take("replay")
         page.locator("#review-close").click()

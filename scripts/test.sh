@@ -10,4 +10,6 @@ $bin/ruff format --check --quiet .
 $bin/ruff check --quiet .
 $bin/bandit -q -c pyproject.toml -r robot station shared
 $bin/mypy
+$bin/lint-imports --no-cache
+$bin/python station/web/build_hook.py --check || [ $? -eq 2 ] # no Node, or no registry within reach: it says so
 exec $bin/pytest -m "not hardware" "$@"

@@ -90,8 +90,13 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
 
     camera: CameraCalibration | None
     imu: ImuNoise | None
-    robot_kind: str = "generic"  # "sentinel": wheeled body, so that wheel constraints may be used
+    robot_kind: str = "generic"  # "sentinel": our own robot; anything else is a rig of which only the sensors are known
     gravity: float = 9.81
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether it stands upright on driven wheels, so that drive commands and a level floor tell how it moves."""
+        return self.robot_kind == "sentinel"
 
 
 # Thesis eqs. 3.2-3.5. The printed rotation has 4 digits; the nearest true rotation is used.

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 import typer
 
+from shared.advice import complete
 from shared.errors import RobotSystemError
 
 # Typer carries its own copy of Click, so the base of its mistakes in usage has no public name of its own.
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 BAD_USAGE = 2  # exit code, as shells and Click have it
+WHERE = ("--data", "--config", "--folder")  # options that say where data are: a command that is advised needs them too
 
 
 def run_program(app: typer.Typer, name: str) -> None:
@@ -20,10 +23,20 @@ def run_program(app: typer.Typer, name: str) -> None:
     except USAGE_ERROR as exc:
         sys.exit(_refuse(exc, name))
     except RobotSystemError as exc:
-        print(f"{name}: {exc}", file=sys.stderr)
+        print(f"{name}: {complete(str(exc), name, _where(sys.argv))}", file=sys.stderr)
         sys.exit(1)
     except typer.Abort:
         sys.exit(1)
+
+
+def _where(words: Sequence[str]) -> dict[str, str]:
+    """What the command line says of where data are."""
+    given: dict[str, str] = {}
+    for word, following in zip(words, [*words[1:], ""], strict=True):
+        name, _, value = word.partition("=")
+        if name in WHERE:
+            given[name] = value or following
+    return given
 
 
 def _refuse(exc: Exception, name: str) -> int:

@@ -214,6 +214,9 @@ def decode_image(message: bytes) -> bytes:
             position += value
         elif key & 7 != _VARINT:
             break
+    else:
+        if position == len(message):
+            return b""  # protobuf leaves out what is empty
     raise DataError("an image message of the recording holds no image; the file is damaged")
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
+from shared.disk import PRIVATE, lock, replacing
 from shared.errors import ConfigError
 
 _OTHERS = 0o077
@@ -24,20 +23,15 @@ def make_private_folder(folder: Path) -> None:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Replace a file in one step, mode 0600. Raises ConfigError; the old one stays then."""
-    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    """Replace a file in one step, mode 0600: no power cut brings back who was revoked.
+
+    Raises ConfigError; the old one stays then.
+    """
     try:
-        descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            _give_to_owner_of_folder(descriptor, path)
+        with replacing(path, mode=PRIVATE) as file:
+            _give_to_owner_of_folder(file.fileno(), path)
             file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
-        _keep_names(path.parent)  # or a power cut brings back who was revoked
     except OSError as exc:
-        with contextlib.suppress(OSError):
-            fresh.unlink(missing_ok=True)
         raise ConfigError(f"{path} cannot be written ({exc.strerror}); free space or correct its owner") from exc
 
 
@@ -63,15 +57,13 @@ def locked(path: Path) -> Iterator[None]:
         try:
             descriptor = os.open(name, os.O_RDWR | os.O_NOFOLLOW)
         except FileNotFoundError:
-            descriptor = os.open(name, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+            descriptor = os.open(name, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, PRIVATE)
             _give_to_owner_of_folder(descriptor, name)
     except OSError as exc:
         raise ConfigError(f"{path.parent} cannot be written ({exc.strerror}); run as the user that owns it") from exc
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with os.fdopen(descriptor, "rb") as file:
+        lock(file)
         yield
-    finally:
-        os.close(descriptor)
 
 
 def _give_to_owner_of_folder(descriptor: int, path: Path) -> None:
@@ -79,11 +71,3 @@ def _give_to_owner_of_folder(descriptor: int, path: Path) -> None:
     if os.geteuid() == 0:
         owner = path.parent.stat()
         os.fchown(descriptor, owner.st_uid, owner.st_gid)
-
-
-def _keep_names(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -15,24 +15,36 @@ from pathlib import Path
 from typing import Any
 
 from shared.errors import RobotSystemError
-from station.access import open_access
-from station.bin import Bin, Kind
-from station.comparisons import Comparisons, summarise
+from station.access.visitors import open_access
 from station.config import RecordingConfig, StationConfig
-from station.drive_library import DriveLibrary, DriveRecord
-from station.drive_making import DriveRecorder
-from station.drives import Drives
+from station.errors import Conflict, Unknown
 from station.events import EventKind, Events, EventsOfAll
-from station.jobs import Job, Jobs
-from station.kept_recordings import recover_recordings, retain_recordings
-from station.map_library import Maps, PlacesChange
-from station.maps.map import Place
-from station.maps.store import MapSummary, StoreAddress
-from station.recorder import Recorder
-from station.refusals import Conflict, Unknown
-from station.robot_session import RobotSession, Shared
-from station.turns import Turns
-from station.workers import Worker, warm_up
+from station.library.bin import Bin, Kind
+from station.library.comparisons import Comparisons, summarise
+from station.library.maps import Maps, PlacesChange
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from station.library.navigations import Navigations
+from station.library.recordings import recover_recordings, retain_recordings
+from station.model.map_store import MapSummary, StoreAddress
+from station.model.place_map import Place
+from station.places.making.config import PlacesMode
+from station.recordings.recorder import Recorder
+from station.robots.navigation_files import NavigationRecorder
+from station.robots.session import RobotSession, Shared
+from station.workers.jobs import Job, Jobs, JobWorker
+from station.workers.library_requests import (
+    LIBRARY,
+    BuildMap,
+    CompareNavigations,
+    IndexMap,
+    LibraryProgram,
+    MeasurePlaces,
+    Reprocess,
+)
+from station.workers.place_requests import PLACES, PlaceEvent, PlaceProgram
+from station.workers.request import ProgramName
+from station.workers.scheduling import ComputeSlots
+from station.workers.worker import warm_up
 
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin")
@@ -46,10 +58,10 @@ class Station:
     def __init__(
         self,
         config: StationConfig,
-        make_recorder: Callable[[Path], DriveRecorder | None] | None = None,
-        place_servant: str = "station.place_servant:PlaceServant",
+        make_recorder: Callable[[Path], NavigationRecorder | None] | None = None,
+        place_program: ProgramName[PlaceProgram, PlaceEvent] = PLACES,
     ) -> None:
-        """`place_servant` names the class that the localisation workers run.
+        """`place_program` is what the localisation workers run.
 
         Raises ConfigError: others than this machine would reach it, and it is not set up who may.
         """
@@ -57,20 +69,20 @@ class Station:
         self.started_s = time.monotonic()
         self.events = EventsOfAll()
         self.access = open_access(config)
-        self.jobs = Jobs(self.events)
+        self.jobs = Jobs(self.events, LIBRARY)
         store = StoreAddress(config.data_dir / "maps", config.store.database, config.store.blobs, config.name)
         self.maps = Maps(store, self.events)
         self.comparisons = Comparisons(config.data_dir / "comparisons")
         self.bin = Bin(config.data_dir / "bin.json")
-        self.drives = Drives(DriveLibrary(config.data_dir / "navigations"), self.events)
+        self.navigations = Navigations(NavigationLibrary(config.data_dir / "navigations"), self.events)
         shared = Shared(
             config,
             self.maps,
-            self.drives,
+            self.navigations,
             self.access.robots,
             make_recorder or (lambda path: open_recorder(path, config.recordings)),
-            place_servant,
-            Turns(),
+            place_program,
+            ComputeSlots(),
         )
         self.robots: dict[str, RobotSession] = {}
         for robot in config.fleet:
@@ -82,12 +94,12 @@ class Station:
     async def run(self, started: Callable[[], Any] = lambda: None) -> None:
         """Run until cancelled. The link ends first, and with it the motors; then drives are closed."""
         await asyncio.to_thread(warm_up)
-        interrupted = self.drives.library.open()
-        for drive in interrupted:
-            self.events.say("navigation", f"{drive.name} was interrupted; its recording is kept", "warning")
-        if self.drives.library.unwritable:
-            text = f"{self.drives.library.unwritable}; until then nothing can be recorded or changed"
-            self.events.say("navigation", text, "error")
+        interrupted = self.navigations.library.open()
+        for navigation in interrupted:
+            self.events.notify("navigation", f"{navigation.name} was interrupted; its recording is kept", "warning")
+        if self.navigations.library.unwritable:
+            text = f"{self.navigations.library.unwritable}; until then nothing can be recorded or changed"
+            self.events.notify("navigation", text, "error")
             logger.error("%s", text)
         await self.maps.open()
         self.bin.open()
@@ -107,7 +119,7 @@ class Station:
         finally:
             closing = [*(robot.close() for robot in self.robots.values()), self.jobs.close()]
             failed = [e for e in await asyncio.gather(*closing, return_exceptions=True) if isinstance(e, Exception)]
-            await self.drives.close()
+            await self.navigations.close()
             if failed:  # told only now: one that fails must not keep the others open
                 raise failed[0]
 
@@ -119,7 +131,7 @@ class Station:
             except Exception as exc:  # on top of the robot's tasks: its motors are stopped, its link is closed
                 logger.exception("robot %s", robot.name)
                 text = f"an error of the station stopped what runs for this robot: {_first_cause(exc)!r}"
-                robot.events.say("worker", f"{text}; it is started again", "error")
+                robot.events.notify("worker", f"{text}; it is started again", "error")
             await asyncio.sleep(SESSION_RESTART_S)
 
     # Robots
@@ -142,31 +154,30 @@ class Station:
 
     # Navigations and maps
 
-    async def stop_drive(self, drive_id: str) -> DriveRecord:
-        """End the recording of a drive, whichever robot drives it. Raises Unknown, Conflict."""
-        drive = self.drives.get(drive_id)
+    async def stop_navigation(self, navigation_id: str) -> NavigationRecord:
+        """End the recording of a navigation, whichever robot drives it. Raises Unknown, Conflict."""
+        navigation = self.navigations.get(navigation_id)
         for robot in self.robots.values():
-            if robot.recording.running is not None and robot.recording.running.id == drive_id:
-                return await robot.recording.stop(drive_id)
-        raise Conflict(f"{drive.name} is not being recorded (it is {drive.state})")
+            current = robot.current_navigation
+            if current.running is not None and current.running.id == navigation_id:
+                return await current.stop(navigation_id)
+        raise Conflict(f"{navigation.name} is not being recorded (it is {navigation.state})")
 
-    def cancel_drive(self, drive_id: str) -> DriveRecord:
-        """Give up what SLAM still computes of a drive whose recording has ended. Raises Unknown, Conflict."""
-        return self._robot_of(self.drives.get(drive_id)).recording.cancel(drive_id)
+    def cancel_navigation(self, navigation_id: str) -> NavigationRecord:
+        """Give up what SLAM still computes of a navigation whose recording has ended. Raises Unknown, Conflict."""
+        return self._robot_of(self.navigations.get(navigation_id)).current_navigation.cancel(navigation_id)
 
-    def build_map(self, drive_ids: list[str], name: str, mode: str | None, activate: bool) -> Job:
-        """Places from finished drives, in the background. Raises Unknown, Conflict."""
-        drives = [self._ready(drive_id) for drive_id in dict.fromkeys(drive_ids)]
-        folders = [self.drives.library.navigation_folder(drive.id) for drive in drives]
-        title = f"map of {', '.join(drive.name for drive in drives)}"
+    def build_map(self, navigation_ids: list[str], name: str, mode: PlacesMode | None, activate: bool) -> Job:
+        """Places from finished navigations, in the background. Raises Unknown, Conflict."""
+        navigations = [self._ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
+        folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in navigations]
+        title = f"map of {', '.join(navigation.name for navigation in navigations)}"
 
-        async def work(worker: Worker) -> dict[str, Any]:
-            built = await worker.call(
-                "build_map", folders, self.maps.address, name or title, mode, self.config.executor
-            )
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
+            built = await worker.call(BuildMap(folders, self.maps.address, name or title, mode, self.config.executor))
             self.maps.changed()
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
-                await worker.call("index_map", folders, self.maps.address)
+                await worker.call(IndexMap(folders, self.maps.address))
             if activate:
                 await self.use_maps(built.map_id)
             return {"map": built.map_id, "places": built.places}
@@ -177,28 +188,28 @@ class Station:
         """How surely each place of the active map would be found again, in the background. Raises Conflict."""
         place_map = self.maps.require_active().place_map
 
-        async def work(worker: Worker) -> dict[str, Any]:
-            shares: dict[str, float] = await worker.call("measure_places", self.maps.address, place_map.id)
-            return shares
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
+            return await worker.call(MeasurePlaces(self.maps.address, place_map.id))
 
         return self.jobs.start("measure places", f"repeatability of the places of {place_map.name}", work)
 
     def compare(self, first_id: str, second_id: str) -> Job:
-        """Find the places of one drive in another, in the background. Raises Unknown, Conflict."""
+        """Find the places of one navigation in another, in the background. Raises Unknown, Conflict."""
         first, second = self._ready(first_id), self._ready(second_id)
         if first.id == second.id:
             raise Conflict("two different navigations are needed to compare them; GET /navigations lists them")
         title = f"{second.name} compared with {first.name}"
         setting = (
-            f'In this report Navigation1, whose places make the map, is the drive "{first.name}"; '
+            f'In this report Navigation1, whose places make the map, is the navigation "{first.name}"; '
             f'Navigation2, in which they are looked for, is "{second.name}".'
         )
-        folders = [self.drives.library.navigation_folder(drive.id) for drive in (first, second)]
+        folder = self.navigations.library.navigation_folder
 
-        async def work(worker: Worker) -> dict[str, Any]:
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             comparison_id, scratch = await asyncio.to_thread(self.comparisons.prepare)
             try:
-                results = await worker.call("compare", *folders, scratch, title, setting)
+                compare = CompareNavigations(folder(first.id), folder(second.id), scratch, title, setting)
+                results = await worker.call(compare)
                 made = summarise(comparison_id, title, (first.id, second.id), results)
                 await asyncio.to_thread(self.comparisons.keep, made, scratch)
             finally:
@@ -207,43 +218,43 @@ class Station:
 
         return self.jobs.start("compare", title, work)
 
-    def reprocess(self, drive_id: str, backend: str | None) -> Job:
-        """Run SLAM over a recording again, in the background; then the drive is ready. Raises Unknown, Conflict."""
-        drive = self.drives.library.get(drive_id)
-        recording = self.drives.library.folder(drive_id) / "recording.mcap"
-        if drive.state in ("recording", "finishing"):
-            raise Conflict(f"{drive.name} is {drive.state}; wait until it is over")
+    def reprocess(self, navigation_id: str, backend: str | None) -> Job:
+        """Run SLAM over a recording again, in the background. Raises Unknown, Conflict."""
+        navigation = self.navigations.library.get(navigation_id)
+        recording = self.navigations.library.folder(navigation_id) / "recording.mcap"
+        if navigation.state in ("recording", "finishing"):
+            raise Conflict(f"{navigation.name} is {navigation.state}; wait until it is over")
         if not recording.is_file():
-            raise Conflict(f"{drive.name} has no recording to run SLAM over")
+            raise Conflict(f"{navigation.name} has no recording to run SLAM over")
         chosen = backend or self.config.slam.backend
-        folder = self.drives.library.navigation_folder(drive_id)
-        self.drives.reserve(drive_id)
+        folder = self.navigations.library.navigation_folder(navigation_id)
+        self.navigations.reserve(navigation_id)
 
-        async def work(worker: Worker) -> dict[str, Any]:
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             try:
-                arguments = (recording, chosen, self.config.slam.seed, drive_id, folder, self.config.executor)
-                report = await worker.call("reprocess", *arguments)
-                drive = await self.drives.reprocessed(drive_id, report)
-                await self._robot_of(drive).recording.show(drive_id)
+                seed, executor = self.config.slam.seed, self.config.executor
+                report = await worker.call(Reprocess(recording, chosen, seed, navigation_id, folder, executor))
+                navigation = await self.navigations.reprocessed(navigation_id, report)
+                await self._robot_of(navigation).current_navigation.show(navigation_id)
             finally:
-                self.drives.release(drive_id)
-            return {"navigation": drive_id, "landmarks": report.landmarks}
+                self.navigations.release(navigation_id)
+            return {"navigation": navigation_id, "landmarks": report.landmarks}
 
         try:
-            return self.jobs.start("reprocess", f"SLAM over {drive.name}", work)
+            return self.jobs.start("reprocess", f"SLAM over {navigation.name}", work)
         except Conflict:
-            self.drives.release(drive_id)
+            self.navigations.release(navigation_id)
             raise
 
-    def _robot_of(self, drive: DriveRecord) -> RobotSession:
+    def _robot_of(self, navigation: NavigationRecord) -> RobotSession:
         """The robot that drove it, if it is one of ours."""
-        return self.robots.get(drive.robot, self.first)
+        return self.robots.get(navigation.robot, self.first)
 
-    def _ready(self, drive_id: str) -> DriveRecord:
-        drive = self.drives.library.get(drive_id)
-        if drive.state != "ready":
-            raise Conflict(f"{drive.name} is {drive.state}, not ready: {drive.message}")
-        return drive
+    def _ready(self, navigation_id: str) -> NavigationRecord:
+        navigation = self.navigations.library.get(navigation_id)
+        if navigation.state != "ready":
+            raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+        return navigation
 
     async def use_maps(self, *map_ids: str) -> None:
         """Look for the current place in these maps; the places of the first are shown. Raises as `Maps.activate`."""
@@ -252,9 +263,9 @@ class Station:
 
     # What was deleted
 
-    async def delete_drive(self, drive_id: str) -> None:
+    async def delete_navigation(self, navigation_id: str) -> None:
         """Into the bin. Raises Unknown, Conflict."""
-        await self.drives.delete(drive_id)
+        await self.navigations.delete(navigation_id)
         await self.empty_bin(everything=False)
 
     async def delete_map(self, map_id: str) -> None:
@@ -263,11 +274,11 @@ class Station:
             await self._look_in_active_maps()
         await self.empty_bin(everything=False)
 
-    async def restore_drive(self, drive_id: str) -> DriveRecord:
+    async def restore_navigation(self, navigation_id: str) -> NavigationRecord:
         """Raises Unknown."""
-        drive = await self.drives.restore(drive_id)
+        navigation = await self.navigations.restore(navigation_id)
         await self._look_into_bin()
-        return drive
+        return navigation
 
     async def restore_map(self, map_id: str) -> MapSummary:
         """Raises Unknown."""
@@ -282,15 +293,15 @@ class Station:
             if entry.kind == "map":
                 await self.maps.purge(entry.id)
             else:
-                await asyncio.to_thread(self.drives.library.purge, entry.id)
+                await asyncio.to_thread(self.navigations.library.purge, entry.id)
             logger.info("deleted %s %s for good", entry.kind, entry.id)
         await self._look_into_bin()
 
     async def _look_into_bin(self) -> None:
-        drives = await asyncio.to_thread(self.drives.library.deleted)
+        navigations = await asyncio.to_thread(self.navigations.library.deleted)
         maps = await self.maps.deleted()
         there: dict[Kind, list[tuple[str, str]]] = {
-            "navigation": [(drive.id, drive.name) for drive in drives],
+            "navigation": [(navigation.id, navigation.name) for navigation in navigations],
             "map": [(summary.id, summary.name) for summary in maps],
         }
         await asyncio.to_thread(self.bin.update, there, time.time())
@@ -306,21 +317,21 @@ class Station:
         """Never answer with this place, or do again. Raises Conflict, Unknown, DataError."""
         place = await self.maps.hide_place(place_id, hidden)
         self._regroup()
-        self.events.say("map", f"{place.name} is {'hidden' if hidden else 'shown again'}")
+        self.events.notify("map", f"{place.name} is {'hidden' if hidden else 'shown again'}")
         return place
 
     async def merge_places(self, place_ids: list[str]) -> Place:
         """Several places become the first of them. Raises Conflict, Unknown, DataError."""
         place = await self.maps.merge_places(place_ids)
         self._regroup()
-        self.events.say("map", f"{len(set(place_ids))} places are {place.name} now")
+        self.events.notify("map", f"{len(set(place_ids))} places are {place.name} now")
         return place
 
     async def undo_places(self, version: int | None) -> PlacesChange:
         """Take back the newest change of the places. Raises Conflict."""
         change = await self.maps.undo(version)
         self._regroup()
-        self.events.say("map", f"taken back: {change.why}")
+        self.events.notify("map", f"taken back: {change.why}")
         return change
 
     def _regroup(self) -> None:
@@ -340,18 +351,18 @@ class Station:
         try:
             await self.empty_bin(everything=False)
         except (RobotSystemError, OSError) as exc:
-            self.events.say("map", f"the bin could not be looked through: {exc}", "warning")
+            self.events.notify("map", f"the bin could not be looked through: {exc}", "warning")
 
-    async def _tidy_up(self, interrupted: list[DriveRecord]) -> None:
+    async def _tidy_up(self, interrupted: list[NavigationRecord]) -> None:
         """Recover what the station's end cut off, then remove what is beyond the limits."""
-        await recover_recordings(self.drives, interrupted, self.events)
-        await retain_recordings(self.drives.library, self.config.recordings, self.events)
+        await recover_recordings(self.navigations, interrupted, self.events)
+        await retain_recordings(self.navigations.library, self.config.recordings, self.events)
 
 
 def _first_cause(error: BaseException) -> BaseException:
     return _first_cause(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
-def open_recorder(path: Path, limits: RecordingConfig) -> DriveRecorder | None:
-    """The MCAP recorder of a drive. Raises DataError when the file cannot be made, or the disk is nearly full."""
+def open_recorder(path: Path, limits: RecordingConfig) -> NavigationRecorder | None:
+    """The MCAP recorder of a navigation. Raises DataError when the file cannot be made, or the disk is nearly full."""
     return Recorder(path, min_free_bytes=limits.keep_free_mb * 2**20)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import re
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_DRIVE_TTL_MS
-from station.executors.opening import check_executor
 
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes
@@ -210,3 +212,57 @@ def _decode(kind: type[Any], value: Any) -> Any:
     if kind is Path and isinstance(value, str):
         return Path(value).expanduser()
     raise NotImplementedError
+
+
+DASK = "dask://"
+
+
+PROCESSES = "processes"
+
+
+def check_executor(address: str) -> None:
+    """Raises ConfigError when it is no address of an executor."""
+    host, colon, port = address.removeprefix(DASK).rpartition(":")
+    if address in ("", PROCESSES) or (address.startswith(DASK) and colon and host and port.isdecimal()):
+        return
+    raise ConfigError(f"executor {address!r} is none; give {PROCESSES} or dask://HOST:PORT of a Dask scheduler")
+
+
+MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept (kept_index.py)
+
+
+BACKENDS = ("sfm", "ukf")
+
+
+AUTO = "auto"  # what suits the robot
+
+
+def choose_backend(name: str, calibration: Calibration) -> str:
+    """The backend that is meant: "auto" is ukf for a robot on wheels with an IMU and a camera that was measured.
+
+    Any other is followed by sfm, which needs images only; the filter believes the camera's numbers.
+    """
+    if name != AUTO:
+        return name
+    is_measured = calibration.camera is not None and calibration.camera.is_measured
+    return "ukf" if is_measured and calibration.imu is not None and calibration.has_wheels else "sfm"
+
+
+def check_backend(name: str) -> None:
+    """Whether there is such a backend: one of BACKENDS, "auto" or "package.module:factory". Raises ConfigError."""
+    if name not in (*BACKENDS, AUTO):
+        load_factory(name)
+
+
+def load_factory(name: str) -> Callable[[Calibration], Any]:
+    """What makes the backend "package.module:factory". Raises ConfigError."""
+    choices = ", ".join((AUTO, *BACKENDS))
+    module, colon, factory = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), factory, None) if colon else None
+    except (ImportError, ValueError) as exc:
+        raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {choices}") from exc
+    if not callable(found):
+        raise ConfigError(f"backend {name!r} is unknown; choose one of {choices}")
+    make: Callable[[Calibration], Any] = found
+    return make

@@ -1,27 +1,65 @@
-"""`station`: the program on the PC. Commands live in `station/commands/`, one file each."""
+"""`station`: the program on the PC. Commands live in `station/commands/`; each is imported when it is called.
+
+The libraries of estimation take seconds and hundreds of megabytes to import: only the command that needs them waits.
+"""
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_group
 
 from shared.command_line import run_program
-from station.commands import (
-    access,
-    demo,
-    doctor,
-    experiment,
-    export,
-    map,
-    match,
-    recordings,
-    register,
-    replay,
-    serve,
-    slam,
-)
+
+if TYPE_CHECKING:  # Typer carries its own copy of Click, whose classes have no public names
+    from typer._click import Command, Context
+
+# Command → its module in station.commands, and what `station --help` says of it.
+COMMANDS = {
+    "pair": ("access", "Pair with a robot: its code becomes a token, and its certificate is remembered."),
+    "robots": ("access", "The robots this station is paired with."),
+    "demo": ("demo", "Simulated robot, robot-server and station: map, hijack, drive again, and name the place."),
+    "doctor": ("doctor", "Say what is missing on this machine, and how to get it."),
+    "experiment": ("experiment", "Map one drive, find its places again in another, and judge the matches."),
+    "export": ("export", "Write a navigation or a map for other tools: tum, euroc, ply, graphml, COLMAP, mcap."),
+    "match": ("match", "Register a navigation to a map, match its locations with the places, and write a report."),
+    "register": ("register", "Register SOURCE to TARGET without a guess; exit code 0 only when it is accepted."),
+    "replay": ("replay", "Reconstruct, map and ask for the current place, as the running station would."),
+    "serve": ("serve", "Serve the page and the API: drive, map, and ask which place the robot is at."),
+    "slam": ("slam", "Reconstruct trajectory and landmarks of one recorded drive."),
+    "access": ("access", "Who may use this station."),
+    "map": ("map", "Places, their graph and their names."),
+    "recordings": ("recordings", "Recorded drives on disk."),
+}
+
+
+class ImportedWhenCalled(TyperGroup):
+    """Lists commands by their names and help alone; imports the module of the one that is called."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        for name, (_, text) in COMMANDS.items():
+            self.add_command(TyperCommand(name, help=text))
+
+    def resolve_command(self, ctx: Context, args: list[str]) -> tuple[str | None, Command | None, list[str]]:
+        name, _, rest = super().resolve_command(ctx, args)
+        return name, None if name is None else load_command(name), rest
+
+
+def load_command(name: str) -> Command:
+    """Import the command with all its options."""
+    module, _ = COMMANDS[name]
+    commands = typer.Typer()
+    importlib.import_module(f"station.commands.{module}").register(commands)
+    return get_group(commands).commands[name]
+
 
 app = typer.Typer(
     name="station",
+    cls=ImportedWhenCalled,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -31,23 +69,6 @@ app = typer.Typer(
 @app.callback()
 def station() -> None:
     """Receives a robot's camera and IMU, maps places, and answers which place the robot is at."""
-
-
-for command in (
-    access,
-    demo,
-    doctor,
-    experiment,
-    export,
-    map,
-    match,
-    recordings,
-    register,
-    replay,
-    serve,
-    slam,
-):
-    command.register(app)
 
 
 def main() -> None:

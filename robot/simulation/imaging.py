@@ -12,7 +12,7 @@ from robot.simulation.config import CameraImperfections, Faults
 from robot.simulation.renderer import NO_SURFACE, Float32Array, Renderer, Rendering
 from robot.simulation.texture_strokes import ImageArray
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, se3
+from shared.geometry import FloatArray, se3, transform
 
 TARGET_MEAN = 112.0
 NOISE_SHIFT_PX = 211  # each frame takes another part of one noise picture
@@ -113,7 +113,7 @@ class SimulatedCamera:
         inverse_depth = np.maximum(rendering.inverse_depth[v, u], 0.02).astype(np.float64)
         p = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones_like(inverse_depth)], -1) / inverse_depth[..., None]
         T = np.linalg.inv(T_after) @ T_before
-        q = p @ T[:3, :3].T + T[:3, 3]
+        q = transform(T, p)
         z = np.maximum(q[..., 2], 0.02)
         flow = np.stack([c.fx * q[..., 0] / z + c.cx - u, c.fy * q[..., 1] / z + c.cy - v], -1)
         return np.clip(flow, -60.0, 60.0).astype(np.float32)

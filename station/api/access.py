@@ -13,14 +13,15 @@ from shared.access import Role
 from shared.errors import ConfigError
 from shared.pairing import parse_code
 from shared.token_book import TokenRecord
-from station.access import SESSION_S, Visitor
+from station.access.pairing import PairingFailed, pair
+from station.access.visitors import SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
-from station.api.models import Model, SessionModel
 from station.api.problems import responses
+from station.api.schema.base import Model
+from station.api.schema.station import SessionModel
 from station.config import parse_address
-from station.pairing import PairingFailed, pair
-from station.refusals import Conflict, OutOfRange, Unknown
+from station.errors import Conflict, OutOfRange, Unknown
 
 router = APIRouter(tags=["access"])
 itself = APIRouter(tags=["access"])  # below /robot
@@ -134,7 +135,7 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
     except PairingFailed as exc:
         raise Conflict(str(exc)) from exc
     await asyncio.to_thread(station.access.robots.keep, paired)
-    which.events.say("link", f"paired with {paired.name}")
+    which.events.notify("link", f"paired with {paired.name}")
     return PairedModel(robot=paired.name, host=host, port=port, fingerprint=paired.fingerprint)
 
 

@@ -16,8 +16,8 @@ from starlette.types import Receive, Scope, Send
 from station.api.deps import RobotDep
 from station.api.limits import MAX_STREAMS, Seats, receive_text, refuse, seated
 from station.api.problems import responses
-from station.refusals import Busy, NoRobot
-from station.robot_session import RobotSession, SeenFrame
+from station.errors import Busy, NoRobot
+from station.robots.session import RobotSession, SeenFrame
 
 of_robot = APIRouter(tags=["camera"])
 

@@ -9,10 +9,10 @@ from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse
 
 from station.api.deps import StationDep
-from station.api.models import ComparisonModel, ComparisonOrder, JobModel
 from station.api.problems import responses
-from station.api.views import comparison_model, job_model
-from station.comparisons import FILES
+from station.api.schema.comparisons import ComparisonModel, ComparisonOrder, comparison_model
+from station.api.schema.jobs import JobModel, job_model
+from station.library.comparisons import FILES
 
 router = APIRouter(tags=["comparisons"])
 # The report is one file without scripts; nothing in it may ask another host.

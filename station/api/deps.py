@@ -13,13 +13,13 @@ from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
 from shared.listening import is_loopback
-from station.access import Visitor
+from station.access.visitors import Visitor
 from station.api.doorkeeper import Found
 from station.api.roles import ROLES
 from station.app import Station
 from station.config import ApiConfig
-from station.refusals import NotAllowed
-from station.robot_session import RobotSession
+from station.errors import NotAllowed
+from station.robots.session import RobotSession
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 # What this machine is called in its own network. No site can be: its name would have a dot of another domain.

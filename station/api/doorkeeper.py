@@ -9,8 +9,8 @@ from typing import Literal
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from station.access import EVERYBODY, Door, Visitor
-from station.refusals import TooManyGuesses, WrongToken
+from station.access.visitors import EVERYBODY, Door, Visitor
+from station.errors import TooManyGuesses, WrongToken
 
 COOKIE = "__Host-sentinel-session"  # browsers keep such a name for HTTPS, for this host alone
 REVOKED = 4401  # close code

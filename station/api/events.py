@@ -22,21 +22,18 @@ from station.api.messages import (
     PoseMessage,
     RobotMessage,
 )
-from station.api.models import LogModel, Model
-from station.api.views import (
-    current_place,
-    job_model,
-    log_model,
-    navigation_model,
-    robot_model,
-    slam_model,
-    visit_model,
-)
-from station.drive_library import DriveRecord
+from station.api.schema.base import Model
+from station.api.schema.jobs import job_model
+from station.api.schema.navigations import navigation_model
+from station.api.schema.places import current_place, visit_model
+from station.api.schema.robot import robot_model
+from station.api.schema.slam import slam_model
+from station.api.schema.station import LogModel, log_model
+from station.errors import Busy
 from station.events import Event, LogLine
-from station.jobs import Job
-from station.refusals import Busy
-from station.robot_session import RobotSession
+from station.library.navigation_records import NavigationRecord
+from station.robots.session import RobotSession
+from station.workers.jobs import Job
 
 of_robot = APIRouter(tags=["events"])
 
@@ -81,7 +78,7 @@ async def _send_events(socket: WebSocket, robot: RobotSession) -> None:
 
 def to_message(robot: RobotSession, event: Event) -> Model:
     """What a page is told of an event."""
-    live = robot.recording.live
+    live = robot.current_navigation.live
     active = robot.maps.active
     match event.kind:
         case "robot":
@@ -96,17 +93,17 @@ def to_message(robot: RobotSession, event: Event) -> Model:
                 navigation=live.navigation_id if live else None, source=live.source if live else None, total=total
             )
         case "navigation":
-            drive = cast(DriveRecord | None, event.subject)
-            return NavigationMessage(navigation=None if drive is None else navigation_model(drive))
+            navigation = cast(NavigationRecord | None, event.subject)
+            return NavigationMessage(navigation=None if navigation is None else navigation_model(navigation))
         case "map":
             return MapMessage(active=active.place_map.id if active else None, revision=robot.maps.revision)
         case "job":
             return JobMessage(job=job_model(cast(Job, event.subject)))
         case "place":
-            visits = robot.locating.visits
+            current, last = robot.current_place, robot.current_place.visits.last
             return PlaceMessage(
                 place=current_place(robot),
-                visit=visit_model(visits[-1]) if visits and robot.locating.report else None,
+                visit=visit_model(last) if last is not None and current.report else None,
             )
         case "bin":
             return BinMessage()

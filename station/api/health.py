@@ -14,9 +14,9 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 
 from station.api.deps import StationDep
-from station.api.models import HealthModel
+from station.api.schema.station import HealthModel
 from station.app import Station
-from station.robot_session import RobotSession
+from station.robots.session import RobotSession
 
 router = APIRouter(tags=["health"])
 TEXT_FORMAT = "text/plain; version=0.0.4; charset=utf-8"
@@ -29,7 +29,7 @@ async def healthz(station: StationDep) -> HealthModel:
         version=program_version(),
         uptime_s=time.monotonic() - station.started_s,
         robot_connected=station.first.state.connected,
-        localisation=station.first.locating.status,
+        localisation=station.first.current_place.status,
     )
 
 
@@ -79,7 +79,7 @@ class _StationCollector:
 
 
 def _gauges(robot: RobotSession) -> dict[str, tuple[str, float | None]]:
-    link, live, report = robot.state, robot.recording.live, robot.locating.report
+    link, live, report = robot.state, robot.current_navigation.live, robot.current_place.report
     return {
         "robot_connected": ("1 while the robot is connected", float(link.connected)),
         "frame_rate_hz": ("camera frames per second", link.frame_rate_hz),
@@ -102,5 +102,5 @@ def _counters(robot: RobotSession) -> dict[str, tuple[str, float]]:
         "imu_samples": ("inertial samples received", link.imu_samples),
         "imu_lost": ("inertial samples lost", link.imu_lost),
         "connections": ("connections to the robot", link.connections),
-        "place_answers": ("pictures answered by localisation", robot.locating.answers),
+        "place_answers": ("pictures answered by localisation", robot.current_place.answers),
     }

@@ -11,7 +11,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from station.api.problems import problem
-from station.refusals import Busy
+from station.errors import Busy
 
 MAX_BODY_BYTES = 1 << 20  # the largest request, a list of navigations, has some kilobytes
 MAX_SOCKETS = 32  # of each kind: a page has three

@@ -7,13 +7,15 @@ import asyncio
 from fastapi import APIRouter, Response
 
 from station.api.deps import StationDep
-from station.api.models import JobModel, MapChoice, MapModel, MapOrder, NewName
+from station.api.images import image_response
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.views import job_model, map_model
-from station.live import pack_points
-from station.map_library import keyframe_image
-from station.refusals import Unknown
+from station.api.schema.base import NewName
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.maps import MapChoice, MapModel, MapOrder, map_model
+from station.errors import Unknown
+from station.library.maps import keyframe_image
+from station.model.points import pack_points
 
 router = APIRouter(tags=["maps"])
 
@@ -89,9 +91,3 @@ async def landmarks(map_id: str, station: StationDep, is_ply: WantsPly = False) 
 async def image(map_id: str, keyframe: int, station: StationDep) -> Response:
     encoded = keyframe_image((await station.maps.load(map_id)).place_map, keyframe)
     return image_response(encoded)
-
-
-def image_response(encoded: bytes) -> Response:
-    """A JPEG or PNG that never changes."""
-    kind = "image/png" if encoded.startswith(b"\x89PNG") else "image/jpeg"
-    return Response(encoded, media_type=kind, headers={"Cache-Control": "private, max-age=3600"})

@@ -6,18 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from station.api.models import (
-    CurrentPlace,
-    JobModel,
-    LogModel,
-    Model,
-    NavigationModel,
-    Number,
-    Question,
-    RobotModel,
-    SlamModel,
-    VisitModel,
-)
+from station.api.schema.base import Model, Number, Question
+from station.api.schema.jobs import JobModel
+from station.api.schema.navigations import NavigationModel
+from station.api.schema.places import CurrentPlace, VisitModel
+from station.api.schema.robot import RobotModel
+from station.api.schema.slam import SlamModel
+from station.api.schema.station import LogModel
 
 
 class RobotMessage(Model):

@@ -8,10 +8,11 @@ from fastapi import APIRouter, Body, Response
 from fastapi.responses import FileResponse
 
 from station.api.deps import RobotDep, StationDep
-from station.api.models import BinModel, JobModel, NavigationModel, NavigationStart, NewName
 from station.api.problems import responses
-from station.api.views import bin_model, job_model, navigation_model
-from station.refusals import Conflict, Unknown
+from station.api.schema.base import NewName
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.navigations import BinModel, NavigationModel, NavigationStart, bin_model, navigation_model
+from station.errors import Conflict, Unknown
 
 router = APIRouter(tags=["navigations"])
 of_robot = APIRouter(tags=["navigations"])
@@ -20,28 +21,28 @@ DOWNLOADS = {"trajectory.tum": "text/plain", "landmarks.ply": "application/octet
 
 @router.get("/navigations", summary="Recorded navigations, oldest first")
 async def navigations(station: StationDep) -> list[NavigationModel]:
-    return [navigation_model(drive) for drive in station.drives.list()]
+    return [navigation_model(navigation) for navigation in station.navigations.list()]
 
 
 @of_robot.post("/navigations", summary="Start recording, with SLAM", status_code=201, responses=responses(409, 503))
 async def start(robot: RobotDep, order: Annotated[NavigationStart | None, Body()] = None) -> NavigationModel:
-    return navigation_model(await robot.start_drive(order.name if order else ""))
+    return navigation_model(await robot.start_navigation(order.name if order else ""))
 
 
 @router.get("/navigations/{navigation_id}", summary="One navigation", responses=responses(404))
 async def navigation(navigation_id: str, station: StationDep) -> NavigationModel:
-    return navigation_model(station.drives.get(navigation_id))
+    return navigation_model(station.navigations.get(navigation_id))
 
 
 @router.patch("/navigations/{navigation_id}", summary="Rename a navigation", responses=responses(404, 409))
 async def rename(navigation_id: str, name: NewName, station: StationDep) -> NavigationModel:
-    return navigation_model(await station.drives.rename(navigation_id, name.name))
+    return navigation_model(await station.navigations.rename(navigation_id, name.name))
 
 
 @router.post("/navigations/{navigation_id}/stop", summary="End recording", responses=responses(404, 409))
 async def stop(navigation_id: str, station: StationDep) -> NavigationModel:
     """SLAM finishes in the background: the state goes from "finishing" to "ready" or "failed"."""
-    return navigation_model(await station.stop_drive(navigation_id))
+    return navigation_model(await station.stop_navigation(navigation_id))
 
 
 @router.post("/navigations/{navigation_id}/cancel", summary="Give up finishing", responses=responses(404, 409))
@@ -50,7 +51,7 @@ async def cancel_finishing(navigation_id: str, station: StationDep) -> Navigatio
 
     409 when there is nothing to cancel: the navigation is still being recorded, or SLAM has ended.
     """
-    return navigation_model(station.cancel_drive(navigation_id))
+    return navigation_model(station.cancel_navigation(navigation_id))
 
 
 @router.delete(
@@ -61,7 +62,7 @@ async def cancel_finishing(navigation_id: str, station: StationDep) -> Navigatio
 )
 async def delete(navigation_id: str, station: StationDep) -> Response:
     """It goes into the bin: POST /navigations/{id}/restore brings it back for seven days."""
-    await station.delete_drive(navigation_id)
+    await station.delete_navigation(navigation_id)
     return Response(status_code=204)
 
 
@@ -69,7 +70,7 @@ async def delete(navigation_id: str, station: StationDep) -> Response:
     "/navigations/{navigation_id}/restore", summary="Bring a deleted navigation back", responses=responses(404, 409)
 )
 async def restore(navigation_id: str, station: StationDep) -> NavigationModel:
-    return navigation_model(await station.restore_drive(navigation_id))
+    return navigation_model(await station.restore_navigation(navigation_id))
 
 
 @router.get("/bin", summary="What was deleted and can be restored", tags=["bin"])
@@ -91,16 +92,16 @@ async def empty_bin(station: StationDep) -> Response:
     responses=responses(404, 409),
 )
 async def download(navigation_id: str, name: str, station: StationDep) -> FileResponse:
-    drive = station.drives.library.get(navigation_id)
-    folder = station.drives.library.folder(navigation_id)
+    navigation = station.navigations.library.get(navigation_id)
+    folder = station.navigations.library.folder(navigation_id)
     if name == "recording.mcap":
         path = folder / name
     elif name in DOWNLOADS:
         path = folder / "navigation" / name
     else:
         raise Unknown(f"there is no file {name!r}; recording.mcap, {' and '.join(DOWNLOADS)} can be downloaded")
-    if drive.state == "recording" or not path.is_file():
-        raise Conflict(f"{drive.name} has no {name} now (it is {drive.state})")
+    if navigation.state == "recording" or not path.is_file():
+        raise Conflict(f"{navigation.name} has no {name} now (it is {navigation.state})")
     kind = DOWNLOADS.get(name, "application/octet-stream")
     return FileResponse(path, media_type=kind, filename=f"{navigation_id}-{name}")
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import html
+import shlex
 from pathlib import Path
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 
-from station.refusals import Unknown
+from shared.advice import python
+from station.errors import Unknown
 
 DIST = Path(__file__).parents[1] / "web" / "dist"
 ICON = Path(__file__).parents[1] / "web" / "public" / "favicon.svg"  # there also where the page was not built
@@ -22,8 +25,8 @@ NOT_BUILT = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Senti
 <h1>The page is not built yet</h1>
 <p>The station runs, and its calls answer (<a href="/robot">/robot</a>, <a href="/openapi.json">/openapi.json</a>),
 but the page's files were not made when it was installed, for example because the machine had no internet then.</p>
-<p>Build them with <code>python station/web/build_hook.py</code> in the project's folder, then reload.</p></body>
-</html>"""
+<p>Build them with <code>BUILD</code>, then reload.</p></body>
+</html>""".replace("BUILD", html.escape(f"{python()} {shlex.quote(str(DIST.parent / 'build_hook.py'))}"))
 DOCS = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Sentinel API</title>
 <meta name="viewport" content="width=device-width,initial-scale=1"><link rel="icon" href="/favicon.svg">
 <link rel="stylesheet" href="/docs/swagger-ui.css">

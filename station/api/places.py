@@ -8,11 +8,12 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep, StationDep
-from station.api.maps import image_response
-from station.api.models import (
+from station.api.images import image_response
+from station.api.problems import responses
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.places import (
     CurrentPlace,
     GraphModel,
-    JobModel,
     PlaceChange,
     PlaceMerge,
     PlaceModel,
@@ -20,13 +21,17 @@ from station.api.models import (
     RouteModel,
     UndoOrder,
     VisitModel,
+    change_model,
+    current_place,
+    edge_model,
+    place_model,
+    route_model,
+    visit_model,
 )
-from station.api.problems import responses
-from station.api.views import change_model, current_place, edge_model, job_model, place_model, route_model, visit_model
-from station.map_library import deviation_image, keyframe_image, mean_image
-from station.places.changes import shown
-from station.places.graph import places_called, shortest_route, to_graphml
-from station.refusals import Conflict, Unknown
+from station.errors import Conflict, Unknown
+from station.library.maps import deviation_image, keyframe_image, mean_image
+from station.places.making.changes import without_hidden
+from station.places.making.graph import places_called, shortest_route, to_graphml
 
 router = APIRouter(tags=["places"])
 of_robot = APIRouter(tags=["places"])
@@ -40,7 +45,7 @@ async def place_current(robot: RobotDep) -> CurrentPlace:
 
 @of_robot.get("/place/timeline", summary="Places visited since the station started, oldest first")
 async def timeline(robot: RobotDep) -> list[VisitModel]:
-    return [visit_model(visit) for visit in robot.locating.visits]
+    return [visit_model(visit) for visit in robot.current_place.visits]
 
 
 @of_robot.get(
@@ -50,7 +55,7 @@ async def timeline(robot: RobotDep) -> list[VisitModel]:
     responses={200: IMAGE, **responses(404)},
 )
 async def query_image(t_robot_ns: int, robot: RobotDep) -> Response:
-    image = robot.locating.query_image(t_robot_ns)
+    image = robot.current_place.query_image(t_robot_ns)
     if image is None:
         raise Unknown("this picture is not kept any more; only the newest ones are")
     return image_response(image)
@@ -136,7 +141,7 @@ async def graph(
 ) -> GraphModel | Response:
     active = station.maps.require_active()
     if format == "graphml":
-        return Response(to_graphml(shown(active.place_map)), media_type="application/graphml+xml")
+        return Response(to_graphml(without_hidden(active.place_map)), media_type="application/graphml+xml")
     return GraphModel(
         map=active.place_map.id,
         metric=active.place_map.navigation.is_metric,
@@ -151,7 +156,7 @@ Called = Annotated[str, Query(min_length=1, max_length=80, description="id or na
 @router.get("/graph/route", summary="The shortest way between two places", responses=responses(404, 409))
 async def route(start: Called, goal: Called, station: StationDep) -> RouteModel:
     """Along the edges of the graph, with the bearing of each leg; by names, in which upper and lower case are one."""
-    place_map = shown(station.maps.require_active().place_map)
+    place_map = without_hidden(station.maps.require_active().place_map)
     for word in (start, goal):
         if not places_called(place_map, word):
             raise Unknown(f"the graph has no place {word!r}; GET /graph lists them")

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from fastapi import Depends, Header, Query, Response
 
-from station.ply import encode_ply
+from station.files.ply import encode_ply
 
 # magic, number of points here, number of the first one, number of points there are
 POINTS_HEADER = struct.Struct("<4sIII")
@@ -36,7 +36,7 @@ WantsPly = Annotated[bool, Depends(_wants_ply)]
 
 
 def points_response(packed: bytes, first: int, total: int, source: str) -> Response:
-    """Packed points (station/live.py) with their header."""
+    """Packed points (station/robots/live_slam.py) with their header."""
     header = POINTS_HEADER.pack(POINTS_MAGIC, len(packed) // 16, first, total)
     headers = {"X-Source": source, "Cache-Control": "no-store"}
     return Response(header + packed, media_type="application/octet-stream", headers=headers)

@@ -15,24 +15,24 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 
 from shared.errors import ConfigError, DataError, LocalProtocolError, RobotSystemError
-from station import refusals
-from station.api.models import Problem
+from station import errors
+from station.api.schema.base import Problem
 
 logger = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"
 
 # What was raised -> slug, title, status; the first that fits.
 KINDS: tuple[tuple[type[RobotSystemError], str, str, int], ...] = (
-    (refusals.WrongToken, "unauthorized", "Who are you", 401),
-    (refusals.NotAllowed, "not-allowed", "Not allowed", 403),
-    (refusals.TooManyGuesses, "too-many-guesses", "Too many wrong tokens", 429),
-    (refusals.Unknown, "not-found", "Not found", 404),
-    (refusals.NotDriver, "not-driver", "Another one drives", 409),
-    (refusals.NotCapable, "not-capable", "This robot cannot do that", 409),
-    (refusals.Conflict, "conflict", "Not now", 409),
-    (refusals.NoRobot, "no-robot", "No robot is connected", 503),
-    (refusals.Busy, "busy", "Too many already", 503),
-    (refusals.OutOfRange, "out-of-range", "A value is out of range", 422),
+    (errors.WrongToken, "unauthorized", "Who are you", 401),
+    (errors.NotAllowed, "not-allowed", "Not allowed", 403),
+    (errors.TooManyGuesses, "too-many-guesses", "Too many wrong tokens", 429),
+    (errors.Unknown, "not-found", "Not found", 404),
+    (errors.NotDriver, "not-driver", "Another one drives", 409),
+    (errors.NotCapable, "not-capable", "This robot cannot do that", 409),
+    (errors.Conflict, "conflict", "Not now", 409),
+    (errors.NoRobot, "no-robot", "No robot is connected", 503),
+    (errors.Busy, "busy", "Too many already", 503),
+    (errors.OutOfRange, "out-of-range", "A value is out of range", 422),
     (LocalProtocolError, "out-of-range", "A value is out of range", 422),
     (DataError, "data", "The data do not allow it", 409),
     (ConfigError, "configuration", "The configuration does not allow it", 409),
@@ -121,9 +121,9 @@ def install(app: FastAPI) -> None:
         if status >= 500 and slug == "failed":
             logger.error("%s %s: %s", request.method, request.url.path, exc)
         answer = problem(request, status, slug, title, str(exc))
-        if isinstance(exc, refusals.WrongToken):
+        if isinstance(exc, errors.WrongToken):
             answer.headers["WWW-Authenticate"] = "Bearer"
-        if isinstance(exc, refusals.TooManyGuesses):
+        if isinstance(exc, errors.TooManyGuesses):
             answer.headers["Retry-After"] = str(math.ceil(exc.wait_s))
         return answer
 

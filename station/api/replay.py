@@ -15,16 +15,16 @@ from shared.errors import RobotSystemError
 from station.api.camera import BOUNDARY, HEADER, STREAM, SeatedStream
 from station.api.deps import StationDep
 from station.api.limits import refuse, seated
-from station.api.models import JobModel, ReplayModel, ReprocessOrder
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.views import job_model, replay_model
+from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.navigations import ReplayModel, ReprocessOrder, replay_model
 from station.app import Station
-from station.live import pack_points
-from station.navigation import Navigation
-from station.navigation_files import load_navigation
-from station.refusals import Busy, Conflict, OutOfRange
-from station.replaying import replay
+from station.errors import Busy, Conflict, OutOfRange
+from station.files.navigation_folder import load_navigation
+from station.model.navigation import Navigation
+from station.model.points import pack_points
+from station.recordings.playback import replay
 
 router = APIRouter(tags=["navigations"])
 FromS = Annotated[float, Query(ge=0, le=86_400, allow_inf_nan=False, description="seconds after the first picture")]
@@ -144,17 +144,19 @@ async def _parts(path: Path, from_s: float, speed: float) -> AsyncGenerator[byte
 
 def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
     """Raises Unknown, Conflict, or OutOfRange for a time after its end."""
-    drive = station.drives.library.get(navigation_id)
-    path = station.drives.library.folder(navigation_id) / "recording.mcap"
-    if drive.state == "recording" or not path.is_file():
-        raise Conflict(f"{drive.name} has no recording to play now (it is {drive.state})")
-    if from_s >= drive.duration_s > 0:
-        raise OutOfRange(f"from_s {from_s:g} is after the last picture: {navigation_id} lasts {drive.duration_s:.1f} s")
+    navigation = station.navigations.library.get(navigation_id)
+    path = station.navigations.library.folder(navigation_id) / "recording.mcap"
+    if navigation.state == "recording" or not path.is_file():
+        raise Conflict(f"{navigation.name} has no recording to play now (it is {navigation.state})")
+    if from_s >= navigation.duration_s > 0:
+        raise OutOfRange(
+            f"from_s {from_s:g} is after the last picture: {navigation_id} lasts {navigation.duration_s:.1f} s"
+        )
     return path
 
 
 async def _load(station: Station, navigation_id: str) -> Navigation:
-    drive = station.drives.library.get(navigation_id)
-    if drive.state != "ready":
-        raise Conflict(f"{drive.name} is {drive.state}, not ready: {drive.message}")
-    return await asyncio.to_thread(load_navigation, station.drives.library.navigation_folder(navigation_id))
+    navigation = station.navigations.library.get(navigation_id)
+    if navigation.state != "ready":
+        raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+    return await asyncio.to_thread(load_navigation, station.navigations.library.navigation_folder(navigation_id))

@@ -26,14 +26,15 @@ from station.api.messages import (
     TimeReply,
     drive_request,
 )
-from station.api.models import Accepted, DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotEntry, RobotModel
 from station.api.problems import kind_of, responses
-from station.api.views import robot_entry, robot_model
-from station.driving import MAX_DRIVER_NAME, LateOrders
-from station.events import Event
-from station.mailbox import MessageReader
-from station.refusals import Busy, NoRobot
-from station.robot_session import RobotSession
+from station.api.schema.base import Accepted
+from station.api.schema.fleet import RobotEntry, robot_entry
+from station.api.schema.robot import DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel, robot_model
+from station.errors import Busy, NoRobot
+from station.events import Event, MessageReader
+from station.robots.driving import MAX_DRIVER_NAME
+from station.robots.late_commands import LateCommands
+from station.robots.session import RobotSession
 
 router = APIRouter(tags=["robot"])
 itself = APIRouter(tags=["robot"])  # below /robot
@@ -126,7 +127,7 @@ async def _take_orders(socket: WebSocket, robot: RobotSession, driver: str) -> N
     # Two nameless pages of one computer are two drivers: one at a time.
     place = f"page at {socket.client.host}" if socket.client else "page"
     name = driver[:MAX_DRIVER_NAME] or f"{place} #{next(_connections)}"
-    late = LateOrders()
+    late = LateCommands()
     lost_socket = (WebSocketDisconnect, RuntimeError)
     with robot.events.hub.subscribe() as changes:
         telling = [asyncio.create_task(c) for c in (_tell_driver(socket, robot, name, changes), _tell_time(socket))]
@@ -145,7 +146,7 @@ async def _take_orders(socket: WebSocket, robot: RobotSession, driver: str) -> N
                 robot.driving.release(name)
 
 
-async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, late: LateOrders) -> None:
+async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, late: LateCommands) -> None:
     try:
         command = drive_request.validate_json(text)
     except ValidationError as exc:
@@ -161,10 +162,10 @@ async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, la
                     # would let go of a joystick that is held against somebody's stop.
                     left_ms = max(1, left_ms)
                 if left_ms <= 0:
-                    if late.late(now_ms * 1_000_000):
+                    if late.note_late(now_ms * 1_000_000):
                         await socket.send_text(too_late(command, now_ms).model_dump_json())
                     return
-                late.fresh()
+                late.note_fresh()
                 robot.driving.drive(name, command.linear, command.angular, left_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
             case StopCommand():

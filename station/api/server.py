@@ -23,8 +23,8 @@ from station.api.deps import admit_below, name_robot
 from station.api.doorkeeper import Doorkeeper
 from station.api.health import program_version
 from station.api.limits import BodyLimit, Seats
-from station.api.models import Problem
 from station.api.roles import ROLES, calls_of, check_roles
+from station.api.schema.base import Problem
 from station.app import Station
 
 EACH_ROBOT = "/robots/{robot}"

@@ -9,15 +9,15 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep
-from station.api.models import SlamModel, TrajectoryModel
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.views import slam_model
-from station.live import LiveSlam, pack_points
-from station.navigation import Trajectory
-from station.navigation_files import format_tum
-from station.refusals import Conflict
-from station.robot_session import RobotSession
+from station.api.schema.slam import SlamModel, TrajectoryModel, slam_model
+from station.errors import Conflict
+from station.files.navigation_folder import format_tum
+from station.model.navigation import Trajectory
+from station.model.points import pack_points
+from station.robots.live_slam import LiveSlam
+from station.robots.session import RobotSession
 
 of_robot = APIRouter(tags=["SLAM"])
 
@@ -33,7 +33,7 @@ async def trajectory(
     limit: Annotated[int, Query(ge=2, le=20_000, description="thinned out evenly to this many")] = 2000,
     format: Annotated[Literal["json", "tum"], Query()] = "json",
 ) -> TrajectoryModel:
-    live = robot.recording.live
+    live = robot.current_navigation.live
     poses = [] if live is None else list(live.poses)
     if format == "tum":
         times = np.array([p.t_robot_ns for p in poses], dtype=np.int64)
@@ -65,7 +65,7 @@ async def landmarks(
     is_ply: WantsPly = False,
 ) -> Response:
     """As PLY: 409 while there are none, since an empty file helps nobody."""
-    live = robot.recording.live
+    live = robot.current_navigation.live
     if live is None:
         live = LiveSlam("")
     first = 0 if navigation and navigation != live.source else min(since, len(live.points))
@@ -80,7 +80,7 @@ async def landmarks(
 
 def _no_points(robot: RobotSession) -> str:
     active = robot.maps.active
-    if robot.recording.running is not None:
+    if robot.current_navigation.running is not None:
         return "the navigation that is recorded has no landmarks yet; most come when it is finished"
     elsewhere = "those of a finished one are at /navigations/ID/landmarks?format=ply"
     if active is not None:

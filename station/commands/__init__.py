@@ -1,1 +1,1 @@
-"""One file per command of the `station` program. Each has `register(app)`; heavy imports stay inside the functions."""
+"""One file per command of the `station` program, imported when it is called. Each has `register(app)`."""

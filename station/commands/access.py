@@ -15,16 +15,17 @@ from typing import Annotated
 import typer
 
 from shared.access import Role
+from shared.advice import complete, option
 from shared.certificates import CERTIFICATE_NAME, make_identity, open_identity, show_fingerprint
 from shared.errors import ConfigError
 from shared.pairing import parse_code
 from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
-from station.access import LINK_S, access_folder
+from station.access.expiry import expiry_sentence
+from station.access.paired_robots import PairedRobots
+from station.access.pairing import pair as pair_with
+from station.access.visitors import LINK_S, access_folder
 from station.config import DEFAULT_DATA_DIR, load_config, parse_address
-from station.expiry import expiry_sentence
-from station.paired_robots import PairedRobots
-from station.pairing import pair as pair_with
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"
@@ -113,7 +114,7 @@ def list_tokens(data: Data = None, config: Config = None, as_json: Json = False)
     show_tokens(TokenBook(folder), as_json)
     identity = open_identity(folder) if (folder / CERTIFICATE_NAME).exists() else None
     if sentence := expiry_sentence(identity, datetime.datetime.now(datetime.UTC)):
-        typer.echo(f"warning: {sentence}", err=True)
+        typer.echo(f"warning: {complete(sentence, 'station', {'--data': data, '--config': config})}", err=True)
 
 
 @access.command()
@@ -143,7 +144,8 @@ def pair(
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))
         return
-    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {host}:{port}")
+    where = f"{option('--data', data)}{option('--config', config)}"
+    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {host}:{port}{where}")
 
 
 def robots(

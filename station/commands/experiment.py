@@ -1,9 +1,7 @@
-"""`station experiment`: two drives, matched and judged, with a report to look at."""
+"""`station experiment`: two navigations, matched and judged, with a report to look at."""
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,17 +10,18 @@ from typing import Annotated
 import typer
 
 from shared.errors import ConfigError
+from station.commands.match_report import finish
 from station.commands.outputs import check_out_folder
+from station.commands.places_options import align_by_mode, places_mode
 from station.commands.progress import working
 from station.commands.slam import run_with_progress
 from station.datasets import Dataset
-from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
+from station.experiments.experiment import Story, run_experiment
 from station.experiments.inputs import FrameRange, Input, open_input
-from station.experiments.output import write_experiment
 from station.experiments.presets import Preset, find_preset, make_dataset
-from station.navigation import Navigation
-from station.navigation_files import check_navigation_folder, save_navigation
-from station.places.config import AlignBy, PlacesConfig, PlacesMode, ThesisConfig
+from station.files.navigation_folder import check_navigation_folder, save_navigation
+from station.model.navigation import Navigation
+from station.places.making.config import PlacesConfig, ThesisConfig
 from station.slam.backends import make_backend
 
 
@@ -33,9 +32,9 @@ def register(app: typer.Typer) -> None:
 def experiment(
     out: Annotated[Path, typer.Option("--out", help="Folder for results.json, report.html and figures.")],
     navigation1: Annotated[
-        Path | None, typer.Option(help="First drive: a dataset, or a folder written by `station slam`.")
+        Path | None, typer.Option(help="First navigation: a dataset, or a folder written by `station slam`.")
     ] = None,
-    navigation2: Annotated[Path | None, typer.Option(help="Second drive, likewise.")] = None,
+    navigation2: Annotated[Path | None, typer.Option(help="Second navigation, likewise.")] = None,
     frames1: Annotated[str | None, typer.Option(help="Frames of the first dataset, such as 0-398.")] = None,
     frames2: Annotated[str | None, typer.Option(help="Frames of the second dataset.")] = None,
     truth1: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 1.")] = None,
@@ -59,7 +58,7 @@ def experiment(
     title: Annotated[str, typer.Option(help="Heading of the report.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
 ) -> None:
-    """Map one drive, find its places again in another, and judge the matches where true poses were recorded."""
+    """Map one navigation, find its places again in another, and judge the matches where true poses were recorded."""
     check_out_folder(out)
     ranges = FrameRange.parse(frames1, "--frames1"), FrameRange.parse(frames2, "--frames2")
     story, thesis = Story(title=title), ThesisConfig()
@@ -85,10 +84,10 @@ def experiment(
         for path, frames, truth in zip((navigation1, navigation2), ranges, (truth1, truth2), strict=True)
     ]
     if (truth1 or truth2) and not all(opened.truth for opened in inputs):
-        raise ConfigError("judging needs the true poses of both drives; give --truth1 and --truth2, or neither")
+        raise ConfigError("judging needs the true poses of both navigations; give --truth1 and --truth2, or neither")
     seconds: dict[str, float] = {}
     first, second = reconstruct(inputs, backend or "sfm", seed, threads, out, seconds)
-    with working("clustering Navigation1 into places") as say_step:
+    with working("clustering Navigation1 into places") as bar:
         done = run_experiment(
             first,
             second,
@@ -96,7 +95,7 @@ def experiment(
             truths=(inputs[0].truth, inputs[1].truth),
             seed=seed,
             story=story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}"),
-            say=say_step,
+            say=bar.step,
         )
     done.seconds.update(seconds)
     finish(done, out, as_json)
@@ -119,7 +118,6 @@ def reconstruct(
     for number, opened in enumerate(inputs, start=1):
         start = time.perf_counter()
         if isinstance(opened.source, Dataset):
-            say(f"reconstructing {opened.path.name}: {len(opened.source.frame_times_ns)} frames")
             made = run_with_progress(backends[number], opened.source)
             made = replace(made, id=f"{opened.path.resolve().name}-{made.id}")
             save_navigation(made, out / f"navigation{number}")
@@ -132,31 +130,13 @@ def reconstruct(
 
 def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
     """The two datasets of a preset; one where both navigations are parts of one drive."""
-    first, second = preset.drives
-    made = make_dataset(first, folder / "drive1", say)
-    return made, made if first == second else make_dataset(second, folder / "drive2", say)
-
-
-def finish(done: Experiment, out: Path, as_json: bool) -> None:
-    """Write the files and say what came out."""
-    with working("drawing the report"):
-        write_experiment(done, out)
-    results = results_dict(done)
-    if as_json:
-        print(json.dumps(results, default=str))
-        return
-    print(f"{results['places']} places, {results['locations']} locations, {len(results['matches'])} matches")
-    if not results["places"]:
-        print("the map holds no place, so there was nothing to match with")
-    if not results["registration"]["accepted"]:
-        print(f"registration refused: {'; '.join(results['registration']['reasons'])}")
-    if done.not_judged:
-        print(done.not_judged)
-    if results["precision"] is not None:
-        print(f"precision {results['precision']:.3f} by the recorded poses")
-    if results["recall"] is not None:
-        print(f"recall {results['recall']:.3f} of {len(results['co_visible'])} co-visible places")
-    print(f"written to {out / 'report.html'}")
+    first, second = preset.navigations
+    with working("simulating the first drive") as bar:
+        made = make_dataset(first, folder / "drive1")
+        if first == second:
+            return made, made
+        bar.step("simulating the second drive")
+        return made, make_dataset(second, folder / "drive2")
 
 
 def with_options(
@@ -169,35 +149,3 @@ def with_options(
         min_pts=thesis.min_pts if min_pts is None else min_pts,
         inlier_ratio=thesis.inlier_ratio if inlier_ratio is None else inlier_ratio,
     )
-
-
-def places_config(mode: str, eps: float, min_pts: int, inlier_ratio: float, align_by: str = "both") -> PlacesConfig:
-    """Configuration from command-line options. Raises ConfigError naming the one that is wrong."""
-    return PlacesConfig(
-        mode=places_mode(mode),
-        align_by=align_by_mode(align_by),
-        thesis=ThesisConfig(eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio),
-    )
-
-
-def places_mode(text: str) -> PlacesMode:
-    """The mode by name. Raises ConfigError for any other word."""
-    if text == "thesis":
-        return "thesis"
-    if text == "default":
-        return "default"
-    raise ConfigError(f'--mode is "{text}", must be "thesis" or "default"')
-
-
-def align_by_mode(text: str) -> AlignBy:
-    """What registration looks at, by name. Raises ConfigError for any other word."""
-    for known in ("both", "geometry", "appearance"):
-        if text == known:
-            return known
-    raise ConfigError(f'--align-by is "{text}", must be "both", "geometry" or "appearance"')
-
-
-def say(text: str) -> None:
-    """One line of progress, for people: stderr, and only on a terminal."""
-    if sys.stderr.isatty():
-        print(text, file=sys.stderr)

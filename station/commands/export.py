@@ -12,14 +12,14 @@ from typing import Annotated
 import typer
 
 from shared.errors import DataError
-from station.colmap_export import export_colmap
-from station.commands.map import open_map
 from station.commands.map_store import Config, Data
-from station.exporting import export_euroc, export_mcap, export_ply
-from station.maps.map import PlaceMap
-from station.navigation_files import load_navigation, write_tum
-from station.places.changes import shown
-from station.places.graph import to_graphml
+from station.commands.opening_maps import open_map
+from station.files.colmap import export_colmap
+from station.files.export import export_euroc, export_mcap, export_ply
+from station.files.navigation_folder import load_navigation, write_tum
+from station.model.place_map import PlaceMap
+from station.places.making.changes import without_hidden
+from station.places.making.graph import to_graphml
 
 
 class ExportFormat(StrEnum):
@@ -68,7 +68,7 @@ def export(
     if file_format is ExportFormat.GRAPHML:
         if place_map is None:
             raise DataError(f"{source} is a navigation and has no place graph; give a map for --format graphml")
-        text = to_graphml(shown(place_map))
+        text = to_graphml(without_hidden(place_map))
         _whole_or_not(out, lambda path: path.write_text(text))
         return
     writers: dict[ExportFormat, Callable[[Path], None]] = {

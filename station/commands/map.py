@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -14,22 +13,23 @@ import typer
 
 from shared.errors import DataError
 from station.commands import map_store
-from station.commands.experiment import places_config
+from station.commands.opening_maps import MapArgument, open_map
 from station.commands.outputs import check_out_folder
-from station.commands.progress import working
+from station.commands.places_options import places_config
+from station.commands.progress import Bar, working
+from station.config import check_backend, check_executor
 from station.datasets import open_dataset
-from station.executors.opening import check_executor, open_executor
-from station.executors.port import Executor
-from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+from station.files.navigation_folder import load_navigation
 from station.maps.folder import load_map_folder, save_map_folder
-from station.maps.map import PlaceEdge, PlaceMap
-from station.navigation import Navigation
-from station.navigation_files import load_navigation
-from station.places.changes import shown
-from station.places.graph import shortest_route, to_graphml, to_json_dict
-from station.places.growing import keep_places
-from station.places.repeatability import repeatability
-from station.slam.backends import check_backend
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceEdge, PlaceMap
+from station.places.joining.growing import keep_places
+from station.places.making.changes import without_hidden
+from station.places.making.graph import shortest_route, to_graphml, to_json_dict
+from station.places.making.repeatability import repeatability
+from station.workers.executors.opening import open_executor
+from station.workers.executors.port import Executor
+from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 
 
 def register(app: typer.Typer) -> None:
@@ -50,7 +50,7 @@ def build(
     mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
     eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
     min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
-    names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first drive: keeps its names.")] = None,
+    names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first one: keeps its names.")] = None,
     executor: Annotated[
         str, typer.Option(help="processes (of this machine) or dask://HOST:PORT of a Dask scheduler.")
     ] = "processes",
@@ -69,11 +69,11 @@ def build(
         raise DataError(f"{out} exists and is no map; give a new folder")
     config = places_config(mode, eps, min_pts, 0.75)
     old = None if names_from is None else load_map_folder(names_from)
-    with working("reading the drives") as say, open_executor(executor) as machines:
-        loaded = _navigations(navigations, machines, backend, seed, say)
+    with working("reading the navigations") as bar, open_executor(executor) as machines:
+        loaded = _navigations(navigations, machines, backend, seed, bar)
         if old is not None:
             check_names_source(old, loaded, names_from)
-        say("joining navigations" if len(loaded) > 1 else "clustering landmarks")
+        bar.step("joining navigations" if len(loaded) > 1 else "clustering landmarks")
         place_map = machines.map(make_map, [MapOfNavigations(tuple(loaded), config, name)])[0]
     if old is not None:
         place_map = keep_places(old, place_map)
@@ -96,20 +96,19 @@ def _why_no_place(place_map: PlaceMap) -> str:
     return f"its landmarks ({finite}) form no group" if finite else f"none of its {len(p)} landmarks is finite"
 
 
-def _navigations(
-    paths: list[Path], machines: Executor, backend: str, seed: int, say: Callable[[str], None]
-) -> list[Navigation]:
+def _navigations(paths: list[Path], machines: Executor, backend: str, seed: int, bar: Bar) -> list[Navigation]:
     """What is done already is read first, and the recordings are looked at: SLAM over them takes long."""
     recorded = [path for path in paths if path.exists() and not (path / "navigation.json").is_file()]
     done = {path: load_navigation(path) for path in paths if path not in recorded}
     for path in recorded:
         if not open_dataset(path).has_images:
             raise DataError(f"{path} has no pictures; SLAM needs them")
-    say(f"SLAM over {len(recorded)} recordings" if recorded else "reading navigations")
+    if recorded:
+        bar.step("SLAM over recordings", len(recorded))
     made = reconstruct_all(
         machines,
         [Reconstruction(Recorded(path), backend, seed) for path in recorded],
-        lambda count: say(f"SLAM is done for {count} of {len(recorded)} recordings"),
+        lambda _: bar.advance(),
     )
     done |= dict(zip(recorded, made, strict=True))
     return [done[path] for path in paths]
@@ -119,29 +118,11 @@ def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from:
     """Names are carried by position: the old map must be in the frame of the first navigation.
 
     Raises:
-        DataError: the map was made from another drive, or from another run of SLAM over it.
+        DataError: the map was made from another navigation, or from another run of SLAM over it.
     """
     ids = [navigation.id for navigation in navigations]
     if old.navigation.id not in ("+".join(ids[: n + 1]) for n in range(len(ids))):
         raise DataError(f"{names_from} was made from {old.navigation.id}, not {ids[0]}; give its own map")
-
-
-MapArgument = Annotated[
-    str, typer.Argument(metavar="MAP", help="Folder written by `station map build`, or id of a map the station keeps.")
-]
-
-
-def open_map(which: str, data: Path | None, config: Path | None) -> PlaceMap:
-    """A map from a folder, or from the station's store.
-
-    Raises:
-        DataError: there is none, or it is damaged.
-    """
-    if Path(which).is_dir():
-        return load_map_folder(Path(which))
-    if len(Path(which).parts) > 1:
-        raise DataError(f"{which} is no folder; give one written by `station map build`, or the id of a map")
-    return map_store.open_store(data, config).load(which)
 
 
 def show(
@@ -191,7 +172,7 @@ def route(
     as_json: Annotated[bool, typer.Option("--json", help="Print the route as JSON on stdout.")] = False,
 ) -> None:
     """The shortest way between two places, and each leg's bearing: in the ground plane, from +x towards +y."""
-    place_map = shown(open_map(which, data, config))
+    place_map = without_hidden(open_map(which, data, config))
     found = shortest_route(place_map, start, goal)
     if found is None:
         raise DataError(f"no edges lead from {start} to {goal}")

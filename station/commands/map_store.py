@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import time
 from pathlib import Path
@@ -11,11 +10,14 @@ from typing import Annotated
 
 import typer
 
+from shared.advice import complete
 from shared.errors import DataError
+from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
-from station.maps.store import MapStore, StoreAddress
+from station.maps.store import MapStore
 from station.maps.unclaimed import ASIDE, record_files
+from station.model.map_store import StoreAddress
 
 Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
 Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file, where maps lie elsewhere.")]
@@ -42,20 +44,14 @@ def store_address(data: Path | None, config: Path | None) -> StoreAddress:
     return StoreAddress(root, settings.store.database, settings.store.blobs, settings.name)
 
 
-def options(data: Path | None, config: Path | None) -> str:
-    """What a command that we advise needs, to reach the same maps."""
-    return "".join(f" {name} {path}" for name, path in (("--data", data), ("--config", config)) if path is not None)
-
-
 def hint(sentence: str, data: Path | None, config: Path | None) -> str:
     """A sentence in which every command that it advises reaches the same maps."""
-    return re.sub(r"`(station map [^`]+)`", rf"`\1{options(data, config)}`", sentence)
+    return complete(sentence, "station", {"--data": data, "--config": config})
 
 
 def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
     """The maps of a station, and those that were deleted but not purged."""
     store = open_store(data, config)
-    more = options(data, config)
     maps, deleted = store.list(), store.deleted()
     if as_json:
         shown = [
@@ -67,12 +63,12 @@ def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -
     for summary in maps:
         print(f"{summary.id}  {summary.name}: {summary.damaged or f'{summary.places} places'}")
     for summary in deleted:
-        print(f"{summary.id}  {summary.name}: deleted; `station map undo {summary.id}{more}` brings it back")
+        undeleted = hint(f"`station map undo {summary.id}` brings it back", data, config)
+        print(f"{summary.id}  {summary.name}: deleted; {undeleted}")
     if not maps and not deleted:
-        is_there = "://" in store.bucket.place or Path(store.bucket.place).is_dir()
-        print(
-            f"no maps in {store.bucket.place}" + ("" if is_there else ", which is not there: is it the right folder?")
-        )
+        place = store.contents.bucket.place
+        is_there = "://" in place or Path(place).is_dir()
+        print(f"no maps in {place}" + ("" if is_there else ", which is not there: is it the right folder?"))
 
 
 def history(map_id: MapId, data: Data = None, config: Config = None, as_json: Json = False) -> None:
@@ -102,12 +98,13 @@ def undo(
 
 
 def delete(map_id: MapId, data: Data = None, config: Config = None) -> None:
-    """Delete a map; `station map undo` brings it back until it is purged."""
+    """Delete a map; `station map undo MAP` brings it back until it is purged."""
     open_store(data, config).delete(map_id)
-    print(
-        f"{map_id} is deleted; `station map undo {map_id}{options(data, config)}` brings it back,"
-        f" `station map purge {map_id}{options(data, config)} --yes` frees its space"
+    sentence = (
+        f"{map_id} is deleted; `station map undo {map_id}` brings it back,"
+        f" `station map purge {map_id} --yes` frees its space"
     )
+    print(hint(sentence, data, config))
 
 
 def purge_map(
@@ -119,7 +116,7 @@ def purge_map(
     """Forget the earlier versions of a map for good; a deleted map altogether."""
     if not yes:
         raise DataError(f"purging {map_id} cannot be undone; add --yes")
-    from station.maps.checking import purge_versions
+    from station.maps.repair.purging import purge_versions
 
     for sentence in purge_versions(open_store(data, config), map_id):
         print(sentence)
@@ -127,20 +124,21 @@ def purge_map(
 
 def verify_maps(data: Data = None, config: Config = None, as_json: Json = False) -> None:
     """Compare every byte of every version with its checksum. Exit code 1 when something is damaged."""
-    from station.maps.checking import verify
+    from station.maps.repair.check import verify
 
     found: list[str] = []
     store = existing_store(data, config, found)
-    damages = verify(store)
+    with working("comparing checksums"):
+        damages = verify(store)
     if as_json:
         print(json.dumps({"repaired": found, "damaged": [damage.sentence for damage in damages]}))
     else:
         for sentence in dict.fromkeys((*found, *(damage.sentence for damage in damages))):
             print(hint(sentence, data, config))
         if not damages:
-            print("all maps are as they were written" if store.list() else f"no maps in {store.bucket.place}")
-        for aside in record_files(store, ASIDE):
-            print(f"version {aside.number} of map {aside.map_id} was lost: {store.bucket.place}/{aside.name}")
+            print("all maps are as they were written" if store.list() else f"no maps in {store.contents.bucket.place}")
+        for aside in record_files(store.contents, ASIDE):
+            print(f"version {aside.number} of map {aside.map_id} was lost: {store.contents.bucket.place}/{aside.name}")
     if damages:
         sys.exit(1)
 
@@ -154,12 +152,14 @@ def repair_maps(
     config: Config = None,
 ) -> None:
     """Put right what can be: from checksums, from the navigations maps were made from, from earlier versions."""
-    from station.maps.checking import repair
+    from station.maps.repair.check import repair
 
     found: list[str] = []
     address = store_address(data, config)
     folders = [folder for folder in (address.root.parent / "navigations", *(copies or [])) if folder.is_dir()]
-    result = repair(existing_store(data, config, found), folders)
+    store = existing_store(data, config, found)
+    with working("repairing"):
+        result = repair(store, folders)
     for sentence in dict.fromkeys((*found, *result.done)):
         print(hint(sentence, data, config))
     for damage in result.left:
@@ -178,7 +178,9 @@ def backup(
     """All maps with their history in one file."""
     from station.maps.backup import write_backup
 
-    report = write_backup(existing_store(data, config), out)
+    store = existing_store(data, config)
+    with working(f"writing {out}"):
+        report = write_backup(store, out)
     for sentence in report.damaged:
         print(f"not in the backup: {sentence}", file=sys.stderr)
     print(f"{report.maps} maps, {report.versions} versions, {report.bytes / 1e6:.1f} MB, written to {out}")
@@ -194,7 +196,9 @@ def restore(
     """Bring the maps of a backup into this station; what it has already stays in the history."""
     from station.maps.backup import restore_backup
 
-    report = restore_backup(open_store(data, config), file)
+    store = open_store(data, config)
+    with working(f"reading {file}"):
+        report = restore_backup(store, file)
     for sentence in report.damaged:
         print(sentence, file=sys.stderr)
     print(f"{report.maps} maps read from {file}, {report.versions} versions added")
@@ -207,7 +211,7 @@ def restore(
 def existing_store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:
     """Raises DataError where nobody ever kept anything: a mistyped folder must not look like a sound one."""
     store = open_store(data, config, found)
-    if store.database.is_sqlite and not store.address.root.parent.is_dir():
+    if store.contents.database.is_sqlite and not store.address.root.parent.is_dir():
         raise DataError(f"{store.address.root.parent} is not there; name the station's data folder with --data")
     return store
 

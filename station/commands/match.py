@@ -8,15 +8,17 @@ from typing import Annotated
 import typer
 
 from shared.errors import ConfigError
-from station.commands.experiment import finish, places_config
+from station.commands import map_store
+from station.commands.match_report import finish
+from station.commands.opening_maps import MapArgument, open_map
 from station.commands.outputs import check_out_folder
+from station.commands.places_options import places_config
 from station.commands.progress import working
 from station.experiments.experiment import Experiment, Story, judge
 from station.experiments.inputs import open_truth
-from station.maps.folder import load_map_folder
-from station.navigation_files import load_navigation
-from station.places.changes import shown
-from station.places.match import match_navigation
+from station.files.navigation_folder import load_navigation
+from station.places.joining.match import match_navigation
+from station.places.making.changes import without_hidden
 
 
 def register(app: typer.Typer) -> None:
@@ -24,7 +26,7 @@ def register(app: typer.Typer) -> None:
 
 
 def match(
-    path: Annotated[Path, typer.Argument(metavar="MAP", help="Folder written by `station map build`.")],
+    which: MapArgument,
     navigation: Annotated[Path, typer.Argument(help="Folder written by `station slam`.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for results.json, report.html and figures.")],
     mode: Annotated[str, typer.Option(help="thesis or default; as the map was built.")] = "default",
@@ -35,6 +37,8 @@ def match(
     truth2: Annotated[Path | None, typer.Option(help="Dataset with true poses of the navigation's drive.")] = None,
     align_by: Annotated[str, typer.Option(help="Default mode: both, geometry or appearance.")] = "both",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    data: map_store.Data = None,
+    config_file: map_store.Config = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print results.json on stdout.")] = False,
 ) -> None:
     """Register a navigation to a map, match its locations with the places, and write a report."""
@@ -44,7 +48,7 @@ def match(
     config = places_config(mode, eps, min_pts, inlier_ratio, align_by)
     truths = open_truth(truth1), open_truth(truth2)
     # A place that a person has hidden is no answer here either.
-    place_map, second = shown(load_map_folder(path)), load_navigation(navigation)
+    place_map, second = without_hidden(open_map(which, data, config_file)), load_navigation(navigation)
     with working(f"matching {second.id} with {place_map.name}"):
         result = match_navigation(place_map, second, config, seed=seed)
         judgement, not_judged = judge(place_map, second, truths, result)

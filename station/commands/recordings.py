@@ -31,7 +31,7 @@ def verify(files: Files = None, data: Data = None, config: Config = None, as_jso
     A recording that is being written has no end yet, which is no damage.
     """
     from station.commands.progress import working
-    from station.recording_check import check_recording
+    from station.recordings.check import check_recording
 
     paths = files or _all_recordings(data, config)
     shown: list[dict[str, Any]] = []
@@ -67,7 +67,7 @@ def recover(file: Annotated[Path, typer.Argument(help="A recording that is cut o
     When more than a cut end was lost, the file as it was is kept beside it as FILE.damaged.
     """
     from station.commands.progress import working
-    from station.recovery import recover_recording
+    from station.recordings.recovery import recover_recording
 
     if not file.is_file():
         raise DataError(f"{file} is not there; `station recordings verify` lists the station's")

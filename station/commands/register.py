@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from station.commands.progress import working
+from station.commands.verdict import verdict
 
 
 def register(app: typer.Typer) -> None:
@@ -29,8 +30,9 @@ def register_files(
     as_json: Annotated[bool, typer.Option("--json", help="End with one JSON object on stdout.")] = False,
 ) -> None:
     """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
-    from station.places.registration import register_clouds, uncertainty_of
-    from station.ply import read_rows
+    from station.files.ply import read_rows
+    from station.places.registration.register import register_clouds
+    from station.places.registration.result import uncertainty_of
 
     p_target, p_source = read_rows(target), read_rows(source)  # registration says what is wrong with them
     print(f"registering {len(p_source)} points of {source} to {len(p_target)} of {target} ...", file=sys.stderr)
@@ -39,9 +41,9 @@ def register_files(
         result = register_clouds(p_target, p_source, scale=scale, gravity=gravity, backend=backend, seed=seed)
     seconds = time.perf_counter() - start
     uncertainty = uncertainty_of(result)
-    verdict = "accepted" if result.accepted else "refused"
+    said = verdict(result.accepted, result.reasons)
     if not as_json:
-        print(f"{verdict}: {'; '.join(result.reasons)}")
+        print(said)
         if result.T_target_source is not None:
             for row in result.T_target_source.tolist():
                 print("  " + " ".join(f"{value: .6f}" for value in row))
@@ -51,7 +53,7 @@ def register_files(
                 loose = f", {uncertainty.scale:.2%} of scale" if scale == "free" else ""
                 print(f"one standard deviation: {turn:.3f} degrees, {uncertainty.position:.4f}{loose}")
     else:
-        print(f"{verdict}: {'; '.join(result.reasons)}", file=sys.stderr)
+        print(said, file=sys.stderr)
         print(
             json.dumps(
                 {

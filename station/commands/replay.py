@@ -12,12 +12,13 @@ import typer
 
 from shared.errors import ConfigError, DataError
 from station.commands.map_store import Config, Data, store_address
+from station.commands.progress import working
 from station.datasets import open_dataset
+from station.files.navigation_folder import save_navigation
 from station.maps.folder import load_map_folder, save_map_folder
-from station.maps.map import PlaceMap
 from station.maps.store import MapStore
-from station.navigation_files import save_navigation
-from station.replay import Replay, ReplayOptions, answer_line, replay
+from station.model.place_map import PlaceMap
+from station.workers.replay import Replay, ReplayOptions, answer_line, replay
 
 
 def register(app: typer.Typer) -> None:
@@ -50,7 +51,16 @@ def replay_command(
     if out is not None and out.exists():
         raise DataError(f"{out} exists already; give a new folder with --out")
     place_map = _find_map(known_map, data, config) if known_map else None
-    result = replay(recorded, ReplayOptions(backend, seed, threads), place_map, Metronome(speed).wait)
+    options = ReplayOptions(backend, seed, threads)
+    begin_ns, end_ns = recorded.frame_times_ns[0], recorded.frame_times_ns[-1]
+    metronome = Metronome(speed)
+    with working(f"opening {dataset.name}") as bar:
+
+        def pace(t_robot_ns: int) -> None:
+            metronome.wait(t_robot_ns)
+            bar.reach(1e-9 * (min(max(t_robot_ns, begin_ns), end_ns) - begin_ns), 1e-9 * (end_ns - begin_ns))
+
+        result = replay(recorded, options, place_map, pace, bar.step)
     if out is not None:
         _write(result, out)
     hashes = result.hashes()

@@ -14,8 +14,16 @@ import typer
 
 from shared.certificates import show_fingerprint
 from shared.listening import bind
-from station.config import DEFAULT_DATA_DIR, ApiConfig, RobotConfig, SlamConfig, StationConfig, load_config, parse_robot
-from station.slam.backends import check_backend
+from station.config import (
+    DEFAULT_DATA_DIR,
+    ApiConfig,
+    RobotConfig,
+    SlamConfig,
+    StationConfig,
+    check_backend,
+    load_config,
+    parse_robot,
+)
 
 ROBOT_WITHIN_S = 3.0  # then it is said why there is none; a name may be mistyped
 
@@ -60,9 +68,9 @@ def serve(
     verbose: Annotated[bool, typer.Option("--verbose", help="Log what happens.")] = False,
 ) -> None:
     """Serve the page and the API: drive, map, and ask which place the robot is at."""
+    from station.api.serving import serve_until_signal
     from station.app import Station  # the web and estimation libraries load only for this command
-    from station.promptness import ask_for_short_turns
-    from station.serving import serve_until_signal
+    from station.workers.scheduling import request_short_slices
 
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="station: %(levelname)s: %(message)s"
@@ -96,7 +104,7 @@ def serve(
             finally:
                 telling.cancel()
 
-        ask_for_short_turns()
+        request_short_slices()
         with asyncio.Runner(loop_factory=_loop_factory()) as runner:
             runner.run(run())
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,18 +10,17 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from shared.errors import DataError
 from station.commands.outputs import check_out_folder
+from station.commands.progress import working
 from station.datasets import Dataset, open_dataset
-from station.navigation import Navigation
-from station.navigation_files import check_navigation_folder, save_navigation
-from station.slam.backend import SlamBackend, SlamUpdate
+from station.files.navigation_folder import check_navigation_folder, save_navigation
+from station.model.navigation import Navigation
+from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
-from station.slam.ukf.start import GivenState
+from station.slam.ukf.start.starter import GivenState
 
 
 class Landmarks(StrEnum):
@@ -97,16 +95,10 @@ def given_state(data: Dataset) -> GivenState:
 
 def run_with_progress(backend: SlamBackend, data: Dataset) -> Navigation:
     """Run over a dataset with a progress bar on stderr; without one where stderr is no terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
-        task = progress.add_task("reading frames", total=len(data.frame_times_ns))
-
-        def on_update(update: SlamUpdate) -> None:
-            progress.update(task, advance=1, description=update.message)
-
+    with working(f"opening {data.path.name}") as bar:
+        bar.step("reading frames", len(data.frame_times_ns))
         return run_backend(
-            backend, data.events(), on_update, lambda: progress.update(task, description="making the map")
+            backend, data.events(), lambda update: bar.advance(update.message), lambda: bar.step("making the map")
         )
 
 

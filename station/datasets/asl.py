@@ -18,7 +18,7 @@ from shared.geometry import FloatArray, IntArray, inverse, rotation_from_quat, s
 from shared.recorded_files import asl_numbers, asl_rows, exposures_ns
 from shared.sensor_yaml import number, read_camera, read_exposure_ns, read_imu_noise, read_mounting, read_yaml
 from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frames
-from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
 
 def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Dataset:

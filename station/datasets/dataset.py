@@ -11,7 +11,7 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray
-from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
 # Inertial samples kept on both sides of a chosen range of frames: filters interpolate at its ends.
 IMU_MARGIN_NS = 500_000_000

@@ -15,7 +15,7 @@ from shared.recorded_files import image_times_ns, images_in_order
 from shared.sensor_yaml import read_camera, read_intrinsics_text, read_yaml
 from station.datasets.asl import read_image_file
 from station.datasets.dataset import Dataset, Truth, choose_frames
-from station.frames import ImageFrame
+from station.model.frames import ImageFrame
 
 DEFAULT_RATE_HZ = 30.0  # 7-Scenes: Kinect at 30 Hz; frames are numbered, so gaps keep their length
 

@@ -11,13 +11,13 @@ import numpy as np
 from shared.errors import DataError
 from shared.mcap_recording import HELLO_TOPIC, McapContent, mcap_images
 from station.datasets.dataset import Dataset, choose_frames, cut_to_frames
-from station.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
 logger = logging.getLogger(__name__)
 
 
 def open_mcap(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
-    """Open a recording made by `station.recorder`. Frames stay on disk; IMU and drive commands are read at once.
+    """Open a recording made by the station. Frames stay on disk; IMU and drive commands are read at once.
 
     Raises:
         DataError: no MCAP file, not one of ours, or nothing in it.

@@ -12,7 +12,7 @@ from shared.calibration import Calibration
 from shared.errors import DataError
 from station.datasets.dataset import Dataset, choose_frames
 from station.datasets.image_folder import read_bare_camera
-from station.frames import ImageFrame
+from station.model.frames import ImageFrame
 
 JPEG_QUALITY = 95  # frames are decoded and encoded again: keep what the video kept
 MAX_FRAMES = 1_000_000

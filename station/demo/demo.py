@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from shared.disk import replace_file
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.demo.folder import alone_in, fresh_folder, require_free
@@ -19,7 +20,7 @@ from station.demo.judge import Sample, Verdict, judge
 from station.demo.processes import Programs, free_port
 from station.demo.simulator_client import SimulatorClient
 from station.demo.station_client import StationClient
-from station.navigation_files import load_navigation
+from station.files.navigation_folder import load_navigation
 
 START_TIMEOUT_S = 90.0  # the first start of a flat bakes its textures
 DRIVE_TIMEOUT_S = 240.0
@@ -95,7 +96,7 @@ def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Tim
         with timings.step("navigation1"):
             navigation1 = record_drive(demo, "Navigation1", "mapping")
         with timings.step("slam"):
-            wait_for_slam(demo, navigation1)
+            wait_for_slam(demo, "Navigation1", navigation1)
         with timings.step("map"):
             places = build_map(demo, navigation1)
         with timings.step("localisation"):
@@ -109,7 +110,9 @@ def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Tim
         demo.station.call("POST", f"/navigations/{navigation2}/stop")
         say(describe(verdict))
         say(f"recordings, map and results: {data}, {options.out / 'results.json'}")
-        if not options.once:
+        if options.once:
+            finish(demo, navigation2)
+        else:
             serve_until_interrupted(demo)
     finally:
         demo.simulator.close()
@@ -156,7 +159,7 @@ def start_driver(demo: Demo, route: str) -> None:
     )
 
 
-def wait_for_slam(demo: Demo, navigation: str) -> None:
+def wait_for_slam(demo: Demo, name: str, navigation: str) -> None:
     """Wait until SLAM has made trajectory and landmarks of the drive."""
 
     def is_finished() -> bool:
@@ -171,7 +174,7 @@ def wait_for_slam(demo: Demo, navigation: str) -> None:
     wait_for(demo.programs, "SLAM", is_finished, SLAM_TIMEOUT_S, progress)
     drive = demo.station.get(f"/navigations/{navigation}")
     demo.say(
-        f"Navigation1: {drive['duration_s']:.0f} s, {drive['frames']} frames, {drive['imu_samples']} IMU samples "
+        f"{name}: {drive['duration_s']:.0f} s, {drive['frames']} frames, {drive['imu_samples']} IMU samples "
         f"({drive['imu_lost']} lost) → {drive['landmarks']} landmarks ({drive['backend']}, {drive['scale']} scale)"
     )
 
@@ -252,6 +255,14 @@ def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
     return Sample(answer["t_robot_ns"], answer["state"], place_id, answer["probability"], position), words
 
 
+def finish(demo: Demo, navigation2: str) -> None:
+    """Let SLAM finish Navigation2: ended now, it would stay in the library as failed. The verdict stands already."""
+    try:
+        wait_for_slam(demo, "Navigation2", navigation2)
+    except RobotSystemError as exc:
+        demo.say(f"Navigation2: {exc}")
+
+
 def serve_until_interrupted(demo: Demo) -> None:
     """Keep everything running: now the person drives."""
     demo.say(f"your turn: open {demo.station.address}, drive, hijack, ask. Ctrl-C ends.")
@@ -305,9 +316,7 @@ def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, plac
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Whole or not at all: a reader never sees half a file."""
-    draft = path.with_suffix(".tmp")
-    draft.write_text(json.dumps(content, indent=1) + "\n")
-    draft.replace(path)
+    replace_file(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def describe(verdict: Verdict) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from shared.disk import lock
 from shared.errors import ConfigError
 
 MARKER = ".sentinel-demo"
@@ -32,14 +32,16 @@ def alone_in(out: Path) -> Iterator[None]:
     """Hold the demo's folder; raises ConfigError while another demo holds it, or when it cannot be used."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        lock = (out / ".lock").open("w")
+        file = (out / ".lock").open("wb")
     except OSError as exc:
         raise ConfigError(f"--out {out} cannot be used: {exc.strerror}") from exc
-    with lock:
+    with file:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_alone = lock(file, timeout_s=0)
         except OSError as exc:
-            raise ConfigError(f"another demo runs in {out}: end it, or take another folder with --out") from exc
+            raise ConfigError(f"--out {out} cannot be locked: {exc.strerror}; take another folder") from exc
+        if not is_alone:
+            raise ConfigError(f"another demo runs in {out}: end it, or take another folder with --out")
         yield
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, transform
 from station.demo.simulator_client import TruthLog
-from station.evaluation.alignment import align_points
-from station.navigation import Trajectory
+from station.experiments.alignment import align_points
+from station.model.navigation import Trajectory
 
 TIE = 1.10  # a place is right when no other is nearer by more than this factor (issue of two places at equal distance)
 

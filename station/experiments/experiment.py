@@ -11,13 +11,14 @@ import numpy as np
 
 from shared.errors import DataError
 from station.datasets import Truth
-from station.evaluation.matches import MatchJudgement, judge_matches
-from station.maps.map import PlaceMap
-from station.navigation import Navigation
-from station.places.build import build_map
-from station.places.config import PlacesConfig
-from station.places.match import MatchResult, match_navigation
-from station.places.registration import uncertainty_of
+from station.experiments.matches import MatchJudgement, judge_matches
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.places.joining.match import match_navigation
+from station.places.joining.match_result import MatchResult
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig
+from station.places.registration.result import uncertainty_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 
 from shared.geometry import FloatArray, transform
 from station.experiments.experiment import Experiment
-from station.maps.map import Place
-from station.navigation import Navigation
-from station.places.clusters import centre_and_normalise
-from station.places.evidence import PlaceEvidence, evidence_keyframes, gather_evidence
-from station.places.scale import ground_rotation
+from station.model.navigation import Navigation
+from station.model.place_map import Place
+from station.places.making.clusters import centre_and_normalise
+from station.places.making.place_images import PlaceEvidence, evidence_keyframes, gather_evidence
+from station.places.making.scale import ground_rotation
 
 # Okabe and Ito's colours first: told apart by colour-blind readers, too; then as many as a flat may need.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C6BB1", "#B8A800",

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from shared.errors import ConfigError, DataError
 from station.datasets import Dataset, Truth, open_dataset
-from station.navigation import Navigation
-from station.navigation_files import load_navigation
+from station.files.navigation_folder import load_navigation
+from station.model.navigation import Navigation
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,13 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from shared.errors import ConfigError, DataError
 from station.experiments.experiment import Story
 from station.experiments.inputs import FrameRange
-from station.places.config import ThesisConfig
+from station.places.making.config import ThesisConfig
 
 PRESETS = ("I", "II", "III")
 MADE_WITH = "robot-sim.txt"  # in a dataset: what it was made with
@@ -39,7 +38,7 @@ BY_HAND_TOLD = "For thesis mode eps and MinPts are set by hand for these clouds,
 class Preset:
     """Two datasets to make, the frames to use of them, and what to say of it."""
 
-    drives: tuple[tuple[str, ...], tuple[str, ...]]  # arguments of robot-sim, without --out
+    navigations: tuple[tuple[str, ...], tuple[str, ...]]  # arguments of robot-sim, without --out
     frames: tuple[FrameRange, FrameRange]
     backend: str  # what stands for the thesis' source of landmarks
     thesis: ThesisConfig  # what thesis mode is given
@@ -57,7 +56,7 @@ def find_preset(name: str, seed: int, euroc: Path | None) -> Preset:
     return _first(seed, euroc) if name == "I" else _rooms(name, seed)
 
 
-def make_dataset(arguments: tuple[str, ...], folder: Path, say: Callable[[str], None]) -> Path:
+def make_dataset(arguments: tuple[str, ...], folder: Path) -> Path:
     """Run robot-sim into `folder`, unless just this was made there before.
 
     Raises DataError: robot-sim's last words, or the folder holds something else.
@@ -66,8 +65,9 @@ def make_dataset(arguments: tuple[str, ...], folder: Path, say: Callable[[str], 
     if folder.exists():
         if _made_with(folder) == wanted:
             return folder
-        raise DataError(f"{folder} holds another drive (of another seed or version); remove it, or give another --out")
-    say(f"simulating {folder.name}")
+        raise DataError(
+            f"{folder} holds another navigation (of another seed or version); remove it, or give another --out"
+        )
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = folder.with_name(f".{folder.name}.new")
     for leftover in folder.parent.glob(f"{scratch.name}*"):  # of a run that was killed
@@ -99,13 +99,13 @@ def _first(seed: int, euroc: Path | None) -> Preset:
     if euroc is None or not (euroc / "mav0" / "state_groundtruth_estimate0" / "data.csv").is_file():
         raise ConfigError("--preset I needs --euroc: the EuRoC V1_02 folder (mav0 with imu0, cam0, states)")
     mav = euroc / "mav0"
-    drive = (
+    navigation = (
         "along", str(mav / "state_groundtruth_estimate0" / "data.csv"),
         "--camera", str(mav / "cam0" / "sensor.yaml"), "--imu", str(mav / "imu0"),
         "--world", "vicon", "--seed", str(seed), "--start", str(V1_02_START_S),
     )  # fmt: skip
     return Preset(
-        drives=((*drive, "--duration", f"{NAVIGATION1_FRAMES / 20 + 0.5}"),) * 2,
+        navigations=((*navigation, "--duration", f"{NAVIGATION1_FRAMES / 20 + 0.5}"),) * 2,
         frames=(FrameRange(0, NAVIGATION1_FRAMES - 1), FrameRange(0, NAVIGATION2_FRAMES - 1)),
         backend="ukf",
         thesis=BY_HAND["I"],
@@ -135,7 +135,7 @@ def _first(seed: int, euroc: Path | None) -> Preset:
 def _rooms(name: str, seed: int) -> Preset:
     same = name == "II"
     routes = ("triangle_a", "triangle_b" if same else "triangle_c")
-    drives = tuple(
+    navigations = tuple(
         (
             "dataset", "--world", "room", "--seed", str(seed), "--route", route,
             "--drive-seed", str(1000 * seed + number), "--fps", str(ROOM_FPS),
@@ -143,7 +143,7 @@ def _rooms(name: str, seed: int) -> Preset:
         for number, route in enumerate(routes, start=1)
     )  # fmt: skip
     return Preset(
-        drives=(drives[0], drives[1]),
+        navigations=(navigations[0], navigations[1]),
         frames=(FrameRange(), FrameRange()),
         backend="sfm",
         thesis=BY_HAND[name],
@@ -157,7 +157,7 @@ def _rooms(name: str, seed: int) -> Preset:
                 "same room (fig. 5.9); clouds by VisualSFM, centred and normalised.",
                 f"Here a simulated furnished room (world seed {seed}) stands in for the author's, robot-sim's routes "
                 f"{routes[0]} and {routes[1]} for the taped ones, and structure from motion by COLMAP for VisualSFM. "
-                "The two drives have noise, slip and exposure of their own.",
+                "The two navigations have noise, slip and exposure of their own.",
                 "True poses are the simulator's; only the judge sees them.",
                 BY_HAND_TOLD,
             ),

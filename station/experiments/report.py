@@ -12,8 +12,8 @@ from typing import Any
 import jinja2
 
 from station.experiments.experiment import Experiment, results_dict
-from station.places.registration import uncertainty_of
-from station.places.repeatability import repeatability
+from station.places.making.repeatability import repeatability
+from station.places.registration.result import uncertainty_of
 
 FIGURES = (
     ("clouds_before", "Point clouds before registration",

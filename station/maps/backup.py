@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import io
-import os
 import tarfile
-import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from shared.disk import PRIVATE, make_folder, replacing
 from shared.errors import DataError
 from station.maps import versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
 from station.maps.blobs import Damaged, blob_name
-from station.maps.bucket import flush
+from station.maps.contents import Contents
 from station.maps.record import MapRecord, decode_record, parse_record_name, record_name
 from station.maps.store import MapStore
 from station.maps.versions import row_of
@@ -44,21 +43,14 @@ def write_backup(store: MapStore, path: Path) -> BackupReport:
     damaged: list[str] = []
     records = list(_readable(store, damaged))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, scratch = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as file, tarfile.open(fileobj=file, mode="w|") as archive:
-                _add(archive, "README.txt", README)
-                written: set[str] = set()
-                for record, data in records:  # first: a file that is cut later still says what there was
-                    _add(archive, record_name(record, data), data)
-                for record, _ in records:
-                    _add_blobs(store, archive, record, written, damaged)
-            flush(Path(scratch))
-            os.replace(scratch, path)
-            flush(path.parent)
-        finally:
-            Path(scratch).unlink(missing_ok=True)
+        make_folder(path.parent)
+        with replacing(path, mode=PRIVATE) as file, tarfile.open(fileobj=file, mode="w|") as archive:
+            _add(archive, "README.txt", README)
+            written: set[str] = set()
+            for record, data in records:  # first: a file that is cut later still says what there was
+                _add(archive, record_name(record, data), data)
+            for record, _ in records:
+                _add_blobs(store.contents, archive, record, written, damaged)
     except OSError as exc:
         raise DataError(f"{path} cannot be written ({exc.strerror}); free space or choose another place") from exc
     return BackupReport(len({r.map_id for r, _ in records}), len(records), path.stat().st_size, tuple(damaged))
@@ -75,7 +67,7 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
     """
     damaged: list[str] = []
     records: dict[str, list[tuple[MapRecord, bytes]]] = {}
-    store.open(writes=True)
+    contents = store.for_writing()
     there: set[str] = set()
     try:
         with tarfile.open(path, mode="r|") as archive:
@@ -91,7 +83,7 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
                 if parsed:
                     records.setdefault(parsed[0], []).append((decode_record(whole, name), whole))
                 else:
-                    store.blobs.put([whole])
+                    contents.blobs.put([whole])
                     there.add(address)
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
@@ -106,51 +98,51 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         lacking = [pair for pair in found if pair not in whole_ones]
         if lacking:
             numbers = ", ".join(str(record.number) for record, _ in lacking)
-            damaged.append(f"{path}: map {map_id} lacks files of version {numbers}; {_keep_lacking(store, lacking)}")
-        count += _restore_map(store, map_id, whole_ones)
+            damaged.append(f"{path}: map {map_id} lacks files of version {numbers}; {_keep_lacking(contents, lacking)}")
+        count += _restore_map(contents, map_id, whole_ones)
     return BackupReport(len(records), count, path.stat().st_size, tuple(damaged))
 
 
-def _keep_lacking(store: MapStore, found: list[tuple[MapRecord, bytes]]) -> str:
+def _keep_lacking(contents: Contents, found: list[tuple[MapRecord, bytes]]) -> str:
     """Records whose files may turn up; what became of them, in words. Only in SQLite are records taken in later."""
-    with store.reading() as connection:
+    with contents.database.reading() as connection:
         is_new = not versions.history(connection, found[0][0].map_id)
-    if not (is_new and store.database.is_sqlite):
+    if not (is_new and contents.database.is_sqlite):
         return "left out"
-    store.bucket.put({record_name(record, data): data for record, data in found})
+    contents.bucket.put({record_name(record, data): data for record, data in found})
     return "`station map repair FOLDER` brings it in when a folder has them"
 
 
-def _restore_map(store: MapStore, map_id: str, found: list[tuple[MapRecord, bytes]]) -> int:
+def _restore_map(contents: Contents, map_id: str, found: list[tuple[MapRecord, bytes]]) -> int:
     """How many versions were added."""
     if not found:
         return 0
-    with store.database.writing(map_id) as connection:
+    with contents.database.writing(map_id) as connection:
         rows = versions.history(connection, map_id)
         if not rows:
-            store.bucket.put({record_name(record, data): data for record, data in found})
+            contents.bucket.put({record_name(record, data): data for record, data in found})
             versions.add(connection, [row_of(record, data) for record, data in found])
             return len(found)
     newest, data = found[-1]
     if newest.kind == "deleted" or any(row.record == address_of(data) for row in rows):
         return 0
-    return int(store.append_restored(newest))
+    return int(contents.keep_record(replace(newest, why="from a backup")))
 
 
 def _readable(store: MapStore, damaged: list[str]) -> Iterator[tuple[MapRecord, bytes]]:
-    if not store.database.exists:
+    if not store.contents.database.exists:
         return
     with store.reading() as connection:
         rows = versions.all_rows(connection)
     for row in rows:
         try:
-            yield store.record_and_bytes(row)
+            yield store.contents.record_and_bytes(row)
         except Damaged as exc:
             damaged.append(str(exc))
 
 
 def _add_blobs(
-    store: MapStore, archive: tarfile.TarFile, record: MapRecord, written: set[str], damaged: list[str]
+    contents: Contents, archive: tarfile.TarFile, record: MapRecord, written: set[str], damaged: list[str]
 ) -> None:
     """The version's files, once each; those that are lost are told."""
     for name, ref in record.files.items():
@@ -158,7 +150,7 @@ def _add_blobs(
             continue
         written.add(ref.address)
         try:
-            data = store.blobs.get(ref.address, f"map {record.map_id}, version {record.number}: {name}")
+            data = contents.blobs.get(ref.address, f"map {record.map_id}, version {record.number}: {name}")
         except Damaged as exc:
             damaged.append(str(exc))
             continue

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+from shared.disk import SCRATCH
 from shared.errors import DataError
 from station.maps.address import address_of, heal, is_whole
-from station.maps.bucket import SCRATCH, Bucket
+from station.maps.bucket import Bucket
 
 FOLDER = "blobs"
 REPAIR_OR_RESTORE = "run `station map repair` or restore a backup"

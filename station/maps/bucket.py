@@ -3,51 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
-import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from shared.disk import PRIVATE, make_folder, replace_file
 from shared.errors import ConfigError, DataError
-
-SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
-PROBE_BYTES = 64 * 1024  # an empty file can be made on many a full disk
-_REMEDIES = {
-    errno.EROFS: "make its disk writable again (one that fails is mounted read-only: check it)",
-    errno.EIO: "check the disk",
-    errno.ENOSPC: "free space",
-    errno.EDQUOT: "free space",
-    errno.EACCES: "run as the user that owns it",
-    errno.EPERM: "run as the user that owns it",
-}
-
-
-class Unwritable(DataError):
-    """A place takes no writes; what is there may well be read."""
-
-
-def cannot_write(place: Path | str, exc: OSError) -> Unwritable:
-    """The sentence for it."""
-    remedy = _REMEDIES.get(exc.errno or 0, "check the folder")
-    return Unwritable(f"{place} cannot be written ({exc.strerror or exc}); {remedy}, or choose another folder")
-
-
-def why_unwritable(folder: Path) -> OSError | None:
-    """What the system says to a small file in this folder, which is removed again; None: it takes writes.
-
-    Of a folder that is not there: whether it could be made.
-    """
-    there = next((place for place in (folder, *folder.absolute().parents) if place.is_dir()), folder)
-    try:
-        with tempfile.TemporaryFile(prefix=SCRATCH, dir=there, buffering=0) as file:
-            if file.write(bytes(PROBE_BYTES)) < PROBE_BYTES:
-                return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    except OSError as exc:
-        return exc
-    return None
+from station.files.unwritable import cannot_write
 
 
 class Bucket(Protocol):
@@ -88,9 +52,8 @@ class FolderBucket:
     def put(self, files: Mapping[str, bytes]) -> None:
         try:
             for name, data in files.items():
-                self._put(self._root / name, data)
-            for folder in {(self._root / name).parent for name in files}:
-                flush(folder)
+                make_folder((self._root / name).parent)
+                replace_file(self._root / name, data, mode=PRIVATE)
         except OSError as exc:
             raise cannot_write(self._root, exc) from exc
 
@@ -115,22 +78,6 @@ class FolderBucket:
             (self._root / name).unlink(missing_ok=True)
         except OSError as exc:
             raise cannot_write(self._root, exc) from exc
-
-    def _put(self, path: Path, data: bytes) -> None:
-        if not path.parent.is_dir():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            flush(path.parent.parent)
-        descriptor, scratch = tempfile.mkstemp(prefix=SCRATCH, dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(descriptor)
-            os.replace(scratch, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(scratch)
-            raise
 
 
 class UrlBucket:
@@ -195,15 +142,6 @@ def open_bucket(place: str, root: Path) -> Bucket:
     if "://" not in place or place.startswith("file://"):
         return FolderBucket(Path(place.removeprefix("file://")))
     return UrlBucket(place)
-
-
-def flush(path: Path) -> None:
-    """Wait until a file or folder is on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _changed_s(detail: dict[str, Any], now: float) -> float:

@@ -8,21 +8,22 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from sqlalchemy import BigInteger, Column, Integer, MetaData, String, Table, Text, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
 from sqlalchemy.pool import NullPool
 
+from shared.advice import install
+from shared.disk import lock
 from shared.errors import ConfigError, DataError
-from station.maps.bucket import Unwritable, cannot_write, why_unwritable
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 
 LOCK = ".lock"  # in the store's folder
 REVISIONS = ("0001", "0002")  # the migrations in migrations/versions
 HEAD = REVISIONS[-1]
 LOCK_WAIT_S = 30
-_LOCK_LOOK_S = 0.05
 _MIGRATIONS_LOCK = 7_400_001  # advisory lock numbers of ours in PostgreSQL
 _SQLITE_IS_BROKEN = re.compile(
     r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding|decode",
@@ -53,7 +54,7 @@ class IndexDamaged(DataError):
 
 
 class Database:
-    """Connections to the index. `lock` names what a writer holds: one map, or everything in SQLite."""
+    """Connections to the index. A writer holds what it names, such as one map; everything in SQLite."""
 
     def __init__(self, url: str, folder: Path, place: str = "") -> None:
         """`place` is what messages call it; else its path or URL."""
@@ -87,15 +88,15 @@ class Database:
             yield connection
 
     @contextlib.contextmanager
-    def writing(self, lock: str) -> Iterator[Connection]:
-        """One transaction, alone on this lock; committed when the block ends, undone when it raises."""
+    def writing(self, name: str) -> Iterator[Connection]:
+        """One transaction, alone under this name; committed when the block ends, undone when it raises."""
         with self._in_words(), self._not_rebuilt(), self._engine.connect() as plain:
             connection = plain.execution_options(writes=True)
             with connection.begin():
                 if not self.is_sqlite:
                     connection.execute(
                         text("SELECT pg_advisory_xact_lock(:kind, hashtext(:name))"),
-                        {"kind": _MIGRATIONS_LOCK, "name": lock},
+                        {"kind": _MIGRATIONS_LOCK, "name": name},
                     )
                 yield connection
 
@@ -148,7 +149,7 @@ class Database:
     def set_aside(self) -> Path:
         """Give a broken SQLite file another name, so that a new one can be made; the new name."""
         assert self.path is not None
-        with self._in_words(), _flock(self._folder, exclusive=True):
+        with self._in_words(), _locked(self._folder, shared=False):
             aside = self.path.with_name(
                 f"{self.path.name}.damaged-{time.strftime('%Y%m%d-%H%M%S')}-{time.time_ns() % 10**9:09d}"
             )
@@ -164,7 +165,8 @@ class Database:
         """Nobody writes meanwhile. Needs no write itself; raises DataError for a writer that does not end."""
         with self._in_words(), contextlib.ExitStack() as stack:
             with contextlib.suppress(FileNotFoundError, PermissionError):  # nobody has ever written, or it is hidden
-                _hold(stack.enter_context((self._folder / LOCK).open("rb")), self.place)
+                if not lock(stack.enter_context((self._folder / LOCK).open("rb")), timeout_s=LOCK_WAIT_S):
+                    raise DataError(f"{self.place} cannot be used (another program writes); end that, or wait")
             yield
 
     def close(self) -> None:
@@ -176,7 +178,7 @@ class Database:
         if not self.is_sqlite:
             yield
             return
-        with _flock(self._folder, exclusive=False):
+        with _locked(self._folder, shared=True):
             yield
 
     @contextlib.contextmanager
@@ -240,9 +242,7 @@ def _engine(url: URL) -> Engine:
         try:
             return create_engine(url, poolclass=NullPool, connect_args={"connect_timeout": 10})
         except (NoSuchModuleError, ImportError) as exc:
-            raise ConfigError(
-                "store.database: PostgreSQL needs psycopg; run: pip install 'sentinel-robot[fleet]'"
-            ) from exc
+            raise ConfigError(f"store.database: PostgreSQL needs psycopg; run: {install('fleet')}") from exc
     # A connection per transaction: no process keeps a file open that another one may set aside.
     engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": LOCK_WAIT_S})
 
@@ -260,31 +260,9 @@ def _engine(url: URL) -> Engine:
 
 
 @contextlib.contextmanager
-def _flock(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """A lock between processes of this machine; released when its holder dies, however."""
-    try:
-        import fcntl
-    except ImportError:  # Windows: the narrow race this closes stays open there
-        yield
-        return
+def _locked(folder: Path, *, shared: bool) -> Iterator[None]:
+    """A lock between processes of this machine."""
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH)
+    with (folder / LOCK).open("ab") as file:
+        lock(file, shared=shared)
         yield
-
-
-def _hold(file: IO[bytes], place: str) -> None:
-    """Lock it until it is closed, alone. Raises DataError after LOCK_WAIT_S."""
-    try:
-        import fcntl
-    except ImportError:
-        return
-    deadline_s = time.monotonic() + LOCK_WAIT_S
-    while True:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        except BlockingIOError as exc:
-            if time.monotonic() > deadline_s:
-                raise DataError(f"{place} cannot be used (another program writes); end that, or wait") from exc
-            time.sleep(_LOCK_LOOK_S)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from shared.errors import DataError
-from station.maps.map import PlaceMap
+from station.model.place_map import PlaceMap
 
 MAX_NAME = 80  # characters
 

@@ -1,8 +1,8 @@
-"""One map as a folder of its own, as `station map build --out` writes it.
+"""One map as a folder of its own, as `station map build` writes it.
 
 ```
 map.json               sha256 of its content, names, places, edges, and the sha256 of every other file
-navigation/            the navigation the map was made from (station/navigation_files.py)
+navigation/            the navigation the map was made from (station/files/navigation_folder.py)
 ```
 The map store of the first release kept maps this way too; the present one imports them (opening.py).
 """
@@ -11,19 +11,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from shared.disk import make_folder, replacing_folder
 from shared.errors import DataError
-from station.maps.bucket import flush
-from station.maps.map import PlaceEdge, PlaceMap
+from station.files.navigation_folder import load_navigation, save_navigation
 from station.maps.record import decode_place, encode_place
-from station.navigation_files import load_navigation, save_navigation
+from station.model.place_map import PlaceEdge, PlaceMap
 
 FORMAT = 1
 
@@ -38,17 +35,11 @@ def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str]
     if folder.exists() and not (folder / "map.json").is_file() and (not folder.is_dir() or any(folder.iterdir())):
         raise DataError(f"{folder} exists and is no map; give a new folder")
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
-            _write_map(place_map, scratch / "new")
+        make_folder(folder.parent)
+        with replacing_folder(folder) as fresh:
+            _write_map(place_map, fresh)
             for name, text in (extras or {}).items():
-                (scratch / "new" / name).write_text(text, encoding="utf-8")
-            if folder.exists():
-                os.rename(folder, scratch / "old")
-            os.rename(scratch / "new", folder)
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
+                (fresh / name).write_text(text, encoding="utf-8")
     except OSError as exc:
         raise DataError(f"{folder} cannot be written ({exc.strerror}); choose another folder") from exc
 
@@ -59,8 +50,6 @@ def load_map_folder(folder: Path) -> PlaceMap:
 
 
 def _write_map(place_map: PlaceMap, folder: Path) -> None:
-    """Write a map into a new folder and wait until it is on the disk."""
-    folder.mkdir(parents=True)
     save_navigation(place_map.navigation, folder / "navigation")
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     content = {
@@ -76,8 +65,6 @@ def _write_map(place_map: PlaceMap, folder: Path) -> None:
         "config": place_map.config,
         "files": {str(path.relative_to(folder)): _sha256(path.read_bytes()) for path in files},
     }
-    for path in [*files, *{path.parent for path in files}]:
-        flush(path)
     _write_content(content, folder)
 
 
@@ -103,11 +90,7 @@ def _read_map(folder: Path) -> PlaceMap:
 
 def _write_content(content: dict[str, Any], folder: Path) -> None:
     body = json.dumps(content, indent=1)
-    scratch = folder / ".map.json"
-    scratch.write_text(json.dumps({"sha256": _sha256(body.encode())}) + "\n" + body)
-    flush(scratch)
-    os.replace(scratch, folder / "map.json")
-    flush(folder)
+    (folder / "map.json").write_text(json.dumps({"sha256": _sha256(body.encode())}) + "\n" + body)
 
 
 def _read_content(folder: Path) -> dict[str, Any]:

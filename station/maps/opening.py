@@ -5,71 +5,68 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from shared.errors import DataError
+from station.files.unwritable import Unwritable
 from station.maps import versions
-from station.maps.bucket import Unwritable
+from station.maps.contents import Contents
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder
 from station.maps.record import FOLDER, MapRecord
 from station.maps.unclaimed import newer, read_all, without_row
 from station.maps.versions import VersionRow, row_of
 
-if TYPE_CHECKING:
-    from station.maps.store import MapStore
-
 IMPORTED = "imported"  # where folders of the old format go when their map is in the store
 _OLD = re.compile(r"(?P<id>[A-Za-z0-9][A-Za-z0-9_-]{0,99})\.(?P<number>\d{6})")
 
 
-def has_content(store: MapStore) -> bool:
+def has_content(contents: Contents, root: Path) -> bool:
     """Whether there is anything to open."""
-    return bool(_old_folders(store.address.root)) or next(iter(store.bucket.names(FOLDER)), None) is not None
+    return bool(_old_folders(root)) or next(iter(contents.bucket.names(FOLDER)), None) is not None
 
 
-def open_store(store: MapStore) -> dict[str, str]:
-    """Make a store usable. Returns the maps of the old format that could not be read: id → why.
+def open_contents(contents: Contents, root: Path, *, is_copy: bool = False) -> dict[str, str]:
+    """Make a store in the folder `root` usable. Returns the maps of the old format that could not be read: id → why.
 
     Raises Unwritable where that needs a write and there can be none; in a copy of the index it can be done then.
     """
     try:
-        was_empty = store.database.migrate()
+        was_empty = contents.database.migrate()
         if not was_empty:
-            store.database.check()
-        take_in_records(store)
+            contents.database.check()
+        take_in_records(contents)
     except IndexDamaged as exc:
-        if not store.database.is_sqlite:
+        if not contents.database.is_sqlite:
             raise
-        aside = store.database.set_aside()
-        done = "what is shown is" if store.is_copy else f"it is set aside as {aside.name} and"
-        store.tell(f"{exc}; {done} made again from the records")
-        store.database.migrate()
-        take_in_records(store)
-    return _import_folders(store)
+        aside = contents.database.set_aside()
+        done = "what is shown is" if is_copy else f"it is set aside as {aside.name} and"
+        contents.tell(f"{exc}; {done} made again from the records")
+        contents.database.migrate()
+        take_in_records(contents)
+    return _import_folders(contents, root, is_copy=is_copy)
 
 
-def take_in_records(store: MapStore) -> list[VersionRow]:
+def take_in_records(contents: Contents) -> list[VersionRow]:
     """Rows for whole records that have none and are newer than those that have.
 
     Such a record was written by a program that was killed before it could commit, or its row was lost with the index.
     SQLite only: there the transaction keeps every other writer out, so that none of them is in between.
     """
-    if not store.database.is_sqlite:
+    if not contents.database.is_sqlite:
         return []
-    with store.database.reading() as connection:
+    with contents.database.reading() as connection:
         rows = versions.all_rows(connection)
     if any(not row.is_sealed for row in rows):
-        raise IndexDamaged(f"{store.database.place} is damaged (a row's seal differs)")
-    if not newer(without_row(store, rows), rows):
+        raise IndexDamaged(f"{contents.database.place} is damaged (a row's seal differs)")
+    if not newer(without_row(contents, rows), rows):
         return []
-    with store.database.writing(FOLDER) as connection:
+    with contents.database.writing(FOLDER) as connection:
         rows = versions.all_rows(connection)
         found: dict[tuple[str, int], tuple[MapRecord, VersionRow]] = {}
-        there = {address for address, _ in store.blobs.addresses()}
-        for one in read_all(store, newer(without_row(store, rows), rows)):
+        there = {address for address, _ in contents.blobs.addresses()}
+        for one in read_all(contents, newer(without_row(contents, rows), rows)):
             if one.record is None:
-                store.tell(one.sentence)
+                contents.tell(one.sentence)
                 continue
             key = one.file.map_id, one.file.number
             # Two of one number: the later one was committed, the other's writer was killed before.
@@ -82,26 +79,25 @@ def take_in_records(store: MapStore) -> list[VersionRow]:
     return taken
 
 
-def _import_folders(store: MapStore) -> dict[str, str]:
+def _import_folders(contents: Contents, root: Path, *, is_copy: bool) -> dict[str, str]:
     """Maps of the old format, a folder each. The folders are kept, under another name."""
     failed = {}
-    root = store.address.root
     for map_id, folders in _old_folders(root).items():
         try:
-            store.keep(load_map_folder(max(folders)), f"imported from {max(folders).name}")
+            contents.keep(load_map_folder(max(folders)), f"imported from {max(folders).name}")
         except DataError as exc:
-            if isinstance(exc, Unwritable) and store.database.is_sqlite and not store.is_copy:
+            if isinstance(exc, Unwritable) and contents.database.is_sqlite and not is_copy:
                 raise  # a copy can take it in
             failed[map_id] = str(exc)
             continue
-        if store.is_copy:
+        if is_copy:
             continue  # the next opening in a folder that takes writes does it for good
         try:
             (root / IMPORTED).mkdir(exist_ok=True)
             for folder in folders:
                 os.rename(folder, root / IMPORTED / folder.name)
         except OSError as exc:
-            store.tell(f"{folders[0]} was imported but cannot be moved away ({exc.strerror})")
+            contents.tell(f"{folders[0]} was imported but cannot be moved away ({exc.strerror})")
     return failed
 
 

@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 
 from shared.errors import DataError
+from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
 from station.maps.address import ADDRESS, address_of
 from station.maps.blobs import Blobs, Damaged
-from station.maps.map import Place, PlaceEdge, PlaceMap
-from station.navigation_files import REPORT, decode_navigation, encode_navigation
+from station.model.place_map import Place, PlaceEdge, PlaceMap
 
 FORMAT = 2  # 1 was a folder per map (station/maps/folder.py)
 FOLDER = "records"
@@ -98,6 +98,12 @@ def says_same_of_places(a: MapRecord, b: MapRecord) -> bool:
     return _content(replace(a, name=b.name)) == _content(b)
 
 
+def same_content(a: MapRecord, b: MapRecord) -> bool:
+    """Whether two records say the same of the map, whatever their place in its history."""
+    unplaced = replace(b, **{key: getattr(a, key) for key in _HISTORY})
+    return encode_record(a) == encode_record(unplaced)
+
+
 def encode_record(record: MapRecord) -> bytes:
     """As JSON."""
     content = {
@@ -164,6 +170,7 @@ def _content(record: MapRecord) -> dict[str, Any]:
     }
 
 
+_HISTORY = ("number", "kind", "why", "author", "created_ms", "previous", "content")
 _PLAIN = ("map_id", "number", "kind", "why", "author", "created_ms", "previous", "content", "name", "navigation")
 
 

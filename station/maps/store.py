@@ -5,76 +5,54 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.maps import opening, versions
-from station.maps.blobs import Blobs, Damaged, Tell, read_checked
-from station.maps.bucket import Bucket, Unwritable, cannot_write, open_bucket, why_unwritable
+from station.files.navigation_folder import REPORT
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
+from station.maps import versions
+from station.maps.blobs import Damaged, Tell
+from station.maps.bucket import open_bucket
+from station.maps.contents import Contents
 from station.maps.database import Database
 from station.maps.editing import with_place_renamed
-from station.maps.map import PlaceMap
+from station.maps.index_copy import IndexCopy
+from station.maps.opening import has_content, open_contents
 from station.maps.record import (
     MAP_ID,
-    FileRef,
-    Kind,
     MapRecord,
     content_hash,
-    decode_record,
     describe_map,
-    encode_record,
     read_map,
-    record_name,
+    same_content,
 )
-from station.maps.unwritable import IndexCopy
-from station.maps.versions import Rows, VersionRow, row_of
-from station.navigation_files import REPORT, encode_navigation
+from station.maps.versions import Rows
+from station.model.map_store import MapSummary, StoreAddress
+from station.model.place_map import PlaceMap
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class StoreAddress:
-    """Where a store is. Picklable: worker processes are given it."""
-
-    root: Path  # the folder of maps.db, blobs and records where no URL says otherwise
-    database: str = ""  # postgresql://user@host/name; empty: SQLite in the folder
-    blobs: str = ""  # a URL that fsspec knows; empty: in the folder
-    author: str = ""  # the station's name, kept with every version it writes
-
-
-@dataclass(frozen=True, slots=True)
-class MapSummary:
-    """What a list of maps shows, without reading clouds and images."""
-
-    id: str
-    name: str
-    places: int
-    damaged: str = ""  # a sentence, where the map cannot be read
 
 
 class MapStore:
     """Maps by id. Methods block: call them in a thread. Several stores, processes and stations may share one address.
 
     All methods raise DataError when the store cannot be read or written, in a sentence; nothing is left half-written.
-    In a folder that takes no writes the maps can still be seen (unwritable.py).
+    In a folder that takes no writes the maps can still be seen (index_copy.py).
     """
 
     def __init__(self, where: Path | StoreAddress, tell: Tell = logger.warning) -> None:
         """`tell` hears a sentence about everything found damaged, whether it was put right or not."""
         self.address = StoreAddress(where) if isinstance(where, Path) else where
         self.tell = tell
-        self._home = Database(self.address.database, self.address.root)
-        self._files = open_bucket(self.address.blobs, self.address.root)
-        self._use(self._home, self._files)
+        database = Database(self.address.database, self.address.root)
+        bucket = open_bucket(self.address.blobs, self.address.root)
+        self._home = Contents(database, bucket, self.address.author, tell)
         self._copy: IndexCopy | None = None  # where nothing can be written: what is looked at instead
         self._told = ""
-        self._written = threading.local()  # .names: records of the transaction under way
         self._opening = threading.Lock()
         self._is_open = False
         self._not_imported: dict[str, str] = {}  # maps in the old format that cannot be read: id → why
@@ -83,35 +61,17 @@ class MapStore:
         """Keep a map as the newest version of its id; nothing happens when that is the same already."""
         if not MAP_ID.fullmatch(place_map.id):
             raise DataError(f'map id "{place_map.id}" is no file name; use letters, digits, "-" and "_"')
-        self.open(writes=True)
-        self.keep(place_map, why)
-
-    def keep(self, place_map: PlaceMap, why: str) -> None:
-        """As save, of a store that is open."""
-        contents = encode_navigation(place_map.navigation)
-        addresses = self.blobs.put(contents.values())
-        files = {
-            name: FileRef(address, len(data))
-            for (name, data), address in zip(contents.items(), addresses, strict=True)
-        }  # fmt: skip
-        fresh = replace(describe_map(place_map, files), why=why)
-        with self._changing(place_map.id) as connection:
-            rows = versions.history(connection, place_map.id)
-            newest = self._readable(rows)
-            if newest is not None and newest.kind != "deleted" and _same_content(newest, fresh):
-                return
-            self._append(connection, rows, fresh, newest, "saved")
+        self.for_writing().keep(place_map, why)
 
     def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> PlaceMap:
         """Change places, edges or names of a map and return it. Two stations that edit at once keep both changes."""
-        self.open(writes=True)
-        with self._changing(map_id) as connection:
-            rows = versions.history(connection, map_id)
-            record = self._present(rows, map_id)
-            place_map = change(read_map(record, self.blobs))
+        contents = self.for_writing()
+        with contents.changing(map_id) as changing:
+            record = self._present(changing.rows, map_id)
+            place_map = change(read_map(record, contents.blobs))
             fresh = replace(describe_map(place_map, record.files), why=why)
-            if not _same_content(record, fresh):
-                self._append(connection, rows, fresh, record, "edited")
+            if not same_content(record, fresh):
+                changing.append(fresh, record, "edited")
         return place_map
 
     def rename_place(self, map_id: str, place_id: str, name: str) -> PlaceMap:
@@ -129,13 +89,14 @@ class MapStore:
         if number is not None:
             rows = [row for row in rows if row.number == number]
             if not rows:
-                raise DataError(f"map {map_id} has no version {number}; `station map history` lists them")
+                raise DataError(f"map {map_id} has no version {number}; `station map history {map_id}` lists them")
         elif not rows or rows[0].kind == "deleted":
             raise self.no_map(map_id)
+        contents = self.contents
         failure: Damaged | None = None
         for row in rows:
             try:
-                place_map = read_map(self.record(row), self.blobs)
+                place_map = read_map(contents.record(row), contents.blobs)
             except Damaged as exc:
                 failure = failure or exc
                 continue
@@ -145,12 +106,12 @@ class MapStore:
         assert failure is not None
         raise failure
 
-    def newest_of_drive(self, drive_id: str) -> PlaceMap | None:
-        """The map changed last of those that were made from this drive, alone or with others behind it."""
+    def newest_of_navigation(self, navigation_id: str) -> PlaceMap | None:
+        """The map changed last of those that were made from this navigation, alone or with others behind it."""
         if not self.open():
             return None
         with self.reading() as connection:
-            rows = versions.of_drive(connection, drive_id)
+            rows = versions.of_navigation(connection, navigation_id)
         for row in rows:
             if row.kind != "deleted":
                 return self.load(row.map_id)
@@ -163,7 +124,7 @@ class MapStore:
         with self.reading() as connection:
             rows = versions.newest_of_all(connection)
         summaries = [
-            MapSummary(row.map_id, row.name, row.places, "" if row.is_sealed else self._unsealed(row))
+            MapSummary(row.map_id, row.name, row.places, "" if row.is_sealed else self.contents.unsealed(row))
             for row in rows
             if row.kind != "deleted"
         ]
@@ -178,7 +139,7 @@ class MapStore:
         records = []
         for row in rows:
             try:
-                records.append(self.record(row))
+                records.append(self.contents.record(row))
             except Damaged as exc:
                 self.tell(str(exc))
         return tuple(records)
@@ -193,11 +154,9 @@ class MapStore:
 
     def delete(self, map_id: str) -> None:
         """Forget a map; `undo` brings it back until it is purged. Raises DataError when there is none of this id."""
-        self.open(writes=True)
-        with self._changing(map_id) as connection:
-            rows = versions.history(connection, map_id)
-            record = self._present(rows, map_id)
-            self._append(connection, rows, replace(record, why="deleted"), record, "deleted")
+        with self.for_writing().changing(map_id) as change:
+            record = self._present(change.rows, map_id)
+            change.append(replace(record, why="deleted"), record, "deleted")
 
     def undo(
         self, map_id: str, to: int | None = None, *, newest_is: int | None = None, keeps_name: bool = False
@@ -210,60 +169,33 @@ class MapStore:
         Raises:
             DataError: there is nothing to take back, no such version, or a newer one than `newest_is`.
         """
-        self.open(writes=True)
-        with self._changing(map_id) as connection:
-            rows = versions.history(connection, map_id)
-            newest = self._readable(rows)
+        contents = self.for_writing()
+        with contents.changing(map_id) as change:
+            newest = contents.newest(change.rows)
             if newest is None:
                 raise self.no_map(map_id)
             if newest_is is not None and newest.number != newest_is:
                 raise DataError(
                     f"map {map_id} was changed since: it is at version {newest.number}, not {newest_is}; look again"
                 )
-            target = to if to is not None else self._before(rows, newest)
-            row = next((row for row in rows if row.number == target), None)
+            target = to if to is not None else self._before(change.rows, newest)
+            row = next((row for row in change.rows if row.number == target), None)
             if row is None:
                 wanted = f"has no version {to}" if to is not None else "has no earlier version"
-                raise DataError(f"map {map_id} {wanted}; `station map history` lists them")
-            record = self.record(row)
+                raise DataError(f"map {map_id} {wanted}; `station map history {map_id}` lists them")
+            record = contents.record(row)
             why = f"version {record.content} again"
             name = newest.name if keeps_name else record.name
-            return self._append(connection, rows, replace(record, why=why, name=name), record, "restored")
-
-    def append_restored(self, content: MapRecord) -> bool:
-        """Make this content (of a backup; its blobs are here) the newest version; False when it is that already."""
-        with self._changing(content.map_id) as connection:
-            rows = versions.history(connection, content.map_id)
-            newest = self._readable(rows)
-            if newest is not None and newest.kind != "deleted" and _same_content(newest, content):
-                return False
-            self._append(connection, rows, replace(content, why="from a backup"), newest, "saved")
-        return True
+            return change.append(replace(record, why=why, name=name), record, "restored")
 
     def content_hash(self, map_id: str) -> str:
         """What the newest version is, whoever made it and when (record.content_hash)."""
         record = self._present(self._history(map_id), map_id)
-        return content_hash(record, self.blobs.get(record.files[REPORT].address, f"map {map_id}: {REPORT}"))
-
-    def record(self, row: VersionRow) -> MapRecord:
-        """The record of a row, checked. Raises Damaged."""
-        return self.record_and_bytes(row)[0]
-
-    def record_and_bytes(self, row: VersionRow) -> tuple[MapRecord, bytes]:
-        """The same, and what it was decoded from."""
-        if not row.is_sealed:
-            raise Damaged(self._unsealed(row))
-        what = f"map {row.map_id}, version {row.number}"
-        data = read_checked(self.bucket, row.record_name, row.record, what, self.tell)
-        record = decode_record(data, what)
-        if (record.map_id, record.number) != (row.map_id, row.number):
-            raise Damaged(
-                f"{what}: its record is of {record.map_id}, version {record.number}; run `station map repair`"
-            )
-        return record, data
+        report = self.contents.blobs.get(record.files[REPORT].address, f"map {map_id}: {REPORT}")
+        return content_hash(record, report)
 
     def open(self, *, writes: bool = False) -> bool:
-        """Once: check, migrate, take in what is there. False when there is nothing yet and nothing is to be written.
+        """Once: check, migrate, index what is there. False when there is nothing yet and nothing is to be written.
 
         Raises Unwritable for `writes` in a folder that takes none; when it does again all is as ever.
         """
@@ -271,10 +203,10 @@ class MapStore:
             if self._copy is not None and not self._copy.is_needed:
                 self._leave_copy()
             if self._copy is None and not self._is_open:
-                if not writes and not self.database.exists and not opening.has_content(self):
+                if not writes and not self._home.database.exists and not has_content(self._home, self.address.root):
                     return False
                 try:
-                    self._not_imported = opening.open_store(self)
+                    self._not_imported = open_contents(self._home, self.address.root)
                     self._is_open = True
                 except Unwritable as exc:
                     self._look_at_copy(exc)
@@ -283,8 +215,19 @@ class MapStore:
             return True
 
     @property
+    def contents(self) -> Contents:
+        """What is in it, once it is open: on a copy of the index where the folder takes no writes."""
+        copy = self._copy
+        return self._home if copy is None else copy.contents
+
+    def for_writing(self) -> Contents:
+        """Open it, to change what is in it. Raises Unwritable where nothing can be kept."""
+        self.open(writes=True)
+        return self._home
+
+    @property
     def is_copy(self) -> bool:
-        """The folder takes no writes; a copy of the index is looked at, and may be changed like any."""
+        """The folder takes no writes; a copy of the index is looked at."""
         return self._copy is not None
 
     def require_writable(self) -> None:
@@ -294,7 +237,7 @@ class MapStore:
         except Unwritable:
             self.close()  # a worker that is refused ends without tidying up, and need not look on
             raise
-        if self.database.is_sqlite and (told := why_unwritable(self.address.root)):
+        if self._home.database.is_sqlite and (told := why_unwritable(self.address.root)):
             raise cannot_write(self.address.root, told)
 
     @contextlib.contextmanager
@@ -302,85 +245,41 @@ class MapStore:
         """A transaction on the index of a store that is open; on a copy where SQLite cannot read without writing."""
         with contextlib.ExitStack() as stack:
             try:
-                connection = stack.enter_context(self.database.reading())
+                connection = stack.enter_context(self.contents.database.reading())
             except Unwritable as exc:  # a write was cut while this store was open
                 with self._opening:
                     if self._copy is None:
                         self._look_at_copy(exc)
-                connection = stack.enter_context(self.database.reading())
+                connection = stack.enter_context(self.contents.database.reading())
             yield connection
 
     def close(self) -> None:
         self._leave_copy()
-        self.database.close()
+        self._home.database.close()
 
-    def _use(self, database: Database, bucket: Bucket) -> None:
-        self.database, self.bucket, self.blobs = database, bucket, Blobs(bucket, self.tell)
+    def no_map(self, map_id: str) -> DataError:
+        """What to raise where there is no map of this id."""
+        known = ", ".join(sorted(summary.id for summary in self.list())) or "none"
+        return DataError(f'{self.contents.bucket.place} holds no map "{map_id}"; its maps: {known}')
 
     def _look_at_copy(self, because: Unwritable) -> None:
-        if not self.database.is_sqlite:
+        if not self._home.database.is_sqlite:
             raise because
-        self._copy = IndexCopy(self.address.root, self._home, self._files, because)
-        self._use(self._copy.database, self._copy.bucket)
-        self._written.opens = True
+        copy = IndexCopy(self.address.root, self._home, because)
         try:
-            self._not_imported = opening.open_store(self)
+            self._not_imported = open_contents(copy.contents, self.address.root, is_copy=True)
         except BaseException:
-            self._leave_copy()
+            copy.remove()
             raise
-        finally:
-            self._written.opens = False
-        if self._copy.refusal != self._told:
-            self._told = self._copy.refusal
+        self._copy = copy
+        if copy.refusal != self._told:
+            self._told = copy.refusal
             self.tell(self._told)
 
     def _leave_copy(self) -> None:
         if self._copy is not None:
-            self._use(self._home, self._files)
-            self._copy.remove()
-            self._copy, self._is_open = None, False
-
-    @contextlib.contextmanager
-    def _changing(self, map_id: str) -> Iterator[Connection]:
-        """A transaction, alone on this map. Where it fails its records go too, or the next start would take them in."""
-        if self._copy is not None and not getattr(self._written, "opens", False):
-            raise Unwritable(self._copy.refusal)  # another thread found just now that nothing can be kept here
-        written: list[str] = []
-        self._written.names = written
-        try:
-            with self.database.writing(map_id) as connection:
-                yield connection
-        except Exception:
-            for name in written:
-                with contextlib.suppress(DataError):
-                    self.bucket.remove(name)
-            raise
-
-    def _append(
-        self,
-        connection: Connection,
-        rows: Rows,
-        content: MapRecord,
-        before: MapRecord | None,
-        kind: Kind,
-    ) -> MapRecord:
-        """Write a new version: its record first, then its row; the caller's transaction commits it."""
-        number = rows[0].number + 1 if rows else 1
-        is_new = kind in ("saved", "edited")
-        record = replace(
-            content,
-            number=number,
-            kind=kind,
-            author=self.address.author,
-            created_ms=time.time_ns() // 1_000_000,
-            previous=None if before is None else before.content,
-            content=number if is_new else content.content,
-        )
-        data = encode_record(record)
-        self._written.names.append(record_name(record, data))
-        self.bucket.put({record_name(record, data): data})
-        versions.add(connection, [row_of(record, data)])
-        return record
+            copy, self._copy, self._is_open = self._copy, None, False
+            copy.remove()
 
     def _before(self, rows: Rows, newest: MapRecord) -> int | None:
         """The version that undoing the newest leads to."""
@@ -389,7 +288,7 @@ class MapStore:
         if newest.kind != "restored":
             return newest.previous
         first = next((row for row in rows if row.number == newest.content), None)
-        return None if first is None else self.record(first).previous
+        return None if first is None else self.contents.record(first).previous
 
     def _history(self, map_id: str) -> Rows:
         if not self.open():
@@ -397,41 +296,8 @@ class MapStore:
         with self.reading() as connection:
             return versions.history(connection, map_id)
 
-    def _readable(self, rows: Rows) -> MapRecord | None:
-        """The newest record that can be read. Raises Damaged when there are some and none can."""
-        failure: Damaged | None = None
-        for row in rows:
-            try:
-                return self.record(row)
-            except Damaged as exc:
-                failure = failure or exc
-                self.tell(str(exc))
-        if failure is not None:
-            raise failure
-        return None
-
     def _present(self, rows: Rows, map_id: str) -> MapRecord:
-        record = self._readable(rows)
+        record = self.contents.newest(rows)
         if record is None or record.kind == "deleted":
             raise self.no_map(map_id)
         return record
-
-    def no_map(self, map_id: str) -> DataError:
-        """What to raise where there is no map of this id."""
-        known = ", ".join(sorted(summary.id for summary in self.list())) or "none"
-        return DataError(f'{self.bucket.place} holds no map "{map_id}"; its maps: {known}')
-
-    def _unsealed(self, row: VersionRow) -> str:
-        return (
-            f"{self.database.place}: version {row.number} of map {row.map_id} is damaged (its seal differs); "
-            "run `station map repair`"
-        )
-
-
-def _same_content(a: MapRecord, b: MapRecord) -> bool:
-    """Whether two records say the same of the map."""
-    unplaced = replace(b, **{key: getattr(a, key) for key in _HISTORY})
-    return encode_record(a) == encode_record(unplaced)
-
-
-_HISTORY = ("number", "kind", "why", "author", "created_ms", "previous", "content")

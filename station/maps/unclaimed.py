@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from station.maps.blobs import Damaged, read_checked
+from station.maps.contents import Contents
 from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
 from station.maps.versions import VersionRow
-
-if TYPE_CHECKING:
-    from station.maps.store import MapStore
 
 ASIDE = "damaged"  # the folder of records that repair gave up
 
@@ -36,18 +33,18 @@ class Unclaimed:
     sentence: str  # how; empty while it is whole
 
 
-def record_files(store: MapStore, folder: str = FOLDER) -> Iterator[RecordFile]:
+def record_files(contents: Contents, folder: str = FOLDER) -> Iterator[RecordFile]:
     """All records, or those that were set aside; not what a killed writer left half-written."""
-    for name, _ in store.bucket.names(folder):
+    for name, _ in contents.bucket.names(folder):
         parsed = parse_record_name(f"{FOLDER}/{name.removeprefix(f'{folder}/')}")
         if parsed is not None:
             yield RecordFile(*parsed, name)
 
 
-def without_row(store: MapStore, rows: list[VersionRow]) -> list[RecordFile]:
+def without_row(contents: Contents, rows: list[VersionRow]) -> list[RecordFile]:
     """Records that these rows do not name."""
     named = {row.record_name for row in rows}
-    return [file for file in record_files(store) if file.name not in named]
+    return [file for file in record_files(contents) if file.name not in named]
 
 
 def newer(files: list[RecordFile], rows: list[VersionRow]) -> list[RecordFile]:
@@ -58,14 +55,14 @@ def newer(files: list[RecordFile], rows: list[VersionRow]) -> list[RecordFile]:
     return [file for file in files if file.number > newest.get(file.map_id, 0)]
 
 
-def read_all(store: MapStore, files: list[RecordFile]) -> Iterator[Unclaimed]:
+def read_all(contents: Contents, files: list[RecordFile]) -> Iterator[Unclaimed]:
     """One with a single wrong bit is put right on the way."""
     for file in files:
         what = f"map {file.map_id}, version {file.number}"
         try:
-            data = read_checked(store.bucket, file.name, file.address, what, store.tell)
+            data = read_checked(contents.bucket, file.name, file.address, what, contents.tell)
             yield Unclaimed(file, data, decode_record(data, what), "")
         except Damaged as exc:
-            left = store.bucket.get(file.name)
+            left = contents.bucket.get(file.name)
             if left is not None:  # else a writer that failed took it away just now
                 yield Unclaimed(file, left, None, str(exc))

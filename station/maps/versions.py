@@ -25,7 +25,7 @@ class VersionRow:
     kind: Kind
     name: str
     places: int
-    navigation: str  # id of the drive, or of several joined by "+"
+    navigation: str  # id of the navigation, or of several joined by "+"
     created_ms: int  # since 1970
     record: str  # its address
     author: str
@@ -85,11 +85,11 @@ def history(connection: Connection, map_id: str) -> list[VersionRow]:
     return _rows(connection.execute(found).all())
 
 
-def of_drive(connection: Connection, drive_id: str) -> list[VersionRow]:
-    """Newest rows of the maps whose first drive is this one, the newest first; deleted ones too."""
+def of_navigation(connection: Connection, navigation_id: str) -> list[VersionRow]:
+    """Newest rows of the maps whose first navigation is this one, the newest first; deleted ones too."""
     navigation = VERSIONS.c.navigation
     found = select(VERSIONS.c.map_id).where(
-        (navigation == drive_id) | navigation.startswith(f"{drive_id}+", autoescape=True)
+        (navigation == navigation_id) | navigation.startswith(f"{navigation_id}+", autoescape=True)
     )
     maps = {str(map_id) for (map_id,) in connection.execute(found.distinct())}
     newest = [history(connection, map_id)[0] for map_id in maps]

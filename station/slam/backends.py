@@ -2,43 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Literal
 
+from shared.advice import install
 from shared.calibration import Calibration
 from shared.errors import ConfigError
+from station.config import AUTO, BACKENDS, choose_backend, load_factory
 from station.slam.backend import SlamBackend
 
 if TYPE_CHECKING:
-    from station.slam.ukf.start import GivenState
-
-BACKENDS = ("sfm", "ukf")
-AUTO = "auto"  # what suits the robot
-
-
-def check_backend(name: str) -> None:
-    """Whether there is such a backend: one of BACKENDS, "auto" or "package.module:factory". Raises ConfigError."""
-    if name in (*BACKENDS, AUTO):
-        return
-    choices = ", ".join((AUTO, *BACKENDS))
-    module, colon, factory = name.partition(":")
-    try:
-        if colon and callable(getattr(importlib.import_module(module), factory, None)):
-            return
-    except (ImportError, ValueError) as exc:
-        raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {choices}") from exc
-    raise ConfigError(f"backend {name!r} is unknown; choose one of {choices}")
-
-
-def choose_backend(name: str, calibration: Calibration) -> str:
-    """The backend that is meant: "auto" is ukf for a robot on wheels with an IMU and a camera that was measured.
-
-    Any other is followed by sfm, which needs images only; the filter believes the camera's numbers.
-    """
-    if name != AUTO:
-        return name
-    is_measured = calibration.camera is not None and calibration.camera.is_measured
-    return "ukf" if is_measured and calibration.imu is not None and calibration.robot_kind == "sentinel" else "sfm"
+    from station.slam.ukf.start.starter import GivenState
 
 
 def make_backend(
@@ -53,7 +26,7 @@ def make_backend(
     """A fresh backend for one navigation.
 
     Args:
-        name: one of BACKENDS, or "auto".
+        name: one of BACKENDS, "auto", or "package.module:factory" of one that takes a calibration alone.
         seed: of everything random in it.
         threads: 1 makes runs repeatable where threads would not be; -1 uses all cores.
         intrinsics_known: False where the camera's numbers are only a guess (refined where the backend can).
@@ -65,6 +38,9 @@ def make_backend(
     name = choose_backend(name, calibration)
     if name != "ukf" and (landmarks != "default" or initial_state is not None):
         raise ConfigError(f"backend {name} has no thesis landmarks and no initial state; use --backend ukf for them")
+    if ":" in name:
+        backend: SlamBackend = load_factory(name)(calibration)
+        return backend
     try:
         if name == "sfm":
             from station.slam.sfm.backend import SfmBackend
@@ -77,7 +53,5 @@ def make_backend(
 
             return UkfBackend(calibration, UkfConfig(landmarks=landmarks), seed, initial_state)
     except ImportError as exc:
-        raise ConfigError(
-            f"backend {name} needs {exc.name}, which is missing; run: pip install '.[station]' in Sentinel's folder"
-        ) from exc
+        raise ConfigError(f"backend {name} needs {exc.name}, which is missing; run: {install('station')}") from exc
     raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join((AUTO, *BACKENDS))}")

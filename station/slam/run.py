@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Navigation
-from station.slam.backend import SlamBackend, SlamUpdate
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.model.slam_update import SlamUpdate
+from station.slam.backend import SlamBackend
 
 Events = Iterator[ImuBatch | DriveSample | ImageFrame]
 

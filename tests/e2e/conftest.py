@@ -15,10 +15,10 @@ import pytest
 import pytest_asyncio
 from playwright.async_api import Browser, BrowserContext, Page, async_playwright, expect
 
-from tests.link_support import Bench, running_robot, until
-from tests.station_support import Desk, Film, running_station
+from tests.support.link import Bench, running_robot, until
+from tests.support.paths import ROOT
+from tests.support.station import Desk, Film, running_station
 
-ROOT = Path(__file__).parents[2]
 CHROMIUM = next(filter(None, (shutil.which(name) for name in ("chromium", "chromium-browser", "google-chrome"))), None)
 ARGUMENTS = [
     "--no-sandbox",

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import LAPTOP, PHONE, Room
-from tests.link_support import until
-from tests.page_support import drive_by_key
-from tests.station_support import store_map
+from tests.support.link import until
+from tests.support.page import drive_by_key
+from tests.support.paths import ROOT
+from tests.support.station import store_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
-DIST = Path(__file__).parents[2] / "station" / "web" / "dist"
+DIST = ROOT / "station" / "web" / "dist"
 
 
 async def test_the_robot_moves_while_the_joystick_is_held_and_no_longer(room: Room) -> None:
@@ -248,7 +248,7 @@ async def test_places_are_hidden_shown_and_merged_on_the_page(room: Room) -> Non
     await expect(page.locator("#place-name")).to_have_text(first.name)
 
 
-async def test_a_drive_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
+async def test_a_navigation_is_recorded_and_a_map_built_from_the_page(room: Room) -> None:
     page = await room.open()
     await expect(page.locator(".guide .next")).to_contain_text("Record a navigation")
     await page.locator("#record").click()

@@ -13,12 +13,12 @@ from playwright.async_api import Browser, Page, expect
 
 from shared.access import Role
 from shared.token_book import TokenBook
-from tests.access_support import Guarded, guarded_station
 from tests.e2e.conftest import LAPTOP
 from tests.e2e.test_page_for_everybody import violations
-from tests.link_support import Bench, running_robot, until
-from tests.page_support import drive_by_key
-from tests.station_support import Film
+from tests.support.access import Guarded, guarded_station
+from tests.support.link import Bench, running_robot, until
+from tests.support.page import drive_by_key
+from tests.support.station import Film
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import LAPTOP, PHONE, Room
-from tests.integration.test_station_drives import keep_drive
-from tests.link_support import until
-from tests.openapi_support import furnish
-from tests.station_support import store_map
+from tests.support.link import until
+from tests.support.openapi import furnish
+from tests.support.paths import ROOT
+from tests.support.station import store_map
+from tests.support.station_at_work import keep_navigation
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
-AXE = Path(__file__).parents[2] / "station" / "web" / "node_modules" / "axe-core" / "axe.min.js"
+AXE = ROOT / "station" / "web" / "node_modules" / "axe-core" / "axe.min.js"
 
 
 FOCUSED = """() => {
@@ -39,7 +38,7 @@ async def violations(page: Page) -> list[str]:
 @pytest.mark.parametrize("screen", ["laptop", "phone"])
 async def test_axe_finds_nothing(room: Room, theme: str, screen: str) -> None:
     place_map, _ = furnish(room.desk.station.config.data_dir)
-    room.desk.station.drives.library.open()
+    room.desk.station.navigations.library.open()
     page = await room.open(**(PHONE if screen == "phone" else LAPTOP), color_scheme=theme, reduced_motion="reduce")
     await expect(page.locator("html")).to_have_attribute("data-theme", theme)
     assert await violations(page) == []  # no map in use: the guide, empty lists
@@ -110,8 +109,8 @@ async def open_dialog(page: Page, name: str, place_id: str) -> None:
 
 async def test_the_keyboard_reaches_everything_and_works_it(room: Room) -> None:
     data_dir = room.desk.station.config.data_dir
-    keep_drive(data_dir, "nav-1")
-    room.desk.station.drives.library.open()
+    keep_navigation(data_dir, "nav-1")
+    room.desk.station.navigations.library.open()
     place_map = store_map(data_dir)
     await room.desk.http.put("/maps/active", json={"id": place_map.id})
     page = await room.open()
@@ -124,16 +123,16 @@ async def test_the_keyboard_reaches_everything_and_works_it(room: Room) -> None:
 
     await page.get_by_role("button", name="More about Drive nav-1").focus()
     await page.keyboard.press("Enter")
-    await expect(page.locator("#drive-dialog")).to_be_visible()
+    await expect(page.locator("#navigation-dialog")).to_be_visible()
     await page.keyboard.press("Escape")
-    await expect(page.locator("#drive-dialog")).to_be_hidden()
+    await expect(page.locator("#navigation-dialog")).to_be_hidden()
     # Back where the person was; and a key that means driving does so again.
     assert await page.evaluate("document.activeElement.getAttribute('aria-label')") == "More about Drive nav-1"
     await page.keyboard.down("w")
     await until(lambda: room.motors_run)
     await page.keyboard.press("Space")  # STOP, also while a button has the focus
     await until(lambda: room.motors_rest)
-    await expect(page.locator("#drive-dialog")).to_be_hidden()
+    await expect(page.locator("#navigation-dialog")).to_be_hidden()
 
 
 async def tab_through(page: Page) -> set[str]:

@@ -11,9 +11,9 @@ from playwright.async_api import Page, expect
 
 from station.maps.store import MapStore
 from tests.e2e.conftest import Room
-from tests.integration.test_station_drives import keep_drive
-from tests.link_support import WAIT_S, until
-from tests.station_support import store_map
+from tests.support.link import WAIT_S, until
+from tests.support.station import store_map
+from tests.support.station_at_work import keep_navigation
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
 
@@ -26,8 +26,8 @@ async def download(page: Page, link: str) -> bytes:
 
 
 async def test_record_build_compare_replay_and_download(room: Room) -> None:
-    keep_drive(room.desk.station.config.data_dir, "nav-before")
-    room.desk.station.drives.library.open()
+    keep_navigation(room.desk.station.config.data_dir, "nav-before")
+    room.desk.station.navigations.library.open()
     page = await room.open()
     await page.locator("#record").click()
     await expect(page.locator("#map-count")).to_contain_text("landmarks")
@@ -71,7 +71,7 @@ async def test_record_build_compare_replay_and_download(room: Room) -> None:
     await page.locator("#ask").get_by_role("button", name="Delete").click()
     await expect(page.locator("#comparisons li")).to_have_count(0)
     await recorded.get_by_role("button", name="More about").click()
-    await page.locator("#drive-dialog").get_by_role("button", name="Rename").click()
+    await page.locator("#navigation-dialog").get_by_role("button", name="Rename").click()
     await page.locator("#ask input").fill("All rooms, twice around the table and back to the window")
     await page.get_by_role("button", name="Save").click()
     await expect(recorded.locator("strong")).to_have_attribute(
@@ -79,10 +79,10 @@ async def test_record_build_compare_replay_and_download(room: Room) -> None:
     )
 
 
-async def test_drives_and_maps_are_deleted_and_brought_back(room: Room) -> None:
+async def test_navigations_and_maps_are_deleted_and_brought_back(room: Room) -> None:
     data_dir = room.desk.station.config.data_dir
-    keep_drive(data_dir, "nav-before")
-    room.desk.station.drives.library.open()
+    keep_navigation(data_dir, "nav-before")
+    room.desk.station.navigations.library.open()
     place_map = store_map(data_dir)
     page = await room.open()
     await page.get_by_role("button", name="Delete Drive nav-before").click()

@@ -12,10 +12,10 @@ from playwright.async_api import Page, expect
 
 from tests.e2e.conftest import PHONE, Room
 from tests.e2e.test_page_library import hold_gamepad, open_with_gamepad
-from tests.integration.test_station_drives import keep_drive
-from tests.link_support import until
-from tests.openapi_support import furnish
-from tests.station_support import store_map
+from tests.support.link import until
+from tests.support.openapi import furnish
+from tests.support.station import store_map
+from tests.support.station_at_work import keep_navigation
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
 
@@ -28,8 +28,8 @@ async def box(page: Page, selector: str) -> tuple[float, float, float, float]:
 
 
 async def keep(room: Room, name: str) -> None:
-    keep_drive(room.desk.station.config.data_dir, name)
-    room.desk.station.drives.library.open()
+    keep_navigation(room.desk.station.config.data_dir, name)
+    room.desk.station.navigations.library.open()
 
 
 async def test_rows_stay_the_same_buttons_while_what_they_tell_of_changes(room: Room) -> None:
@@ -47,7 +47,7 @@ async def test_rows_stay_the_same_buttons_while_what_they_tell_of_changes(room: 
     left, top, right, bottom = await box(page, "#record .text")
     assert bottom - top < 30 and right - left > 100  # its label in one line
     await button.click()
-    await expect(page.locator("#drive-dialog h2")).to_have_text("All rooms")
+    await expect(page.locator("#navigation-dialog h2")).to_have_text("All rooms")
 
 
 async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(room: Room) -> None:
@@ -55,9 +55,9 @@ async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(r
     await room.desk.http.put("/maps/active", json={"id": place_map.id})
     page = await room.open()
     await expect(page.locator("#map-count")).to_contain_text("places")
-    drive = (await room.desk.http.post("/navigations")).json()["id"]
+    navigation = (await room.desk.http.post("/navigations")).json()["id"]
     await expect(page.locator("#slam")).to_have_text("going straight")
-    recording = room.desk.station.first.recording
+    recording = room.desk.station.first.current_navigation
     await until(lambda: recording.live is not None and len(recording.live.points) > 100)
     await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
     await page.locator("[data-layer=live]").click()
@@ -65,7 +65,7 @@ async def test_the_map_stays_in_sight_while_a_navigation_grows_and_is_finished(r
     await expect(page.locator("#map-count")).to_have_text(grown)
     await expect(page.locator("#scene")).to_have_attribute("data-whole", "true")  # although each picture adds to it
     await page.locator("[data-layer=map]").click()
-    await room.desk.http.post(f"/navigations/{drive}/stop")
+    await room.desk.http.post(f"/navigations/{navigation}/stop")
     await expect(page.get_by_role("button", name="Build map")).to_be_visible()
     await expect(page.locator("[data-layer=map]")).to_have_attribute("aria-pressed", "true")
 
@@ -102,7 +102,7 @@ async def test_what_slam_has_left_to_do_is_told_and_can_be_given_up(room: Room) 
     page = await room.open()
     await page.locator("#record").click()
     await expect(page.locator("#slam")).to_have_text("going straight")
-    pid = room.desk.station.first.recording.slam_pid
+    pid = room.desk.station.first.current_navigation.slam_pid
     assert pid is not None and pid != os.getpid()
     os.kill(pid, signal.SIGSTOP)  # a busy machine
     await page.locator("#record").click()
@@ -176,14 +176,14 @@ async def test_nothing_drives_behind_a_dialog_and_space_stops_there_too(room: Ro
     await until(lambda: room.motors_rest)
     await expect(page.locator("#why")).to_contain_text("a dialog is open")
     stops = room.bench.stops_heard
-    await page.locator("#drive-dialog").get_by_role("button", name="Close").focus()
+    await page.locator("#navigation-dialog").get_by_role("button", name="Close").focus()
     await page.keyboard.press("Space")
     await until(lambda: room.bench.stops_heard > stops)
-    await expect(page.locator("#drive-dialog")).to_be_visible()
+    await expect(page.locator("#navigation-dialog")).to_be_visible()
     await page.get_by_role("checkbox", name="Drive nav-2").focus()
     await page.keyboard.press("Space")
     await expect(page.get_by_role("checkbox", name="Drive nav-2")).to_be_checked()
-    await page.locator("#drive-dialog").get_by_role("button", name="Rename").click()
+    await page.locator("#navigation-dialog").get_by_role("button", name="Rename").click()
     await page.locator("#ask input").fill("")
     await page.keyboard.type("Two words")
     await page.keyboard.press("Enter")
@@ -301,7 +301,7 @@ PROGRAMS = """
 
 async def test_what_was_looked_at_again_is_given_back_to_the_graphics_card(room: Room) -> None:
     furnish(room.desk.station.config.data_dir)
-    room.desk.station.drives.library.open()
+    room.desk.station.navigations.library.open()
     page = await room.new_page()
     await page.add_init_script(PROGRAMS)
     await room.visit(page)

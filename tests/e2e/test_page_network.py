@@ -7,8 +7,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from tests.e2e.conftest import LAPTOP, Room
-from tests.fault_proxy import FaultProxy
-from tests.link_support import until
+from tests.support.fault_proxy import FaultProxy
+from tests.support.link import until
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
 

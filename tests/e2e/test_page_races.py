@@ -9,10 +9,10 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.async_api import Page, Route, expect
 
-from station.maps.map import PlaceMap
 from station.maps.store import MapStore
+from station.model.place_map import PlaceMap
 from tests.e2e.conftest import Room
-from tests.station_support import store_map
+from tests.support.station import store_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
 
@@ -106,15 +106,15 @@ async def test_the_graph_of_a_map_left_since_is_not_shown(room: Room) -> None:
     await expect(page.locator(f"[data-place='{second.places[0].id}']")).to_have_count(1)
 
 
-async def test_a_late_list_of_drives_does_not_hide_one_that_began_since(room: Room) -> None:
+async def test_a_late_list_of_navigations_does_not_hide_one_that_began_since(room: Room) -> None:
     late = Held("/navigations")
     page = await room.new_page()
     await late.open(page)
     await page.goto(room.desk.address)
-    await late.answered()  # the station said: there is no drive
-    drive = (await room.desk.http.post("/navigations", json={"name": "Kitchen and back"})).json()
+    await late.answered()  # the station said: there is no navigation
+    navigation = (await room.desk.http.post("/navigations", json={"name": "Kitchen and back"})).json()
     await expect(page.locator("#rec")).to_be_visible()
-    await room.desk.http.post(f"/navigations/{drive['id']}/stop")
+    await room.desk.http.post(f"/navigations/{navigation['id']}/stop")
     await expect(page.locator("#navigations")).to_contain_text("Kitchen and back")
     await late.let_go(page)
     await expect(page.locator("#navigations")).to_contain_text("Kitchen and back")

@@ -6,16 +6,16 @@ Tolerances are those asked for (0.5 degrees, 2 cm); 0.14 degrees and 1.2 cm were
 from __future__ import annotations
 
 import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from shared.geometry import inverse, se3, so3_log, transform, yaw_rotation
-from station.places.registration import register_clouds
-from station.ply import read_points
+from station.files.ply import read_points
+from station.places.registration.register import register_clouds
+from tests.support.paths import RECORDINGS
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data" / "lidar_pair"
+DATA = RECORDINGS / "lidar_pair"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data/lidar_pair is not here")
 
 

@@ -11,12 +11,13 @@ import pytest
 
 from station.commands.slam import summary
 from station.datasets import Dataset, open_dataset
-from station.evaluation.trajectory import absolute_trajectory_error
-from station.navigation import Navigation
+from station.experiments.trajectory import absolute_trajectory_error
+from station.model.navigation import Navigation
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from tests.support.paths import RECORDINGS
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
+DATA = RECORDINGS
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"recorded data is not at {DATA}")
 
 

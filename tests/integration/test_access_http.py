@@ -17,9 +17,9 @@ from shared.token_book import TokenBook
 from station.api.doorkeeper import COOKIE, REVOKED
 from station.api.roles import ROLES
 from station.api.server import all_calls
-from tests.access_support import Guarded, guarded_station
-from tests.link_support import running_robot, until
-from tests.station_support import Film, running_station
+from tests.support.access import Guarded, guarded_station
+from tests.support.link import running_robot, until
+from tests.support.station import Film, running_station
 
 SOCKETS = {"/ws/events": "", "/ws/camera": "", "/ws/drive": "", "/ws/replay": "?navigation=none"}
 SOCKETS |= {f"/robots/{{robot}}/ws/{kind}": "" for kind in ("events", "camera", "drive")}
@@ -231,7 +231,7 @@ async def test_secrets_are_in_no_log_problem_metric_or_file_but_their_own(
             *[await http.get(path, headers=admin) for path in ("/metrics", "/log", "/robot", "/access/tokens")],
         )
         seen.extend(answer.text for answer in answers)
-        await until(lambda: station.desk.station.drives.get(drive).frames > 3)
+        await until(lambda: station.desk.station.navigations.get(drive).frames > 3)
         await http.post(f"/navigations/{drive}/stop", headers=admin)
         filming.cancel()
         await asyncio.gather(filming, return_exceptions=True)

@@ -32,10 +32,10 @@ from shared.messages import (
     encode_message,
 )
 from shared.token_book import TokenBook
-from station.connecting import ConnectionRefused, connect, connect_by_tls
-from station.paired_robots import PairedRobots
-from tests.access_support import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
-from tests.link_support import running_robot, until
+from station.access.connecting import ConnectionRefused, connect, connect_by_tls
+from station.access.paired_robots import PairedRobots
+from tests.support.access import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
+from tests.support.link import running_robot, until
 
 ONE_OF_EACH: list[StationMessage] = [
     JOIN,
@@ -157,14 +157,15 @@ async def test_another_certificate_at_a_known_address_is_refused_before_a_word_i
 
 
 async def test_a_robot_that_was_never_paired_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    robots = PairedRobots(tmp_path / "station")
+    robots = PairedRobots(tmp_path / "station", data_dir=tmp_path)
     async with guarded_robot(tmp_path / "a") as known, guarded_robot(tmp_path / "b") as stranger:
         known.admit("desk", Role.DRIVE, robots)
         # As a robot beyond loopback would be met.
         connection = await connect_by_tls("127.0.0.1", stranger.port)
         said = robots.recognise(connection.fingerprint, "192.168.1.20", stranger.port)
         connection.writer.transport.abort()
-        assert isinstance(said, str) and "station pair 192.168.1.20" in said
+        assert isinstance(said, str) and "`station pair 192.168.1.20" in said
+        assert f" --code CODE --data {tmp_path}`" in said
 
 
 def test_beyond_loopback_robots_are_met_by_tls_only(tmp_path: Path) -> None:
@@ -194,9 +195,9 @@ async def test_a_revoked_station_is_thrown_out_its_motors_stop_and_it_stays_out(
     async with guarded_robot(tmp_path / "robot") as bench:
         bench.admit("desk", Role.DRIVE, robots)
         async with linked(bench.port, robots) as (link, _):
-            await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
             TokenBook(bench.folder).revoke("desk", time.time())  # as `robot-server access revoke` does
-            await until(lambda: link.drive(0.2, 0.0, 250) is False)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) is False)
             assert "revoked" in link.state.reason
             await until(lambda: bench.motors.are_off)
             await until(lambda: "not valid" in link.state.reason)

@@ -21,8 +21,7 @@ import robot.access_commands
 from shared.errors import ConfigError
 from shared.token_book import TokenBook
 from station.main import app as station_app
-
-ROOT = Path(__file__).parents[2]
+from tests.support.paths import ROOT
 
 
 @asynccontextmanager
@@ -83,7 +82,8 @@ async def test_a_person_pairs_a_robot_and_lets_somebody_in(tmp_path: Path) -> No
         async with program("station.main", *words) as pairing:
             out, err = await asyncio.wait_for(pairing.communicate(), 120)
             assert pairing.returncode == 0, err.decode()
-            assert b"paired with" in out and secrets["token"].encode() not in out + err
+            assert b"paired with" in out and f" --data {data}".encode() in out
+            assert secrets["token"].encode() not in out + err
         serve = ("serve", "--robot", f"127.0.0.1:{port}", "--port", "0", "--data", str(data))
         async with program("station.main", *serve, "--config", str(station_toml)) as station_:
             address = (await said(station_, r"(https://\S+)"))[1]

@@ -17,23 +17,23 @@ from shared.geometry import FloatArray, IntArray
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
-from station.features import DescriptorArray
-from station.kept_index import index_of
-from station.locating import Locating
-from station.maps.map import PlaceMap
-from station.maps.store import MapStore, StoreAddress
-from station.place_report import MapReading, PlaceReport
-from station.place_servant import PlaceServant
-from station.places.appearance import AppearanceIndex
-from station.places.build import build_map
-from station.places.localizer import Localizer
-from station.places.map_index import make_index
-from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
-from tests.link_support import until
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import store_map
-from tests.synthetic_home import drive, furnished_room, navigate
-from tests.unit.test_navigation_recording import hello
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from station.model.place_answer import MapReading, PlaceReport
+from station.model.place_map import PlaceMap
+from station.places.localisation.index_file import index_of
+from station.places.localisation.localizer import Localizer
+from station.places.localisation.map_index import make_index
+from station.places.making.build import build_map
+from station.robots.current_place import CurrentPlace
+from station.vision.appearance import AppearanceIndex
+from station.vision.features import DescriptorArray
+from station.workers.places import PlaceFinder
+from tests.support.link import hello, until
+from tests.support.station import store_map
+from tests.support.station_at_work import at_work, is_problem, wait_for
+from tests.support.synthetic_home import drive, furnished_room, navigate
+from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
 
 WORKER_S = 120.0
 WALLS = {"Hall": 1, "Attic": 2}  # what is painted on the wall of each
@@ -79,7 +79,7 @@ def test_each_room_is_found_by_the_indexes_made_for_it_alone_as_if_it_was_the_on
     indexes = {name: make_index(room) for name, room in rooms.items()}
     together = Localizer(list(rooms.values()), index=list(indexes.values()))
     for name, room in rooms.items():
-        alone = Localizer(room, index=indexes[name])
+        alone = Localizer([room], index=[indexes[name]])
         for view in views(WALLS[name])[::3]:
             found, expected = (one.localize(frame(view), CALIBRATION) for one in (together, alone))
             assert found is not None and expected is not None and found.map_id == room.id
@@ -107,16 +107,16 @@ class Robot:
     def __init__(self, root: Path) -> None:
         self.events = Events()
         self.reports: list[PlaceReport] = []
-        self.locating = Locating(
+        self.place = CurrentPlace(
             StoreAddress(root), LocalizationConfig(rate_hz=30), self.events, on_report=self.reports.append
         )
         self._seq = 0
 
     async def look_in(self, *maps: PlaceMap) -> None:
         """Until the worker is ready: the first one of a busy machine loads its libraries for half a minute."""
-        await self.locating.use(tuple(one.id for one in maps))
+        await self.place.use_maps(tuple(one.id for one in maps))
         first = CameraFrame(seq=0, t_robot_ns=0, exposure_ns=0, width=640, height=480, skipped=0, jpeg=b"")
-        self.locating.offer(first)
+        self.place.on_frame(first, 0)
         async with asyncio.timeout(WORKER_S):
             while "localisation is ready" not in self.said("place"):
                 await asyncio.sleep(0.02)
@@ -129,13 +129,13 @@ class Robot:
             shown = CameraFrame(
                 seq=self._seq, t_robot_ns=t_robot_ns, exposure_ns=0, width=640, height=480, skipped=0, jpeg=view
             )
-            wanted = self.locating.answers + 1
-            self.locating.offer(shown)
+            wanted = self.place.answers + 1
+            self.place.on_frame(shown, 0)
             await until(partial(self._has_answered, wanted))
         return self.reports[-1]
 
     def _has_answered(self, times: int) -> bool:
-        return self.locating.answers >= times
+        return self.place.answers >= times
 
     def said(self, topic: str) -> list[str]:
         return [line.text for line in self.events.log if line.topic == topic]
@@ -145,12 +145,12 @@ class Robot:
 async def robot(tmp_path: Path, indexed: Path) -> AsyncIterator[Robot]:
     shutil.copytree(indexed, tmp_path, dirs_exist_ok=True)
     robot = Robot(tmp_path)
-    running = asyncio.create_task(robot.locating.run())
-    robot.locating.on_connected(msgspec.structs.replace(hello(), calibration=CALIBRATION))
+    running = asyncio.create_task(robot.place.run())
+    robot.place.on_connected(msgspec.structs.replace(hello(), calibration=CALIBRATION))
     yield robot
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
-    await robot.locating.close()
+    await robot.place.close()
 
 
 async def test_a_robot_carried_off_to_another_map_is_found_there_and_the_event_says_so(
@@ -189,16 +189,16 @@ def test_the_worker_tells_how_far_all_maps_are_and_takes_the_new_names_of_one(
 ) -> None:
     keep(tmp_path, rooms)
     told: list[object] = []
-    servant = PlaceServant(told.append)
-    servant.load(StoreAddress(tmp_path), tuple(room.id for room in rooms.values()))
+    finder = PlaceFinder(told.append)
+    finder.load(StoreAddress(tmp_path), tuple(room.id for room in rooms.values()))
     readings = [event for event in told if isinstance(event, MapReading)]
     assert [reading.fraction for reading in readings] == sorted(reading.fraction for reading in readings)
     assert readings[0].text == "looking at picture 1 of 7 of Hall" and readings[-1].text.endswith("7 of 7 of Attic")
-    servant.calibrate(CALIBRATION)
+    finder.calibrate(CALIBRATION)
     attic = rooms["Attic"]
-    servant.regroup(attic.id, tuple(replace(place, name=f"{place.name} up") for place in attic.places), attic.edges)
+    finder.regroup(attic.id, tuple(replace(place, name=f"{place.name} up") for place in attic.places), attic.edges)
     frames = [replace(frame(view), t_robot_ns=4_000_000_000 * k) for k, view in enumerate(views(WALLS["Attic"])[:4])]
-    answers = [servant.answer(one).answer for one in frames]
+    answers = [finder.answer(one).answer for one in frames]
     names = {candidate.name for candidate in answers[-1].alternatives}
     assert answers[-1].place is not None and answers[-1].place.name.endswith(" up")
     assert {place.name for place in rooms["Hall"].places} <= names

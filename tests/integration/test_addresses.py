@@ -6,8 +6,8 @@ import pytest
 
 from shared.errors import ConfigError
 from shared.listening import bind
-from station.link import RobotLink
-from tests.link_support import Notes, until
+from station.robots.link import RobotLink
+from tests.support.link import Notes, until
 
 NO_NAMES = ["a..b", "x" * 64 + ".local"]
 

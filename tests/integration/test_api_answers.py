@@ -11,10 +11,9 @@ import pytest
 import websockets
 
 from station.maps.store import MapStore
-from station.places.repeatability import repeatability
-from tests.integration.test_station_drives import keep_drive
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import running_station, store_map
+from station.places.making.repeatability import repeatability
+from tests.support.station import running_station, store_map
+from tests.support.station_at_work import at_work, is_problem, keep_navigation, wait_for
 
 
 async def test_a_hijack_is_answered_by_what_the_robot_made_of_it(tmp_path: Path) -> None:
@@ -64,7 +63,7 @@ async def test_a_change_of_nothing_and_a_replay_of_nothing_are_refused(tmp_path:
 
 
 async def test_drives_and_maps_are_renamed_and_their_clouds_are_ply_files(tmp_path: Path) -> None:
-    place_map, drive = store_map(tmp_path), keep_drive(tmp_path, "nav-1")
+    place_map, drive = store_map(tmp_path), keep_navigation(tmp_path, "nav-1")
     async with running_station(1, tmp_path) as desk:
         empty = await desk.http.get("/landmarks?format=ply")
         assert is_problem(empty, 409) and "/navigations/ID" in empty.json()["detail"]

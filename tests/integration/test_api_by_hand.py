@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.test_station_drives import keep_drive
-from tests.station_at_work import at_work, wait_for
-from tests.station_support import Desk, store_map
+from tests.support.paths import ROOT
+from tests.support.station import Desk, store_map
+from tests.support.station_at_work import at_work, keep_navigation, wait_for
 
 pytestmark = [
     pytest.mark.timeout(600),
     pytest.mark.skipif(shutil.which("curl") is None, reason="the documented lines need curl: apt-get install curl"),
 ]
-DOCS = Path(__file__).parents[2] / "docs" / "api.md"
+DOCS = ROOT / "docs" / "api.md"
 NAMES = re.compile(r"\b(ID|OTHER|MAP|PLACE|SECOND|JOB|CMP)\b")
 
 
@@ -31,7 +31,7 @@ def documented_lines() -> list[str]:
 async def test_every_line_of_the_documentation_does_what_it_says(tmp_path: Path) -> None:
     place_map = store_map(tmp_path / "data")
     for name in ("nav-a", "nav-b"):
-        keep_drive(tmp_path / "data", name)
+        keep_navigation(tmp_path / "data", name)
     async with at_work(tmp_path / "data") as (desk, _, _):
         names = {"OTHER": "nav-b", "MAP": place_map.id}
         names |= {"PLACE": place_map.places[0].id, "SECOND": place_map.places[1].id}

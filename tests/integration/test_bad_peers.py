@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 import msgspec
 import pytest
 
-import robot.driving
+import robot.commands
 import shared.session
 from shared.calibration import REFERENCE_ROBOT
 from shared.framing import MAX_ROBOT_PAYLOAD, FrameDecoder, encode_payload
@@ -33,8 +33,8 @@ from shared.messages import (
     encode_message,
 )
 from shared.session import State
-from station.link import RobotLink
-from tests.link_support import Bench, Notes, linked, running_robot, until
+from station.robots.link import RobotLink
+from tests.support.link import Bench, Notes, linked, running_robot, until
 
 Wire = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
@@ -78,7 +78,7 @@ async def assert_goes_on(bench: Bench, link: RobotLink, notes: Notes) -> None:
     bench.camera.put(1)
     bench.imu.inject(10)
     await until(lambda: len(notes.frames) == frames + 1 and len(notes.sequences) == samples + 10)
-    await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+    await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
     assert notes.reasons == [] and notes.gaps == []
 
 
@@ -137,7 +137,7 @@ async def test_a_station_that_turns_bad_while_driving_leaves_the_motors_off() ->
         last = (await all_until_closed(reader))[-1]
         assert isinstance(last, ErrorNotice) and "linear nan is outside" in last.message
         assert bench.motors.are_off
-        assert bench.server is not None and bench.server.desk.lease.driver is None
+        assert bench.server is not None and bench.server.desk.lease.driver(time.monotonic_ns()) is None
 
 
 @pytest.mark.parametrize("sent", [b"", JOIN[: len(JOIN) // 2]])
@@ -155,12 +155,12 @@ async def test_a_station_that_falls_silent_loses_the_wheel_and_then_the_connecti
 ) -> None:
     monkeypatch.setattr(shared.session, "QUIET_AFTER_NS", 100_000_000)
     monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 3_600_000_000_000)
-    monkeypatch.setattr(robot.driving, "LEASE_NS", 3_600_000_000_000)  # it is not the lease that ends
+    monkeypatch.setattr(robot.commands, "LEASE_NS", 3_600_000_000_000)  # it is not the lease that ends
     async with running_robot() as bench, wire(bench.port) as (reader, writer):
         await drive_off(bench, reader, writer)
         lease = bench.server.desk.lease if bench.server is not None else None
-        assert lease is not None and lease.driver is not None
-        await until(lambda: lease.driver is None)
+        assert lease is not None and lease.driver(time.monotonic_ns()) is not None
+        await until(lambda: lease.driver(time.monotonic_ns()) is None)
         assert bench.motors.are_off
         monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 200_000_000)
         messages = await all_until_closed(reader)

@@ -11,9 +11,9 @@ import psutil
 import pytest
 
 from shared.certificates import make_identity
-from station.connecting import connect_by_tls
-from tests.access_support import NOW
-from tests.link_support import until
+from station.access.connecting import connect_by_tls
+from tests.support.access import NOW
+from tests.support.link import until
 
 
 async def test_an_attempt_given_up_as_its_handshake_ends_is_closed_and_harms_no_other_connection(

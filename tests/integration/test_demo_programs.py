@@ -15,13 +15,13 @@ import pytest
 
 from shared.errors import ConfigError, RobotSystemError
 from station.demo import demo
-from station.demo.demo import Demo, DemoOptions, wait_for_slam
+from station.demo.demo import Demo, DemoOptions, finish, wait_for_slam
 from station.demo.folder import alone_in, fresh_folder, require_free
 from station.demo.processes import Programs
 from station.demo.simulator_client import SimulatorClient
 from station.demo.station_client import StationClient
-from tests.integration.test_station_drives import keep_drive
-from tests.station_support import running_station
+from tests.support.station import running_station
+from tests.support.station_at_work import keep_navigation
 
 SCRIPT = """
 import signal, sys
@@ -137,7 +137,7 @@ def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
 
 
 async def test_the_demo_asks_a_station_what_it_can_answer(tmp_path: Path) -> None:
-    drive = keep_drive(tmp_path / "data", "nav-1")
+    drive = keep_navigation(tmp_path / "data", "nav-1")
     said: list[str] = []
     options = DemoOptions(seed=1, once=True, port=0, out=tmp_path, world="small", backend=None)
     async with running_station(1, tmp_path / "data") as desk:
@@ -145,6 +145,10 @@ async def test_the_demo_asks_a_station_what_it_can_answer(tmp_path: Path) -> Non
             port = nobody.getsockname()[1]
             simulator = SimulatorClient(port)
             demo = Demo(options, programs, StationClient(desk.address), simulator, port, said.append)
-            await asyncio.to_thread(wait_for_slam, demo, drive.id)
+            await asyncio.to_thread(wait_for_slam, demo, "Navigation1", drive.id)
+            await asyncio.to_thread(finish, demo, drive.id)
+            await asyncio.to_thread(finish, demo, "nav-nothing")  # what it meets is said; the verdict stands
             simulator.close()
-    assert said and "5 landmarks (sfm, metric scale)" in said[0]
+    assert len(said) == 3 and "Navigation1: " in said[0] and "5 landmarks (sfm, metric scale)" in said[0]
+    assert said[1] == said[0].replace("Navigation1", "Navigation2")
+    assert said[2].startswith("Navigation2: ") and "nav-nothing" in said[2]

@@ -26,8 +26,8 @@ from robot.simulation.recording import record_drive
 from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from shared.errors import DeviceLost
-from tests import mock_gpio, pi_stubs
-from tests.emulator import board
+from tests.support import mock_gpio, pi_stubs
+from tests.support.emulator import board
 
 WAIT_S = 60.0  # generous: a loaded machine must not fail a test
 SETTINGS = Path("/etc/sentinel/robot.toml")  # of a real robot, whichever way it is wired
@@ -80,7 +80,7 @@ def pi_gpio_stubbed(bench: Bench) -> DeviceSet:
     bench.turning = lambda: any(mock_gpio.states(log).get(pin, 0.0) for pin in config.gpio_pins[:4])
     patch = pytest.MonkeyPatch()
     bench.undo.callback(patch.undo)
-    patch.setattr(gpio_parts, "PROGRAM", [sys.executable, "-m", "tests.mock_gpio", str(log)])
+    patch.setattr(gpio_parts, "PROGRAM", [sys.executable, "-m", "tests.support.mock_gpio", str(log)])
     install_stubs(bench)
     return open_pi(config)
 

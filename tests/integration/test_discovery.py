@@ -10,9 +10,9 @@ import pytest
 
 from robot import announce
 from robot.announce import Announcement, announced_addresses
-from station.discovery import find_robot
-from station.link import RobotLink
-from tests.link_support import Notes, running_robot, until
+from station.robots.discovery import find_robot
+from station.robots.link import RobotLink
+from tests.support.link import Notes, running_robot, until
 
 LOOPBACK = ["127.0.0.1"]
 

@@ -18,15 +18,16 @@ import psutil
 import pytest
 
 from shared.errors import ConfigError, DataError
-from station.executors.opening import open_executor
-from station.executors.port import Executor, ExecutorFailed
-from station.executors.processes import ProcessExecutor
-from station.heavy import MapOfNavigations, Reconstruction, Recorded, make_map, packed, reconstruct_all
 from station.maps.record import map_content_hash
-from tests.integration.test_replay import record
+from station.workers.executors.opening import open_executor
+from station.workers.executors.port import Executor, ExecutorFailed
+from station.workers.executors.processes import ProcessExecutor
+from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, packed, reconstruct_all
+from tests.support.paths import RECORDINGS, ROOT
+from tests.support.recordings import record_made_up_room
 
-KEYFRAMES = Path(__file__).parents[2].parent / "shared" / "data" / "euroc_v1_01_keyframes"
-MADE_UP = "tests.made_up_workers:StraightSlam"
+KEYFRAMES = RECORDINGS / "euroc_v1_01_keyframes"
+MADE_UP = "tests.support.made_up_workers:StraightSlam"
 needs_data = pytest.mark.skipif(not KEYFRAMES.is_dir(), reason="../shared/data/euroc_v1_01_keyframes is absent")
 
 
@@ -114,7 +115,9 @@ def test_a_cluster_makes_the_same_map_and_a_killed_worker_changes_nothing(cluste
 
 
 def test_a_recording_travels_to_a_cluster_and_gives_the_same_map(cluster: object, tmp_path: Path) -> None:
-    pieces = [Reconstruction(Recorded(record(tmp_path / f"{n}.mcap", brightness=n)), MADE_UP) for n in range(3)]
+    pieces = [
+        Reconstruction(Recorded(record_made_up_room(tmp_path / f"{n}.mcap", brightness=n)), MADE_UP) for n in range(3)
+    ]
     with ProcessExecutor(2) as processes, open_executor(address(cluster)) as machines:
         assert not machines.shares_disk
         assert map_hash(processes, pieces) == map_hash(machines, pieces)
@@ -154,7 +157,7 @@ def own_cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes
     file = folder / "scheduler.json"
     words = (("scheduler", "--host", "127.0.0.1", "--port", "0"), ("worker", "--nthreads", "1", "--no-nanny"))
     programs: list[subprocess.Popen[bytes]] = []
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).parent, Path(__file__).parents[2])))}
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).parent, ROOT)))}
     with (folder / "log").open("wb") as log:
         try:
             for kind, *options in words:
@@ -196,8 +199,8 @@ def test_a_cluster_that_dies_at_work_is_told_and_nobody_waits_for_it(
     """The second piece has not begun by then: it waits in the scheduler."""
     with own_cluster(tmp_path) as (where, programs):
         machines = opened(where)
-        monkeypatch.setattr("station.executors.dask.ASK_S", 0.5)
-        monkeypatch.setattr("station.executors.dask.DESERTED_FOR_S", 1.0)
+        monkeypatch.setattr("station.workers.executors.dask.ASK_S", 0.5)
+        monkeypatch.setattr("station.workers.executors.dask.DESERTED_FOR_S", 1.0)
         failures: list[BaseException] = []
 
         def work() -> None:

@@ -12,12 +12,13 @@ from typer.testing import CliRunner
 
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray, quat_from_rotation, se3, yaw_rotation
+from station.files.navigation_folder import load_navigation, save_navigation
 from station.main import app
 from station.maps.folder import load_map_folder, save_map_folder
-from station.navigation_files import load_navigation, save_navigation
-from station.places.build import build_map
-from station.places.changes import with_place_hidden
-from tests.synthetic_home import drive, furnished_room, navigate, with_points
+from station.maps.store import MapStore
+from station.places.making.build import build_map
+from station.places.making.changes import with_place_hidden
+from tests.support.synthetic_home import drive, furnished_room, navigate, with_points
 
 
 def write_asl_truth(poses: FloatArray, folder: Path) -> None:
@@ -154,6 +155,40 @@ def test_a_map_is_built_shown_and_matched(data: Path, tmp_path: Path) -> None:
     assert again["matches"] and hidden not in {match["place"] for match in again["matches"]}
     run("export", tmp_path / "map", "--format", "graphml", "--out", tmp_path / "shown.graphml")
     assert f'id="{hidden_id}"' not in (tmp_path / "shown.graphml").read_text()
+
+
+@pytest.mark.parametrize("more", [(), ("--json",)], ids=["for a person", "as JSON"])
+def test_a_refused_registration_is_no_success_and_its_report_is_written_all_the_same(
+    data: Path, tmp_path: Path, more: tuple[str, ...]
+) -> None:
+    elsewhere = furnished_room(9, density=300)
+    save_navigation(navigate(elsewhere, drive(elsewhere, 32, frames=45), seed=32), tmp_path / "elsewhere")
+    inputs = {
+        "experiment": ["--navigation1", data / "nav1", "--navigation2", tmp_path / "elsewhere"],
+        "match": [data / "map1", tmp_path / "elsewhere"],
+    }
+    for command, arguments in inputs.items():
+        out = tmp_path / command
+        result = CliRunner().invoke(app, [command, *map(str, arguments), "--out", str(out), *more])
+        assert result.exit_code == 2, result.output
+        assert re.fullmatch(r"station: nothing was matched, since registration is refused: [^\n]+\n", result.stderr)
+        results = json.loads((out / "results.json").read_text())
+        assert not results["registration"]["accepted"] and results["matches"] == []
+        assert (out / "report.html").is_file() and list((out / "figures").glob("*.png"))
+        if more:
+            assert json.loads(result.stdout.splitlines()[-1]) == results
+        else:  # a person reads a reason per line
+            reasons = results["registration"]["reasons"]
+            assert "\n  ".join(["registration refused:", *reasons]) in result.stdout and len(reasons) > 1
+
+
+def test_a_map_that_the_station_keeps_is_matched_by_its_id(data: Path, tmp_path: Path) -> None:
+    store = MapStore(tmp_path / "station" / "maps")
+    kept = load_map_folder(data / "map1")
+    store.save(kept)
+    store.close()
+    told = run("match", kept.id, data / "nav2", "--out", tmp_path / "out", "--data", tmp_path / "station")
+    assert told == run("match", data / "map1", data / "nav2", "--out", tmp_path / "out")
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from shared import serial_protocol as sp
-from tests.emulator import board
+from tests.support.emulator import board
+from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or "")
 
@@ -285,7 +286,7 @@ def test_with_the_stock_bootloader_a_silent_pi_is_greeted_and_a_hang_is_told(tmp
 
 def test_the_dmp_option_compiles(tmp_path: Path) -> None:
     """Against declarations only: the library that brings the vendor's image is not ours to ship."""
-    stand_in = Path(__file__).parents[1] / "emulator" / "dmp_stand_in"
+    stand_in = ROOT / "tests" / "support" / "emulator" / "dmp_stand_in"
     targets = [str(tmp_path / "sentinel" / name) for name in ("sentinel.ino.o", "dmp.o", "twi_bus.o")]
     run = subprocess.run(
         ["make", "-s", "-C", str(board.ROOT / "firmware"), f"DMP={stand_in}", f"BUILD={tmp_path}", *targets],

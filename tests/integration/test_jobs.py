@@ -7,16 +7,18 @@ import os
 import signal
 import time
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from shared.errors import DataError
+from station.errors import Conflict
 from station.events import Events
-from station.executors.opening import open_executor
-from station.jobs import Job, Jobs
-from station.refusals import Conflict
-from station.workers import Worker
+from station.workers.executors.opening import open_executor
+from station.workers.jobs import Job, Jobs, JobWorker
+from station.workers.library_requests import Progress
+from station.workers.request import Program, ProgramName, Request
 
 STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports
 
@@ -25,18 +27,24 @@ def double(number: int) -> int:
     return 2 * number
 
 
-class Porter:
-    """A servant of jobs."""
+class Porter(Program):
+    """What the workers of jobs run."""
 
-    def __init__(self, emit: Callable[[tuple[float, str]], None]) -> None:
-        self._emit = emit
+    def __init__(self, emit: Callable[[Progress], None]) -> None:
+        self.emit = emit
 
-    def wait(self) -> None:
-        self._emit((0.5, str(os.getpid())))
+
+@dataclass(frozen=True)
+class Wait(Request[Porter, None]):
+    def run(self, program: Porter) -> None:
+        program.emit(Progress(0.5, str(os.getpid())))
         time.sleep(600)
 
-    def double(self, executor: str) -> list[int]:
-        with open_executor(executor) as machines:
+
+@dataclass(frozen=True)
+class Double(Request[Porter, list[int]]):
+    def run(self, program: Porter) -> list[int]:
+        with open_executor("processes") as machines:
             return machines.map(double, [1, 2, 3])
 
 
@@ -47,7 +55,7 @@ async def until(condition: Callable[[], object]) -> None:
         await asyncio.sleep(0.02)
 
 
-async def run(jobs: Jobs, work: Callable[[Worker], Awaitable[dict[str, Any]]]) -> Job:
+async def run(jobs: Jobs[Porter], work: Callable[[JobWorker[Porter]], Awaitable[dict[str, Any]]]) -> Job:
     """A job until it is over, once the processes of earlier ones have ended."""
     await until(lambda: not jobs._running)
     job = jobs.start("test", "a test", work)
@@ -57,20 +65,20 @@ async def run(jobs: Jobs, work: Callable[[Worker], Awaitable[dict[str, Any]]]) -
 
 async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next() -> None:
     events = Events()
-    jobs = Jobs(events, servant="tests.integration.test_jobs:Porter")
+    jobs = Jobs(events, ProgramName.of(Porter))
 
-    async def waiting(worker: Worker) -> dict[str, Any]:
-        await worker.call("wait")
+    async def waiting(worker: JobWorker[Porter]) -> dict[str, Any]:
+        await worker.call(Wait())
         return {}
 
-    async def failing(worker: Worker) -> dict[str, Any]:
+    async def failing(worker: JobWorker[Porter]) -> dict[str, Any]:
         raise DataError("the drive cannot be read")
 
-    async def stumbling(worker: Worker) -> dict[str, Any]:
+    async def stumbling(worker: JobWorker[Porter]) -> dict[str, Any]:
         raise OSError(28, "No space left on device")
 
-    async def doubling(worker: Worker) -> dict[str, Any]:
-        return {"doubled": await worker.call("double", "processes")}
+    async def doubling(worker: JobWorker[Porter]) -> dict[str, Any]:
+        return {"doubled": await worker.call(Double())}
 
     try:
         killed = jobs.start("test", "a test", waiting)
@@ -96,11 +104,11 @@ async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next(
 
 async def test_a_job_that_was_done_before_it_could_be_cancelled_is_not_called_cancelled() -> None:
     """Its process has answered; what is left is a line in the station's own files."""
-    jobs = Jobs(Events(), servant="tests.integration.test_jobs:Porter")
+    jobs = Jobs(Events(), ProgramName.of(Porter))
     may_write = asyncio.Event()
 
-    async def writing(worker: Worker) -> dict[str, Any]:
-        doubled = await worker.call("double", "processes")
+    async def writing(worker: JobWorker[Porter]) -> dict[str, Any]:
+        doubled = await worker.call(Double())
         answered.set()
         await may_write.wait()
         return {"doubled": doubled}

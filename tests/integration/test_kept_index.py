@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.kept_index import FOLDER, KEPT, LOCK, SUFFIX, forget_index, index_of
-from station.maps.map import PlaceMap
-from station.places.localizer import Localizer
-from station.places.map_index import fingerprint, make_index
-from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
-from tests.link_support import until
+from station.model.place_map import PlaceMap
+from station.places.localisation.index_file import FOLDER, KEPT, LOCK, SUFFIX, forget_index, index_of
+from station.places.localisation.localizer import Localizer
+from station.places.localisation.map_index import fingerprint, make_index
+from tests.support.link import until
+from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
 
 VIEWS = [picture(1, camera_at(x, 0.1, -0.2, 0.1)) for x in (-0.7, 0.3, 0.9)]
 
@@ -35,7 +35,7 @@ def look(root: Path, place_map: PlaceMap) -> tuple[Localizer, int]:
     """A localiser as a worker makes it, and how many pictures it had to describe for that."""
     described: list[int] = []
     index = index_of(root, place_map, lambda: described.append(1), nothing)
-    return Localizer(place_map, index=index), len(described)
+    return Localizer([place_map], index=[index]), len(described)
 
 
 def answers(localizer: Localizer) -> list[bytes]:
@@ -50,7 +50,7 @@ def path_of(root: Path, place_map: PlaceMap) -> Path:
 
 
 def test_the_second_worker_describes_nothing_and_answers_the_same_bits(tmp_path: Path, wall: PlaceMap) -> None:
-    alone = answers(Localizer(wall))
+    alone = answers(Localizer([wall]))
     first, described = look(tmp_path, wall)
     assert described == len(wall.navigation.keyframes)
     second, described = look(tmp_path, wall)
@@ -123,7 +123,7 @@ def test_where_nothing_can_be_kept_each_makes_its_own(
     hinder(tmp_path)
     localizer, described = look(tmp_path, wall)
     assert described == len(wall.navigation.keyframes)
-    assert answers(localizer) == answers(Localizer(wall))
+    assert answers(localizer) == answers(Localizer([wall]))
 
 
 def path_in_the_way(root: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from shared.errors import DeviceLost, LocalProtocolError
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Status
-from station.link import RobotLink
-from tests.link_support import Bench, Notes, Proxy, linked, running_robot, until
+from station.robots.link import RobotLink
+from tests.support.link import Bench, Notes, Proxy, linked, running_robot, until
 
 
 async def test_frames_imu_and_reports_arrive_as_the_devices_made_them() -> None:
@@ -62,9 +62,11 @@ async def test_the_robots_clock_is_known_soon() -> None:
 
 async def test_commands_reach_the_devices() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
-        await until(lambda: link.drive(0.2, -0.5, 200) and any(h[1:] == (0.2, -0.5) for h in bench.motors.history))
+        await until(
+            lambda: link.commands.drive(0.2, -0.5, 200) and (0.2, -0.5) in {h[1:] for h in bench.motors.history}
+        )
         await until(lambda: any((a.linear, a.angular) == (0.2, -0.5) for a in notes.applied))
-        assert link.point(0.3, -0.1) and await link.hijack((1.0, 2.0, 0.5)) is None
+        assert link.commands.point(0.3, -0.1) and await link.commands.hijack((1.0, 2.0, 0.5)) is None
         await until(lambda: bench.head.pointed and bench.head.moved)
         assert (bench.head.pointed, bench.head.moved) == ([(0.3, -0.1)], [(1.0, 2.0, 0.5)])
         await until(lambda: bench.motors.are_off)
@@ -74,17 +76,17 @@ async def test_commands_reach_the_devices() -> None:
 async def test_a_refused_hijack_is_answered_with_the_robots_words() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, _):
         await until(lambda: link.state.connected)
-        refusal = await link.hijack((99.0, 0.0, 0.0))
+        refusal = await link.commands.hijack((99.0, 0.0, 0.0))
         assert refusal is not None and refusal.code == "out_of_range" and "not free floor" in refusal.message
-        assert await link.hijack(None) is None  # and the next answer is its own
+        assert await link.commands.hijack(None) is None  # and the next answer is its own
         assert bench.head.moved == [(3.0, 4.0, 0.0)]
 
 
 async def test_a_held_joystick_keeps_the_robot_moving_and_stop_stops_it() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
-        await until(lambda: link.drive(0.2, 0.0, 250) and len(bench.motors.history) > 10)
-        link.drive(0.2, 0.0, 250)
-        link.stop()
+        await until(lambda: link.commands.drive(0.2, 0.0, 250) and len(bench.motors.history) > 10)
+        link.commands.drive(0.2, 0.0, 250)
+        link.commands.stop()
         await until(lambda: bench.stops_heard == 1 and bench.motors.are_off)
         count = len([h for h in bench.motors.history if h[1]])
         await until(lambda: notes.applied and notes.applied[-1].linear == 0.0)
@@ -93,7 +95,7 @@ async def test_a_held_joystick_keeps_the_robot_moving_and_stop_stops_it() -> Non
 
 async def test_a_command_beyond_the_robots_own_limits_is_refused_in_a_sentence() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
-        await until(lambda: link.drive(1.5, 0.0, 200) and notes.notices)
+        await until(lambda: link.commands.drive(1.5, 0.0, 200) and notes.notices)
         assert notes.notices[0].code == "out_of_range"
         assert "1.5 m/s" in notes.notices[0].message
         assert bench.motors.are_off and link.state.connected
@@ -103,7 +105,7 @@ async def test_a_command_that_is_no_number_never_leaves_the_station() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, _):
         for linear in (float("nan"), float("inf"), 50.0):
             with pytest.raises(LocalProtocolError, match="drive command refused"):
-                link.drive(linear, 0.0, MAX_DRIVE_TTL_MS)
+                link.commands.drive(linear, 0.0, MAX_DRIVE_TTL_MS)
         assert link.state.connected
 
 
@@ -113,13 +115,13 @@ async def test_one_station_drives_and_any_may_stop() -> None:
         linked(bench.port, "a") as (a, notes_a),
         linked(bench.port, "b") as (b, notes_b),
     ):
-        await until(lambda: a.drive(0.1, 0.0, 250) and not bench.motors.are_off)
-        await until(lambda: a.drive(0.1, 0.0, 250) and b.drive(0.3, 0.0, 250) and notes_b.notices)
+        await until(lambda: a.commands.drive(0.1, 0.0, 250) and not bench.motors.are_off)
+        await until(lambda: a.commands.drive(0.1, 0.0, 250) and b.commands.drive(0.3, 0.0, 250) and notes_b.notices)
         assert notes_b.notices[0].code == "not_driver"
-        await until(lambda: a.drive(0.1, 0.0, 250) and notes_b.statuses[-1].driver == "a")
+        await until(lambda: a.commands.drive(0.1, 0.0, 250) and notes_b.statuses[-1].driver == "a")
         assert not notes_b.statuses[-1].you_drive
-        b.stop()
-        await until(lambda: a.drive(0.1, 0.0, 250) and any("let go" in n.message for n in notes_a.notices))
+        b.commands.stop()
+        await until(lambda: a.commands.drive(0.1, 0.0, 250) and any("let go" in n.message for n in notes_a.notices))
         await until(lambda: bench.motors.are_off)
         assert all(h[1] != 0.3 for h in bench.motors.history)
 
@@ -129,16 +131,16 @@ async def test_motors_stop_when_the_driver_disappears_and_stay_off_when_it_is_ba
         proxy = Proxy(bench.port)
         await proxy.mend()
         async with linked(proxy.port) as (link, _):
-            await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
             await proxy.cut()
             await until(lambda: bench.motors.are_off)
             told = len(bench.motors.history)
             await until(lambda: not link.state.connected)
-            assert not link.drive(0.2, 0.0, 250) and not link.stop()
+            assert not link.commands.drive(0.2, 0.0, 250) and not link.commands.stop()
             await proxy.mend()
             await until(lambda: link.state.connected)
             assert all(h[1:] == (0.0, 0.0) for h in bench.motors.history[told:])
-            await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
         await proxy.cut()
 
 
@@ -147,14 +149,14 @@ async def test_motors_stop_while_the_network_stands_still() -> None:
         proxy = Proxy(bench.port)
         await proxy.mend()
         async with linked(proxy.port) as (link, _):
-            await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
             proxy.stall()
             for _ in range(30):  # the joystick is still held
-                link.drive(0.2, 0.0, 250)
+                link.commands.drive(0.2, 0.0, 250)
                 await asyncio.sleep(0.02)
             await until(lambda: bench.motors.are_off)
             proxy.flow()
-            await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
         await proxy.cut()
 
 
@@ -229,7 +231,7 @@ async def test_the_link_finds_a_robot_that_starts_later_and_one_that_starts_anew
 async def test_a_command_given_while_the_connection_ends_does_not_end_the_link() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
         # The goodbye closes the session; the command is due before the writing task is told.
-        notes.on_notice = lambda _notice: link.drive(0.2, 0.0, 250)  # type: ignore[assignment, method-assign]
+        notes.on_notice = lambda _notice: link.commands.drive(0.2, 0.0, 250)  # type: ignore[assignment, method-assign]
         await bench.stop()
         await until(lambda: not link.state.connected)
         await bench.start()
@@ -268,7 +270,7 @@ async def test_a_lost_camera_is_told_and_its_return_too() -> None:
 
 async def test_shutdown_stops_motors_first_and_closes_devices() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes):
-        await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+        await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
         await bench.stop()
         assert bench.motors.are_off
         assert bench.camera.is_closed and bench.imu.is_closed
@@ -281,7 +283,7 @@ async def test_an_error_inside_robot_server_stops_the_motors_and_ends_it() -> No
     await bench.start()
     assert bench.task is not None
     async with linked(bench.port) as (link, notes):
-        await until(lambda: link.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+        await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
         bench.camera.frames.put_nowait(ZeroDivisionError("a bug in a device's adapter"))
         with pytest.raises(ExceptionGroup):
             await bench.task

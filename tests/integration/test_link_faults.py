@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from tests.fault_proxy import FaultProxy
-from tests.link_support import Bench, Notes, linked, running_robot, until
+from tests.support.fault_proxy import FaultProxy
+from tests.support.link import Bench, Notes, linked, running_robot, until
 
 
 @asynccontextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import cv2
@@ -10,96 +9,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from shared.calibration import Calibration, CameraCalibration
-from shared.geometry import FloatArray, inverse, se3, so3_exp
-from station.features import FeatureExtractor
-from station.frames import ImageArray, ImageFrame
-from station.maps.map import PlaceMap
-from station.maps.store import MapStore, StoreAddress
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.place_report import HijackNotice, MapReading, PlaceReport
-from station.place_servant import PlaceServant
-from station.places.appearance import AppearanceIndex
-from station.places.build import build_map
-from station.places.localizer import Localizer
-from tests.unit.test_hijack import imu, lift, seconds
-
-CAMERA = CameraCalibration(width=640, height=480, fx=600, fy=600, cx=319.5, cy=239.5)
-CALIBRATION = Calibration(camera=CAMERA, imu=None)
-DISTANCE_M = 3.0  # of the wall, along z
-PIXELS_PER_M = 200.0
-WALL_M = (8.0, 4.0)
-
-
-@cache
-def wall(seed: int) -> ImageArray:
-    """A texture with structure at several sizes."""
-    rng = np.random.default_rng(seed)
-    h, w = int(WALL_M[1] * PIXELS_PER_M), int(WALL_M[0] * PIXELS_PER_M)
-    out = np.zeros((h, w), np.float32)
-    for size in (4, 10, 25, 60):
-        small = rng.uniform(-1, 1, (h // size + 2, w // size + 2)).astype(np.float32)
-        out += cv2.resize(small, (w, h), interpolation=cv2.INTER_NEAREST) * size**0.3
-    return np.clip(110 + 35 * out, 0, 255).astype(np.uint8)
-
-
-def camera_at(x: float, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> FloatArray:
-    """T_world_cam; the world has the camera's axes."""
-    return se3(so3_exp(np.array([0.0, yaw, 0.0])), np.array([x, y, z]))
-
-
-def picture(seed: int, T_world_cam: FloatArray) -> bytes:
-    """The wall z = DISTANCE_M, centred on the origin, as the camera sees it."""
-    T = inverse(T_world_cam)
-    # wall pixel -> world point on the plane -> image
-    to_world = np.array(
-        [
-            [1 / PIXELS_PER_M, 0, -WALL_M[0] / 2],
-            [0, 1 / PIXELS_PER_M, -WALL_M[1] / 2],
-            [0, 0, DISTANCE_M],
-            [0, 0, 1.0],
-        ]
-    )
-    H = CAMERA.K @ T[:3] @ to_world
-    image = cv2.warpPerspective(wall(seed), H, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA)
-    return cv2.imencode(".png", image)[1].tobytes()
-
-
-def make_map(map_id: str, seed: int) -> PlaceMap:
-    """Keyframes along the wall; landmarks where features of neighbouring keyframes meet."""
-    poses = np.stack([camera_at(x) for x in np.linspace(-1.5, 1.5, 7)])
-    encoded = tuple(picture(seed, T) for T in poses)
-    extractor = FeatureExtractor(400)
-    p_all, landmark, keyframe, uv = [], [], [], []
-    numbers: dict[tuple[int, int], int] = {}
-    for k, T in enumerate(poses):
-        grey = ImageFrame(0, 0, 0, encoded[k]).grey()
-        for u, v in extractor.extract(grey).uv_px:
-            p = T[:3, 3] + DISTANCE_M * np.array([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, 1.0])
-            number = numbers.setdefault((round(p[0] / 0.01), round(p[1] / 0.01)), len(numbers))
-            if number == len(p_all):
-                p_all.append(p)
-            landmark.append(number)
-            keyframe.append(k)
-            uv.append((u, v))
-    t = np.arange(len(poses)) * 1_000_000_000
-    n = len(p_all)
-    navigation = Navigation(
-        id=f"nav-{map_id}",
-        calibration=CALIBRATION,
-        trajectory=Trajectory(t, poses),
-        keyframes=Keyframes(np.arange(len(t)), t, poses, encoded, np.zeros(len(t), dtype=np.int64)),
-        landmarks=Landmarks(
-            p_world=np.array(p_all),
-            rgb=np.zeros((n, 3), dtype=np.uint8),
-            cov_world=np.zeros((n, 3, 3)),
-            observed_landmark=np.array(landmark),
-            observed_keyframe=np.array(keyframe),
-            observed_uv_px=np.array(uv),
-        ),
-        report=NavigationReport("test", len(t), 1, 1, 1, 1, n, 0, "metric", False, 0, {}, {}),
-    )
-    return PlaceMap(map_id, map_id, navigation, (), (), {})
+from shared.calibration import Calibration
+from shared.geometry import FloatArray
+from station.maps.store import MapStore
+from station.model.frames import ImageFrame
+from station.model.map_store import StoreAddress
+from station.model.navigation import Keyframes, Navigation
+from station.model.place_answer import HijackNotice, MapReading, PlaceReport
+from station.model.place_map import PlaceMap
+from station.places.localisation.localizer import Localizer
+from station.places.making.build import build_map
+from station.vision.appearance import AppearanceIndex
+from station.vision.features import FeatureExtractor
+from station.workers.places import PlaceFinder
+from tests.support.motion import imu, lift, seconds
+from tests.support.walls import CALIBRATION, CAMERA, camera_at, frame, make_map, picture
 
 
 @pytest.fixture(scope="module")
@@ -107,47 +31,43 @@ def localizer() -> Localizer:
     return Localizer([make_map("first", 1), make_map("second", 2)])
 
 
-def frame(encoded: bytes) -> ImageFrame:
-    return ImageFrame(index=0, t_robot_ns=7, exposure_ns=0, encoded=encoded)
-
-
 def test_evidence_carries_the_pictures_own_time_whatever_the_cameras_shift(tmp_path: Path) -> None:
     """The station keeps the picture under this time: any other one, and nobody could look at it."""
     place_map = build_map(make_map("wall", 1).navigation, name="wall")
     MapStore(tmp_path).save(place_map)
     told: list[object] = []
-    servant = PlaceServant(told.append)
-    servant.load(StoreAddress(tmp_path), (place_map.id,))
+    finder = PlaceFinder(told.append)
+    finder.load(StoreAddress(tmp_path), (place_map.id,))
     progress = [event.fraction for event in told if isinstance(event, MapReading)]
     assert progress == sorted(progress) and 0.0 <= progress[0] < 1.0  # who waits is told how far it is
     camera = msgspec.structs.replace(CAMERA, time_shift_s=0.03)
-    servant.calibrate(Calibration(camera=camera, imu=None))
+    finder.calibrate(Calibration(camera=camera, imu=None))
     for n in range(3):
         view = ImageFrame(n, n * 500_000_000, 0, picture(1, camera_at(0.3, 0.1, -0.2, 0.1)))
-        report = servant.answer(view)
+        report = finder.answer(view)
         assert report.t_evidence_ns == view.t_robot_ns, report.attempt
         assert report.answer.evidence_t_robot_ns == view.t_robot_ns
-    broken = servant.answer(ImageFrame(3, 1_500_000_000, 0, b"no picture"))
+    broken = finder.answer(ImageFrame(3, 1_500_000_000, 0, b"no picture"))
     assert "not a readable JPEG" in broken.attempt and broken.t_evidence_ns is None
     assert broken.answer.t_robot_ns == 1_500_000_000
-    after = servant.answer(ImageFrame(4, 2_000_000_000, 0, picture(1, camera_at(0.3))))
+    after = finder.answer(ImageFrame(4, 2_000_000_000, 0, picture(1, camera_at(0.3))))
     assert after.t_evidence_ns == 2_000_000_000
 
 
 def test_a_lift_ends_what_was_known_at_once_and_no_picture_from_before_brings_it_back(tmp_path: Path) -> None:
     place_map = build_map(make_map("wall", 1).navigation, name="wall")
     told: list[object] = []
-    servant = PlaceServant(told.append)
-    servant.use(place_map)
-    servant.calibrate(CALIBRATION)
+    finder = PlaceFinder(told.append)
+    finder.use([place_map])
+    finder.calibrate(CALIBRATION)
 
     def feel(rotation: FloatArray, acceleration: FloatArray, start_s: float) -> None:
         for batch in imu(rotation, acceleration, start_s):
-            servant.imu(batch.t_robot_ns.tolist(), batch.gyro_imu.tolist(), batch.accel_imu.tolist())
+            finder.add_imu(batch.t_robot_ns.tolist(), batch.gyro_imu.tolist(), batch.accel_imu.tolist())
 
     def look(t_s: float) -> PlaceReport:
         views = [camera_at(0.3), camera_at(0.35, 0.1, -0.2, 0.1)]
-        return servant.answer(ImageFrame(0, round(t_s * 1e9), 0, picture(1, views[round(10 * t_s) % 2])))
+        return finder.answer(ImageFrame(0, round(t_s * 1e9), 0, picture(1, views[round(10 * t_s) % 2])))
 
     feel(seconds(3), seconds(3), 0.0)
     assert [look(t_s) for t_s in (2.5, 2.6, 2.7, 2.8, 2.9)][-1].answer.state == "known"
@@ -202,7 +122,7 @@ def test_a_map_without_readable_images_answers_no() -> None:
         good.navigation.landmarks,
         good.navigation.report,
     )
-    empty = Localizer(PlaceMap("broken", "broken", navigation, (), (), {}))
+    empty = Localizer([PlaceMap("broken", "broken", navigation, (), (), {})])
     assert empty.localize(frame(picture(1, camera_at(0.0))), CALIBRATION) is None
 
 

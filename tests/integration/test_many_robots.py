@@ -18,8 +18,8 @@ import websockets
 from shared.errors import ConfigError
 from station.app import Station
 from station.config import StationConfig, load_config, parse_robot
-from tests.link_support import Bench, running_robot, until
-from tests.station_support import Desk, Film, running_station, store_map
+from tests.support.link import Bench, running_robot, until
+from tests.support.station import Desk, Film, running_station, store_map
 
 
 @dataclass
@@ -42,7 +42,7 @@ class Lab:
 
 
 @asynccontextmanager
-async def lab(data_dir: Path, backend: str = "tests.made_up_workers:StraightSlam") -> AsyncIterator[Lab]:
+async def lab(data_dir: Path, backend: str = "tests.support.made_up_workers:StraightSlam") -> AsyncIterator[Lab]:
     async with AsyncExitStack() as stack:
         benches = [await stack.enter_async_context(running_robot()) for _ in range(2)]
         ports = tuple(bench.port for bench in benches)
@@ -91,7 +91,7 @@ async def test_two_robots_record_at_once_and_each_knows_its_own_place(tmp_path: 
         robots = list(here.desk.station.robots.values())
 
         def knows(number: int, place: str) -> bool:
-            report = robots[number].locating.report
+            report = robots[number].current_place.report
             return report is not None and report.answer.place is not None and report.answer.place.name == place
 
         await until(lambda: knows(0, place_map.places[0].name) and knows(1, place_map.places[1].name))
@@ -103,12 +103,12 @@ async def test_two_robots_record_at_once_and_each_knows_its_own_place(tmp_path: 
 
         drives = [await here.post("/navigations", name="A"), await here.post("/robots/robot-2/navigations", name="B")]
         assert [e["navigation"] for e in await here.get("/robots")] == [drive["id"] for drive in drives]
-        await until(lambda: all(here.desk.station.drives.get(drive["id"]).frames >= 8 for drive in drives))
+        await until(lambda: all(here.desk.station.navigations.get(drive["id"]).frames >= 8 for drive in drives))
         await here.post(f"/navigations/{drives[1]['id']}/stop")
         assert (await here.get(f"/navigations/{drives[0]['id']}"))["state"] == "recording"
         await here.post(f"/navigations/{drives[0]['id']}/stop")
         ready = ("ready", "failed")
-        await until(lambda: all(here.desk.station.drives.get(drive["id"]).state in ready for drive in drives))
+        await until(lambda: all(here.desk.station.navigations.get(drive["id"]).state in ready for drive in drives))
         assert [n["state"] for n in await here.get("/navigations")] == ["ready", "ready"]
 
 
@@ -155,7 +155,7 @@ async def test_a_killed_slam_worker_comes_back_and_the_other_robot_does_not_noti
     async with lab(tmp_path) as here:
         station = here.desk.station
         drives = [await here.post("/navigations"), await here.post("/robots/robot-2/navigations")]
-        first, second = (robot.recording for robot in station.robots.values())
+        first, second = (robot.current_navigation for robot in station.robots.values())
         await until(lambda: all(r.live is not None and r.live.frames > 3 for r in (first, second)))
         assert first.live is not None and second.live is not None
         victim, other = first.slam_pid, second.slam_pid
@@ -168,8 +168,8 @@ async def test_a_killed_slam_worker_comes_back_and_the_other_robot_does_not_noti
         assert first.live.pose is not None and first.live.pose.segment == 1
         for drive in drives:
             await here.post(f"/navigations/{drive['id']}/stop")
-        await until(lambda: all(station.drives.get(d["id"]).state in ("ready", "failed") for d in drives))
-        ended = [station.drives.get(drive["id"]) for drive in drives]
+        await until(lambda: all(station.navigations.get(d["id"]).state in ("ready", "failed") for d in drives))
+        ended = [station.navigations.get(drive["id"]) for drive in drives]
         assert [drive.state for drive in ended] == ["ready", "ready"]
         assert "run SLAM over the recording again" in ended[0].message and "again" not in ended[1].message
 
@@ -185,7 +185,7 @@ async def test_an_error_in_one_robots_session_leaves_the_others_running(
             raise RuntimeError("a bug")
 
         connections = second.state.connections
-        monkeypatch.setattr(first.recording, "on_frame", broken)
+        monkeypatch.setattr(first.current_navigation, "on_frame", broken)
         await until(lambda: any("a bug" in line.text for line in first.events.log))
         await until(lambda: first.state.connected)
         assert second.state.connected and second.state.connections == connections

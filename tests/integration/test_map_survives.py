@@ -11,14 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.crash_disks import NoDisk
-from benchmarks.crash_maps import MAP, variant
-from benchmarks.crashes import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
-from benchmarks.flips import flip_many
 from shared.errors import DataError
-from station.maps.checking import verify
-from station.maps.store import MapStore, StoreAddress
-from tests.postgres_support import PostgresServer, running_postgres
+from station.maps.repair.check import verify
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from tests.support.crashing.disks import NoDisk
+from tests.support.crashing.flips import flip_many
+from tests.support.crashing.maps import MAP, variant
+from tests.support.crashing.runs import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
+from tests.support.postgres import PostgresServer, running_postgres
 
 NAMES_EACH = 6
 

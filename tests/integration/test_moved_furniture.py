@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bench_days import made_up_days
-from station.navigation_files import load_navigation
-from station.places.align import align_navigation
-from station.places.build import build_map
-from station.places.config import PlacesConfig
-from station.places.registration import Registration
+from station.files.navigation_folder import load_navigation
+from station.places.joining.align import align_navigation
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig
+from station.places.registration.result import Registration
+from tests.support.days import made_up_days
 
 
 def align_second_day(room: int, folder: Path) -> tuple[Registration, float]:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.openapi_support import ENDLESS, ask_everything, furnish
-from tests.station_at_work import at_work
+from tests.support.openapi import ENDLESS, ask_everything, furnish
+from tests.support.station_at_work import at_work
 
 pytestmark = pytest.mark.timeout(900)
 EXAMPLES = 4  # of each kind, per call

@@ -25,11 +25,11 @@ from shared.messages import (
 from shared.pairing import Pake
 from shared.private_files import read_private
 from shared.token_book import TokenBook
-from station.connecting import connect_by_tls
-from station.paired_robots import PairedRobots
-from station.pairing import PairingFailed, pair
-from tests.access_support import GuardedBench, guarded_robot, linked, set_up, talking
-from tests.link_support import until
+from station.access.connecting import connect_by_tls
+from station.access.paired_robots import PairedRobots
+from station.access.pairing import PairingFailed, pair
+from tests.support.access import GuardedBench, guarded_robot, linked, set_up, talking
+from tests.support.link import until
 
 
 async def test_pairing_gives_a_token_that_joins_and_pins_the_robot(tmp_path: Path) -> None:
@@ -45,7 +45,9 @@ async def test_pairing_gives_a_token_that_joins_and_pins_the_robot(tmp_path: Pat
             bench.imu.inject(500)
             bench.camera.put(t_robot_ns=77, size=60_000)
             await until(lambda: len(notes.sequences) == 500 and notes.frames)
-            await until(lambda: link.drive(0.2, -0.5, 200) and any(h[1:] == (0.2, -0.5) for h in bench.motors.history))
+            await until(
+                lambda: link.commands.drive(0.2, -0.5, 200) and (0.2, -0.5) in {h[1:] for h in bench.motors.history}
+            )
         with pytest.raises(PairingFailed, match="no pairing code is open"):  # it was good for one station
             await pair("127.0.0.1", bench.port, code, "desk")
 

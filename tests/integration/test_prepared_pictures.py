@@ -10,22 +10,23 @@ import numpy as np
 import pytest
 
 from shared.calibration import Calibration
-from station.features import Features
-from station.frames import ImageFrame
-from station.job_servant import JobServant
-from station.kept_index import FOLDER, SUFFIX
-from station.maps.map import PlaceMap
-from station.maps.store import MapStore, StoreAddress
-from station.navigation import Navigation
-from station.navigation_files import PICTURES
-from station.place_report import HijackNotice, MapReading
-from station.place_servant import PlaceServant
-from station.places.localizer import Localizer
-from station.places.map_index import make_index
-from station.places.pictures import DescribedPictures
-from station.slam_servant import SlamServant
-from tests.integration.test_localizer import CALIBRATION, camera_at, frame, make_map, picture
-from tests.made_up_workers import StraightSlam
+from station.files.navigation_folder import PICTURES
+from station.maps.store import MapStore
+from station.model.frames import ImageFrame
+from station.model.map_store import StoreAddress
+from station.model.navigation import Navigation
+from station.model.place_map import PlaceMap
+from station.places.localisation.described_pictures import DescribedPictures
+from station.places.localisation.index_file import FOLDER, SUFFIX
+from station.places.localisation.localizer import Localizer
+from station.places.localisation.map_index import make_index
+from station.vision.features import Features
+from station.workers.library_jobs import LibraryJobs
+from station.workers.place_requests import PlaceEvent
+from station.workers.places import PlaceFinder
+from station.workers.slam import NavigationSlam
+from tests.support.made_up_workers import StraightSlam
+from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
 
 VIEWS = [picture(1, camera_at(x, 0.1, -0.2, 0.1)) for x in (-0.7, 0.3, 0.9)]
 BACKEND = "tests.integration.test_prepared_pictures:WallSlam"
@@ -56,13 +57,13 @@ class DescribingSlam(WallSlam):
 
 def follow(folder: Path, frames: int, backend: str = BACKEND) -> None:
     """Drive along the wall, with time to spare after each frame; the last one is held until the drive ends."""
-    servant = SlamServant(lambda update: None)
-    servant.begin(backend, Calibration(camera=CALIBRATION.camera, imu=None), 0)
+    slam = NavigationSlam(lambda update: None)
+    slam.begin(backend, Calibration(camera=CALIBRATION.camera, imu=None), 0)
     for number, encoded in enumerate(wall().navigation.keyframes.encoded[:frames]):
-        servant.add_frame(ImageFrame(number, number * 1_000_000_000, 0, encoded))
-        while servant.catch_up():
+        slam.add_frame(ImageFrame(number, number * 1_000_000_000, 0, encoded))
+        while slam.catch_up():
             pass
-    servant.finish("drive", folder)
+    slam.finish("drive", folder)
 
 
 def test_the_file_of_a_drive_has_the_keyframes_there_was_time_for(tmp_path: Path) -> None:
@@ -100,18 +101,18 @@ def test_what_was_described_ahead_gives_the_same_index_bit_for_bit() -> None:
 def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(tmp_path: Path) -> None:
     folder, address = tmp_path / "drive" / "navigation", StoreAddress(tmp_path / "maps")
     follow(folder, 5)
-    job = JobServant(lambda told: None)
+    job = LibraryJobs(lambda told: None)
     built = job.build_map([folder], address, "wall", None)
     job.index_map([folder], address)
     assert (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
-    told: list[HijackNotice | MapReading] = []
-    servant = PlaceServant(told.append)
-    servant.load(address, (built.map_id,))
+    told: list[PlaceEvent] = []
+    finder = PlaceFinder(told.append)
+    finder.load(address, (built.map_id,))
     assert told == []
-    servant.calibrate(CALIBRATION)
-    alone = Localizer(MapStore(address).load(built.map_id))
+    finder.calibrate(CALIBRATION)
+    alone = Localizer([MapStore(address).load(built.map_id)])
     for number, view in enumerate(VIEWS):
-        report = servant.answer(replace(frame(view), t_robot_ns=number * 500_000_000))
+        report = finder.answer(replace(frame(view), t_robot_ns=number * 500_000_000))
         direct = alone.attempt(frame(view), CALIBRATION).localization
         assert report.T_map_cam is not None and direct is not None
         assert report.T_map_cam.tobytes() == direct.T_map_cam.tobytes()
@@ -125,7 +126,7 @@ def test_where_little_was_described_ahead_the_map_does_not_wait_for_it(
     follow(folder, frames)
     if is_damaged:
         (folder / PICTURES).write_bytes(b"damaged")
-    job = JobServant(lambda told: None)
+    job = LibraryJobs(lambda told: None)
     built = job.build_map([folder], address, "wall", None)
     job.index_map([folder], address)
     assert not (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks.registration_clouds import make_pair
 from shared.errors import DataError
 from shared.geometry import FloatArray
+from station.files.ply import write_ply
 from station.main import app
-from station.ply import write_ply
+from tests.support.registration_clouds import make_pair
 
 
 def save(path: Path, points: FloatArray) -> Path:

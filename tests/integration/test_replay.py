@@ -5,52 +5,20 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
 import msgspec
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from shared.messages import CameraFrame, Capabilities, DriveApplied, Hello, ImuBatch, ImuSample
 from station.commands.replay import Metronome
+from station.datasets import open_dataset
 from station.main import app
-from station.recorder import Recorder
-from tests.made_up_workers import made_up_navigation
+from station.workers.replay import ReplayOptions
+from station.workers.replay import replay as replay_drive
+from tests.support.paths import RECORDINGS
+from tests.support.recordings import record_made_up_room
 
-KEYFRAMES = Path(__file__).parents[2].parent / "shared" / "data" / "euroc_v1_01_keyframes"
-MADE_UP = "tests.made_up_workers:StraightSlam"
-
-
-def record(path: Path, frames: int = 12, brightness: int = 0) -> Path:
-    """A recording with pictures of the made-up room."""
-    navigation = made_up_navigation()
-    able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False)
-    recorder = Recorder(path, min_free_bytes=0)
-    recorder.on_connected(
-        Hello(
-            protocol=2,
-            robot_id="r",
-            name="R",
-            session_id="s",
-            capabilities=able,
-            calibration=navigation.calibration,
-        )
-    )
-    for number in range(frames):
-        t_ns = 10**9 + number * 250_000_000
-        samples = tuple(ImuSample(t_ns + n * 10_000_000, (0.0, 0.0, 0.01 * n), (0.0, 0.0, 9.81)) for n in range(25))
-        picture = cv2.imdecode(np.frombuffer(navigation.keyframes.encoded[number], np.uint8), cv2.IMREAD_COLOR)
-        encoded = cv2.imencode(".jpg", cv2.add(picture, brightness))[1].tobytes()
-        height, width = picture.shape[:2]
-        recorder.on_imu(ImuBatch(first_sequence=number * 25, samples=samples))
-        recorder.on_drive_applied(DriveApplied(t_robot_ns=t_ns, linear=0.1 * (number % 3), angular=0.0))
-        recorder.on_frame(
-            CameraFrame(
-                seq=number, t_robot_ns=t_ns, exposure_ns=0, width=width, height=height, skipped=0, jpeg=encoded
-            ),
-            number,
-        )
-    return recorder.close().path
+KEYFRAMES = RECORDINGS / "euroc_v1_01_keyframes"
+MADE_UP = "tests.support.made_up_workers:StraightSlam"
 
 
 def replay(path: Path, *words: str) -> dict[str, object]:
@@ -61,7 +29,7 @@ def replay(path: Path, *words: str) -> dict[str, object]:
 
 
 def test_the_same_recording_gives_the_same_bits(tmp_path: Path) -> None:
-    path = record(tmp_path / "drive.mcap")
+    path = record_made_up_room(tmp_path / "drive.mcap")
     first = replay(path, "--backend", MADE_UP, "--threads", "1", "--out", str(tmp_path / "out"))
     assert replay(path, "--backend", MADE_UP, "--threads", "2") == first
     assert first["answers_given"] == 12
@@ -73,8 +41,8 @@ def test_the_same_recording_gives_the_same_bits(tmp_path: Path) -> None:
 
 
 def test_a_different_recording_gives_other_answers(tmp_path: Path) -> None:
-    whole = replay(record(tmp_path / "a" / "drive.mcap"), "--backend", MADE_UP)
-    shorter = replay(record(tmp_path / "b" / "drive.mcap", frames=9), "--backend", MADE_UP)
+    whole = replay(record_made_up_room(tmp_path / "a" / "drive.mcap"), "--backend", MADE_UP)
+    shorter = replay(record_made_up_room(tmp_path / "b" / "drive.mcap", frames=9), "--backend", MADE_UP)
     assert whole["answers"] != shorter["answers"] and whole["map"] != shorter["map"]
 
 
@@ -85,6 +53,29 @@ def test_real_images_give_the_same_bits_on_one_and_two_threads() -> None:
     one = replay(KEYFRAMES, "--last", "11", "--threads", "1")
     assert replay(KEYFRAMES, "--last", "11", "--threads", "2") == one
     assert one["places"]
+
+
+def test_a_replay_says_what_it_does_and_how_far_it_is(tmp_path: Path) -> None:
+    told: list[str | int] = []
+    replay_drive(
+        open_dataset(record_made_up_room(tmp_path / "drive.mcap")),
+        ReplayOptions(MADE_UP),
+        pace=told.append,
+        say=told.append,
+    )
+    steps = [one for one in told if isinstance(one, str)]
+    assert len(steps) == 4 and told[0] == steps[0]
+    # Recorded time goes by twice: while it follows the robot, and while it looks for the place.
+    for step, ends in ((steps[0], steps[1]), (steps[3], None)):
+        times = told[told.index(step) + 1 : None if ends is None else told.index(ends)]
+        assert len(times) > 12 and times == sorted(times)
+
+
+def test_nothing_of_the_progress_gets_into_files_and_pipes(tmp_path: Path) -> None:
+    result = CliRunner().invoke(
+        app, ["replay", str(record_made_up_room(tmp_path / "drive.mcap")), "--backend", MADE_UP]
+    )
+    assert result.exit_code == 0 and result.stderr == ""
 
 
 def test_recorded_time_is_kept_at_the_speed_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +92,7 @@ def test_recorded_time_is_kept_at_the_speed_asked_for(monkeypatch: pytest.Monkey
 
 
 def test_what_cannot_be_replayed_is_one_sentence(tmp_path: Path) -> None:
-    path = record(tmp_path / "drive.mcap", frames=2)
+    path = record_made_up_room(tmp_path / "drive.mcap", frames=2)
     for words, said in (
         ([str(path), "--backend", MADE_UP], "fewer than 3 frames"),
         ([str(path), "--speed", "0"], "--speed"),

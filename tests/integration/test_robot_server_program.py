@@ -20,11 +20,11 @@ from robot.app import open_devices
 from robot.config import RecordedConfig, RobotConfig
 from shared.errors import DeviceUnavailable
 from station.datasets import open_dataset
-from station.link import RobotLink
-from station.recorder import Recorder
-from tests.link_support import linked, until
+from station.recordings.recorder import Recorder
+from station.robots.link import RobotLink
+from tests.support.link import linked, until
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[2]
 FLIGHT = ROOT.parent / "shared" / "data" / "euroc_v1_01_flight"
 CAMERA_YAML = "resolution: [64, 48]\nintrinsics: [60.0, 60.0, 32.0, 24.0]\nrate_hz: 30\n"
 

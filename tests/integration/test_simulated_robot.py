@@ -7,9 +7,12 @@ import json
 import os
 import signal
 import socket
+import struct
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from socketserver import ThreadingTCPServer
 from typing import Any
 
 import pytest
@@ -112,6 +115,28 @@ def test_control_port_answers_on_loopback_and_a_taken_port_is_named(robot: Simul
             ControlServer(robot, server.port)
     finally:
         server.close()
+
+
+def test_a_client_that_is_killed_leaves_no_traceback(
+    robot: SimulatedRobot, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The demo ends its driver, whatever it has just asked."""
+    ended = threading.Event()
+    shut_down = ThreadingTCPServer.shutdown_request
+    monkeypatch.setattr(
+        ThreadingTCPServer, "shutdown_request", lambda self, request: (shut_down(self, request), ended.set())
+    )
+    server = ControlServer(robot, 0)
+    try:
+        with socket.create_connection(("127.0.0.1", server.port), timeout=WAIT_S) as link:
+            link.sendall(b'{"cmd": "truth"}\n')
+            assert link.recv(1) == b"{"
+            # Closing resets the connection, as the end of a process does that has not read everything.
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        assert ended.wait(WAIT_S)
+    finally:
+        server.close()
+    assert capfd.readouterr().err == ""
 
 
 async def test_lost_samples_leave_a_hole_in_the_sequence() -> None:

@@ -11,10 +11,10 @@ import websockets
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.mailbox import MAX_WAITING_MESSAGES, MessageHub
-from tests.link_support import until
-from tests.station_at_work import at_work, wait_for
-from tests.station_support import Desk, store_map
+from station.events import MAX_WAITING_MESSAGES, MessageHub
+from tests.support.link import until
+from tests.support.station import Desk, store_map
+from tests.support.station_at_work import at_work, wait_for
 
 UPGRADE = (
     "GET {path} HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -68,7 +68,7 @@ async def test_stuck_clients_of_every_kind_slow_nobody(tmp_path: Path) -> None:
                 websockets.connect(desk.socket("/ws/drive?driver=quick")) as wheel,
             ):
                 for number in range(600):  # more than any queue holds
-                    desk.station.events.say("robot", f"line {number}")
+                    desk.station.events.notify("robot", f"line {number}")
                 lines = set()
                 while "line 599" not in lines:
                     message = json.loads(await events.recv())

@@ -14,9 +14,13 @@ import pytest
 import websockets
 
 from shared.listening import bind
-from tests.link_support import until
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import running_station, store_map
+from station.model.map_store import StoreAddress
+from station.workers.jobs import JobWorker
+from station.workers.library_requests import LibraryProgram, MeasurePlaces
+from tests.support.link import until
+from tests.support.paths import ROOT
+from tests.support.station import running_station, store_map
+from tests.support.station_at_work import at_work, is_problem, wait_for
 
 
 async def test_every_error_is_a_problem_document(tmp_path: Path) -> None:
@@ -255,7 +259,7 @@ async def test_a_drive_too_short_to_map_says_so(tmp_path: Path) -> None:
 
 
 async def test_a_dead_slam_worker_is_announced_and_the_recording_goes_on(tmp_path: Path) -> None:
-    async with at_work(tmp_path, backend="tests.made_up_workers:DyingSlam") as (desk, _, _film):
+    async with at_work(tmp_path, backend="tests.support.made_up_workers:DyingSlam") as (desk, _, _film):
         drive = (await desk.http.post("/navigations")).json()
         lines = await wait_for(desk, "/log", lambda log: sum("unexpectedly" in line["text"] for line in log) > 1)
         assert sum(line["level"] == "error" and "started again" in line["text"] for line in lines) > 1
@@ -309,10 +313,11 @@ async def test_a_robot_that_goes_takes_the_current_place_with_it(tmp_path: Path)
 
 async def test_a_running_job_can_be_cancelled(tmp_path: Path) -> None:
     async with running_station(1, tmp_path) as desk:
-        # Cancelled while its process starts: it would fail later, with no navigation to build from.
-        job = desk.station.jobs.start(
-            "test", "map of nothing", lambda worker: worker.call("build_map", [], tmp_path, "", None)
-        )
+        # Cancelled while its process starts: it would fail later, without a map to measure.
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, float]:
+            return await worker.call(MeasurePlaces(StoreAddress(tmp_path), "none"))
+
+        job = desk.station.jobs.start("test", "places of nothing", work)
         cancelled = (await desk.http.delete(f"/jobs/{job.id}")).json()
         assert cancelled["state"] == "cancelled"
 
@@ -326,7 +331,7 @@ def test_a_port_in_use_is_one_sentence() -> None:
 
 async def test_the_example_client_says_the_place(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
-    script = Path(__file__).parents[2] / "examples" / "place_client.py"
+    script = ROOT / "examples" / "place_client.py"
 
     async def run(address: str) -> tuple[int | None, str]:
         process = await asyncio.create_subprocess_exec(

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import websockets
 
-from station.robot_session import MAX_STOP_LINES
-from tests.link_support import until
-from tests.station_at_work import at_work, drive_off, heard, is_problem, wait_for
-from tests.station_support import Desk, running_station, store_map
+from station.robots.session import MAX_STOP_LINES
+from tests.support.link import until
+from tests.support.station import Desk, running_station, store_map
+from tests.support.station_at_work import at_work, drive_off, heard, is_problem, wait_for
 
 
 async def test_drive_moves_the_motors_until_the_driver_goes_silent(tmp_path: Path) -> None:
@@ -226,8 +226,8 @@ async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> 
         # It may look around all the same: then the place is not looked for, and the answer says so.
         await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
         assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0})).status_code == 200
-        answers = desk.station.first.locating.answers
+        answers = desk.station.first.current_place.answers
         assert "looks aside" in (await desk.http.get("/place/current")).json()["reason"]
         await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})
-        await until(lambda: desk.station.first.locating.answers > answers + 2)
+        await until(lambda: desk.station.first.current_place.answers > answers + 2)
         assert "looks aside" not in (await desk.http.get("/place/current")).json()["reason"]

@@ -10,11 +10,11 @@ import pytest
 import websockets
 
 from shared.access import Role
-from station import serving
-from station.serving import MAX_STRANGERS
-from tests.access_support import guarded_station
-from tests.link_support import until
-from tests.station_support import Desk, running_station
+from station.api import serving
+from station.api.serving import MAX_STRANGERS
+from tests.support.access import guarded_station
+from tests.support.link import until
+from tests.support.station import Desk, running_station
 
 FLOOD = 3 * MAX_STRANGERS
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]

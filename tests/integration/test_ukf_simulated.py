@@ -16,9 +16,9 @@ from robot.simulation.renderer import Renderer
 from robot.simulation.sensors import ImuModel
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.worlds import make_world
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Navigation
-from station.slam.backend import SlamUpdate
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
 
 COVERED_S = (4.5, 7.0)

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from station.drive_library import DriveLibrary, DriveRecord
+from station.files.navigation_folder import save_navigation
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.maps.store import MapStore
-from station.navigation_files import save_navigation
-from tests.disk_support import unwritable
-from tests.made_up_workers import made_up_navigation
-from tests.station_at_work import at_work, is_problem, wait_for
-from tests.station_support import running_station, store_map
+from tests.support.disk import unwritable
+from tests.support.made_up_workers import made_up_navigation
+from tests.support.station import running_station, store_map
+from tests.support.station_at_work import at_work, is_problem, wait_for
 
 pytestmark = pytest.mark.timeout(600)
 NAMED = "Sofa"
@@ -33,9 +33,9 @@ def spoilt_station(data_dir: Path) -> str:
     with contextlib.closing(sqlite3.connect(data_dir / "maps" / "maps.db")) as connection:
         connection.execute("DELETE FROM map_version WHERE number = 2")
         connection.commit()
-    library = DriveLibrary(data_dir / "navigations")
-    library.keep(DriveRecord("nav-1", "Ready", "ready", 1.0, "sfm", landmarks=5, scale="metric"))
-    library.keep(DriveRecord("nav-2", "Cut", "recording", 2.0, "sfm"))
+    library = NavigationLibrary(data_dir / "navigations")
+    library.keep(NavigationRecord("nav-1", "Ready", "ready", 1.0, "sfm", landmarks=5, scale="metric"))
+    library.keep(NavigationRecord("nav-2", "Cut", "recording", 2.0, "sfm"))
     save_navigation(made_up_navigation(), library.navigation_folder("nav-1"))
     (library.folder("nav-1") / "recording.mcap").write_bytes(b"x")
     return place_map.id
@@ -97,5 +97,5 @@ async def test_a_station_on_a_disk_that_takes_no_writes_shows_and_localises_and_
         renamed = await desk.http.patch(f"/places/{places[0]['id']}", json={"name": "Desk"})
         assert places[0]["name"] == NAMED and renamed.status_code == 200
         assert (await desk.http.patch("/navigations/nav-1", json={"name": "other"})).json()["name"] == "other"
-    library = DriveLibrary(tmp_path / "navigations")
+    library = NavigationLibrary(tmp_path / "navigations")
     assert library.open() == [] and library.get("nav-1").name == "other"

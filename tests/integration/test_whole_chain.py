@@ -8,8 +8,8 @@ from collections.abc import AsyncIterator
 import pytest
 import pytest_asyncio
 
-from benchmarks.stop_chain import Chain
-from tests.emulator import board
+from tests.support.emulator import board
+from tests.support.stopping.chain import Chain
 
 pytestmark = [
     pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or ""),

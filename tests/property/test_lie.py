@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.geometry import FloatArray
-from station.slam.ukf import lie
+from station.motion import lie
 
 ANGLES = [0.0, 1e-12, 1e-7, 9e-5, 1.1e-4, 5e-3, 0.011, 0.09, 0.11, 1.0, 2.9, 3.05, np.pi - 1e-4, np.pi - 1e-9, np.pi]
 K = 4

@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 from sklearn.metrics import adjusted_rand_score
 
 from shared.geometry import FloatArray, se3, so3_exp
-from station.navigation import Keyframes, Navigation
-from station.places.build import build_map, carry_names
-from station.places.clusters import NOISE, cluster_landmarks
-from station.places.config import PlacesConfig
-from station.places.evidence import gather_evidence
-from station.places.graph import shortest_route
-from station.places.modes import climb, smooth_density
-from tests.synthetic_home import drive, furnished_room, navigate, with_points
+from station.model.navigation import Keyframes, Navigation
+from station.places.making.build import build_map, carry_names
+from station.places.making.clusters import NOISE, cluster_landmarks
+from station.places.making.config import PlacesConfig
+from station.places.making.graph import shortest_route
+from station.places.making.modes import climb, smooth_density
+from station.places.making.place_images import gather_evidence
+from tests.support.synthetic_home import drive, furnished_room, navigate, with_points
 
 HOME = furnished_room(5, density=80)
 NAVIGATION = navigate(HOME, drive(HOME, 5, frames=40), seed=5, images=False)

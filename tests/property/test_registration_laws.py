@@ -6,11 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.registration_clouds import make_pair
-from shared.geometry import inverse, se3, so3_exp, transform, yaw_rotation
-from station.places.camera_pose import solve_pose
-from station.places.registration import register_clouds
-from station.places.registration.score import inverse_similarity
+from shared.geometry import inverse, inverse_sim3, se3, so3_exp, transform, yaw_rotation
+from station.places.registration.register import register_clouds
+from station.vision.camera_pose import solve_pose
+from tests.support.registration_clouds import make_pair
 
 CLOUD = make_pair(9201, overlap=(1.0, 1.0), points=(2000, 2001), outliers=(0.0, 0.0), noise_m=0.0).target
 
@@ -29,7 +28,7 @@ def test_any_yaw_and_translation_of_a_cloud_is_recovered(yaw: float, x: float, y
 @given(scale=st.floats(0.82, 1.2), yaw=st.floats(-3.1, 3.1))
 def test_any_scale_in_range_is_recovered(scale: float, yaw: float) -> None:
     T = se3(scale * yaw_rotation(yaw), np.array([1.0, 2.0, 0.1]))
-    result = register_clouds(CLOUD, transform(inverse_similarity(T), CLOUD), scale="free")
+    result = register_clouds(CLOUD, transform(inverse_sim3(T), CLOUD), scale="free")
     assert result.accepted, result.reasons
     assert abs(result.scale / scale - 1) < 2e-3
 

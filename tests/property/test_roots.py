@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.geometry import FloatArray
-from station.slam.ukf.roots import InformationRoot, shrink
+from station.slam.ukf.filter.roots import InformationRoot, shrink
 
 
 def is_lower(S: FloatArray) -> bool:

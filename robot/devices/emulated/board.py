@@ -1,4 +1,4 @@
-"""Starts the emulated board (tests/emulator) as a process of its own and talks to it: commands in, events out."""
+"""Starts the emulated board (tests/support/emulator) as a process of its own: commands in, events out."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class EmulatedBoard:
             raise DeviceUnavailable("the emulated board does not start; run make -C firmware emulator")
 
     def command(self, line: str) -> None:
-        """One command of tests/emulator/board.c. Raises DeviceLost when the board has ended."""
+        """One command of tests/support/emulator/board.c. Raises DeviceLost when the board has ended."""
         assert self.process.stdin is not None
         with self._write_lock:
             try:

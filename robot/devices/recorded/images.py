@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from shared.advice import install
 from shared.errors import DataError, DeviceUnavailable
 
 JPEG_QUALITY = 95  # next to no loss: a recorded PNG should look to SLAM as it did on disk
@@ -42,7 +43,7 @@ def to_jpeg(encoded: bytes, path: Path) -> bytes:
         import numpy as np
     except ImportError as exc:
         raise DeviceUnavailable(
-            "PNG frames are sent as JPEG, which needs OpenCV: pip install 'sentinel-robot[simulation]'"
+            f"PNG frames are sent as JPEG, which needs OpenCV; run: {install('simulation')}"
         ) from exc
     image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED) if encoded else None
     if image is None:

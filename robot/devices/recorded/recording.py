@@ -12,6 +12,7 @@ import msgspec
 
 from robot.devices.ports import ImuReading
 from robot.devices.recorded.images import read_size
+from shared.advice import install
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError, DeviceUnavailable
 from shared.geometry import inverse
@@ -109,7 +110,7 @@ def _opener(module: str, extra: str) -> Callable[[Path], Recording]:
         found: Callable[[Path], Recording] = importlib.import_module(f"robot.devices.recorded.{module}").open_file
     except ImportError as exc:
         raise DeviceUnavailable(
-            f"this kind of recording needs {exc.name}, which is not installed: pip install 'sentinel-robot[{extra}]'"
+            f"this kind of recording needs {exc.name}, which is not installed; run: {install(extra)}"
         ) from exc
     return found
 

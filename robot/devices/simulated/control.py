@@ -6,6 +6,7 @@ the sensors alone.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import socketserver
@@ -31,8 +32,9 @@ class ControlServer:
 
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
-                while line := self.rfile.readline(MAX_LINE_BYTES):
-                    self.wfile.write(json.dumps(desk.answer(line)).encode() + b"\n")
+                with contextlib.suppress(ConnectionError):  # who asked may be killed before it has read the answer
+                    while line := self.rfile.readline(MAX_LINE_BYTES):
+                        self.wfile.write(json.dumps(desk.answer(line)).encode() + b"\n")
 
         try:
             self._server = _Server(("127.0.0.1", port), Handler)

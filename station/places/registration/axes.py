@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, so3_exp
+from shared.geometry import FloatArray, upright
 from station.places.registration.cloud import PreparedCloud
 
 NUM_DIRECTIONS = 600
@@ -13,8 +13,8 @@ KERNEL = 60.0  # concentration of a normal around an axis: about 7 degrees
 
 def upright_rotations(target: PreparedCloud, source: PreparedCloud) -> tuple[FloatArray, list[FloatArray]]:
     """Rotation (3, 3) that puts the target's strongest axis upright, and those of the source to try with it."""
-    R_target = _to_upright(principal_axes(target)[0])
-    options = [_to_upright(sign * axis) for axis in principal_axes(source) for sign in (1.0, -1.0)]
+    R_target = upright(principal_axes(target)[0])
+    options = [upright(sign * axis) for axis in principal_axes(source) for sign in (1.0, -1.0)]
     return R_target, options
 
 
@@ -50,12 +50,3 @@ def _half_sphere(count: int) -> FloatArray:
     angle = np.pi * (1 + np.sqrt(5)) * k
     r = np.sqrt(1 - z**2)
     return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
-
-
-def _to_upright(axis: FloatArray) -> FloatArray:
-    """The shortest rotation (3, 3) that turns the axis to +z."""
-    v = np.cross(axis, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(v))
-    if sine < 1e-12:
-        return np.eye(3) if axis[2] > 0 else np.diag([1.0, -1.0, -1.0])
-    return so3_exp(v / sine * float(np.arctan2(sine, axis[2])))

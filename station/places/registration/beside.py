@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
+from shared.geometry import FloatArray, IntArray, se3, transform, yaw_rotation
 from station.places.registration.cloud import PreparedCloud
 from station.places.registration.refine import Refined, refine
 from station.places.registration.score import landed_apart
@@ -73,7 +73,7 @@ def _starts(
 ) -> list[FloatArray]:
     """T (4, 4) moved about the middle of the points (k, 3): every shift with every turn and scale."""
     centre = np.median(points, axis=0)
-    landed = T[:3, :3] @ centre + T[:3, 3]
+    landed = transform(T, centre)
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     around = [r * np.array([np.cos(a), np.sin(a), 0.0]) for r in SHIFTS for a in angles]
     shifts = [R_up.T @ (voxel * shift) for shift in (np.zeros(3), *around)]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, scale_of
 from station.places.registration.cloud import PreparedCloud
-from station.places.registration.refine import refine, scale_of
+from station.places.registration.refine import refine
 
 # Search radii in voxels. Wide at first, as at 5 % the far ends of a flat lie two voxels off; still wider ones (2.5)
 # came nearer to the truth where a scale was wrong, but led two of 53 right answers with little overlap 1.1 % astray.

@@ -6,10 +6,10 @@ import importlib.util
 
 import numpy as np
 
+from shared.advice import install
 from shared.errors import ConfigError, EstimationError
-from shared.geometry import FloatArray, se3
+from shared.geometry import FloatArray, scale_of, sim3, transform
 from station.places.registration.cloud import NEIGHBOURS
-from station.places.registration.refine import scale_of
 from station.places.registration.result import Backend
 
 
@@ -18,7 +18,7 @@ def require_backend(backend: Backend) -> None:
     if backend not in ("small_gicp", "open3d"):
         raise ConfigError(f"backend {backend!r} is not known; choose small_gicp or open3d")
     if importlib.util.find_spec(backend) is None:
-        raise ConfigError(f"backend {backend} is missing; pip install '.[{_extra(backend)}]' in Sentinel's folder")
+        raise ConfigError(f"backend {backend} is missing; run: {install(_extra(backend))}")
 
 
 def _extra(backend: Backend) -> str:
@@ -43,13 +43,13 @@ def align_gicp(
     centre = target.mean(axis=0)
     unit = reach / 0.3
     p_target = (target - centre) / unit
-    p_source = (source @ T_start[:3, :3].T + T_start[:3, 3] - centre) / unit
+    p_source = (transform(T_start, source) - centre) / unit
     align = _small_gicp if backend == "small_gicp" else _open3d
     T = align(p_target, p_source, 0.3)
     if not np.isfinite(T).all() or abs(np.linalg.det(T[:3, :3]) - 1) > 1e-3:
         raise EstimationError(f"{backend} returned no rigid motion")
-    to_unit = se3(np.eye(3) / unit, -centre / unit)
-    from_unit = se3(np.eye(3) * unit, centre)
+    to_unit = sim3(1 / unit, np.eye(3), -centre / unit)
+    from_unit = sim3(unit, np.eye(3), centre)
     out = from_unit @ T @ to_unit @ T_start
     out[:3, :3] *= scale / scale_of(out)  # rounding only
     return out

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
+from shared.geometry import FloatArray, IntArray, se3, transform, yaw_rotation
 from station.places.registration.beside import best_fits
 from station.places.registration.cloud import PreparedCloud
 
@@ -32,7 +32,7 @@ def nudge(
     """
     p = source.points[subset]
     centre = np.median(p, axis=0)
-    landed = T[:3, :3] @ centre + T[:3, 3]
+    landed = transform(T, centre)
     candidates = []
     for turn in TURNS_DEG:
         R = R_up.T @ yaw_rotation(np.radians(turn)) @ R_up @ T[:3, :3]

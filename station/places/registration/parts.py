@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, scale_of, transform
 from station.places.registration.cloud import PreparedCloud
-from station.places.registration.refine import measure_residuals, refine, scale_of
+from station.places.registration.refine import measure_residuals, refine
 from station.places.registration.score import landed_apart
 
 PASSES = 6
@@ -76,7 +76,7 @@ def parts_apart(
     mixed = rng.permutation(subset)
     found = measure_residuals(target, source.points[subset], source.normals[subset], T, reach)
     shared = np.isfinite(found.distance)
-    on_floor = ((source.points[subset] @ T[:3, :3].T + T[:3, 3]) @ R_up.T)[:, :2]
+    on_floor = (transform(T, source.points[subset]) @ R_up.T)[:, :2]
     halves = apart(mixed[::2], mixed[1::2])
     if np.count_nonzero(shared) < 2 * MIN_POINTS:
         return PartsApart(halves[0], UNKNOWN, halves[1], unit)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, se3, skew, so3_exp
+from shared.geometry import FloatArray, IntArray, rotation_of, se3, skew, so3_exp, transform
 from station.places.registration.cloud import PreparedCloud
 from station.places.registration.nearest import NearestTracker
 
@@ -40,22 +40,17 @@ class Residuals:
     agreement: FloatArray  # (m,) |cosine| between the two local normals
 
 
-def scale_of(T: FloatArray) -> float:
-    """The scale in the upper-left block."""
-    return float(np.cbrt(np.linalg.det(T[:3, :3])))
-
-
 def measure_residuals(
     target: PreparedCloud, points: FloatArray, normals: FloatArray, T: FloatArray, reach: float
 ) -> Residuals:
     """Where source points (m, 3) with normals (m, 3) fall on the target when moved by T."""
-    moved = points @ T[:3, :3].T + T[:3, 3]
+    moved = transform(T, points)
     distance, index = target.tree.query(moved, distance_upper_bound=reach)
     found = np.isfinite(distance)
     index = np.where(found, index, 0)
     normal = target.normals[index]
     along = np.einsum("ni,ni->n", moved - target.points[index], normal)
-    turned = normals @ (T[:3, :3] / scale_of(T)).T
+    turned = normals @ rotation_of(T).T
     return Residuals(index, distance, np.where(found, along, np.inf), np.abs(np.einsum("ni,ni->n", normal, turned)))
 
 
@@ -89,7 +84,7 @@ def refine(
     rms = float("inf")
     tracker = NearestTracker(target, len(points))
     for reach in reaches:
-        moved = points @ T[:3, :3].T + T[:3, 3]
+        moved = transform(T, points)
         nearest, near = tracker.find(moved, reach)
         use = np.flatnonzero(near)
         if len(use) < 12:
@@ -98,7 +93,7 @@ def refine(
         normal = target.normals[nearest]
         gap = target.points[nearest] - moved
         along = -np.einsum("ni,ni->n", gap, normal)
-        turned = normals[use] @ (T[:3, :3] / scale_of(T)).T
+        turned = normals[use] @ rotation_of(T).T
         sigma = max(reach / REACH_PER_SIGMA, target.noise)
         w = 1.0 / (1.0 + (along / sigma) ** 2) ** 2  # Geman-McClure: outliers vanish
         agreement = np.einsum("ni,ni->n", normal, turned) ** 2

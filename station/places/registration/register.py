@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from shared.errors import DataError, DegenerateGeometry, EstimationError
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, scale_of
 from station.places.registration.axes import upright_rotations
 from station.places.registration.beside import alignments_beside
 from station.places.registration.cloud import PreparedCloud, clean_points, prepare_cloud, thin
@@ -17,7 +17,7 @@ from station.places.registration.gicp import align_gicp, require_backend
 from station.places.registration.kiss import kiss_is_available, match_features
 from station.places.registration.nudge import nudge
 from station.places.registration.parts import parts_apart
-from station.places.registration.refine import Refined, measure_residuals, refine, scale_of
+from station.places.registration.refine import Refined, measure_residuals, refine
 from station.places.registration.result import Alternative, Backend, Gravity, Registration, Scale, refused
 from station.places.registration.score import Contrast, Score, contrast_of, landed_apart, score_alignment
 from station.places.registration.verify import KNOWN_TO, Evidence, judge

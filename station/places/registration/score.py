@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, inverse, se3
+from shared.geometry import FloatArray, IntArray, inverse_sim3, scale_of, transform
 from station.places.registration.cloud import PreparedCloud
-from station.places.registration.refine import measure_residuals, scale_of
+from station.places.registration.refine import measure_residuals
 
 SLIDES = 6
 SLIDE_TOLERANCES = 6.0  # 30 cm at 2 cm noise: farther than the tolerance, nearer than the next piece of furniture
@@ -37,20 +37,10 @@ class Contrast:
     least: float  # share lost in the direction that loses least
 
 
-def inverse_similarity(T: FloatArray) -> FloatArray:
-    """Inverse of a rigid motion with scale."""
-    scale = scale_of(T)
-    rigid = se3(T[:3, :3] / scale, T[:3, 3] / scale)
-    back = inverse(rigid)
-    back[:3, :3] /= scale
-    return back
-
-
 def landed_apart(T: FloatArray, other: FloatArray, source: PreparedCloud) -> float:
     """Median distance between where two alignments (4, 4) put the source's points."""
     sample = source.points[:: max(1, len(source.points) // 200)]
-    gap = T - other
-    return float(np.median(np.linalg.norm(sample @ gap[:3, :3].T + gap[:3, 3], axis=1)))
+    return float(np.median(np.linalg.norm(transform(T - other, sample), axis=1)))
 
 
 def score_alignment(
@@ -65,7 +55,7 @@ def score_alignment(
     scale = scale_of(T)
     reach = max(3.0 * max(target.spacing, source.spacing * scale), 2 * tolerance)
     forward = _one_way(target, source, T, source_subset, tolerance, reach)
-    back = _one_way(source, target, inverse_similarity(T), target_subset, tolerance / scale, reach / scale)
+    back = _one_way(source, target, inverse_sim3(T), target_subset, tolerance / scale, reach / scale)
     return Score(
         inlier_share=(forward[0] + back[0]) / 2,
         inlier_ratio=(forward[0] + back[0]) / max(forward[1] + back[1], 1e-9),

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, inverse_sim3, scale_of, transform
 from station.places.registration.cloud import PreparedCloud
 from station.places.registration.free_space import Rays, Watched, watched_points
 from station.places.registration.freed_scale import free_the_scale, noise_of_scale
 from station.places.registration.parts import PartsApart
-from station.places.registration.refine import Refined, scale_of
+from station.places.registration.refine import Refined
 from station.places.registration.result import Gravity, Scale
-from station.places.registration.score import Contrast, Score, inverse_similarity
+from station.places.registration.score import Contrast, Score
 
 # Logistic regression on 258 training pairs of benchmarks/bench_registration.py, of all its sets (docs/registration.md
 # says which): `python -m benchmarks.fit_registration_verdict` prints these numbers.
@@ -199,11 +199,10 @@ def _watched(e: Evidence, rng: np.random.Generator) -> Watched:
     T = e.refined.T_target_source
     found = [Watched(0, 0)]
     if e.target_rays is not None:
-        moved = e.source.points @ T[:3, :3].T + T[:3, 3]
+        moved = transform(T, e.source.points)
         found.append(watched_points(e.target_given, e.target_rays, moved, e.voxel, rng))
     if e.source_rays is not None:
-        back = inverse_similarity(T)
-        moved = e.target.points @ back[:3, :3].T + back[:3, 3]
+        moved = transform(inverse_sim3(T), e.target.points)
         found.append(watched_points(e.source_given, e.source_rays, moved, e.voxel / scale_of(T), rng))
     return max(found, key=lambda w: (w.points >= MIN_WATCHED, w.share if w.points else -1.0))
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy import fft as scipy_fft
 from scipy.ndimage import gaussian_filter
 
-from shared.geometry import FloatArray, IntArray, se3, yaw_rotation
+from shared.geometry import FloatArray, IntArray, rotation_angle, rotation_of, scale_of, se3, transform, yaw_rotation
 
 Float32Array = npt.NDArray[np.float32]
 T = TypeVar("T")
@@ -247,9 +247,7 @@ def _distinct(found: list[Candidate], keep: int, centre: FloatArray, yaw_gap: fl
 
 def _differ(a: Candidate, b: Candidate, centre: FloatArray, yaw_gap: float, gap: float) -> bool:
     A, B = a.T_target_source, b.T_target_source
-    scale_a, scale_b = np.cbrt(np.linalg.det(A[:3, :3])), np.cbrt(np.linalg.det(B[:3, :3]))
-    cosine = (np.trace(A[:3, :3].T @ B[:3, :3]) / (scale_a * scale_b) - 1) / 2
-    if np.arccos(np.clip(cosine, -1, 1)) > yaw_gap or abs(np.log(scale_a / scale_b)) > 0.05:
+    angle = rotation_angle(rotation_of(A).T @ rotation_of(B))
+    if angle > yaw_gap or abs(np.log(scale_of(A) / scale_of(B))) > 0.05:
         return True
-    landed = (A[:3, :3] - B[:3, :3]) @ centre + A[:3, 3] - B[:3, 3]
-    return bool(np.linalg.norm(landed) > gap)
+    return bool(np.linalg.norm(transform(A - B, centre)) > gap)

@@ -14,25 +14,25 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Keyframes, Navigation, NavigationReport
-from station.shelf import Shelf, ShelvedFiles
-from station.slam.backend import SlamUpdate
-from station.slam.frontend.lens import Lens
-from station.slam.sfm.assemble import Reconstructed, read_odometry_map
+from station.files.spill import Spill, SpilledFiles
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Keyframes, Navigation, NavigationReport
+from station.model.slam_update import SlamUpdate
+from station.motion.inertial_track import concatenate_imu
+from station.slam.mapping.assemble import Reconstructed, read_odometry_map
+from station.slam.mapping.matching import Shortlist, match_descriptors
+from station.slam.mapping.odometry import dead_reckon
+from station.slam.mapping.odometry_mapping import map_with_odometry
+from station.slam.mapping.tracks import Pairs
 from station.slam.sfm.colmap import pycolmap
 from station.slam.sfm.colmap_model import read_model
 from station.slam.sfm.config import SfmConfig
-from station.slam.sfm.inertial import concatenate_imu
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.sfm.matching import Shortlist, match_descriptors
-from station.slam.sfm.odometry import dead_reckon
-from station.slam.sfm.odometry_mapping import map_with_odometry
 from station.slam.sfm.sift import PinholeFeatures, SiftExtractor
-from station.slam.sfm.tracks import Pairs
 from station.slam.sfm.two_view import Match, verify
 from station.slam.sfm.visual import colmap_camera, map_incrementally
 from station.slam.sfm.world import place_in_world
+from station.vision.lens import Lens
 
 logger = logging.getLogger(__name__)
 MIN_KEYFRAMES = 3
@@ -60,9 +60,9 @@ class SfmBackend:
         self._shortlist = Shortlist(self._config.matching)
         self._imu: list[ImuBatch] = []
         self._drive: list[DriveSample] = []
-        self._shelf = Shelf()
+        self._spill = Spill()
         self._frames: list[ImageFrame] = []  # keyframes, without their files
-        self._encoded = ShelvedFiles(self._shelf)  # these
+        self._encoded = SpilledFiles(self._spill)  # these
         self._features: list[PinholeFeatures] = []
         self._pairs: list[Pairs] = []  # feature pairs, unverified
         self._matches: list[Match] = []  # verified
@@ -116,7 +116,7 @@ class SfmBackend:
             self._shortlist.add(features)
         self._frames.append(replace(frame, encoded=b""))
         self._encoded.append(frame.encoded)
-        put = self._shelf.put
+        put = self._spill.put
         self._features.append(PinholeFeatures(put(features.uv_px), put(features.sift), put(features.uv_ideal_px)))
         for a in older:
             pairs = match_descriptors(self._features[a].descriptors, features.descriptors, config.max_ratio)
@@ -181,10 +181,10 @@ class SfmBackend:
         frames, features = self._frames[begin:end], self._features[begin:end]
         pairs = [(a - begin, b - begin, p) for a, b, p in self._pairs if begin <= a and b < end]
         odometry = dead_reckon(imu, self._drive, t_all[begin:end], self._calibration.imu)
-        made = map_with_odometry(features, pairs, t_all[begin:end], odometry, self._camera, self._config)
+        made = map_with_odometry(features, pairs, t_all[begin:end], odometry, self._camera, self._config.mapping)
         if made.tracks.num_points == 0:
             raise EstimationError("no landmark could be triangulated; drive further, with light and texture in view")
-        model = read_odometry_map(made, frames, features, self._camera, self._config)
+        model = read_odometry_map(made, frames, features, self._camera, self._config.mapping)
         facts = {"mapping": "odometry and images", "loops": made.num_loops, "median_error_px": made.median_error_px}
         return model, facts
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
-from station.frames import ImageFrame
-from station.slam.sfm.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
+from station.model.frames import ImageFrame
+from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
+from station.slam.mapping.features import Features
 from station.slam.sfm.colmap import COLMAP_PIXEL_CENTRE, pycolmap
 from station.slam.sfm.config import SfmConfig
-from station.slam.sfm.features import Features
 from station.slam.sfm.visual import CAMERA_ID
 
 
@@ -34,7 +34,7 @@ def read_model(
     uv = np.array(
         [features[registered[k]].uv_px[f] for k, f in zip(seen_from.tolist(), feature.tolist(), strict=True)]
     ).reshape(-1, 2)
-    keep = good_landmarks(points, owner, seen_from, T_world_cam[:, :3, 3], config)
+    keep = good_landmarks(points, owner, seen_from, T_world_cam[:, :3, 3], config.mapping)
     landmarks = make_landmarks(keyframes, keep, points, np.zeros((len(points), 3, 3)), owner, seen_from, uv)
     return Reconstructed(keyframes, landmarks, _calibrated(model, camera) if refined else camera)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from station.slam.mapping.config import MappingConfig, MatchConfig
+
 
 @dataclass(frozen=True, slots=True)
 class KeyframeConfig:
@@ -27,24 +29,6 @@ class FeatureConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class MatchConfig:
-    """Which keyframes are compared, and when two of them are believed to see the same."""
-
-    num_previous: int = 6  # every keyframe against the ones just before it
-    num_previous_with_odometry: int = 4
-    num_shortlist: int = 4  # and against the older ones that look most alike
-    shortlist_features: int = 200  # the largest features decide who looks alike
-    min_shortlist_matches: int = 12
-    max_ratio: float = 0.8  # Lowe's ratio, as in COLMAP
-    min_inliers: int = 20
-    max_error_px: float = 3.0
-    min_gyro_inliers: int = 8  # of matches that agree with the gyroscope's rotation: chance gives 1 or 2
-    loops_per_keyframe: int = 2
-    min_loop_inliers: int = 15
-    seed_of_pnp: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class SfmConfig:
     """All settings of a run; stored in `navigation.json`."""
 
@@ -57,3 +41,8 @@ class SfmConfig:
     max_reprojection_error_px: float = 3.0
     min_track_length: int = 3
     min_triangulation_angle_deg: float = 1.5
+
+    @property
+    def mapping(self) -> MappingConfig:
+        """What mapping must know of them."""
+        return MappingConfig(self.seed, self.matching, self.min_track_length, self.min_triangulation_angle_deg)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from station.frames import ImageArray
+from station.model.frames import ImageArray
 from station.slam.sfm.config import KeyframeConfig
 
 MIN_CORNERS = 12  # fewer cannot say how far the picture moved

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray
-from station.frames import ImageArray
-from station.slam.frontend.lens import Lens
+from station.model.frames import ImageArray
+from station.slam.mapping.features import Features
 from station.slam.sfm.colmap import COLMAP_PIXEL_CENTRE, pycolmap
 from station.slam.sfm.config import FeatureConfig
-from station.slam.sfm.features import Features
+from station.vision.lens import Lens
 
 
 @dataclass(frozen=True, slots=True, eq=False)

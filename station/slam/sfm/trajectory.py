@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
-from station.navigation import Trajectory
-from station.slam.sfm.inertial import InertialTrack
+from station.model.navigation import Trajectory
+from station.motion.inertial_track import InertialTrack
 
 MAX_GAP_NS = 4_000_000_000  # keyframes further apart say little of the time between
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shared.geometry import IntArray
+from station.slam.mapping.config import MatchConfig
 from station.slam.sfm.colmap import COLMAP_PIXEL_CENTRE, pycolmap
-from station.slam.sfm.config import MatchConfig
 from station.slam.sfm.sift import PinholeFeatures
 
 

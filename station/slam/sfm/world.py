@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, IntArray, inverse, se3, transform
-from station.frames import DriveSample, ImuBatch
-from station.navigation import Landmarks, Trajectory
-from station.slam.sfm.assemble import Reconstructed
-from station.slam.sfm.inertial import InertialTrack, estimate_gyro_bias
-from station.slam.sfm.metric import (
-    DRIVE_SYSTEMATIC,
+from shared.geometry import FloatArray, IntArray, inverse, se3, transform, upright
+from station.model.frames import DriveSample, ImuBatch
+from station.model.navigation import Landmarks, Trajectory
+from station.motion.inertial_track import InertialTrack
+from station.slam.mapping.assemble import Reconstructed
+from station.slam.mapping.pose_alignment import (
     ScaleEstimate,
     align_to_imu,
-    fuse_scales,
     gravity_from_accelerometer,
-    scale_from_drive,
+    gyro_bias_from_rotations,
     spaced,
 )
+from station.slam.sfm.metric import DRIVE_SYSTEMATIC, fuse_scales, scale_from_drive
 from station.slam.sfm.trajectory import all_frames
 
 METRIC_SIGMA = 0.10  # a scale less certain than 10 % is not called metric
@@ -112,7 +111,7 @@ def _measure(model: Reconstructed, calibration: Calibration, imu: ImuBatch | Non
     track, down = None, None
     t_imu = keyframes.t_robot_ns + round(model.camera.time_shift_s * 1e9)
     if imu is not None and calibration.imu is not None:
-        track, angles = estimate_gyro_bias(imu, t_imu, R_body)
+        track, angles = gyro_bias_from_rotations(imu, t_imu, R_body)
         numbers["gyro_bias_rad_s"] = track.gyro_bias.tolist()
         if np.isfinite(angles).any():
             numbers["gyro_camera_median_rad"] = float(np.nanmedian(angles))
@@ -153,11 +152,5 @@ def _guess_up(T_world_cam: FloatArray) -> FloatArray:
 
 def _first_pose_is_origin(up: FloatArray, T_model_body: FloatArray) -> FloatArray:
     """T_world_model (4, 4): z along up, origin at the first body pose, its forward axis (x) at yaw 0."""
-    up = up / np.linalg.norm(up)
-    for axis in (0, 2, 1):  # a body that points straight up has no yaw of its x axis: take another one
-        forward = T_model_body[:3, axis] - up * float(T_model_body[:3, axis] @ up)
-        if float(np.linalg.norm(forward)) > 0.3:
-            break
-    forward /= np.linalg.norm(forward)
-    R_world_model = np.stack([forward, np.cross(up, forward), up])
+    R_world_model = upright(up, T_model_body[:3, :3])
     return se3(R_world_model, -R_world_model @ T_model_body[:3, 3])

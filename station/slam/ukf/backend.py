@@ -15,29 +15,31 @@ from threadpoolctl import ThreadpoolController
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
 from shared.geometry import FloatArray
-from station.features import Features
-from station.frames import DriveSample, ImageFrame, ImuBatch
-from station.navigation import Navigation
-from station.slam.backend import SlamUpdate, TrackingState
-from station.slam.frontend.tracker import Tracker
-from station.slam.ukf import lie
-from station.slam.ukf.coasting import Coasting
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.model.slam_update import SlamUpdate, TrackingState
+from station.motion import lie
+from station.motion.drive_commands import WheelSpeed, commands_motion
+from station.motion.imu_buffer import ImuBuffer
+from station.motion.preintegration import ImuSegment
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.constraints import BodyVelocity, wheel_velocity
-from station.slam.ukf.filter import SoftConstraint, VioFilter
+from station.slam.ukf.filter.constraints import BodyVelocity, wheel_velocity
+from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
+from station.slam.ukf.filter.standstill import Standstill
+from station.slam.ukf.filter.state import FilterState
+from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
-from station.slam.ukf.inertial import ImuBuffer
 from station.slam.ukf.intake import FrameIntake
-from station.slam.ukf.keyframes import is_grey, sample_grey
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.memory import DriveMemory, Points, RecentFrame
+from station.slam.ukf.map.keyframes import is_grey, sample_grey
+from station.slam.ukf.map.views import MapViews
+from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
 from station.slam.ukf.monitor import LIFTED, TrackingMonitor
-from station.slam.ukf.propagation import ImuSegment
-from station.slam.ukf.start import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
-from station.slam.ukf.state import FilterState
-from station.slam.ukf.stillness import Standstill, StillnessDetector
-from station.slam.ukf.update import is_finite
-from station.slam.ukf.views import MapViews
+from station.slam.ukf.start.coasting import Coasting
+from station.slam.ukf.start.starter import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
+from station.slam.ukf.start.stillness import StillnessDetector
+from station.vision.camera_model import CameraModel
+from station.vision.features import Features
+from station.vision.klt import Tracker
 
 IMU_REACH_S = 0.05  # the IMU may end that long before the frame: its last reading is held
 
@@ -60,7 +62,7 @@ class UkfBackend:
         cv2.setNumThreads(1)  # order of additions, hence every last bit, must not depend on the machine
         self._blas = ThreadpoolController()  # the same for BLAS
         self._calibration = calibration
-        self._config = (config or UkfConfig()).for_robot(calibration.robot_kind)
+        self._config = (config or UkfConfig()).for_robot(calibration.has_wheels)
         self._seed = seed
         self._given = initial_state
         self._camera = CameraModel.of(calibration.camera, self._config.filter.sigma_px)
@@ -76,11 +78,14 @@ class UkfBackend:
         self._filter: VioFilter | None = None
         self._monitor = TrackingMonitor(self._config)
         self._messages: list[str] = []
-        self._memory = DriveMemory(self._camera, calibration.imu, self._config, self._make_views())
+        self._memory = NavigationMemory(
+            self._camera, calibration.imu, self._config.quality, self._config.max_keyframes, self._make_views()
+        )
         self._coasting = Coasting(ORIGIN, 0)
         self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command
         self._speed_since = 0  # when the commanded speed last changed
+        self._wheel_speed = WheelSpeed()
         self._previous_t: int | None = None  # IMU time of the frame before
         self._lost_since: int | None = None
         self._lost_ns = 0
@@ -95,6 +100,7 @@ class UkfBackend:
             if self._drive is None or abs(drive.linear_m_s - self._drive.linear_m_s) > 0.02:
                 self._speed_since = drive.t_robot_ns
             self._drive = drive
+            self._wheel_speed.add_drive(drive)
 
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
         """Take one frame in. Raises ConfigError when the image has another size than the calibration's."""
@@ -114,6 +120,7 @@ class UkfBackend:
                 return self._update(frame, "not initialised yet: needs IMU samples", None)
         previous = self._previous_t if self._previous_t is not None else t_imu
         segment = self._imu.segment(previous, t_imu)
+        rolled_m = self._rolled_m(t_imu)
         tracked = self._tracker.process(grey, self._predicted_turn(segment), self._filter is not None)
         is_still = self._still.update(t_imu, tracked, self._imu.samples(t_imu - 10**9, t_imu))
         self._previous_t = t_imu
@@ -121,7 +128,7 @@ class UkfBackend:
         current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu), rgb)
         if self._filter is None:
             if self._lost_since is not None:
-                self._coasting.advance(segment, t_imu, self._commanded_speed())
+                self._coasting.advance(segment, t_imu, rolled_m)
             update = self._wait_for_start(current, is_still)
         else:
             update = self._track(self._filter, current, segment, is_still)
@@ -165,7 +172,11 @@ class UkfBackend:
         wheels = self._config.wheels
         if is_still and wheels.use_zero_velocity and not self._is_commanded_to_move():
             still = BodyVelocity(np.zeros(3), np.full(3, wheels.sigma_still_m_s))
-            same = self._standstill.same_place(self._memory.recent, state, current, self._camera.R_body_cam, wheels)
+            since = self._standstill.since
+            then = self._memory.recent.get(since) if since is not None else None
+            same = self._standstill.same_place(
+                None if then is None else then.tracked, current.tracked, state, self._camera.R_body_cam, wheels
+            )
             return (still,) if same is None else (still, same)
         return () if current.wheels is None else (BodyVelocity(*current.wheels, gate=4.0),)
 
@@ -271,7 +282,7 @@ class UkfBackend:
     def _make_views(self) -> MapViews | None:
         """Where the map's views are collected; None when the map is made from tracks."""
         config = self._config
-        wanted = config.map == "views" or (config.map == "auto" and self._calibration.robot_kind == "sentinel")
+        wanted = config.map == "views" or (config.map == "auto" and self._calibration.has_wheels)
         if not wanted or config.landmarks == "thesis":
             return None
         return MapViews(self._camera.lens, config.views, self._seed)
@@ -321,11 +332,11 @@ class UkfBackend:
         return self._camera.R_body_cam.T @ R @ self._camera.R_body_cam
 
     def _is_commanded_to_move(self) -> bool:
-        return self._drive is not None and (self._drive.linear_m_s != 0.0 or self._drive.angular_rad_s != 0.0)
+        return self._drive is not None and commands_motion(self._drive)
 
     def _wheels(self, segment: ImuSegment, t_imu: int) -> tuple[FloatArray, FloatArray] | None:
         """What the wheels say of the body velocity now."""
-        if self._calibration.robot_kind != "sentinel":
+        if not self._calibration.has_wheels:
             return None
         bias = self._filter.state.bias_gyro if self._filter is not None else np.zeros(3)
         command, since = None, 0.0
@@ -341,11 +352,11 @@ class UkfBackend:
         v_body, sigma = current.wheels
         return v_body if bool(np.isfinite(sigma).all()) else None
 
-    def _commanded_speed(self) -> float | None:
-        """m/s that wheels roll forwards; None where nothing is known of wheels, or the robot is in somebody's hands."""
-        if self._calibration.robot_kind != "sentinel" or self._is_lifted:
-            return None
-        return 0.0 if self._drive is None else self._config.wheels.speed_efficiency * self._drive.linear_m_s
+    def _rolled_m(self, t_imu: int) -> float | None:
+        """Way of the wheels since the last frame; None where there are none, or the robot is in somebody's hands."""
+        before = self._wheel_speed.way_m
+        self._wheel_speed.advance(t_imu)
+        return self._wheel_speed.way_m - before if self._calibration.has_wheels and not self._is_lifted else None
 
     def _anchor(self, reason: str, state: FilterState) -> Anchor:
         """Where the next segment begins: where wheels have carried the robot, else the last known place; and biases."""
@@ -353,7 +364,7 @@ class UkfBackend:
         sound = is_finite(state) and float(np.abs(bias[:3]).max()) < 0.2 and float(np.abs(bias[3:]).max()) < 1.0
         self._is_lifted = reason == LIFTED
         T = self._memory.poses.last()
-        if self._calibration.robot_kind == "sentinel" and not self._is_lifted and sound:
+        if self._calibration.has_wheels and not self._is_lifted and sound:
             T = state.T_world_body  # dead reckoned through the outage, in which no poses were kept
         if T is None:
             T = np.eye(4)

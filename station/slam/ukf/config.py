@@ -1,51 +1,16 @@
-"""The filter's settings. One set serves every sequence of a rig; what differs between rigs is in the calibration."""
+"""All settings of the backend, with those of its parts; stored in `navigation.json`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from station.slam.frontend.tracker import TrackerConfig
-from station.slam.ukf.constraints import WheelConfig
-from station.slam.ukf.landmark_map import LandmarkQuality
-from station.slam.ukf.motion_start import StartConfig
-from station.slam.ukf.state import ErrorKind
-
-
-@dataclass(frozen=True, slots=True)
-class FilterConfig:
-    """Estimation."""
-
-    error: ErrorKind = ErrorKind.RIGHT
-    use_sigma_points: bool = True  # False with RIGHT: the invariant EKF
-    spread: float = 1.0  # sigma points lie that many standard deviations out
-    num_landmarks: int = 30  # p, at most
-    num_clones: int = 18
-    keyframe_parallax_deg: float = 1.0  # the newest clone replaces its predecessor until the view moved that much
-    sigma_px: float = 1.0  # of a feature; errors of one track hang together, so more than their scatter
-    gate_probability: float = 0.95
-    landmark_gate_probability: float = 0.99
-    window_gate_slack: float = 1.0
-    huber: float = 1.5
-    min_track_observations: int = 4
-    min_landmark_observations: int = 12  # earlier, depth is far from Gaussian
-    max_track_rms: float = 3.0  # whitened; a triangulation that fits worse is an outlier
-    max_window_tracks: int = 30  # per frame, longest first: bounds the time per frame
-    max_new_landmarks: int = 5  # per frame
-    landmark_depth_sigma: float = 0.25  # relative; a point enters the state once its depth is that well known
-    window_depth_sigma: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class ViewConfig:
-    """Which keyframes become views."""
-
-    min_flow: float = 0.1  # median motion of common features since the last view, as a fraction of the image width
-    min_common: float = 0.6  # or fewer than that share of the last view's features are left
-    max_interval_s: float = 2.0
-    min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
-    num_previous: int = 4  # views before, that each one is matched with
-    capacity: int = 300  # beyond, every second view goes and the spacing grows by half
+from station.slam.ukf.filter.config import FilterConfig
+from station.slam.ukf.filter.constraints import WheelConfig
+from station.slam.ukf.map.landmark_map import LandmarkQuality
+from station.slam.ukf.map.views import ViewConfig
+from station.slam.ukf.start.motion_start import StartConfig
+from station.vision.klt import TrackerConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +20,7 @@ class UkfConfig:
     filter: FilterConfig = field(default_factory=FilterConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     start: StartConfig = field(default_factory=StartConfig)
-    wheels: WheelConfig = field(default_factory=WheelConfig)  # used for robot_kind "sentinel" only, but standstill
+    wheels: WheelConfig = field(default_factory=WheelConfig)  # without wheels, only what it says of standing still
     quality: LandmarkQuality = field(default_factory=LandmarkQuality)
     landmarks: Literal["default", "thesis"] = "default"  # thesis: each landmark as it first entered the filter
     # views: loops are closed and landmarks come from SIFT features; it costs about as much as the filter does.
@@ -80,9 +45,9 @@ class UkfConfig:
     # spot contradicted it and it gave up; at 1.5 px it follows all of 101 to 106. EuRoC's flight is best at 1.0.
     sigma_px_wheels: float = 1.5
 
-    def for_robot(self, kind: str) -> UkfConfig:
-        """The settings for this kind of robot (calibration's robot_kind)."""
-        if kind != "sentinel":
+    def for_robot(self, has_wheels: bool) -> UkfConfig:
+        """The settings for a robot that has wheels, or none."""
+        if not has_wheels:
             return self
         calmer = replace(self.filter, sigma_px=max(self.filter.sigma_px, self.sigma_px_wheels))
         return replace(self, filter=calmer, refine=False)

@@ -13,21 +13,21 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
-from station.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.motion.imu_buffer import ImuCounts
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.inertial import ImuCounts
 from station.slam.ukf.intake import FrameIntake
-from station.slam.ukf.keyframes import Keyframe
-from station.slam.ukf.landmark_map import Observations, assemble, make_landmarks
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.memory import DriveMemory
-from station.slam.ukf.refine import refine_segment
-from station.slam.ukf.view_map import map_views
+from station.slam.ukf.map.keyframes import Keyframe
+from station.slam.ukf.map.landmark_map import TrackObservations, assemble, make_landmarks
+from station.slam.ukf.map.refine import refine_segment
+from station.slam.ukf.map.view_map import map_views
+from station.slam.ukf.memory import NavigationMemory
+from station.vision.camera_model import CameraModel
 
 
 def make_navigation(
     navigation_id: str,
-    memory: DriveMemory,
+    memory: NavigationMemory,
     camera: CameraModel,
     calibration: Calibration,
     config: UkfConfig,
@@ -55,7 +55,7 @@ class _Made:
     messages: list[str]
 
 
-def _from_views(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -> _Made | None:
+def _from_views(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> _Made | None:
     """Loops closed and everything refined; None where there are no views, or they share too little."""
     if memory.views is None:
         return None
@@ -67,7 +67,7 @@ def _from_views(memory: DriveMemory, camera: CameraModel, calibration: Calibrati
     return _Made(made.keyframes, made.landmarks, facts, [])
 
 
-def _from_tracks(memory: DriveMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
+def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
     """Keyframes refined window by window, every good track a landmark; or the landmarks as they entered the filter."""
     is_thesis = config.landmarks == "thesis"
     messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
@@ -80,13 +80,13 @@ def _from_tracks(memory: DriveMemory, camera: CameraModel, calibration: Calibrat
         segment=np.array([k.segment for k in items], dtype=np.int64),
     )
     if is_thesis:
-        landmarks = assemble(*memory.live.as_entered(), Observations.of(items))
+        landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:
         landmarks = make_landmarks(items, camera, config.quality)
     return _Made(keyframes, landmarks, {"mapped_from": "tracks"}, messages)
 
 
-def _refine(memory: DriveMemory, camera: CameraModel, calibration: Calibration) -> list[str]:
+def _refine(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> list[str]:
     """Better keyframes by least squares; the frames between follow their keyframes. What was not refined, in words."""
     assert calibration.imu is not None
     refined: list[Keyframe] = []

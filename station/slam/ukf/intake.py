@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from shared.calibration import CameraCalibration
 from shared.errors import ConfigError, DataError
-from station.frames import ImageArray, ImageFrame
+from station.model.frames import ImageArray, ImageFrame
 
 
 class FrameIntake:

@@ -10,20 +10,19 @@ import numpy.typing as npt
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, se3
-from station.frames import ImageFrame
-from station.slam.frontend.tracker import TrackedFrame
-from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter import RetiredClone, VioFilter
-from station.slam.ukf.inertial import ImuBuffer
-from station.slam.ukf.keyframes import Keyframe, KeyframeStore, sample_colours
-from station.slam.ukf.live_map import LiveMap
-from station.slam.ukf.measurement import CameraModel
-from station.slam.ukf.pose_log import PoseLog
-from station.slam.ukf.preintegration import Preintegration, chain, preintegrate
-from station.slam.ukf.propagation import ImuSegment
-from station.slam.ukf.state import FilterState
-from station.slam.ukf.update import is_finite
-from station.slam.ukf.views import MapViews
+from station.model.frames import ImageFrame
+from station.motion.imu_buffer import ImuBuffer
+from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
+from station.slam.ukf.filter.filter import RetiredClone, VioFilter
+from station.slam.ukf.filter.state import FilterState
+from station.slam.ukf.filter.update import is_finite
+from station.slam.ukf.map.keyframes import Keyframe, KeyframeStore, sample_colours
+from station.slam.ukf.map.landmark_map import LandmarkQuality
+from station.slam.ukf.map.live_map import LiveMap
+from station.slam.ukf.map.pose_log import PoseLog
+from station.slam.ukf.map.views import MapViews
+from station.vision.camera_model import CameraModel
+from station.vision.klt import TrackedFrame
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
 WAITING_NS = 4 * 10**9  # frames older than that no longer wait for a start
@@ -42,17 +41,24 @@ class RecentFrame:
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
 
 
-class DriveMemory:
+class NavigationMemory:
     """Poses of all frames, keyframes, and the frames that may still become keyframes."""
 
-    def __init__(self, camera: CameraModel, noise: ImuNoise, config: UkfConfig, views: MapViews | None = None) -> None:
+    def __init__(
+        self,
+        camera: CameraModel,
+        noise: ImuNoise,
+        quality: LandmarkQuality,
+        max_keyframes: int,
+        views: MapViews | None,
+    ) -> None:
         """Args: views: where the map's views are collected; None: the map is made from tracks."""
         self._noise = noise
         self.views = views
         self.recent: dict[int, RecentFrame] = {}  # by ImageFrame.index, ascending
         self.poses = PoseLog()
-        self.keyframes = KeyframeStore(config.max_keyframes)
-        self.live = LiveMap(camera, config.quality)
+        self.keyframes = KeyframeStore(max_keyframes)
+        self.live = LiveMap(camera, quality)
         self.segment = 0  # number of the present piece of unbroken tracking
 
     def add(self, item: RecentFrame) -> None:

@@ -6,11 +6,11 @@ from collections import deque
 
 import numpy as np
 
-from station.slam.frontend.tracker import TrackedFrame
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter import FrameResult
-from station.slam.ukf.state import FilterState
-from station.slam.ukf.update import is_finite
+from station.slam.ukf.filter.filter import FrameResult
+from station.slam.ukf.filter.state import FilterState
+from station.slam.ukf.filter.update import is_finite
+from station.vision.klt import TrackedFrame
 
 MIN_JUDGED = 6  # landmarks; fewer cannot outvote the IMU
 FEW_PASSED = 0.3  # share of the landmarks that pass their gate

@@ -1,7 +1,8 @@
 // Logging in, where the station asks who you are (docs/access.md).
-import { ApiError, call } from "./api";
-import { attempt, by, make, show } from "./dom";
-import type { SessionModel } from "./messages";
+import { ApiError, call } from "./link/api";
+import type { SessionModel } from "./link/messages";
+import { by, make, show } from "./ui/dom";
+import { attempt } from "./ui/toast";
 
 const LINK = "#login="; // behind the #: browsers send it to nobody
 
@@ -36,9 +37,14 @@ function shown(session: SessionModel): SessionModel {
 }
 
 function login(why: string): Promise<void> {
-  const dialog = by<HTMLDialogElement>("ask");
+  const dialog = by("ask", HTMLDialogElement);
   return new Promise((resolve) => {
-    const input = make("input", { type: "password", autocomplete: "current-password", maxlength: "256", required: true });
+    const input = make("input", {
+      type: "password",
+      autocomplete: "current-password",
+      maxlength: "256",
+      required: true,
+    });
     const note = make("p", { class: "note", role: "alert" }, why);
     const form = make(
       "form",

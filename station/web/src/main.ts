@@ -1,40 +1,47 @@
 // The page: parts that show, one event stream that tells them.
-import { call, LastingSocket } from "./api";
-import { attempt, by, show } from "./dom";
-import { DriveControl } from "./drive";
-import { HealthView } from "./health";
-import { openHijack } from "./hijack";
-import { Library } from "./library";
-import { MapView } from "./map3d";
-import type { EventMessage, LogModel, RobotEntry } from "./messages";
-import { PlaceView } from "./place";
-import { Review } from "./review";
-import { isGone, offerNoOthers, offerOthers, showChoice } from "./robots";
-import { VideoView } from "./video";
+import { DriveControl } from "./drive/control";
+import { VideoView } from "./drive/video";
+import { Library } from "./library/library";
+import { findMissing } from "./link/address";
+import { call } from "./link/api";
+import type { EventMessage, LogModel, RobotEntry } from "./link/messages";
+import { LastingSocket } from "./link/socket";
+import { MapView } from "./map/view";
+import { PlaceView } from "./places/card";
+import { Review } from "./review/review";
+import { offerNoOthers, offerOthers, showChoice } from "./robots/choice";
+import { openHijack } from "./robots/hijack";
+import { HealthView } from "./status/health";
+import { EventLog } from "./status/log";
+import { by, show } from "./ui/dom";
+import { attempt } from "./ui/toast";
 
 const video = new VideoView();
-const drive = new DriveControl(video, document.body.dataset["role"] !== "watch");
-const library = new Library();
+const drive = new DriveControl(video, document.body.dataset.role !== "watch");
+const library = new Library({
+  onChange: () => health.draw(),
+  onReplay: (navigation) => review.replay(navigation),
+  onCompare: (id) => review.compare(id),
+});
 const health = new HealthView(library);
+const log = new EventLog();
 const places = new PlaceView();
 const map = makeMap();
 
 /** Without WebGL everything but the 3D view works. */
 function makeMap(): MapView | null {
   try {
-    return new MapView(video.canvas);
+    return new MapView(video.canvas, {
+      onPlace: (place) => places.open(place),
+      onPlaces: (all, changes) => places.setPlaces(all, changes),
+    });
   } catch {
     by("scene-empty").textContent = "This browser shows no 3D graphics (WebGL is off).";
     return null;
   }
 }
 
-if (map) map.onPlace = (place) => places.open(place);
-if (map) map.onPlaces = (all, changes) => places.setPlaces(all, changes);
 const review = new Review(map);
-library.onReplay = (navigation) => review.replay(navigation);
-library.onCompare = (id) => review.compare(id);
-library.onChange = () => health.draw();
 
 function take(message: EventMessage): void {
   switch (message.type) {
@@ -76,42 +83,42 @@ function take(message: EventMessage): void {
       attempt(() => library.reloadBin());
       break;
     case "log":
-      health.addLines([message.line]);
+      log.add([message.line]);
       break;
   }
 }
 
-new LastingSocket(
-  "/ws/events",
-  (data) => take(JSON.parse(data as string) as EventMessage),
-  (open) => {
+new LastingSocket("/ws/events", {
+  onMessage: (data) => take(JSON.parse(data as string) as EventMessage),
+  onState: (open) => {
     health.setStation(open);
     if (open) {
       offerNoOthers();
       attempt(load);
-    } else checkRobot().catch(() => {}); // the station is away: the page says so already
+    } else checkRobot().catch(() => undefined); // the station is away: the page says so already
   },
-  true,
-);
+  isSteady: true,
+});
 
 /**
  * What the event stream does not tell from its beginning: lists and the past. After opening the page, and after the
  * station was away. States (robot, pose, active map, place) come by events alone, so that nothing can undo them.
  */
 async function load(): Promise<void> {
-  health.clearLog();
+  log.clear();
   await Promise.all([
     library.reload(),
     places.reload(),
-    call<LogModel[]>("GET", "/log").then((lines) => health.addLines(lines)),
-    call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots"), robots)),
+    call<LogModel[]>("GET", "/log").then((lines) => log.add(lines)),
+    call<RobotEntry[]>("GET", "/robots").then((robots) => showChoice(by("robots", HTMLSelectElement), robots)),
   ]);
 }
 
 /** A station that was started anew may know the robot of this address no more: then its sockets never open again. */
 async function checkRobot(): Promise<void> {
   const robots = await call<RobotEntry[]>("GET", "/robots");
-  if (isGone(robots)) offerOthers(robots);
+  const missing = findMissing(robots);
+  if (missing !== null) offerOthers(missing, robots);
 }
 
 by("hijack").addEventListener("click", openHijack);

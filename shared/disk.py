@@ -1,0 +1,126 @@
+"""Files and folders that are there whole or not at all and survive a power cut; locks that end with their holder."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import math
+import os
+import secrets
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, BinaryIO
+
+SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
+PRIVATE = 0o600  # the mode of a file that only its owner may read
+_LOOK_AGAIN_S = 0.05
+
+
+def flush(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and the parents it lacks; their names survive a power cut."""
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        folder.mkdir(exist_ok=True)
+        flush(folder.parent)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, scratch: Path | None = None, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """A file to write, which takes the place of `path` when the block ends and then survives a power cut.
+
+    Where the block raises, or the program is killed, what was at `path` stays.
+
+    Args:
+        scratch: where it is written until then, in the same folder; only for a `path` with one writer at a time, whose
+            next write removes what a killed one left. Otherwise a new name each time: several may write at once.
+        mode: its permissions, before the umask.
+    """
+    if scratch is None:
+        scratch = path.with_name(f"{SCRATCH}{secrets.token_hex(8)}")
+    else:
+        scratch.unlink(missing_ok=True)
+    descriptor = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(descriptor)
+        scratch.replace(path)
+        flush(path.parent)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            scratch.unlink(missing_ok=True)
+        raise
+
+
+def replace_file(path: Path, content: bytes, *, mode: int = 0o666) -> None:
+    """Write a whole file, as `replacing` does."""
+    with replacing(path, mode=mode) as file:
+        file.write(content)
+
+
+@contextlib.contextmanager
+def replacing_folder(folder: Path) -> Iterator[Path]:
+    """A new folder to fill, which takes the place of `folder` when the block ends and then survives a power cut.
+
+    Where the block raises, or the new one cannot take the name, the old one stays.
+    """
+    scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=folder.parent))
+    fresh, old = scratch / "fresh", scratch / "old"
+    try:
+        fresh.mkdir()
+        yield fresh
+        for path in (fresh, *fresh.rglob("*")):
+            flush(path)
+        had_one = folder.exists()
+        if had_one:
+            folder.rename(old)
+        try:
+            fresh.rename(folder)
+        except OSError:
+            if had_one:
+                old.rename(folder)
+            raise
+        flush(folder.parent)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def lock(file: IO[bytes], *, shared: bool = False, timeout_s: float = math.inf) -> bool:
+    """Lock an open file until it is closed, alone or with others who share it. False: somebody else holds it.
+
+    The kernel ends the lock with its holder, however that ends. `timeout_s`: how long to wait; 0 asks once.
+
+    Raises:
+        OSError: files cannot be locked here (some network disks).
+    """
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    if timeout_s == math.inf:
+        fcntl.flock(file, kind)
+        return True
+    deadline_s = time.monotonic() + timeout_s
+    while True:
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            if time.monotonic() >= deadline_s:
+                return False
+            time.sleep(_LOOK_AGAIN_S)
+
+
+def unlock(file: IO[bytes]) -> None:
+    """Give a lock back before the file is closed."""
+    fcntl.flock(file, fcntl.LOCK_UN)

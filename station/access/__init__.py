@@ -1,0 +1,1 @@
+"""Who may use the station, and which robots it knows."""

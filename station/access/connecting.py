@@ -1,0 +1,155 @@
+"""Opens the connection to a robot: plain on this machine, by TLS and only to a paired robot beyond it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import ssl
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, cast
+
+from shared.access import Token
+from shared.certificates import HANDSHAKE_WITHIN_S, fingerprint_of_der, pinning_context
+from shared.errors import ConfigError, RobotSystemError
+from station.access.paired_robots import PairedRobots
+
+READ_BYTES = 256 * 1024
+CONNECT_WITHIN_S = 1.5
+
+
+class ConnectionRefused(RobotSystemError):
+    """We do not talk to what answers there; the sentence says why. Trying again soon is of no use."""
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """An open connection to a robot."""
+
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+    fingerprint: bytes = b""  # of its certificate; empty: no TLS
+    token: Token | None = None  # what this station joins with
+
+
+def in_words(error: BaseException, address: str) -> str:
+    """What an error of the network means, for a person: the system's own text names numbers and calls."""
+    match error:
+        case ConnectionRefusedError():
+            return f"nothing answers at {address}"
+        case socket.gaierror():
+            return f"{address.rpartition(':')[0]} is no name that this network knows"
+        case ConnectionResetError() | BrokenPipeError() | ConnectionAbortedError():
+            return f"{address} closed the connection"
+        case TimeoutError():
+            return f"no answer from {address}"
+        case OSError(errno=int(number)) if number > 0:
+            return f"{address} cannot be reached ({os.strerror(number).lower()})"
+    return f"{address} cannot be reached ({error})"
+
+
+async def connect(host: str, port: int, robots: PairedRobots | None) -> Connection:
+    """Raises OSError, UnicodeError (no host name), ConnectionRefused, ConfigError."""
+    connection = await _open(host, port, lambda address: robots is not None and robots.needs_tls(host, port, address))
+    if robots is None or not connection.fingerprint:
+        return connection
+    known = robots.recognise(connection.fingerprint, host, port)
+    if isinstance(known, str):
+        connection.writer.transport.abort()
+        raise ConnectionRefused(known)
+    return Connection(connection.reader, connection.writer, connection.fingerprint, known[1])
+
+
+async def answers(host: str, port: int, robots: PairedRobots | None) -> bool:
+    """Whether the robot says a first word on a new connection, which is closed again."""
+    try:
+        async with asyncio.timeout(CONNECT_WITHIN_S):
+            connection = await connect(host, port, robots)
+            try:
+                return bool(await connection.reader.read(1))
+            finally:
+                connection.writer.transport.abort()
+    except (OSError, ConnectionRefused, ConfigError):
+        return False
+
+
+async def connect_by_tls(host: str, port: int) -> Connection:
+    """To whoever answers there; who it is is for the caller to find out. Raises OSError, ConnectionRefused."""
+    return await _open(host, port, lambda _: True)
+
+
+async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Connection:
+    """Whether TLS is needed is asked of the very address that is connected to: a name may mean another one later."""
+    loop = asyncio.get_running_loop()
+    error: OSError | None = None
+    for family, kind, protocol, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        connection = socket.socket(family, kind, protocol)
+        try:
+            connection.setblocking(False)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            await loop.sock_connect(connection, address)
+        except OSError as exc:
+            error = exc
+            connection.close()
+            continue
+        except BaseException:
+            connection.close()
+            raise
+        try:
+            if needs_tls(str(address[0])):
+                return await _shake_hands(connection, f"{host}:{port}")
+            return Connection(*await _streams(connection))
+        except OSError as exc:
+            error = exc
+    raise error or OSError("no address found")
+
+
+class _Leavable(asyncio.StreamReaderProtocol):
+    """A connection that can be left at any step of its making; asyncio would first say goodbye to its peer, by TLS."""
+
+    _made: asyncio.Transport | None = None
+    _is_left = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._made = cast(asyncio.Transport, transport)
+        if self._is_left:
+            self._made.abort()
+        else:
+            super().connection_made(transport)
+
+    def leave(self) -> None:
+        self._is_left = True
+        if self._made is not None:
+            self._made.abort()
+
+
+async def _streams(connection: socket.socket, **tls: Any) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """`tls`: as for loop.create_connection.
+
+    The socket is the transport's from here on, whatever happens: closed under it, its number would be another
+    connection's while the event loop still takes it for this one.
+    """
+    loop = asyncio.get_running_loop()
+    reader = asyncio.StreamReader(limit=READ_BYTES, loop=loop)
+    protocol = _Leavable(reader, loop=loop)
+    try:
+        transport, _ = await loop.create_connection(lambda: protocol, sock=connection, **tls)
+    except BaseException:
+        protocol.leave()
+        raise
+    return reader, asyncio.StreamWriter(transport, protocol, reader, loop)
+
+
+async def _shake_hands(connection: socket.socket, name: str) -> Connection:
+    try:
+        reader, writer = await _streams(
+            connection, ssl=pinning_context(), server_hostname="", ssl_handshake_timeout=HANDSHAKE_WITHIN_S
+        )
+    except (ssl.SSLError, ConnectionResetError, ConnectionAbortedError) as exc:
+        raise ConnectionRefused(
+            f"{name} does not speak TLS ({exc}); robot-server there has no access control:"
+            " run `robot-server access init` on the robot (docs/access.md)"
+        ) from exc
+    der = writer.get_extra_info("ssl_object").getpeercert(binary_form=True)
+    return Connection(reader, writer, fingerprint_of_der(der or b""))

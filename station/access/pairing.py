@@ -1,0 +1,93 @@
+"""Pairs this station with a robot: the code it shows becomes a token, and its certificate is remembered."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+from shared.errors import ConfigError, RemoteProtocolError
+from shared.messages import (
+    PROTOCOL_VERSION,
+    ErrorNotice,
+    Hello,
+    Message,
+    Paired,
+    PairProof,
+    PairReply,
+    PairRequest,
+    Refusal,
+)
+from shared.pairing import Pake
+from shared.session import Session
+from station.access.connecting import READ_BYTES, Connection, ConnectionRefused, connect_by_tls
+from station.access.paired_robots import PairedRobot
+
+PAIR_WITHIN_S = 15.0  # a Pi computes for some tenths of a second
+
+
+class PairingFailed(ConfigError):
+    """Not paired, and why."""
+
+
+async def pair(host: str, port: int, code: str, station_name: str) -> PairedRobot:
+    """Exchange a code for this robot's token; nothing is written yet. Raises PairingFailed.
+
+    Args:
+        code: its digits, see shared.pairing.parse_code.
+    """
+    address = f"{host}:{port}"
+    try:
+        async with asyncio.timeout(PAIR_WITHIN_S):
+            connection = await connect_by_tls(host, port)
+            try:
+                return await _talk(connection, host, port, code, station_name)
+            finally:
+                connection.writer.transport.abort()
+    except TimeoutError as exc:
+        raise PairingFailed(f"no answer from {address}; check that the robot is on and in this network") from exc
+    except (OSError, UnicodeError) as exc:
+        raise PairingFailed(f"cannot connect to {address} ({exc}); start robot-server there") from exc
+    except (RemoteProtocolError, ConnectionRefused) as exc:
+        raise PairingFailed(str(exc)) from exc
+
+
+async def _talk(connection: Connection, host: str, port: int, code: str, station_name: str) -> PairedRobot:
+    session = Session("station", time.monotonic_ns())
+
+    async def hear() -> Message:
+        while (message := session.next_message(time.monotonic_ns())) is None:
+            data = await connection.reader.read(READ_BYTES)
+            if not data:
+                raise PairingFailed(f"{host}:{port} closed the connection; try again")
+            session.receive(data)
+        match message:
+            case Refusal():
+                raise PairingFailed(f"the robot refused to pair: {message.reason}")
+            case ErrorNotice():
+                raise PairingFailed(f"the robot refused to pair: {message.message}")
+            case _:
+                return message
+
+    hello = await hear()
+    if not isinstance(hello, Hello) or not hello.challenge:
+        raise PairingFailed(f"the robot at {host}:{port} has no access control; there is nothing to pair")
+    pake = await asyncio.to_thread(Pake, "station", code, connection.fingerprint)
+    request = PairRequest(protocol=PROTOCOL_VERSION, station_name=station_name[:64], message=pake.message)
+    connection.writer.write(session.send(request))
+    reply = await hear()
+    if not isinstance(reply, PairReply):
+        raise PairingFailed(f"the robot at {host}:{port} answered with {reply}; install the same release on both")
+    await asyncio.to_thread(pake.hear, reply.message)
+    connection.writer.write(session.send(PairProof(mac=pake.mac("station"))))
+    paired = await hear()
+    # The robot's proof comes last: who does not know the code must not be remembered as the robot.
+    if not isinstance(paired, Paired) or not pake.is_mac("robot", paired.mac):
+        raise PairingFailed(f"what answers at {host}:{port} does not know the code; it is not the robot that showed it")
+    return PairedRobot(
+        robot_id=hello.robot_id,
+        name=hello.name,
+        host=host,
+        port=port,
+        fingerprint=connection.fingerprint.hex(),
+        token=paired.token,
+    )

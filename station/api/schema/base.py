@@ -1,0 +1,52 @@
+"""What all of them share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _not_blank(name: str) -> str:
+    if not name.strip():
+        raise ValueError("a name needs a character that is no space")
+    return name
+
+
+Name = Annotated[str, Field(max_length=80, json_schema_extra={"pattern": r"\S"}), AfterValidator(_not_blank)]
+
+
+class Model(BaseModel):
+    """Base of all: questions with unknown fields are refused, so that a typing error is seen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Question(Model):
+    """Base of what is asked: no value is taken for another kind, so that `true` is no speed."""
+
+    model_config = ConfigDict(strict=True)
+
+
+class Problem(BaseModel):
+    """What went wrong (RFC 9457)."""
+
+    type: str = Field(examples=["/problems/not-driver"])
+    title: str = Field(examples=["Another one drives"])
+    status: int = Field(examples=[409])
+    detail: str = Field(examples=["anna drives; take over with POST /drive/take-over"])
+    instance: str = Field(examples=["/drive"])
+
+
+class NewName(Question):
+    """What it shall be called."""
+
+    name: Name = Field(examples=["Ground floor"])
+
+
+class Accepted(Model):
+    """Done."""
+
+    ok: Literal[True] = True

@@ -1,0 +1,59 @@
+"""The map library."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from station.api.schema.base import Model, Question
+from station.config import MAX_ACTIVE_MAPS
+from station.library.maps import Maps
+from station.model.map_store import MapSummary
+
+
+class MapModel(Model):
+    id: str
+    name: str
+    places: int
+    active: bool = Field(description="robots are looked for in it")
+    first: bool = Field(description="it is the active map whose places GET /places and GET /graph show")
+    damaged: str = Field(description="a sentence, where the map cannot be read", examples=[""])
+
+
+class MapOrder(Question):
+    """What to build a map from."""
+
+    navigations: list[str] = Field(min_length=1, max_length=20, examples=[["nav-20260105-101500"]])
+    name: str = Field(default="", max_length=80, examples=["Flat"])
+    mode: Literal["default", "thesis"] | None = None
+    activate: bool = Field(default=True, description="use the map as soon as it is built")
+
+
+class MapChoice(Question):
+    """Where robots are looked for."""
+
+    id: str | None = Field(description="null: no map", examples=["map-0a1b"])
+    also: list[str] = Field(
+        default_factory=list,
+        max_length=MAX_ACTIVE_MAPS - 1,
+        description="further maps, of other rooms; their order means nothing",
+        examples=[["map-7c2d"]],
+    )
+
+    @model_validator(mode="after")
+    def _has_a_first(self) -> Self:
+        if self.id is None and self.also:
+            raise ValueError("no map is to be in use, and yet others also: name one of them as id")
+        return self
+
+
+def map_model(summary: MapSummary, maps: Maps) -> MapModel:
+    return MapModel(
+        id=summary.id,
+        name=summary.name,
+        places=summary.places,
+        active=maps.among_active(summary.id) is not None,
+        first=maps.active is not None and maps.active.place_map.id == summary.id,
+        damaged=summary.damaged,
+    )

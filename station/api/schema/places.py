@@ -1,0 +1,284 @@
+"""Places, their graph, and which one the robot is at."""
+
+from __future__ import annotations
+
+import time
+from typing import Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from station.api.schema.base import Model, Name, Question
+from station.library.maps import ActiveMap, PlacesChange
+from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.model.points import NO_PLACE
+from station.places.making.graph import Route
+from station.places.making.names import has_own_name
+from station.robots.session import RobotSession
+from station.robots.visits import Visit
+
+
+class PlaceName(Model):
+    id: str = Field(examples=["place-5a1c09"])
+    name: str = Field(examples=["Kitchen"])
+
+
+class PlaceProbability(PlaceName):
+    probability: float = Field(
+        description="that it is the nearest one or within 10 % of that: several may sum to more than 1", examples=[0.07]
+    )
+    map: str = Field(description="id of the active map that it is a place of", examples=["map-0a1b"])
+
+
+class Evidence(Model):
+    """Why: the running picture and the map's picture that shows the same landmarks."""
+
+    query_image: str | None = Field(examples=["/place/current/images/812345678901.jpg"])
+    map_image: str | None = Field(examples=["/maps/map-0a1b/images/17.jpg"])
+    inliers: int = Field(description="landmarks of the map found where they belong", examples=[84])
+    age_s: float | None = Field(description="since the picture that was recognised", examples=[0.4])
+
+
+class CurrentPlace(Model):
+    """Which place the robot is at. `place` is null unless the state is "known"."""
+
+    state: Literal["known", "unknown", "lost"]
+    place: PlaceName | None
+    probability: float = Field(
+        description="that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known",
+        examples=[0.97],
+    )
+    distance_m: float | None = Field(description="robot to the place's centroid; null without a metric map")
+    position_map: list[float] | None = Field(description="x, y, z of the robot in `map`", examples=[[1.2, 0.4, 0.1]])
+    age_s: float | None = Field(description="since the picture the answer is about was taken", examples=[0.2])
+    map: str | None = Field(
+        description="id of the active map that place, position and evidence are of; while there are none, the first",
+        examples=["map-0a1b"],
+    )
+    alternatives: list[PlaceProbability]
+    evidence: Evidence
+    preparing: float | None = Field(
+        description="0..1 while the map is prepared for answers; else null", examples=[None]
+    )
+    reason: str = Field(description="in a sentence", examples=["84 landmarks of the map were recognised 0.2 s ago"])
+    t_robot_ns: int | None = Field(description="sensor time the answer is about, robot clock")
+    pose_map: list[float] | None = Field(
+        description="T_map_cam of the newest picture, row-major 4x4; null when it was not recognised in `map`"
+    )
+
+
+class VisitModel(Model):
+    """A stretch of time with one answer."""
+
+    state: Literal["known", "unknown", "lost"]
+    place: PlaceName | None
+    start_unix_s: float
+    end_unix_s: float
+
+
+class PlaceModel(Model):
+    """A place of the active map."""
+
+    id: str
+    name: str
+    centroid_map: list[float]
+    radius: float = Field(description="RMS distance of its landmarks from the centroid, map units")
+    landmarks: int
+    images: int = Field(description="keyframes that saw it")
+    quality: float = Field(description="0..1, how clearly it stands out, and of how many landmarks")
+    representative_image: str | None
+    mean_image: str | None
+    deviation_image: str | None = Field(description="how much the brightness of its pictures differs")
+    colour: int = Field(
+        description="its number in GET /maps/{id}/landmarks; neighbours differ in the remainder by 12", examples=[5]
+    )
+    hidden: bool = Field(description="by a person: never the current place, and not in the graph")
+    named: bool = Field(description="a person gave it its name")
+
+
+class PlaceChange(Question):
+    """What is to be otherwise; what is left out or null stays, and one thing must be said."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
+
+    name: Name | None = Field(default=None, examples=["Kitchen"])
+    hidden: bool | None = Field(default=None, examples=[False])
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if self.name is None and self.hidden is None:
+            raise ValueError("nothing is to be changed: give name or hidden")
+        return self
+
+
+class PlaceMerge(Question):
+    """Which places are one; it keeps id and name of the first."""
+
+    places: list[str] = Field(min_length=2, max_length=50, examples=[["place-5a1c09", "place-77d0e2"]])
+
+
+class PlacesChangeModel(Model):
+    """What a person made of the places: renamed, hidden, merged."""
+
+    version: int = Field(description="of the map, that the change led to", examples=[4])
+    why: str = Field(examples=["Kitchen and Place 3 are one"])
+    unix_s: float
+
+
+class UndoOrder(Question):
+    """What to take back."""
+
+    version: int | None = Field(
+        default=None,
+        ge=1,
+        le=2**53,
+        description="only if this is the newest change; null: whatever it is",
+        examples=[4],
+    )
+
+
+class EdgeModel(Model):
+    a: str
+    b: str
+    bearing_rad: float = Field(description="a to b in the ground plane, from +x towards +y")
+    distance: float = Field(description="between centroids, map units")
+    kind: Literal["seen together", "driven between", "nearest"]
+
+
+class GraphModel(Model):
+    """The topological map."""
+
+    map: str
+    metric: bool = Field(description="distances are metres; false: of unknown scale")
+    nodes: list[PlaceModel]
+    edges: list[EdgeModel]
+
+
+class RouteModel(Model):
+    """The shortest way along the graph's edges."""
+
+    map: str
+    metric: bool = Field(description="distances are metres; false: of unknown scale")
+    places: list[PlaceName] = Field(description="from start to goal")
+    legs: list[EdgeModel] = Field(description="from each place to the next one")
+    length: float = Field(description="of all legs, map units", examples=[4.9])
+
+
+def current_place(robot: RobotSession) -> CurrentPlace:
+    """The answer to the question all this is for."""
+    report = robot.current_place.report
+    first = robot.maps.active
+    active = None if report is None else robot.maps.among_active(report.map_id)
+    # Places may have been renamed, hidden or merged since the answer was made: what they are now counts.
+    known = {place.id: (place, one) for one in robot.maps.all_active for place in one.visible_places}
+    is_outdated = report is not None and report.answer.place is not None and report.answer.place.id not in known
+    if report is None or active is None or is_outdated:
+        return CurrentPlace(
+            state="unknown",
+            place=None,
+            probability=0.0,
+            distance_m=None,
+            position_map=None,
+            age_s=None,
+            map=first.place_map.id if first else None,
+            alternatives=[],
+            evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
+            reason=_no_answer_yet(robot),
+            preparing=robot.current_place.progress if first else None,
+            t_robot_ns=None,
+            pose_map=None,
+        )
+    answer, map_id = report.answer, report.map_id
+    likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
+    is_metric = active.place_map.navigation.is_metric
+    evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
+    has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
+    return CurrentPlace(
+        state=answer.state,
+        place=PlaceName(id=answer.place.id, name=known[answer.place.id][0].name) if answer.place else None,
+        probability=_probability(likeliest.probability if likeliest else 0.0),
+        distance_m=answer.distance if is_metric else None,
+        position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
+        age_s=_age_s(robot, answer.t_robot_ns),
+        map=map_id,
+        alternatives=[
+            PlaceProbability(id=c.id, name=place.name, probability=_probability(c.probability), map=one.place_map.id)
+            for c in answer.alternatives
+            if c.id in known
+            for place, one in [known[c.id]]
+        ],
+        evidence=Evidence(
+            query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,
+            map_image=None if keyframe is None else f"/maps/{map_id}/images/{keyframe}.jpg",
+            inliers=answer.inliers,
+            age_s=None if evidence_ns is None else _age_s(robot, evidence_ns),
+        ),
+        reason=robot.looks_aside or answer.reason,
+        preparing=None,
+        t_robot_ns=answer.t_robot_ns,
+        pose_map=None if report.T_map_cam is None else [float(x) for x in report.T_map_cam.ravel()],
+    )
+
+
+def _no_answer_yet(robot: RobotSession) -> str:
+    if robot.maps.active is None:
+        return "no map is active; record a navigation, build a map from it and choose it"
+    if not robot.state.connected:
+        return "no robot is connected"
+    if robot.current_place.progress is not None:
+        return f"getting the map ready: {robot.current_place.status}"
+    return robot.looks_aside or f"no picture was looked at yet ({robot.current_place.status})"
+
+
+def _probability(p: float) -> float:
+    return min(1.0, max(0.0, p))
+
+
+def _age_s(robot: RobotSession, t_robot_ns: int) -> float | None:
+    t_station_ns = robot.link.to_station_ns(t_robot_ns)
+    return None if t_station_ns is None else max(0.0, (time.monotonic_ns() - t_station_ns) * 1e-9)
+
+
+def visit_model(visit: Visit) -> VisitModel:
+    return VisitModel(
+        state=visit.state,
+        place=None if visit.place_id is None else PlaceName(id=visit.place_id, name=visit.place_name),
+        start_unix_s=visit.start_wall_s,
+        end_unix_s=visit.end_wall_s,
+    )
+
+
+def place_model(active: ActiveMap, place: Place) -> PlaceModel:
+    has_images = place.representative_keyframe >= 0
+    return PlaceModel(
+        id=place.id,
+        name=place.name,
+        centroid_map=[float(x) for x in place.centroid_map],
+        radius=place.radius,
+        landmarks=len(place.landmark_index),
+        images=len(place.keyframe_index),
+        quality=place.quality,
+        representative_image=f"/places/{place.id}/images/representative" if has_images else None,
+        mean_image=f"/places/{place.id}/images/mean" if has_images else None,
+        deviation_image=f"/places/{place.id}/images/deviation" if has_images else None,
+        colour=active.numbers.get(place.id, NO_PLACE),
+        hidden=place.hidden,
+        named=has_own_name(place.name),
+    )
+
+
+def change_model(change: PlacesChange) -> PlacesChangeModel:
+    return PlacesChangeModel(version=change.version, why=change.why, unix_s=change.changed_wall_s)
+
+
+def edge_model(edge: PlaceEdge) -> EdgeModel:
+    return EdgeModel(a=edge.a, b=edge.b, bearing_rad=edge.bearing_rad, distance=edge.distance, kind=edge.kind)
+
+
+def route_model(place_map: PlaceMap, route: Route) -> RouteModel:
+    return RouteModel(
+        map=place_map.id,
+        metric=place_map.navigation.is_metric,
+        places=[PlaceName(id=i, name=name) for i, name in zip(route.place_ids, route.names, strict=True)],
+        legs=[edge_model(edge) for edge in route.legs],
+        length=route.length,
+    )

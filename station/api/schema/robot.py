@@ -1,0 +1,169 @@
+"""The robot: link, motors, camera head."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from station.api.schema.base import Model, Number, Question
+from station.robots.session import RobotSession
+
+
+class CapabilitiesModel(Model):
+    camera: bool
+    imu: bool
+    drive: bool
+    pan_tilt: bool
+    battery: bool
+    hijack: bool
+    max_linear_m_s: float
+    max_angular_rad_s: float
+
+
+class RatesModel(Model):
+    frames_hz: float
+    imu_hz: float
+    bytes_per_s: float
+
+
+class LossesModel(Model):
+    frames_skipped: int
+    imu_gaps: int
+    imu_lost: int
+    imu_lost_in_sensor: int
+
+
+class ClockModel(Model):
+    offset_s: float | None = Field(description="t_station - t_robot")
+    drift_ppm: float | None
+    rtt_ms: float | None
+
+
+class BatteryModel(Model):
+    voltage_v: float | None
+    fraction: float | None
+
+
+class AppliedModel(Model):
+    """What the motors were told."""
+
+    linear: float
+    angular: float
+
+
+class RobotModel(Model):
+    """Link, battery, rates, losses, clock, who drives."""
+
+    connected: bool
+    reason: str = Field(description="why not connected, in a sentence")
+    host: str
+    port: int
+    robot_id: str | None
+    name: str | None
+    capabilities: CapabilitiesModel | None
+    calibrated: bool
+    connections: int
+    rates: RatesModel
+    losses: LossesModel
+    clock: ClockModel
+    battery: BatteryModel | None
+    temperatures_c: dict[str, float]
+    cpu_percent: float | None = Field(description="of one core, robot-server")
+    driver: str | None = Field(description="who drives through this station")
+    robot_driver: str | None = Field(description="the station that drives, as the robot says")
+    applied: AppliedModel | None
+    head_must_rest: str = Field(description="why the camera head must look straight ahead; empty: it may turn")
+    faults: list[str]
+
+
+class DriveOrder(Question):
+    """Hold this velocity, then stop."""
+
+    linear: Number = Field(description="m/s, forward", examples=[0.2])
+    angular: Number = Field(description="rad/s, left", examples=[0.0])
+    ttl_ms: int = Field(default=250, ge=1, le=1000, description="stop after this, unless told again", examples=[250])
+
+
+class PanTiltOrder(Question):
+    pan: Number = Field(description="rad, left", examples=[0.3])
+    tilt: Number = Field(description="rad, up", examples=[0.0])
+
+
+class HijackOrder(Question):
+    """Where to put it down; nothing at all: wherever the robot likes."""
+
+    x: Number | None = Field(default=None, description="m, the simulated world's frame", examples=[1.0])
+    y: Number | None = Field(default=None, examples=[2.0])
+    yaw: Number = Field(default=0.0, description="rad", examples=[0.0])
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if (self.x is None) != (self.y is None):
+            raise ValueError("give both x and y, or neither for a spot of the robot's choice")
+        return self
+
+    @property
+    def spot(self) -> tuple[float, float, float] | None:
+        return None if self.x is None or self.y is None else (self.x, self.y, self.yaw)
+
+
+class DriverModel(Model):
+    driver: str | None
+    you_drive: bool
+    keeps_s: float = Field(description="so long the driver keeps the wheel without another word", examples=[6.0])
+
+
+def robot_model(robot: RobotSession) -> RobotModel:
+    state = robot.state
+    hello, status = state.hello, state.status
+    able = hello.capabilities if hello else None
+    applied = robot.applied
+    return RobotModel(
+        connected=state.connected,
+        reason=state.reason,
+        host=state.host,
+        port=state.port,
+        robot_id=hello.robot_id if hello else None,
+        name=hello.name if hello else None,
+        capabilities=CapabilitiesModel(
+            camera=able.camera,
+            imu=able.imu,
+            drive=able.drive,
+            pan_tilt=able.pan_tilt,
+            battery=able.battery,
+            hijack=able.hijack,
+            max_linear_m_s=able.max_linear_m_s,
+            max_angular_rad_s=able.max_angular_rad_s,
+        )
+        if able
+        else None,
+        calibrated=hello is not None and hello.calibration.camera is not None,
+        connections=state.connections,
+        rates=RatesModel(
+            frames_hz=round(state.frame_rate_hz, 1),
+            imu_hz=round(state.imu_rate_hz, 1),
+            bytes_per_s=round(state.received_bytes_per_s),
+        ),
+        losses=LossesModel(
+            frames_skipped=state.frames_skipped,
+            imu_gaps=state.imu_gaps,
+            imu_lost=state.imu_lost,
+            imu_lost_in_sensor=status.imu_lost_in_sensor if status else 0,
+        ),
+        clock=ClockModel(
+            offset_s=None if state.clock_offset_ns is None else state.clock_offset_ns * 1e-9,
+            drift_ppm=state.clock_drift_ppm,
+            rtt_ms=state.rtt_ms,
+        ),
+        battery=BatteryModel(voltage_v=status.battery_v, fraction=status.battery_fraction)
+        if status and status.battery_v is not None
+        else None,
+        temperatures_c=dict(status.temperatures_c) if status else {},
+        cpu_percent=status.cpu_percent if status else None,
+        driver=robot.driving.driver,
+        robot_driver=status.driver if status else None,
+        applied=AppliedModel(linear=applied.linear, angular=applied.angular) if applied and state.connected else None,
+        head_must_rest=robot.head_must_rest,
+        faults=list(status.faults) if status else [],
+    )

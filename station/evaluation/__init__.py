@@ -1,1 +1,0 @@
-"""Judges: trajectory error and matches against truth. Never used by the estimation."""

@@ -1,0 +1,148 @@
+"""How far an estimated trajectory is from the truth: ATE and RPE. Judges only.
+
+Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012; Zhang and Scaramuzza, A tutorial
+on quantitative trajectory evaluation for visual(-inertial) odometry, IROS 2018 (which alignment for which sensors).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from shared.errors import DegenerateGeometry
+from shared.geometry import FloatArray, IntArray, inverse, se3, so3_exp, so3_log, transform
+from station.experiments.alignment import Alignment, AlignmentKind, align_points
+
+MAX_GAP_NS = 100_000_000  # truth further apart than this is not interpolated
+
+
+class Poses(Protocol):
+    """Trajectory, Truth: anything with poses over time."""
+
+    @property
+    def t_robot_ns(self) -> IntArray: ...  # (N,) increasing
+
+    @property
+    def T_world_body(self) -> FloatArray: ...  # (N, 4, 4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryError:
+    """Absolute trajectory error after alignment of the estimate to the truth."""
+
+    rmse_m: float
+    mean_m: float
+    median_m: float
+    max_m: float
+    rotation_rmse_rad: float
+    alignment: Alignment  # T_truth_estimate
+    errors_m: FloatArray  # (M,) one per compared pose
+    t_robot_ns: IntArray  # (M,) the compared times
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativeError:
+    """Relative pose error over a fixed time: drift, whatever the alignment."""
+
+    delta_s: float
+    translation_rmse_m: float
+    rotation_rmse_rad: float
+    num_pairs: int
+
+
+def interpolate_poses(poses: Poses, t_ns: IntArray, max_gap_ns: int = MAX_GAP_NS) -> tuple[FloatArray, IntArray]:
+    """Poses (M, 4, 4) at times, linear in position and along the rotation, and the indices (M,) of the times covered.
+
+    Times outside of the poses, or in a gap longer than max_gap_ns, are left out.
+    """
+    known = np.asarray(poses.t_robot_ns)
+    T = poses.T_world_body
+    out, kept = [], []
+    for i, t in enumerate(np.asarray(t_ns).tolist()):
+        after = int(np.searchsorted(known, t))
+        if after < len(known) and known[after] == t:
+            out.append(T[after])
+        elif 0 < after < len(known) and known[after] - known[after - 1] <= max_gap_ns:
+            fraction = float((t - known[after - 1]) / (known[after] - known[after - 1]))
+            out.append(between(T[after - 1], T[after], fraction))
+        else:
+            continue
+        kept.append(i)
+    return np.array(out).reshape(-1, 4, 4), np.array(kept, dtype=np.int64)
+
+
+def between(T_a: FloatArray, T_b: FloatArray, fraction: float) -> FloatArray:
+    """The pose at a fraction (0..1) of the way from a to b."""
+    R = T_a[:3, :3] @ so3_exp(fraction * so3_log(T_a[:3, :3].T @ T_b[:3, :3]))
+    return se3(R, (1.0 - fraction) * T_a[:3, 3] + fraction * T_b[:3, 3])
+
+
+def absolute_trajectory_error(estimate: Poses, truth: Poses, kind: AlignmentKind = "yaw") -> TrajectoryError:
+    """Compare positions after alignment of the estimate: "yaw" for metric gravity-aligned, "sim3" for scale-free SLAM.
+
+    Truth is interpolated at the estimate's times.
+    Raises:
+        DegenerateGeometry: fewer than three common times, or no motion to align by.
+    """
+    T_truth, kept = interpolate_poses(truth, estimate.t_robot_ns)
+    if len(kept) < 3:
+        raise DegenerateGeometry(f"estimate and truth share {len(kept)} times, at least 3 are needed")
+    T_est = estimate.T_world_body[kept]
+    alignment = align_points(T_truth[:, :3, 3], T_est[:, :3, 3], kind)
+    errors = np.linalg.norm(T_truth[:, :3, 3] - transform(alignment.T_target_source, T_est[:, :3, 3]), axis=1)
+    angles = _angles(np.swapaxes(T_truth[:, :3, :3], 1, 2) @ alignment.R_target_source @ T_est[:, :3, :3])
+    return TrajectoryError(
+        rmse_m=_rms(errors),
+        mean_m=float(errors.mean()),
+        median_m=float(np.median(errors)),
+        max_m=float(errors.max()),
+        rotation_rmse_rad=_rms(angles),
+        alignment=alignment,
+        errors_m=errors,
+        t_robot_ns=np.asarray(estimate.t_robot_ns)[kept],
+    )
+
+
+def relative_pose_error(estimate: Poses, truth: Poses, delta_s: float, scale: float = 1.0) -> RelativeError:
+    """Compare motions over delta_s. Pairs: each estimated pose and the first one at least delta_s later.
+
+    Args:
+        scale: factor on the estimate's translations, for navigations of arbitrary scale.
+    Raises:
+        DegenerateGeometry: no pair that far apart in time (within half of delta_s).
+    """
+    T_truth, kept = interpolate_poses(truth, estimate.t_robot_ns)
+    t = np.asarray(estimate.t_robot_ns)[kept]
+    T_est = estimate.T_world_body[kept].copy()
+    T_est[:, :3, 3] *= scale
+    delta_ns = round(delta_s * 1e9)
+    end = np.searchsorted(t, t + delta_ns)
+    begin = np.flatnonzero(end < len(t))
+    begin = begin[t[end[begin]] - t[begin] <= 1.5 * delta_ns]
+    if not len(begin):
+        raise DegenerateGeometry(f"no two compared poses lie {delta_s} s apart")
+    end = end[begin]
+    motion_truth = inverse(T_truth[begin]) @ T_truth[end]
+    motion_est = inverse(T_est[begin]) @ T_est[end]
+    error = inverse(motion_truth) @ motion_est  # Sturm et al., eq. 1
+    return RelativeError(
+        delta_s=delta_s,
+        translation_rmse_m=_rms(np.linalg.norm(error[:, :3, 3], axis=1)),
+        rotation_rmse_rad=_rms(_angles(error[:, :3, :3])),
+        num_pairs=len(begin),
+    )
+
+
+def path_length(poses: Poses) -> float:
+    """Length (m) of the line through all positions."""
+    return float(np.linalg.norm(np.diff(poses.T_world_body[:, :3, 3], axis=0), axis=1).sum())
+
+
+def _angles(R: FloatArray) -> FloatArray:
+    return np.array([float(np.linalg.norm(so3_log(one))) for one in R])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,110 @@
+"""A navigation in formats that other tools read."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from shared.geometry import FloatArray, quat_from_rotation
+from station.files.foxglove import time_of
+from station.files.ply import write_ply
+from station.model.navigation import Navigation, Trajectory
+
+FLOAT32 = 7  # foxglove.PackedElementField's number for it
+
+
+def export_ply(nav: Navigation, path: Path) -> None:
+    """Landmarks as a coloured cloud."""
+    columns = {axis: nav.landmarks.p_world[:, i] for i, axis in enumerate("xyz")}
+    write_ply(path, columns | {name: nav.landmarks.rgb[:, i] for i, name in enumerate(("red", "green", "blue"))})
+
+
+def export_euroc(nav: Navigation, folder: Path) -> None:
+    """An ASL folder: keyframes as cam0, the estimated trajectory where EuRoC has its ground truth.
+
+    Poses are those of the body at the IMU's time; frame stamps are the camera's own, as in a recording.
+    """
+    camera = nav.calibration.camera
+    images = folder / "mav0" / "cam0" / "data"
+    truth = folder / "mav0" / "state_groundtruth_estimate0"
+    images.mkdir(parents=True)
+    truth.mkdir(parents=True)
+    rows = ["#timestamp [ns],filename"]
+    for t_ns, encoded in zip(nav.keyframes.t_robot_ns.tolist(), nav.keyframes.encoded, strict=True):
+        if encoded:
+            name = f"{t_ns}{'.png' if encoded.startswith(b'PNG', 1) else '.jpg'}"
+            (images / name).write_bytes(encoded)
+            rows.append(f"{t_ns},{name}")
+    (images.parent / "data.csv").write_text("\n".join(rows) + "\n")
+    if camera is not None:
+        (images.parent / "sensor.yaml").write_text(
+            "sensor_type: camera\n"
+            f"T_BS:\n  cols: 4\n  rows: 4\n  data: {list(camera.T_body_cam)}\n"
+            f"rate_hz: {camera.rate_hz}\nresolution: [{camera.width}, {camera.height}]\ncamera_model: pinhole\n"
+            f"intrinsics: [{camera.fx}, {camera.fy}, {camera.cx}, {camera.cy}]\n"
+            f"distortion_model: {'radial-tangential' if camera.model == 'radtan' else 'equidistant'}\n"
+            f"distortion_coefficients: {list(camera.distortion)}\n"
+            f"time_shift_s: {camera.time_shift_s}\nline_delay_s: {camera.line_delay_s}\n"
+        )
+    header = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+    (truth / "data.csv").write_text("\n".join([header, *(_asl_pose(t, T) for t, T in _poses(nav.trajectory))]) + "\n")
+
+
+def export_mcap(nav: Navigation, path: Path) -> None:
+    """Poses, keyframes and the cloud as Foxglove messages."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4)
+        writer.start(profile="", library="sentinel")
+        channels = {
+            topic: writer.register_channel(
+                topic, "json", writer.register_schema(schema, "jsonschema", b'{"type": "object"}')
+            )
+            for topic, schema in (
+                ("/navigation/pose", "foxglove.PoseInFrame"),
+                ("/navigation/keyframe", "foxglove.CompressedImage"),
+                ("/navigation/landmarks", "foxglove.PointCloud"),
+            )
+        }
+
+        def put(topic: str, t_ns: int, content: dict[str, Any]) -> None:
+            data = json.dumps({"timestamp": time_of(t_ns), "frame_id": "world", **content}).encode()
+            writer.add_message(channels[topic], t_ns, data, t_ns)
+
+        for t_ns, T in _poses(nav.trajectory):
+            put("/navigation/pose", t_ns, {"pose": _pose(T)})
+        for t_ns, encoded in zip(nav.keyframes.t_robot_ns.tolist(), nav.keyframes.encoded, strict=True):
+            image_format = "png" if encoded.startswith(b"PNG", 1) else "jpeg"
+            put("/navigation/keyframe", t_ns, {"format": image_format, "data": base64.b64encode(encoded).decode()})
+        if len(nav.trajectory):
+            put("/navigation/landmarks", int(nav.trajectory.t_robot_ns[0]), _cloud(nav))
+        writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+
+
+def _poses(trajectory: Trajectory) -> list[tuple[int, FloatArray]]:
+    return list(zip(trajectory.t_robot_ns.tolist(), trajectory.T_world_body, strict=True))
+
+
+def _asl_pose(t_ns: int, T: FloatArray) -> str:
+    values = [*T[:3, 3], *quat_from_rotation(T[:3, :3])]
+    return ",".join([str(t_ns), *(f"{value:.9g}" for value in values)])
+
+
+def _pose(T: FloatArray) -> dict[str, Any]:
+    w, x, y, z = (float(c) for c in quat_from_rotation(T[:3, :3]))
+    position = dict(zip("xyz", (float(c) for c in T[:3, 3]), strict=True))
+    return {"position": position, "orientation": {"x": x, "y": y, "z": z, "w": w}}
+
+
+def _cloud(nav: Navigation) -> dict[str, Any]:
+    packed = np.ascontiguousarray(nav.landmarks.p_world, dtype="<f4").tobytes()
+    return {
+        "pose": _pose(np.eye(4)),
+        "point_stride": 12,
+        "fields": [{"name": axis, "offset": 4 * i, "type": FLOAT32} for i, axis in enumerate("xyz")],
+        "data": base64.b64encode(packed).decode(),
+    }

@@ -1,0 +1,1 @@
+"""What the station keeps: navigations, maps, comparisons."""

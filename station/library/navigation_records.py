@@ -1,0 +1,202 @@
+"""The recorded drives on disk: `<root>/<id>/` with record.json, recording.mcap and, when SLAM is done, navigation/."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from shared.disk import make_folder, replace_file
+from shared.errors import DataError
+from station.errors import Unknown
+from station.files.unwritable import Unwritable, cannot_write, why_unwritable
+from station.library.dated_id import free_dated_id
+
+NavigationState = Literal["recording", "finishing", "ready", "failed"]
+RECORD = "record.json"
+RECORDING = "recording.mcap"
+OLD_RECORD = "drive.json"  # its name until November 2026
+BIN = ".bin"  # the folder of deleted navigations
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
+
+
+@dataclass(frozen=True, slots=True)
+class NavigationRecord:
+    """One recorded navigation and how far its SLAM is."""
+
+    id: str
+    name: str
+    state: NavigationState
+    started_wall_s: float  # seconds since 1970
+    backend: str
+    message: str = ""  # in a sentence
+    robot_id: str = ""
+    robot: str = ""  # what the station called it
+    duration_s: float = 0.0
+    frames: int = 0
+    frames_skipped: int = 0  # by a SLAM worker that was too slow; the recording has them
+    imu_samples: int = 0
+    imu_lost: int = 0
+    slam_failures: int = 0  # pictures or samples that SLAM refused
+    landmarks: int = 0
+    scale: Literal["metric", "arbitrary", ""] = ""
+
+
+class NavigationLibrary:
+    """All navigations in one folder. What writes, moves or removes waits for the disk: call it in one thread."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self.unwritable = ""  # a sentence, when `open` found that nothing can be written
+        self._navigations: dict[str, NavigationRecord] = {}
+
+    def open(self) -> list[NavigationRecord]:
+        """Read what is there. Drives that were under way when the station ended are kept as failed, and returned.
+
+        Where nothing can be written they are only known as failed until the station ends; `unwritable` says why then.
+        Raises DataError: there is no such folder and none can be made.
+        """
+        interrupted = []
+        self.unwritable = ""
+        try:
+            data = self._root.parent
+            if not self._root.is_dir() and (not data.is_dir() or why_unwritable(data) is None):
+                self._root.mkdir(parents=True)
+            here = sorted(self._root.iterdir()) if self._root.is_dir() else []
+        except OSError as exc:
+            raise DataError(f"{self._root} cannot be used ({exc.strerror}); choose another folder with --data") from exc
+        if (told := why_unwritable(self._root)) is not None:
+            self.unwritable = str(cannot_write(self._root, told))
+        folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
+        for folder in folders:
+            try:
+                navigation = _read_record(folder)
+            except (OSError, msgspec.DecodeError):
+                if not (folder / RECORDING).is_file():
+                    continue  # half a navigation of a killed station, in which nothing was recorded yet
+                navigation = _without_record(folder)
+            if navigation.state in ("recording", "finishing"):
+                navigation = replace(
+                    navigation, state="failed", message="the station ended before this navigation was finished"
+                )
+                try:
+                    self.keep(navigation)
+                except Unwritable:
+                    self.remember(navigation)
+                interrupted.append(navigation)
+            self._navigations[navigation.id] = navigation
+        return interrupted
+
+    def list(self) -> list[NavigationRecord]:
+        """Oldest first."""
+        known = list(self._navigations.values())  # in one step: another thread may add to them
+        return sorted(known, key=lambda d: (d.started_wall_s, d.id))
+
+    def get(self, navigation_id: str) -> NavigationRecord:
+        """Raises Unknown."""
+        if navigation_id not in self._navigations:
+            raise Unknown(f"there is no navigation {navigation_id!r}; GET /navigations lists them")
+        return self._navigations[navigation_id]
+
+    def new_id(self) -> str:
+        """A name from the clock on the wall, unused so far."""
+        folders = (self._root, self._root / BIN)
+        return free_dated_id("nav", lambda candidate: any((folder / candidate).exists() for folder in folders))
+
+    def folder(self, navigation_id: str) -> Path:
+        """Where a navigation's files are."""
+        if not _ID.fullmatch(navigation_id):
+            raise Unknown(f"there is no navigation {navigation_id!r}; GET /navigations lists them")
+        return self._root / navigation_id
+
+    def navigation_folder(self, navigation_id: str) -> Path:
+        return self.folder(navigation_id) / "navigation"
+
+    def keep(self, navigation: NavigationRecord) -> None:
+        """Write a navigation's record and know it. Raises Unwritable."""
+        self.write(navigation)
+        self.remember(navigation)
+
+    def write(self, navigation: NavigationRecord) -> None:
+        """Write a record, whole or not at all; when this returns it survives a power cut. Raises Unwritable."""
+        folder = self.folder(navigation.id)
+        try:
+            make_folder(folder)
+            content = json.dumps(msgspec.to_builtins(navigation), indent=1) + "\n"
+            replace_file(folder / RECORD, content.encode())
+            (folder / OLD_RECORD).unlink(missing_ok=True)
+        except OSError as exc:
+            raise cannot_write(folder, exc) from exc
+
+    def remember(self, navigation: NavigationRecord) -> None:
+        """Know it as long as the station runs. Returns at once."""
+        self._navigations[navigation.id] = navigation
+
+    def recording(self, navigation_id: str) -> Path:
+        """Where a navigation's recording is, or would be."""
+        return self.folder(navigation_id) / RECORDING
+
+    def recording_files(self, navigation_id: str) -> Sequence[Path]:
+        """The recording, and what its recovery left of a damaged one (recovery.py)."""
+        return sorted(self.folder(navigation_id).glob(f"{RECORDING}*"))
+
+    def delete(self, navigation_id: str) -> None:
+        """Forget a navigation; `restore` brings it back until it is purged. Raises Unknown."""
+        self.get(navigation_id)
+        try:
+            (self._root / BIN).mkdir(exist_ok=True)
+            os.rename(self.folder(navigation_id), self._root / BIN / navigation_id)
+        except OSError as exc:
+            raise cannot_write(self._root, exc) from exc
+        del self._navigations[navigation_id]
+
+    def deleted(self) -> tuple[NavigationRecord, ...]:
+        """Drives that can be restored."""
+        found = []
+        for folder in sorted((self._root / BIN).glob("*")):
+            try:
+                found.append(_read_record(folder))
+            except (OSError, msgspec.DecodeError):
+                continue
+        return tuple(found)
+
+    def restore(self, navigation_id: str) -> NavigationRecord:
+        """Bring a deleted navigation back. Raises Unknown."""
+        navigation = next((navigation for navigation in self.deleted() if navigation.id == navigation_id), None)
+        if navigation is None:
+            raise Unknown(f"there is no deleted navigation {navigation_id!r}; GET /bin lists what can be restored")
+        try:
+            os.rename(self._root / BIN / navigation_id, self.folder(navigation_id))
+        except OSError as exc:
+            raise cannot_write(self._root, exc) from exc
+        self._navigations[navigation_id] = navigation
+        return navigation
+
+    def purge(self, navigation_id: str) -> None:
+        """Delete a deleted navigation's files for good."""
+        self.folder(navigation_id)  # its id is no path
+        shutil.rmtree(self._root / BIN / navigation_id, ignore_errors=True)
+
+    def discard(self, navigation_id: str) -> None:
+        """Remove the files of a navigation that is not known, or not any more."""
+        shutil.rmtree(self.folder(navigation_id), ignore_errors=True)
+
+
+def _read_record(folder: Path) -> NavigationRecord:
+    """Raises OSError, msgspec.DecodeError: there is none, or it is damaged."""
+    named = folder / RECORD
+    path = named if named.exists() else folder / OLD_RECORD
+    return msgspec.json.decode(path.read_bytes(), type=NavigationRecord)
+
+
+def _without_record(folder: Path) -> NavigationRecord:
+    """A navigation of which only the recording is left."""
+    started_s = (folder / RECORDING).stat().st_mtime
+    return NavigationRecord(folder.name, folder.name, "recording", started_s, "unknown")

@@ -1,0 +1,1 @@
+"""What is wrong in a map store, and setting it right."""

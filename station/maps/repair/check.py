@@ -1,0 +1,214 @@
+"""Looks at every byte of a map store, and puts right what can be: from checksums, from copies, from older versions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from station.maps import opening, versions
+from station.maps.address import is_whole
+from station.maps.blobs import Damaged, blob_name
+from station.maps.contents import Contents
+from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
+from station.maps.repair.purging import collect_garbage
+from station.maps.store import MapStore
+from station.maps.unclaimed import ASIDE, RecordFile, newer, read_all, record_files, without_row
+from station.maps.versions import VersionRow, row_of
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Something that is not what was written."""
+
+    map_id: str
+    number: int  # of the version
+    address: str  # of the blob; empty: the version's row or record
+    size: int  # of the blob, bytes
+    sentence: str
+
+
+def verify(store: MapStore) -> tuple[Damage, ...]:
+    """What is damaged and could not be put right by itself; the store's `tell` hears what could."""
+    if not store.open():
+        return ()
+    with store.reading() as connection:
+        rows = versions.all_rows(connection)
+    return (*_damages(store.contents, rows), *_lost(store.contents, rows))
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """What repairing did, in sentences."""
+
+    done: tuple[str, ...]
+    left: tuple[Damage, ...]  # what stays damaged
+
+
+def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
+    """Put right what can be.
+
+    Args:
+        copies: folders that may hold the same files under whatever name, such as the navigations maps were made from.
+    """
+    contents = store.for_writing()
+    folders = list(copies)
+    done = _take_in(contents) + _repair_rows(contents)
+    done += _copy_records(contents, folders)
+    done += _take_in(contents)
+    damages = verify(store)
+    wanted = {damage.address: damage for damage in damages if damage.address}
+    for address, path in _found_copies(wanted, folders):
+        contents.bucket.put({blob_name(address): path.read_bytes()})
+        done.append(f"{wanted[address].sentence.partition(';')[0]}: copied again from {path}")
+    done += _take_in(contents)
+    done += _set_aside(contents)
+    left = verify(store) if done else damages
+    done += _go_back(store, contents, left)
+    done += collect_garbage(store)
+    return Repair(tuple(done), left)
+
+
+def _take_in(contents: Contents) -> list[str]:
+    return [f"version {row.number} of map {row.map_id} was taken in" for row in opening.take_in_records(contents)]
+
+
+def _damages(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
+    seen: set[str] = set()  # addresses looked at: versions share most of their files
+    for row in rows:
+        try:
+            record = contents.record(row)
+        except Damaged as exc:
+            yield Damage(row.map_id, row.number, "", 0, str(exc))
+            continue
+        for name, ref in record.files.items():
+            if ref.address in seen:
+                continue
+            seen.add(ref.address)
+            try:
+                contents.blobs.get(ref.address, f"map {row.map_id}, version {row.number}: {name}")
+            except Damaged as exc:
+                yield Damage(row.map_id, row.number, ref.address, ref.size, str(exc))
+
+
+def _lost(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
+    """Of what was lost together with the index, which would have told of it. As take_in_records, SQLite only."""
+    if not contents.database.is_sqlite:
+        return
+    files = without_row(contents, rows)
+    may_count = {file.name for file in newer(files, rows)}
+    for one in read_all(contents, files):
+        if one.record is None:
+            yield Damage(one.file.map_id, one.file.number, "", 0, one.sentence)
+        elif one.file.name in may_count:
+            yield from _missing(contents, one.record)
+
+
+def _missing(contents: Contents, record: MapRecord) -> Iterator[Damage]:
+    for name, ref in record.files.items():
+        try:
+            contents.blobs.get(ref.address, f"map {record.map_id}, version {record.number}: {name}")
+        except Damaged as exc:
+            yield Damage(record.map_id, record.number, ref.address, ref.size, str(exc))
+
+
+def _copy_records(contents: Contents, folders: list[Path]) -> list[str]:
+    """Records that are damaged, from copies: the name of a record's file says what it holds."""
+    with contents.database.reading() as connection:
+        rows = versions.all_rows(connection)
+    wanted: dict[str, RecordFile] = {}
+    for file in record_files(contents):
+        data = contents.bucket.get(file.name)
+        if data is not None and not is_whole(data, file.address):
+            wanted[file.name.rpartition("/")[2]] = file
+    for row in rows:
+        if contents.bucket.get(row.record_name) is None:
+            name = row.record_name
+            wanted[name.rpartition("/")[2]] = RecordFile(row.map_id, row.number, row.record, name)
+    done = []
+    for folder in folders if wanted else ():
+        for path in sorted(path for path in folder.rglob("*") if path.name in wanted and path.is_file()):
+            file = wanted[path.name]
+            data = path.read_bytes()
+            if is_whole(data, file.address):
+                contents.bucket.put({file.name: data})
+                done.append(f"the record of version {file.number} of map {file.map_id} was copied again from {path}")
+                del wanted[path.name]
+    return done
+
+
+def _set_aside(contents: Contents) -> list[str]:
+    """Records that are lost, kept beside the others for whoever can read more out of them."""
+    if not contents.database.is_sqlite:
+        return []  # another station may be about to commit one
+    done = []
+    with contents.database.writing(FOLDER) as connection:
+        rows = versions.all_rows(connection)
+        for one in read_all(contents, without_row(contents, rows)):
+            if one.record is not None:
+                continue
+            file = one.file
+            aside = f"{ASIDE}/{file.name.removeprefix(f'{FOLDER}/')}"
+            contents.bucket.put({aside: one.data})
+            contents.bucket.remove(file.name)
+            of_map = [row for row in rows if row.map_id == file.map_id]
+            newest = max(of_map, key=lambda row: row.number, default=None)
+            left = f"it is what it was at version {newest.number}" if newest else "nothing else of it is there"
+            if newest is not None and newest.kind == "deleted":
+                left += f", deleted: `station map undo {file.map_id}` brings it back"
+            where = f"{contents.bucket.place}/{aside}"
+            done.append(f"version {file.number} of map {file.map_id} is lost (its record is {where} now); {left}")
+    return done
+
+
+def _repair_rows(contents: Contents) -> list[str]:
+    """Rows made again from their records (a PostgreSQL row; SQLite's file is made again as a whole)."""
+    with contents.database.reading() as connection:
+        broken = [row for row in versions.all_rows(connection) if not row.is_sealed]
+    done = []
+    for row in broken:
+        for name, _ in contents.bucket.names(FOLDER):
+            parsed = parse_record_name(name)
+            if parsed is None or parsed[:2] != (row.map_id, row.number):
+                continue
+            data = contents.bucket.get(name)
+            if data is None or not is_whole(data, parsed[2]):
+                continue
+            with contents.database.writing(row.map_id) as connection:
+                versions.replace_row(connection, row_of(decode_record(data, name), data))
+            done.append(f"the row of version {row.number} of map {row.map_id} was made again from its record")
+    return done
+
+
+def _found_copies(wanted: dict[str, Damage], folders: Iterable[Path]) -> Iterator[tuple[str, Path]]:
+    sizes = {damage.size for damage in wanted.values()}
+    missing = set(wanted)
+    for folder in folders:
+        for path in sorted(folder.rglob("*")):
+            if missing and path.is_file() and path.stat().st_size in sizes:
+                data = path.read_bytes()
+                for address in [a for a in missing if wanted[a].size == len(data) and is_whole(data, a)]:
+                    missing.discard(address)
+                    yield address, path
+
+
+def _go_back(store: MapStore, contents: Contents, left: tuple[Damage, ...]) -> list[str]:
+    """Maps whose newest version is lost open at their last good one; make that the newest."""
+    done = []
+    bad_records = {(damage.map_id, damage.number) for damage in left if not damage.address}
+    bad_blobs = {damage.address for damage in left if damage.address}
+    for map_id in sorted({damage.map_id for damage in left}):
+        with contents.database.reading() as connection:
+            rows = versions.history(connection, map_id)
+        good = next((row for row in rows if _is_good(contents, row, bad_records, bad_blobs)), None)
+        if good is not None and good is not rows[0] and good.kind != "deleted":
+            store.undo(map_id, to=good.number)
+            done.append(f"map {map_id} is again what it was at version {good.number}")
+    return done
+
+
+def _is_good(contents: Contents, row: VersionRow, bad_records: set[tuple[str, int]], bad_blobs: set[str]) -> bool:
+    if (row.map_id, row.number) in bad_records:
+        return False
+    record: MapRecord = contents.record(row)
+    return not bad_blobs & {ref.address for ref in record.files.values()}

@@ -1,0 +1,1 @@
+"""Values that flow between the rooms, and nothing that computes."""

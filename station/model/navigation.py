@@ -1,0 +1,111 @@
+"""A navigation: one recorded drive and what SLAM made of it. Every SLAM backend ends in this; places start from it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.calibration import Calibration
+from shared.geometry import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses over time. World frame: of this navigation; z up and metres where the navigation says so."""
+
+    t_robot_ns: IntArray  # (N,) increasing; the IMU's time (frame time + CameraCalibration.time_shift_s)
+    T_world_body: FloatArray  # (N, 4, 4); body = IMU, or the camera where there is no IMU
+
+    def __len__(self) -> int:
+        return len(self.t_robot_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframes:
+    """The frames that landmarks are observed from."""
+
+    frame_index: IntArray  # (F,) ImageFrame.index
+    t_robot_ns: IntArray  # (F,)
+    T_world_cam: FloatArray  # (F, 4, 4)
+    encoded: tuple[bytes, ...]  # (F,) JPEG or PNG files
+    segment: IntArray  # (F,) number of the piece of unbroken tracking this keyframe belongs to
+
+    def __len__(self) -> int:
+        return len(self.t_robot_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """3D points and who saw them: row i of (M, ...) is a landmark, row k of (K, ...) an observation."""
+
+    p_world: FloatArray  # (M, 3)
+    rgb: npt.NDArray[np.uint8]  # (M, 3)
+    cov_world: FloatArray  # (M, 3, 3); zero where unknown
+    observed_landmark: IntArray  # (K,) index into p_world
+    observed_keyframe: IntArray  # (K,) index into Keyframes
+    observed_uv_px: FloatArray  # (K, 2) as measured, distorted pixels
+
+    def __len__(self) -> int:
+        return len(self.p_world)
+
+    @property
+    def num_observations(self) -> IntArray:
+        """(M,) how often each landmark was observed in keyframes."""
+        return np.bincount(self.observed_landmark, minlength=len(self)).astype(np.int64)
+
+    def first_keyframe(self) -> IntArray:
+        """(M,) the keyframe each landmark was first seen from (thesis: its generating image); -1 for none."""
+        first = np.full(len(self), np.iinfo(np.int64).max)
+        np.minimum.at(first, self.observed_landmark, self.observed_keyframe)
+        first[first == np.iinfo(np.int64).max] = -1
+        return first
+
+    def observations_by_keyframe(self, num_keyframes: int) -> list[IntArray]:
+        """For each keyframe the rows of its observations, in the order in which they are stored."""
+        order = np.argsort(self.observed_keyframe, kind="stable")
+        begin = np.searchsorted(self.observed_keyframe[order], np.arange(num_keyframes + 1))
+        return [order[a:b] for a, b in itertools.pairwise(begin)]
+
+
+@dataclass(frozen=True, slots=True)
+class NavigationReport:
+    """What `navigation.json` says of the run (CONTRACT: Files written)."""
+
+    backend: str
+    frames: int
+    duration_s: float
+    wall_s: float
+    realtime_factor: float
+    cpu_s: float
+    landmarks: int
+    tracking_lost_s: float
+    scale: Literal["metric", "arbitrary"]
+    gravity_aligned: bool
+    seed: int
+    versions: dict[str, str]
+    config: dict[str, Any]
+    messages: tuple[str, ...] = ()  # what a person should know, in sentences
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Navigation:
+    """One drive, finished."""
+
+    id: str
+    calibration: Calibration
+    trajectory: Trajectory
+    keyframes: Keyframes
+    landmarks: Landmarks
+    report: NavigationReport
+
+    @property
+    def is_metric(self) -> bool:
+        return self.report.scale == "metric"
+
+    @property
+    def is_gravity_aligned(self) -> bool:
+        return self.report.gravity_aligned

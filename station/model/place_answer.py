@@ -1,0 +1,106 @@
+"""What localisation says: where one image was taken in a map, and which place the robot is at now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray
+
+PlaceState = Literal["known", "unknown", "lost"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Localization:
+    """One image, found in a map by geometry: verified, or it would not exist. Look-alikes may give it several."""
+
+    t_robot_ns: int
+    T_map_cam: FloatArray  # (4, 4)
+    num_inliers: int
+    inlier_ratio: float
+    sigma_position: float  # map units, 1 sigma per axis
+    keyframe_index: int  # the map's keyframe with the most inliers: the evidence image
+    map_id: str
+    extent: float  # map units: median distance of the recognised landmarks from their middle
+    num_features: int  # of the image
+    landmarks: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (i,) of the map, recognised
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceCandidate:
+    """One place and how probable it is that the robot is nearest to it, ties within 10 % of the distance included.
+
+    Near the border of two places both are right, so that the probabilities of several may sum to more than one.
+    """
+
+    id: str
+    name: str
+    probability: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceAnswer:
+    """The current place. `place` is None unless state is "known"."""
+
+    state: PlaceState
+    place: PlaceCandidate | None
+    distance: float | None  # robot to centroid, map units
+    position_map: FloatArray | None  # (3,) the robot's body
+    t_robot_ns: int  # sensor time the answer is about
+    evidence_t_robot_ns: int | None  # sensor time of the last verified localisation
+    evidence_keyframe: int | None
+    inliers: int
+    alternatives: tuple[PlaceCandidate, ...]
+    reason: str  # a sentence for a person
+    map_id: str | None = None  # of what is said of place, position and evidence; None: nothing speaks for any map
+
+
+HijackCue = Literal["imu", "vision", "position"]
+
+
+@dataclass(frozen=True, slots=True)
+class HijackEvent:
+    """Somebody moved the robot."""
+
+    t_robot_ns: int
+    cue: HijackCue
+    reason: str  # a few words for a person
+    confidence: float  # 0..1, what CurrentPlaceEstimator.on_hijack takes
+
+
+@dataclass(frozen=True, slots=True)
+class MapReading:
+    """How far the worker is with the maps that it was given."""
+
+    fraction: float  # 0..1
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class MapLeftOut:
+    """One of several maps that cannot be read; the robot is looked for in the others."""
+
+    map_id: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceReport:
+    """The current place, and how the last picture was found."""
+
+    map_id: str  # whose frame positions are in: where the robot is, or the first map while nobody knows
+    answer: PlaceAnswer
+    T_map_cam: FloatArray | None  # (4, 4) of the picture the answer is about, when it was found in this map
+    t_evidence_ns: int | None  # what the answer's evidence_t_robot_ns is while it rests on this picture
+    attempt: str  # what speaks for the picture's pose, or why there is none, in a sentence
+    num_hijacks: int = 0  # that the worker had noticed by then: an answer from before one says nothing of after it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HijackNotice:
+    """The robot was picked up, and the current place since: whoever is told the one is told the other."""
+
+    event: HijackEvent
+    report: PlaceReport

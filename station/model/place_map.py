@@ -1,0 +1,47 @@
+"""The topological map: places (nodes), bearings between them (edges), and the navigation they were clustered from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from shared.geometry import FloatArray, IntArray
+from station.model.navigation import Navigation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A cluster of landmarks of the map (thesis 4.3.1)."""
+
+    id: str  # stable: survives re-clustering and renaming
+    name: str
+    centroid_map: FloatArray  # (3,)
+    radius: float  # RMS distance of its landmarks from the centroid, map units
+    landmark_index: IntArray  # (n,) into map.navigation.landmarks
+    keyframe_index: IntArray  # (k,) keyframes that saw its landmarks, most observations first
+    representative_keyframe: int  # eq. 4.2: the image nearest to the mean image; -1 without images
+    quality: float  # 0..1, how clearly its hill stands out, times how many landmarks it has
+    hidden: bool = False  # by a person: never answered, not in the graph; its name is kept
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceEdge:
+    """Two places that are visible together or driven between."""
+
+    a: str
+    b: str
+    bearing_rad: float  # direction a -> b in the map's ground plane, from +x towards +y
+    distance: float  # between centroids, map units
+    kind: Literal["seen together", "driven between", "nearest"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceMap:
+    """Places + graph + the navigation they come from. The map frame is that navigation's world frame."""
+
+    id: str
+    name: str
+    navigation: Navigation
+    places: tuple[Place, ...]
+    edges: tuple[PlaceEdge, ...]
+    config: dict[str, object]  # the effective clustering parameters

@@ -1,0 +1,27 @@
+"""What SLAM says of each frame, to the live view and to the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from shared.geometry import FloatArray
+
+TrackingState = Literal["initialising", "tracking", "lost"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamUpdate:
+    """What one frame changed."""
+
+    t_robot_ns: int
+    state: TrackingState
+    message: str  # for a person: "not initialised yet: needs ..."
+    T_world_body: (
+        FloatArray | None
+    )  # (4, 4); None while there is no pose (an offline backend never has one before finish)
+    num_landmarks: int
+    is_keyframe: bool
+    new_points_world: FloatArray | None = None  # (n, 3) landmarks finished since the last update, for the live view
+    new_points_rgb: FloatArray | None = None  # (n, 3) 0..255
+    segment: int = 0

@@ -1,0 +1,1 @@
+"""Rigid motions, inertial samples and dead reckoning."""

@@ -1,0 +1,60 @@
+"""Small errors of a pose, velocity and points: three conventions, and what such an error does.
+
+(R, X) is an element of SE_k(3) as in lie.py; its error is (phi, xi). The filter takes any of the conventions (thesis
+eq. 2.7), least squares over windows takes the plain one.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from shared.geometry import FloatArray
+from station.motion import lie
+
+
+class ErrorKind(Enum):
+    """How an error (phi, xi) moves the mean chi = (R, X)."""
+
+    RIGHT = "right"  # chi = exp(xi) chi_mean: invariant, world frame (thesis eq. 2.7)
+    LEFT = "left"  # chi = chi_mean exp(xi): invariant, body frame
+    PLAIN = "plain"  # R = exp(phi) R_mean, everything else added: the conventional filter
+
+
+def retract_group(
+    kind: ErrorKind, R: FloatArray, X: FloatArray, phi: FloatArray, xi: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Move R (3, 3), X (k, 3) by errors phi (..., 3), xi (..., k, 3): thesis eq. 2.7 and its two variants."""
+    E, Z = lie.exp(phi, xi)
+    if kind is ErrorKind.RIGHT:
+        return E @ R, X @ np.swapaxes(E, -1, -2) + Z
+    if kind is ErrorKind.LEFT:
+        return R @ E, Z @ np.swapaxes(R, -1, -2) + X
+    return E @ R, X + xi
+
+
+def difference_group(
+    kind: ErrorKind, R_mean: FloatArray, X_mean: FloatArray, R: FloatArray, X: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The errors that retract_group needs to go from the mean to (R, X); inverse of retract_group."""
+    R_mean_t = np.swapaxes(R_mean, -1, -2)
+    if kind is ErrorKind.RIGHT:
+        E = R @ R_mean_t
+        return lie.log(E, X - X_mean @ np.swapaxes(E, -1, -2))
+    if kind is ErrorKind.LEFT:
+        return lie.log(R_mean_t @ R, (X - X_mean) @ R_mean)
+    return lie.so3_log(R @ R_mean_t), X - X_mean
+
+
+def pose_jacobian(kind: ErrorKind, R: FloatArray, x: FloatArray, p: FloatArray) -> FloatArray:
+    """d p_body / d(phi, xi_x) (..., 3, 6): a point p (..., 3) held still in the world, seen from the body (R, x)."""
+    Rt = np.swapaxes(R, -1, -2)
+    out = np.empty((*Rt.shape[:-1], 6))
+    if kind is ErrorKind.LEFT:  # R exp(phi), x + R xi: p_body = exp(-phi)(p_body - xi)
+        out[..., :3] = lie.skew((Rt @ (p - x)[..., None])[..., 0])
+        out[..., 3:] = -np.eye(3)
+    else:
+        out[..., :3] = Rt @ lie.skew(p if kind is ErrorKind.RIGHT else p - x)
+        out[..., 3:] = -Rt
+    return out

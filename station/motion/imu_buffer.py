@@ -1,0 +1,142 @@
+"""The stream of inertial samples: checks what comes in, cuts out what lies between two times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.calibration import ImuNoise
+from shared.geometry import FloatArray, IntArray
+from station.model.frames import ImuBatch
+from station.motion.preintegration import ImuSegment
+
+MAX_ACCEL = 1000.0  # m/s^2; no IMU of ours reads more, but a broken file may
+MAX_GYRO = 100.0  # rad/s
+VIBRATION_SHARE = 0.1
+VIBRATION_WINDOW_NS = 250_000_000
+
+
+@dataclass(slots=True)
+class ImuCounts:
+    """What was refused, and what was patched."""
+
+    not_finite: int = 0
+    out_of_order: int = 0
+    saturated: int = 0
+    gaps: int = 0
+    longest_gap_s: float = 0.0
+
+
+class ImuBuffer:
+    """Recent inertial samples, in time order."""
+
+    def __init__(self, noise: ImuNoise, keep_s: float = 4.0) -> None:
+        self._noise = noise
+        self._keep_ns = int(keep_s * 1e9)
+        self._t: IntArray = np.zeros(0, dtype=np.int64)
+        self._gyro: FloatArray = np.zeros((0, 3))
+        self._accel: FloatArray = np.zeros((0, 3))
+        self.counts = ImuCounts()
+        self._expected_dt_s = 1.0 / noise.rate_hz
+
+    def __len__(self) -> int:
+        return len(self._t)
+
+    @property
+    def last_t_ns(self) -> int | None:
+        return int(self._t[-1]) if len(self._t) else None
+
+    @property
+    def first_t_ns(self) -> int | None:
+        return int(self._t[0]) if len(self._t) else None
+
+    def add(self, imu: ImuBatch) -> None:
+        """Append samples; those that are not numbers, absurd, repeated or late are counted and left out."""
+        t, gyro, accel = imu.t_robot_ns, imu.gyro_imu, imu.accel_imu
+        finite = np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
+        finite &= (np.abs(gyro) < MAX_GYRO).all(axis=1) & (np.abs(accel) < MAX_ACCEL).all(axis=1)
+        self.counts.not_finite += int((~finite).sum())
+        t, gyro, accel = t[finite], gyro[finite], accel[finite]
+        if not len(t):
+            return
+        last = self._t[-1] if len(self._t) else t[0] - 1
+        before = np.maximum.accumulate(np.concatenate([[last], t]))[:-1]
+        fresh = t > before
+        self.counts.out_of_order += int((~fresh).sum())
+        self._t = np.concatenate([self._t, t[fresh]])
+        self._gyro = np.concatenate([self._gyro, gyro[fresh]])
+        self._accel = np.concatenate([self._accel, accel[fresh]])
+
+    def forget_before(self, t_ns: int) -> None:
+        """Drop what ended before t_ns; one earlier sample stays for interpolation."""
+        start = max(0, int(np.searchsorted(self._t, t_ns)) - 1)
+        self._t, self._gyro, self._accel = self._t[start:], self._gyro[start:], self._accel[start:]
+
+    def samples(self, start_ns: int, end_ns: int) -> ImuBatch:
+        """Raw samples within [start, end]."""
+        a, b = np.searchsorted(self._t, [start_ns, end_ns + 1])
+        return ImuBatch(self._t[a:b], self._gyro[a:b], self._accel[a:b])
+
+    def segment(self, start_ns: int, end_ns: int) -> ImuSegment:
+        """Steps from start to end: means of neighbouring samples, interpolated at both ends.
+
+        Before the first and after the last sample their values are held. A gap is one long interpolated step whose
+        noise grows with the gap; readings at the sensor's range count as saturated and get ten times the noise.
+        """
+        inside = (self._t > start_ns) & (self._t < end_ns)
+        t = np.concatenate([[start_ns], self._t[inside], [end_ns]])
+        gyro = np.vstack([self._at(start_ns, self._gyro), self._gyro[inside], self._at(end_ns, self._gyro)])
+        accel = np.vstack([self._at(start_ns, self._accel), self._accel[inside], self._at(end_ns, self._accel)])
+        dt = np.diff(t) * 1e-9
+        scale = np.broadcast_to(self._vibration(start_ns, end_ns), (len(dt), 2)).copy()
+        gap = dt > 2.5 * self._expected_dt_s
+        if gap.any():
+            self.counts.gaps += int(gap.sum())
+            self.counts.longest_gap_s = max(self.counts.longest_gap_s, float(dt.max()))
+            # Motion between the ends is unknown: about 1 m/s^2 and 1 rad/s^2 of change, far above the white noise.
+            scale[gap] += 100.0 * dt[gap, None] / self._expected_dt_s
+        limit = 0.999 * np.repeat([self._noise.gyro_range, self._noise.accel_range], 3)
+        at_range = np.asarray((np.abs(np.hstack([gyro, accel])) >= limit).any(axis=1))
+        if at_range.any():
+            self.counts.saturated += int(at_range.sum())
+            scale[at_range[:-1] | at_range[1:]] *= 10.0
+        if end_ns <= start_ns:
+            dt, gyro, accel, scale = dt[:0], gyro[:1], accel[:1], scale[:0]
+        return ImuSegment(
+            dt_s=dt,
+            gyro=0.5 * (gyro[:-1] + gyro[1:]),
+            accel=0.5 * (accel[:-1] + accel[1:]),
+            end_t_ns=end_ns,
+            end_gyro=gyro[-1],
+            noise_scale=scale,
+        )
+
+    def _vibration(self, start_ns: int, end_ns: int) -> FloatArray:
+        """How much larger (2,) gyro and accel noise are than on a resting sensor, from the data alone.
+
+        The third difference of neighbouring samples removes motion and keeps what alternates from sample to sample:
+        noise, and vibration that sampling has folded down. Of the latter, VIBRATION_SHARE does not average out.
+        """
+        a, b = np.searchsorted(self._t, [start_ns - VIBRATION_WINDOW_NS, end_ns + 1])
+        if b - a < 8:
+            return np.ones(2)
+        values = np.hstack([self._gyro[a:b], self._accel[a:b]])
+        third = values[3:] - 3.0 * values[2:-1] + 3.0 * values[1:-2] - values[:-3]
+        power = (third * third).mean(axis=0) / 20.0  # 1 + 9 + 9 + 1
+        measured = np.sqrt(power.reshape(2, 3).mean(axis=1))
+        at_rest = np.array([self._noise.gyro_density, self._noise.accel_density]) / np.sqrt(self._expected_dt_s)
+        return np.sqrt(1.0 + (VIBRATION_SHARE * measured / at_rest) ** 2)
+
+    def _at(self, t_ns: int, values: FloatArray) -> FloatArray:
+        """Value (3,) at a time, linear between samples, held beyond them; zero without any."""
+        if not len(self._t):
+            return np.zeros(3)
+        right = int(np.searchsorted(self._t, t_ns))
+        if right == 0:
+            return values[0]
+        if right == len(self._t):
+            return values[-1]
+        span = float(self._t[right] - self._t[right - 1])
+        weight = float(t_ns - self._t[right - 1]) / span
+        return (1.0 - weight) * values[right - 1] + weight * values[right]

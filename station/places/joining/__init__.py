@@ -1,0 +1,1 @@
+"""A navigation onto a map: align, match, merge."""

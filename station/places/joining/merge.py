@@ -1,0 +1,83 @@
+"""Several drives of one home → one navigation to map: later ones are carried into the first one's frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from shared.errors import EstimationError
+from shared.geometry import FloatArray, IntArray, carry_poses, transform
+from station.model.navigation import Keyframes, Landmarks, Navigation, Trajectory
+from station.places.joining.align import align_navigation
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig
+
+PAUSE_NS = 1_000_000_000  # put between two navigations: their clocks need not have been one
+
+
+def merge_navigations(
+    navigations: list[Navigation], config: PlacesConfig | None = None, *, seed: int = 0
+) -> Navigation:
+    """One navigation that holds all of them, in the frame and scale of the first.
+
+    Raises:
+        EstimationError: a navigation cannot be registered to those before it with certainty; says which and why.
+    """
+    merged = navigations[0]
+    for navigation in navigations[1:]:
+        found = align_navigation(build_map(merged, config=config), navigation, config or PlacesConfig(), seed=seed)
+        if not found.accepted or found.T_target_source is None:
+            raise EstimationError(
+                f"{navigation.id} could not be placed in {merged.id} with certainty ({'; '.join(found.reasons)}); "
+                "map it by itself, or drive through both parts once"
+            )
+        merged = append_navigation(merged, navigation, found.T_target_source)
+    return merged
+
+
+def append_navigation(first: Navigation, second: Navigation, T_first_second: FloatArray) -> Navigation:
+    """Both navigations in the first's frame. T_first_second (4, 4) may carry a scale.
+
+    Times and frame numbers of the second are moved behind the first's: each navigation counts its own.
+    """
+    last = [int(t.max(initial=0)) for t in (first.trajectory.t_robot_ns, first.keyframes.t_robot_ns)]
+    start = [
+        int(t.min()) for t in (second.trajectory.t_robot_ns, second.keyframes.t_robot_ns) if len(t)
+    ]  # fmt: skip
+    shift_ns = max(last) + PAUSE_NS - min(start, default=0)
+    a, b = first.keyframes, second.keyframes
+    keyframes = Keyframes(
+        frame_index=_joined(a.frame_index, b.frame_index + a.frame_index.max(initial=-1) + 1),
+        t_robot_ns=_joined(a.t_robot_ns, b.t_robot_ns + shift_ns),
+        T_world_cam=np.concatenate([a.T_world_cam, carry_poses(T_first_second, b.T_world_cam)]),
+        encoded=a.encoded + b.encoded,
+        segment=_joined(a.segment, b.segment + a.segment.max(initial=-1) + 1),
+    )
+    trajectory = Trajectory(
+        _joined(first.trajectory.t_robot_ns, second.trajectory.t_robot_ns + shift_ns),
+        np.concatenate([first.trajectory.T_world_body, carry_poses(T_first_second, second.trajectory.T_world_body)]),
+    )
+    p, q = first.landmarks, second.landmarks
+    A = T_first_second[:3, :3]
+    landmarks = Landmarks(
+        p_world=np.concatenate([p.p_world, transform(T_first_second, q.p_world)]),
+        rgb=np.concatenate([p.rgb, q.rgb]),
+        cov_world=np.concatenate([p.cov_world, A @ q.cov_world @ A.T]),
+        observed_landmark=_joined(p.observed_landmark, q.observed_landmark + len(p)),
+        observed_keyframe=_joined(p.observed_keyframe, q.observed_keyframe + len(a)),
+        observed_uv_px=np.concatenate([p.observed_uv_px, q.observed_uv_px]),
+    )
+    report = replace(
+        first.report,
+        frames=first.report.frames + second.report.frames,
+        duration_s=first.report.duration_s + second.report.duration_s,
+        landmarks=len(landmarks),
+        tracking_lost_s=first.report.tracking_lost_s + second.report.tracking_lost_s,
+        messages=(*first.report.messages, f"joined with {second.id}"),
+    )
+    return Navigation(f"{first.id}+{second.id}", first.calibration, trajectory, keyframes, landmarks, report)
+
+
+def _joined(a: IntArray, b: IntArray) -> IntArray:
+    return np.concatenate([a, b]).astype(np.int64)

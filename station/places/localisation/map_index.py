@@ -1,0 +1,85 @@
+"""A map's pictures as localisation looks at them: made once, and plain arrays, so that many robots can share them."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from station.model.place_map import PlaceMap
+from station.places.localisation.described_pictures import DESCRIBED_BY, DescribedPictures
+from station.places.localisation.keyframe_features import KeyframeFeatures, describe_keyframes
+from station.vision.appearance import AppearanceIndex
+
+Arrays = Mapping[str, npt.NDArray[np.generic]]
+VERSION = 2  # of how described pictures are indexed: count it up when that changes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapIndex:
+    """What `Localizer` needs of one map."""
+
+    keyframes: tuple[KeyframeFeatures, ...]
+    appearance: AppearanceIndex
+
+    @classmethod
+    def of_keyframes(cls, described: Sequence[KeyframeFeatures]) -> MapIndex:
+        """Index what was described."""
+        return cls(tuple(described), AppearanceIndex([keyframe.all_descriptors for keyframe in described]))
+
+    def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
+        """All of it but the descriptors that have no position: they have made the appearance, and are not needed."""
+        of_keyframes = {
+            "descriptors": np.concatenate([np.zeros((0, 128), np.uint8), *(k.descriptors for k in self.keyframes)]),
+            "p_map": np.concatenate([np.zeros((0, 3)), *(k.p_map for k in self.keyframes)]),
+            "landmark": np.concatenate([np.zeros(0, np.int64), *(k.landmark for k in self.keyframes)]),
+            "first": np.cumsum([0, *(len(k.landmark) for k in self.keyframes)]),
+        }
+        return {**of_keyframes, **self.appearance.arrays()}
+
+    @classmethod
+    def of_arrays(cls, arrays: Arrays) -> MapIndex:
+        """What `arrays` gave. Raises KeyError, ValueError when these are others."""
+        first = arrays["first"].tolist()
+        keyframes = tuple(
+            KeyframeFeatures(
+                descriptors=arrays["descriptors"][begin:end].astype(np.uint8, copy=False),
+                p_map=arrays["p_map"][begin:end].astype(np.float64, copy=False),
+                landmark=arrays["landmark"][begin:end].astype(np.int64, copy=False),
+                all_descriptors=np.zeros((0, 128), np.uint8),
+            )
+            for begin, end in itertools.pairwise(first)
+        )
+        return cls(keyframes, AppearanceIndex.of_arrays(len(keyframes), arrays))
+
+
+def make_index(
+    place_map: PlaceMap,
+    on_keyframe: Callable[[], None] = lambda: None,
+    pictures: DescribedPictures | None = None,
+) -> MapIndex:
+    """Describe and index all keyframes: some 100 ms for each on one core; `on_keyframe` is called before each.
+
+    `pictures`: what is described already.
+    """
+    return MapIndex.of_keyframes(describe_keyframes(place_map, (pictures or DescribedPictures()).describe, on_keyframe))
+
+
+def fingerprint(place_map: PlaceMap) -> str:
+    """Of everything that decides the index: the same for the same drive, whatever its places are called."""
+    navigation = place_map.navigation
+    landmarks, keyframes = navigation.landmarks, navigation.keyframes
+    digest = hashlib.sha256(f"{VERSION} of {DESCRIBED_BY}".encode())
+    digest.update(msgspec.json.encode(navigation.calibration))
+    arrays = (landmarks.p_world, landmarks.observed_keyframe, landmarks.observed_landmark, landmarks.observed_uv_px)
+    for array in (*arrays, keyframes.T_world_cam):
+        digest.update(f"{array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for encoded in keyframes.encoded:
+        digest.update(len(encoded).to_bytes(8, "big") + encoded)
+    return digest.hexdigest()

@@ -1,0 +1,124 @@
+"""The camera's pose from keyframes that look at one region of a map: matches, RANSAC, matches guided by the pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from shared.calibration import CameraCalibration
+from shared.geometry import FloatArray, IntArray, inverse, median_radius, transform
+from station.places.localisation.keyframe_features import KeyframeFeatures
+from station.vision.camera_pose import CameraPose, solve_pose, solve_pose_from
+from station.vision.features import Features, Float32Array, to_floats
+
+
+@dataclass(frozen=True, slots=True)
+class MatchingConfig:
+    """Thresholds; pixels are of the query image."""
+
+    ratio: float = 0.85  # nearest descriptor against the nearest of another landmark
+    min_similarity: float = 0.75  # of RootSIFT descriptors, 0..1
+    pixel_tolerance: float = 4.0
+    guided_radius_px: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPose:
+    """A pose and the matches it rests on."""
+
+    pose: CameraPose
+    map_index: int
+    query: IntArray  # (i,) feature numbers of the inliers
+    landmark: IntArray  # (i,) their landmarks
+    num_matches: int
+    extent: float  # map units
+
+
+def find_pose(
+    map_index: int,
+    keyframes: Sequence[KeyframeFeatures],
+    features: Features,
+    rays: FloatArray,
+    camera: CameraCalibration,
+    c: MatchingConfig,
+) -> FoundPose | None:
+    """The pose that most matches with the keyframes of one region of a map agree on.
+
+    Args:
+        features: of the image.
+        rays: (n, 2) normalised coordinates of the features.
+    """
+    keyframes = [k for k in keyframes if len(k.landmark)]
+    if not keyframes:
+        return None
+    p_map = np.concatenate([k.p_map for k in keyframes])
+    landmark = np.concatenate([k.landmark for k in keyframes])
+    descriptors = np.concatenate([k.descriptors for k in keyframes])
+    similarity = to_floats(features.descriptors) @ to_floats(descriptors).T
+    query, found = _match(similarity, landmark, c)
+    if len(query) < 6:
+        return None
+    tolerance = c.pixel_tolerance / camera.fx
+    first = solve_pose(p_map[found], rays[query], tolerance)
+    if first is None or first.num_inliers < 6:
+        return None
+    query, found = _match_guided(first, rays, p_map, similarity, c.guided_radius_px / camera.fx, c.min_similarity)
+    if len(query) < 6:
+        return None
+    pose = solve_pose_from(first.T_map_cam, p_map[found], rays[query], tolerance)
+    if pose is None:
+        return None
+    inlier = np.flatnonzero(pose.inlier)
+    _, first_of_each = np.unique(landmark[found[inlier]], return_index=True)
+    return FoundPose(
+        pose=pose,
+        map_index=map_index,
+        query=query[inlier],
+        landmark=landmark[found[inlier]],
+        num_matches=len(query),
+        extent=median_radius(p_map[found[inlier[first_of_each]]]),
+    )
+
+
+def _match(similarity: Float32Array, landmark: IntArray, c: MatchingConfig) -> tuple[IntArray, IntArray]:
+    """Feature i ↔ row j, where j's landmark is clearly nearer than every other one. Arrays (m,), (m,)."""
+    best = np.argmax(similarity, axis=1)
+    rows = np.arange(len(best))
+    first = similarity[rows, best]
+    # The second best must be of another landmark, and not the same spot in another keyframe.
+    rival = np.where(landmark[None, :] == landmark[best][:, None], -1.0, similarity).max(axis=1)
+    distance = np.sqrt(np.maximum(2 - 2 * first, 0))
+    distance_rival = np.sqrt(np.maximum(2 - 2 * rival, 1e-12))
+    good = np.flatnonzero((distance < c.ratio * distance_rival) & (first > c.min_similarity))
+    return good.astype(np.int64), best[good].astype(np.int64)
+
+
+def _match_guided(
+    pose: CameraPose,
+    rays: FloatArray,
+    p_map: FloatArray,
+    similarity: Float32Array,
+    radius: float,
+    min_similarity: float,
+) -> tuple[IntArray, IntArray]:
+    """Matches between features and map points that the pose projects near them: the best row per feature."""
+    T_cam_map = inverse(pose.T_map_cam)
+    p_cam = transform(T_cam_map, p_map)
+    ahead = np.flatnonzero(p_cam[:, 2] > 1e-6)
+    if not len(ahead):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    xy = p_cam[ahead, :2] / p_cam[ahead, 2:]
+    near = cKDTree(rays).query_ball_tree(cKDTree(xy), radius)
+    query, found = [], []
+    for i, candidates in enumerate(near):
+        if not candidates:
+            continue
+        rows = ahead[candidates]
+        j = int(rows[np.argmax(similarity[i, rows])])
+        if similarity[i, j] > min_similarity:
+            query.append(i)
+            found.append(j)
+    return np.array(query, dtype=np.int64), np.array(found, dtype=np.int64)

@@ -1,0 +1,1 @@
+"""Point cloud to clusters, places and their graph."""

@@ -1,0 +1,1 @@
+"""Poses, odometry and hijacks to the current place."""

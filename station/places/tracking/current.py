@@ -1,0 +1,236 @@
+"""The current place, live: a Bayesian estimate over the places of the active maps, plus "unmapped".
+
+The robot is in a map at a tracked pose (several hypotheses), somewhere in a map ("lost"), or where no map knows
+("unmapped"). Every event predicts the belief up to its time; an image then weighs and prunes it (`filter.py`, with the
+likelihoods of `image_model.py`); a report says which place that is (`report.py`). docs/localisation.md has the rules.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.geometry import FloatArray, inverse, so3_log
+from station.model.place_answer import Localization, PlaceAnswer
+from station.model.place_map import PlaceMap
+from station.places.tracking.belief import Hypothesis
+from station.places.tracking.config import BeliefConfig
+from station.places.tracking.filter import (
+    predict_blind,
+    predict_hijack,
+    predict_motion,
+    predict_new_frame,
+    predict_time,
+    prior,
+    prune,
+    weigh,
+)
+from station.places.tracking.image_model import ImageLikelihood, ImageModel
+from station.places.tracking.map_view import MapView
+from station.places.tracking.report import Past, PlaceProbabilities, Reporter
+
+HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
+NO_IMAGE_BEFORE = 0.5  # that it failed is as good as that it did not
+ODOMETRY_GAP_S = 1.0  # after a longer silence, odometry is treated as absent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OdometryPose:
+    t_robot_ns: int
+    T_nav_body: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """The robot is where it cannot have driven: somebody moved it, or it was somewhere else all the time."""
+
+    distance_m: float
+    is_other_map: bool
+
+
+class CurrentPlaceEstimator:
+    """Fed with events in any order of arrival; answers for a time. No clock, no I/O."""
+
+    def __init__(
+        self,
+        maps: Sequence[PlaceMap],
+        calibration: Calibration | None = None,
+        config: BeliefConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        """`calibration`: of the robot that drives now; by default that of the first map's navigation."""
+        self.config = config or BeliefConfig()
+        self._maps = tuple(MapView.of(m) for m in maps)
+        self._map_ids = {m.id for m in maps}
+        camera = (calibration or maps[0].navigation.calibration).camera if maps else None
+        self._image_model = ImageModel(self._maps, camera, self.config)
+        self._reporter = Reporter(self._maps, self.config, seed)
+        self._belief = prior(self.config)
+        self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
+        self._segment = 0
+        self._t_ns: int | None = None  # up to which time the belief is predicted
+        self._last_view: _OdometryPose | None = None  # of the last image that was weighed
+        self._failed_before = NO_IMAGE_BEFORE
+        self._numbers = count(1)
+        self._believed: Hypothesis | None = None  # where the robot was known to be
+        self._hijack_reason = ""
+
+    def regroup(self, maps: Sequence[PlaceMap]) -> None:
+        """The same maps with other places or names. What is known of the robot's pose stays."""
+        self._maps = tuple(view.regrouped(m) for view, m in zip(self._maps, maps, strict=True))
+        self._reporter.regroup(self._maps)
+
+    # -- events ---------------------------------------------------------------------------------------------------
+
+    def on_odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int = 0) -> None:
+        """A pose of the running navigation. A new `segment` means tracking was lost in between: a new frame."""
+        if self._odometry and t_robot_ns <= self._odometry[-1].t_robot_ns:
+            return
+        previous = self._odometry[-1] if self._odometry else None
+        self._odometry.append(_OdometryPose(t_robot_ns, T_nav_body))
+        if previous is None or segment != self._segment:
+            self._segment = segment
+            self._change_frame(t_robot_ns, previous, T_nav_body)
+            return
+        seconds = (t_robot_ns - previous.t_robot_ns) / 1e9
+        distance, turn = _motion(previous.T_nav_body, T_nav_body)
+        if seconds > ODOMETRY_GAP_S:
+            self._belief = predict_blind(self._belief, seconds, self.config)
+        self._belief = predict_motion(self._belief, distance, turn, seconds, self.config)
+        self._pass_time(t_robot_ns)
+
+    def on_candidates(self, candidates: Sequence[Localization], t_robot_ns: int | None = None) -> Jump | None:
+        """The verified poses of one image, the best first: of look-alikes at most one is true.
+
+        `t_robot_ns`: its time in the odometry's clock, where that differs. Returns the jump when the belief went over
+        to where the robot cannot have driven.
+        """
+        ours = [z for z in candidates if z.map_id in self._map_ids]
+        if not ours:
+            return None
+        t = ours[0].t_robot_ns if t_robot_ns is None else t_robot_ns
+        self._predict(t)
+        T_nav_body = self._nav_body_at(t)
+        freshness = self._freshness(t, T_nav_body, at_least=self.config.same_view)
+        image = self._image_model.of_candidates(ours, self._belief, T_nav_body, freshness)
+        self._update(image, t, T_nav_body)
+        self._failed_before = 0.0
+        return self._believe(T_nav_body)
+
+    def on_failure(self, t_robot_ns: int, num_features: int | None = None) -> None:
+        """An image that could not be localised. With few features (dark, covered, a white wall) it says nothing."""
+        least = self.config.informative_features
+        self._predict(t_robot_ns)
+        if num_features is not None and num_features < least:
+            return
+        features = least if num_features is None else num_features
+        T_nav_body = self._nav_body_at(t_robot_ns)
+        freshness = self._freshness(t_robot_ns, T_nav_body, at_least=0.0)  # not found again in the same view: no news
+        image = self._image_model.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness)
+        self._update(image, t_robot_ns, T_nav_body)
+        self._failed_before = 1.0
+
+    def on_hijack(self, t_robot_ns: int, reason: str, confidence: float = 0.98) -> None:
+        """The robot was picked up: what was known of its position counts `1 - confidence`."""
+        self._predict(t_robot_ns)
+        self._belief = prune(predict_hijack(self._belief, confidence, self.config), self.config)
+        self._last_view, self._failed_before = None, NO_IMAGE_BEFORE
+        self._believed = None
+        self._hijack_reason = reason
+
+    # -- answers --------------------------------------------------------------------------------------------------
+
+    def place_probabilities(self) -> PlaceProbabilities:
+        """Those of now."""
+        return self._reporter.probabilities(self._belief, self._nav_body_at(self._t_ns or 0))
+
+    def answer(self, t_robot_ns: int) -> PlaceAnswer:
+        """The current place at this time, or at the last event's where that is later; its `t_robot_ns` says which.
+
+        An image takes a while to be recognised; odometry has come in meanwhile, and the robot has driven on.
+        """
+        self._predict(t_robot_ns)
+        t_robot_ns = max(t_robot_ns, self._t_ns or t_robot_ns)
+        past = Past(self._hijack_reason, was_recognised=self._believed is not None)
+        return self._reporter.answer(self._belief, self._nav_body_at(t_robot_ns), t_robot_ns, past)
+
+    # -- steps ----------------------------------------------------------------------------------------------------
+
+    def _predict(self, t_robot_ns: int) -> None:
+        """The belief up to a time: without odometry hypotheses blur. An event that comes late changes nothing."""
+        blind_s = 0.0
+        if self._t_ns is not None:
+            silent_since = self._odometry[-1].t_robot_ns if self._odometry else self._t_ns
+            before = max(0.0, (self._t_ns - silent_since) / 1e9 - ODOMETRY_GAP_S)
+            after = max(0.0, (t_robot_ns - silent_since) / 1e9 - ODOMETRY_GAP_S)
+            blind_s = after - before if self._odometry else (t_robot_ns - self._t_ns) / 1e9
+        self._pass_time(t_robot_ns, blind_s)
+
+    def _pass_time(self, t_robot_ns: int, blind_s: float = 0.0) -> None:
+        if self._t_ns is not None and t_robot_ns > self._t_ns:
+            self._belief = predict_time(self._belief, (t_robot_ns - self._t_ns) / 1e9, blind_s, self.config)
+        self._t_ns = t_robot_ns if self._t_ns is None else max(t_robot_ns, self._t_ns)
+
+    def _change_frame(self, t_robot_ns: int, previous: _OdometryPose | None, T_nav_body: FloatArray) -> None:
+        """Odometry starts, or starts again, in another frame."""
+        before = previous.T_nav_body if previous else np.eye(4)
+        gap_s = max(0.0, (t_robot_ns - (previous.t_robot_ns if previous else (self._t_ns or t_robot_ns))) / 1e9)
+        self._belief = predict_new_frame(self._belief, before, T_nav_body, gap_s, self.config)
+        if self._believed is not None:
+            self._believed = self._believed.moved_to(self._believed.pose(before), T_nav_body)
+        last = self._odometry[-1]
+        self._odometry.clear()
+        self._odometry.append(last)
+        self._last_view, self._failed_before = None, NO_IMAGE_BEFORE
+        self._pass_time(t_robot_ns)
+
+    def _update(self, image: ImageLikelihood, t_robot_ns: int, T_nav_body: FloatArray) -> None:
+        self._belief = prune(weigh(self._belief, image, T_nav_body, self._numbers, self.config), self.config)
+        self._last_view = _OdometryPose(t_robot_ns, T_nav_body)
+
+    def _believe(self, T_nav_body: FloatArray) -> Jump | None:
+        """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere."""
+        c = self.config
+        best = max(self._belief.hypotheses, key=lambda h: h.weight, default=None)
+        if best is None or best.weight < c.believed_from:
+            return None
+        before, self._believed = self._believed, best
+        self._hijack_reason = ""  # found again
+        if before is None or before.number == best.number:
+            return None
+        if before.map_index != best.map_index:
+            return Jump(0.0, is_other_map=True)
+        distance, turn = _motion(before.pose(T_nav_body), best.pose(T_nav_body))
+        distance_m = distance / best.unit
+        return Jump(distance_m, is_other_map=False) if distance_m > c.jump_m or turn > c.jump_rad else None
+
+    def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray, at_least: float) -> float:
+        """0..1: how far the view is another one than the last image's; `at_least` while it is the same."""
+        c = self.config
+        if self._last_view is None:
+            return 1.0
+        distance, turn = _motion(self._last_view.T_nav_body, T_nav_body)
+        moved = distance / c.new_view_m + turn / c.new_view_rad
+        if not self._odometry:
+            moved = c.same_view_per_s * max(0.0, (t_robot_ns - self._last_view.t_robot_ns) / 1e9)
+        return float(np.clip(moved, at_least, 1.0))
+
+    def _nav_body_at(self, t_robot_ns: int) -> FloatArray:
+        """The odometry pose nearest in time; identity without odometry."""
+        if not self._odometry:
+            return np.eye(4)
+        if t_robot_ns >= self._odometry[-1].t_robot_ns:
+            return self._odometry[-1].T_nav_body
+        times = np.array([o.t_robot_ns for o in self._odometry])
+        return self._odometry[int(np.argmin(np.abs(times - t_robot_ns)))].T_nav_body
+
+
+def _motion(T_before: FloatArray, T_after: FloatArray) -> tuple[float, float]:
+    """Distance and turn between two poses."""
+    T = inverse(T_before) @ T_after
+    return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(so3_log(T[:3, :3])))

@@ -1,0 +1,117 @@
+"""The filter of the current place: predict, weigh, prune. Pure functions from one belief to the next.
+
+Odometry and time move hypotheses and let weight flow between them, "lost" and "unmapped"; an image multiplies all
+weights (`image_model.py`), corrects the hypotheses that it fits and starts new ones; what has no weight left goes.
+`current.py` calls these in the order of events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from shared.geometry import FloatArray
+from station.places.tracking.belief import Belief, Hypothesis
+from station.places.tracking.config import BeliefConfig
+from station.places.tracking.image_model import ImageLikelihood
+
+
+def prior(c: BeliefConfig) -> Belief:
+    """Of a robot that nobody has seen yet."""
+    return Belief((), c.prior_lost, c.prior_unmapped)
+
+
+# -- predict ------------------------------------------------------------------------------------------------------
+
+
+def predict_motion(before: Belief, distance_m: float, turn_rad: float, seconds: float, c: BeliefConfig) -> Belief:
+    """After odometry moved the robot: hypotheses become less certain.
+
+    One of which nobody knows where it is may have driven out of the map, or into it.
+    """
+    grown = tuple(h.grown(distance_m, turn_rad, seconds, c) for h in before.hypotheses)
+    left = 1 - float(np.exp(-c.other_room_per_m * distance_m))
+    in_either = before.lost + before.unmapped
+    lost = before.lost + left * (c.prior_lost * in_either - before.lost)
+    return Belief(grown, lost, before.unmapped + left * (c.prior_unmapped * in_either - before.unmapped))
+
+
+def predict_blind(before: Belief, seconds: float, c: BeliefConfig) -> Belief:
+    """After a time without odometry."""
+    return replace(before, hypotheses=tuple(h.blurred(seconds, c) for h in before.hypotheses))
+
+
+def predict_time(before: Belief, seconds: float, blind_s: float, c: BeliefConfig) -> Belief:
+    """After a time, `blind_s` of it without odometry: somebody may have moved the robot without anyone noticing."""
+    if blind_s > 0:
+        before = predict_blind(before, blind_s, c)
+    stay = float(np.exp(-c.unnoticed_move_per_s * seconds))
+    moved = before.localised * (1 - stay)
+    return Belief(
+        tuple(replace(h, weight=h.weight * stay) for h in before.hypotheses),
+        before.lost + moved * c.prior_lost,
+        before.unmapped + moved * c.prior_unmapped,
+    )
+
+
+def predict_hijack(before: Belief, confidence: float, c: BeliefConfig) -> Belief:
+    """After the robot was picked up: what was known of its position counts `1 - confidence`. Not normalised."""
+    known = before.localised * confidence
+    known += (before.lost + before.unmapped) * confidence
+    return Belief(
+        tuple(h.begun_anew(1 - confidence) for h in before.hypotheses),
+        before.lost * (1 - confidence) + known * c.prior_lost,
+        before.unmapped * (1 - confidence) + known * c.prior_unmapped,
+    )
+
+
+def predict_new_frame(
+    before: Belief, T_nav_body: FloatArray, T_new_body: FloatArray, gap_s: float, c: BeliefConfig
+) -> Belief:
+    """After odometry began again in another frame: poses stay where they were, blurred by the gap."""
+    moved = (h.moved_to(h.pose(T_nav_body), T_new_body).blurred(gap_s, c) for h in before.hypotheses)
+    return replace(before, hypotheses=tuple(moved))
+
+
+# -- weigh --------------------------------------------------------------------------------------------------------
+
+
+def weigh(
+    before: Belief, image: ImageLikelihood, T_nav_body: FloatArray, numbers: Iterator[int], c: BeliefConfig
+) -> Belief:
+    """After an image, not normalised: Bayes' rule, and a Kalman update of the hypotheses that a candidate fits.
+
+    What was "lost" goes to the candidates by their shares: to the hypothesis that expects one, else to a new one with
+    the next of the `numbers`.
+    """
+    found = before.lost * image.one_is_right * image.share  # (C,) weight: it was lost, and is there
+    hypotheses = []
+    for i, h in enumerate(before.hypotheses):
+        h = replace(h, weight=h.weight * image.at[i])
+        if (fit := image.corrects[i]) is not None:
+            candidate, doubt = fit
+            h = h.corrected(image.candidates[candidate], doubt, T_nav_body, image.counted_log_odds, c)
+        gained = float(found[[by == i for by in image.expected_by]].sum())
+        hypotheses.append(replace(h, weight=h.weight + gained))
+    for m, weight, by in zip(image.candidates, found, image.expected_by, strict=True):
+        if by is None:
+            started = Hypothesis.started(m, T_nav_body, float(weight), image.counted_log_odds, next(numbers), c)
+            hypotheses.append(started)
+    return Belief(tuple(hypotheses), before.lost * image.lost, before.unmapped * image.unmapped)
+
+
+# -- prune --------------------------------------------------------------------------------------------------------
+
+
+def prune(before: Belief, c: BeliefConfig) -> Belief:
+    """The heaviest hypotheses, all weights normalised."""
+    total = before.lost + before.unmapped + sum(h.weight for h in before.hypotheses)
+    if total <= 0:  # every explanation was ruled out at once: start over
+        return prior(c)
+    kept = sorted(before.hypotheses, key=lambda h: -h.weight)[: c.max_hypotheses]
+    kept = [h for h in kept if h.weight > 1e-9 * total]
+    total = before.lost + before.unmapped + sum(h.weight for h in kept)
+    hypotheses = tuple(replace(h, weight=h.weight / total) for h in kept)
+    return Belief(hypotheses, before.lost / total, before.unmapped / total)

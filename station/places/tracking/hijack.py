@@ -1,0 +1,231 @@
+"""Hijack: the robot is picked up and put down elsewhere. Noticed by IMU, by vision, and by where images say it is.
+
+- IMU: lifted (velocity along the vertical), tilted, or turned while the motors rest. A robot on a floor does none.
+- Vision: what was seen a moment ago is gone although the gyro says it did not turn, and the new view stays.
+- Position: the estimate of the current place goes over to where the robot cannot have driven (`current.py`).
+Pure: times come with the data. docs/localisation.md has the thresholds' origin and false alarm rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray
+from station.model.frames import DriveSample, ImuBatch
+from station.model.place_answer import HijackEvent
+from station.motion.drive_commands import CommandedRest
+from station.vision.features import Features, to_floats
+
+
+@dataclass(frozen=True, slots=True)
+class HijackConfig:
+    """Thresholds; a floor's bumps, motors' vibration and collisions stay below."""
+
+    bin_s: float = 0.02  # IMU samples are averaged over this: vibration is faster, hands are slower
+    settle_s: float = 1.0  # after the first sample, until gravity and biases are known
+    gravity_tau_s: float = 3.0
+    velocity_tau_s: float = 0.8
+    lift_m_s: float = 0.3
+    lift_bins: int = 4
+    tilt_tau_s: float = 1.5
+    tilt_rad: float = 0.12
+    turn_rad_s: float = 0.35
+    turn_bins: int = 15
+    still_s: float = 0.5  # put down: this long without motion
+    still_gyro_rad_s: float = 0.06
+    still_accel_m_s2: float = 0.6
+    view_features: int = 60  # fewer: the view says nothing
+    view_rich_features: int = 300  # a view of fewer may be gone after a hand's breadth: a door's frame passed closely
+    view_ratio: float = 0.7  # nearest against second nearest descriptor
+    view_gone: int = 8  # matches below which two views show different things
+    view_stays: int = 25
+    view_turn_rad: float = 0.15
+    view_gap_s: float = 3.0
+
+
+class HijackDetector:
+    """Feed it what arrives; each call returns an event or None. One hijack gives one event."""
+
+    def __init__(self, config: HijackConfig | None = None) -> None:
+        self.config = config or HijackConfig()
+        self._inertial = _InertialCue(self.config)
+        self._views = _ViewCue(self.config)
+        self._quiet_until_ns = 0
+
+    @property
+    def is_carried(self) -> bool:
+        """Between picking up and putting down: images mean nothing now."""
+        return self._inertial.is_carried
+
+    def on_imu(self, imu: ImuBatch) -> HijackEvent | None:
+        return self._once(self._inertial.add(imu))
+
+    def on_drive(self, drive: DriveSample) -> None:
+        self._inertial.command(drive)
+
+    def on_view(self, t_robot_ns: int, features: Features) -> HijackEvent | None:
+        """Features of an image; a few per second are enough."""
+        if self.is_carried:
+            self._views.forget()
+            return None
+        return self._once(self._views.add(t_robot_ns, features, self._inertial.turned))
+
+    def on_jump(self, t_robot_ns: int, distance_m: float, is_other_map: bool) -> HijackEvent | None:
+        """The current place's estimate went over to a position where the robot cannot have driven."""
+        where = "in another map than it was in" if is_other_map else f"{distance_m:.1f} m away from where it was"
+        return self._once(HijackEvent(t_robot_ns, "position", f"recognised {where}", 0.99))
+
+    def _once(self, event: HijackEvent | None) -> HijackEvent | None:
+        """Cues of the same hijack within five seconds are one event."""
+        if event is None or event.t_robot_ns < self._quiet_until_ns:
+            return None
+        self._quiet_until_ns = event.t_robot_ns + 5_000_000_000
+        self._views.forget()
+        return event
+
+
+class _InertialCue:
+    """Lifted, tilted, or turned while the motors rest."""
+
+    def __init__(self, config: HijackConfig) -> None:
+        self._c = config
+        self.is_carried = False
+        self.turned = 0.0  # rad about the vertical since the start, for the view cue
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        self._pending: list[tuple[int, FloatArray, FloatArray]] = []
+        self._up: FloatArray | None = None  # gravity's reaction (3,) m/s^2 in the body
+        self._bias = np.zeros(3)
+        self._velocity = 0.0
+        self._tilt = np.zeros(3)
+        self._lift_count = self._turn_count = 0
+        self._still_s = 0.0
+        self._rest = CommandedRest()
+
+    def command(self, drive: DriveSample) -> None:
+        self._rest.add_drive(drive)
+
+    def add(self, imu: ImuBatch) -> HijackEvent | None:
+        event = None
+        for k in range(len(imu)):
+            t = int(imu.t_robot_ns[k])
+            if self._start_ns is None:
+                self._start_ns = self._end_ns = t
+            self._pending.append((t, imu.gyro_imu[k], imu.accel_imu[k]))
+            if t - self._end_ns >= self._c.bin_s * 1e9:
+                gyro = np.mean([p[1] for p in self._pending], axis=0)
+                accel = np.mean([p[2] for p in self._pending], axis=0)
+                seconds = min((t - self._end_ns) / 1e9, 0.2)  # a gap in the data is no motion
+                self._pending, self._end_ns = [], t
+                event = self._bin(t, seconds, gyro, accel) or event
+        return event
+
+    def _bin(self, t: int, seconds: float, gyro: FloatArray, accel: FloatArray) -> HijackEvent | None:
+        c = self._c
+        assert self._start_ns is not None
+        if self._up is None:
+            self._up = accel.copy()
+        settling = t - self._start_ns < c.settle_s * 1e9
+        self._learn(t, seconds, gyro, accel, settling)
+        vertical = self._up / max(float(np.linalg.norm(self._up)), 1e-9)
+        rate = gyro - self._bias
+        self.turned += float(vertical @ rate) * seconds
+        if settling:
+            return None
+        surplus = float(vertical @ (accel - self._up))
+        self._velocity = (self._velocity + surplus * seconds) * float(np.exp(-seconds / c.velocity_tau_s))
+        level = rate - vertical * (vertical @ rate)
+        self._tilt = (self._tilt + level * seconds) * float(np.exp(-seconds / c.tilt_tau_s))
+        self._lift_count = self._lift_count + 1 if abs(self._velocity) > c.lift_m_s else 0
+        resting = self._rest.is_resting(t)
+        self._turn_count = self._turn_count + 1 if resting and abs(float(vertical @ rate)) > c.turn_rad_s else 0
+        if self.is_carried:
+            self._wait_for_rest(seconds, rate, surplus)
+            return None
+        reason = self._reason()
+        if reason is None:
+            return None
+        self.is_carried, self._still_s = True, 0.0
+        return HijackEvent(t, "imu", reason, 0.99)
+
+    def _reason(self) -> str | None:
+        if self._lift_count >= self._c.lift_bins:
+            return f"lifted: the robot moves {'up' if self._velocity > 0 else 'down'} at {abs(self._velocity):.1f} m/s"
+        tilt = float(np.linalg.norm(self._tilt))
+        if tilt > self._c.tilt_rad:
+            return f"tilted by {np.degrees(tilt):.0f} degrees"
+        if self._turn_count >= self._c.turn_bins:
+            return "turned while the motors rest"
+        return None
+
+    def _learn(self, t: int, seconds: float, gyro: FloatArray, accel: FloatArray, settling: bool) -> None:
+        """Gravity in the body and the gyro's bias; slowly, and not while somebody holds the robot."""
+        assert self._up is not None
+        if self.is_carried:
+            return
+        share = 1 - float(np.exp(-seconds / (0.3 if settling else self._c.gravity_tau_s)))
+        self._up = self._up + share * (accel - self._up)
+        if self._rest.is_resting(t) and float(np.linalg.norm(gyro - self._bias)) < (0.2 if settling else 0.05):
+            self._bias = self._bias + share * (gyro - self._bias)
+
+    def _wait_for_rest(self, seconds: float, rate: FloatArray, surplus: float) -> None:
+        c = self._c
+        still = float(np.linalg.norm(rate)) < c.still_gyro_rad_s and abs(surplus) < c.still_accel_m_s2
+        self._still_s = self._still_s + seconds if still else 0.0
+        if self._still_s >= c.still_s:
+            self.is_carried = False
+            self._velocity, self._tilt = 0.0, np.zeros(3)
+            self._lift_count = self._turn_count = 0
+
+
+class _ViewCue:
+    """The old view is gone without a turn, and the new one stays."""
+
+    def __init__(self, config: HijackConfig) -> None:
+        self._c = config
+        self._before: tuple[int, Features, float] | None = None  # the last trusted view
+        self._after: tuple[int, Features, float] | None = None  # a view that does not match it
+
+    def forget(self) -> None:
+        self._before = self._after = None
+
+    def add(self, t: int, features: Features, turned: float) -> HijackEvent | None:
+        c = self._c
+        if len(features) < c.view_features:
+            return None  # dark or covered: the last good view stays the reference
+        now = (t, features, turned)
+        before = self._before
+        if before is None or not self._compares(before, t, turned):
+            self._before, self._after = now, None
+            return None
+        if _common(before[1], features, c.view_ratio) >= c.view_gone:
+            self._before, self._after = now, None
+            return None
+        if self._after is None:
+            self._after = now
+            return None
+        if _common(self._after[1], features, c.view_ratio) < c.view_stays:
+            self._after = now
+            return None
+        return HijackEvent(t, "vision", "another view from one moment to the next, without a turn", 0.9)
+
+    def _compares(self, before: tuple[int, Features, float], t: int, turned: float) -> bool:
+        """Whether something of that view must still be there now."""
+        c = self._c
+        is_recent = t - before[0] <= c.view_gap_s * 1e9 and abs(turned - before[2]) <= c.view_turn_rad
+        return is_recent and len(before[1]) >= c.view_rich_features
+
+
+def _common(a: Features, b: Features, ratio: float) -> int:
+    """Mutual nearest features that are clearly nearer than the second nearest."""
+    table = to_floats(a.descriptors) @ to_floats(b.descriptors).T
+    best = table.argmax(axis=1)
+    rows = np.arange(len(best))
+    mutual = table.argmax(axis=0)[best] == rows
+    first = table[rows, best]
+    table[rows, best] = -1.0
+    second = table.max(axis=1)
+    clear = 2 - 2 * first < ratio**2 * np.maximum(2 - 2 * second, 1e-9)
+    return int(np.count_nonzero(mutual & clear))

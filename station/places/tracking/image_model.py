@@ -1,0 +1,274 @@
+"""How probable an image is, wherever the robot may be: the one place that knows what images say.
+
+An image gives verified poses, of which at most one is true, or it is not recognised. Either becomes an
+`ImageLikelihood`, and that is all the filter (`filter.py`) ever sees of an image; another model of images is another
+content of this file. docs/localisation.md explains the rules, docs/studies/places_notes.md where the rates come from.
+
+Images are not independent: a piece of furniture that looks like another one deceives every image of it. So an image
+counts for what it recognises that was not recognised before, and small things together have one budget.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from shared.calibration import CameraCalibration
+from shared.geometry import FloatArray, so3_log
+from station.model.place_answer import Localization
+from station.places.tracking.belief import NOTHING, Belief, Hypothesis, PoseMeasurement, Recognised
+from station.places.tracking.config import (
+    USUAL_EXTENT_M,
+    USUAL_FEATURES,
+    USUAL_INLIERS,
+    USUAL_SUPPORT,
+    BeliefConfig,
+    FailureOdds,
+    RecognisedOdds,
+)
+from station.places.tracking.map_view import MapView
+
+LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
+# Added, in what a usual keyframe saw, so that a view of nothing has a logarithm.
+NONE_IN_VIEW = 0.05
+NONE_RECOGNISED, FEW_EXPECTED = 0.015, 0.1
+SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
+FREEDOM = (
+    3.0  # of Student's t, which right poses' errors are taken to follow: a normal density forgets their long tails
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MatchFigures:
+    """The figures of a verified pose by which a right one differs from a look-alike's."""
+
+    extent_m: float  # median distance of the recognised landmarks from their middle
+    inliers: int
+    support: float  # share of the landmarks that should be in view which was recognised
+    features: int  # of the whole image
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How a candidate fits a hypothesis."""
+
+    squared: float  # Mahalanobis, 4 degrees of freedom (position, heading)
+    density: float  # against a uniform one over the map
+
+    @property
+    def doubt(self) -> float:
+        """How many times larger the measurement's variance is taken for: 1 for one that fits."""
+        return max(1.0, (FREEDOM + self.squared) / (FREEDOM + 3.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageLikelihood:
+    """What an image says to a belief: a factor on every weight, and where it may have been taken."""
+
+    at: Sequence[float]  # (H,) if the robot is at each hypothesis
+    lost: float
+    unmapped: float
+    candidates: Sequence[PoseMeasurement] = ()  # (C,) none of an image that was not recognised
+    share: FloatArray = field(default_factory=lambda: np.zeros(0))  # (C,) of each candidate, if one of them is right
+    one_is_right: float = 0.0  # probability: so much of the lost weight goes to the candidates
+    corrects: Sequence[tuple[int, float] | None] = ()  # (H,) by which candidate, and how doubtful it is; None: by none
+    expected_by: Sequence[int | None] = ()  # (C,) the hypothesis that a candidate fits; None: it is a new one
+    counted_log_odds: float = 0.0  # how much the image counts for what it recognises
+
+
+class ImageModel:
+    """Likelihoods of one robot's images in the active maps."""
+
+    def __init__(self, maps: Sequence[MapView], camera: CameraCalibration | None, config: BeliefConfig) -> None:
+        self._maps = maps
+        self._index = {view.place_map.id: i for i, view in enumerate(maps)}
+        self._camera = camera
+        self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
+        self.config = config
+
+    # -- an image that was recognised -----------------------------------------------------------------------------
+
+    def of_candidates(
+        self, localizations: Sequence[Localization], before: Belief, T_nav_body: FloatArray, freshness: float
+    ) -> ImageLikelihood:
+        """Of an image that was taken at one of several poses, or at none of them ("false").
+
+        Its likelihood at a hypothesis is a mixture: the candidates' densities (Student's t) there; a uniform one; and,
+        as what looks alike deceives again and again, the candidates' densities at the pose of another hypothesis, as
+        far as that one is a look-alike's. Where no map knows, a first candidate is as likely as strays are there.
+        `freshness`: 0..1, how far the view is another one than the last image's.
+        """
+        c = self.config
+        candidates = [self._measured(z) for z in localizations]
+        figures = [self._figures(m) for m in candidates]
+        odds = np.exp([log_odds(c.right, f) for f in figures])
+        false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
+        share = odds / odds.sum()
+        fits = [[self._fit(h, m, T_nav_body) for m in candidates] for h in before.hypotheses]
+        density = np.array([[fit.density for fit in row] for row in fits]).reshape(len(fits), len(candidates)) * share
+        at = density.sum(axis=1)  # of the image, at each hypothesis
+        repeats = at * np.array([h.look_alike for h in before.hypotheses])
+        again = c.deceived_again
+        worth = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
+        expected_by = [_expected_by(fits, j) for j in range(len(candidates))]
+        freshness = min(freshness, self._novelty(candidates, figures, before, expected_by, share, worth))
+        factors, corrects = [], []
+        for i in range(len(before.hypotheses)):
+            elsewhere = float(np.delete(repeats, i).max(initial=0.0))
+            likelihood = (1 - false) * at[i] + false * (1 - again + again * elsewhere)
+            factors.append(float(likelihood) ** freshness)
+            best = int(np.argmax(density[i]))
+            corrects.append((best, fits[i][best].doubt) if fits[i][best].squared < SAME_POSE else None)
+        repeated = 1 - again + again * float(repeats.max(initial=0.0))
+        likeliest = int(np.argmax(share))
+        strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
+        return ImageLikelihood(
+            at=factors,
+            lost=(false * repeated) ** freshness,
+            unmapped=(strayed * repeated) ** freshness,
+            candidates=candidates,
+            share=share,
+            one_is_right=1 - false**freshness,
+            corrects=corrects,
+            expected_by=expected_by,
+            counted_log_odds=freshness * max(0.0, worth),
+        )
+
+    def _measured(self, z: Localization) -> PoseMeasurement:
+        index = self._index[z.map_id]
+        unit = self._maps[index].unit
+        sigma_m = float(np.hypot(z.sigma_position / unit, self.config.pose_floor_m))
+        return PoseMeasurement(z, index, unit, z.T_map_cam @ self._T_cam_body, sigma_m)
+
+    def _figures(self, m: PoseMeasurement) -> MatchFigures:
+        z, coverage = m.localization, self._maps[m.map_index].coverage
+        share = USUAL_SUPPORT
+        if self._camera is not None and coverage.knows_views:
+            share = support(coverage.in_usual_views(len(z.landmarks)), coverage.in_view(z.T_map_cam, self._camera))
+        return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
+
+    def _rarer(self, figures: MatchFigures) -> float:
+        """How much rarer an image whose best candidate has these is where no map knows than somewhere in a map."""
+        c = self.config
+        return float(np.clip(np.exp(log_odds(c.unmapped, figures)), c.false_localization_floor, 1.0))
+
+    def _fit(self, h: Hypothesis, m: PoseMeasurement, T_nav_body: FloatArray) -> Agreement:
+        """How well a candidate fits a hypothesis; in another map not at all.
+
+        Height and tilt of a robot on a floor carry no choice, so the density counts x, y and heading.
+        """
+        if h.map_index != m.map_index:
+            return Agreement(np.inf, 0.0)
+        T_expected, T_measured = h.pose(T_nav_body), m.T_map_body
+        sigma_m = float(np.hypot(h.sigma_m, m.sigma_m))
+        sigma_rad = float(np.hypot(h.sigma_rad, self.config.pose_floor_rad))
+        gap = (T_measured[:3, 3] - T_expected[:3, 3]) / m.unit
+        turn = float(np.linalg.norm(so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])))
+        squared = float(gap @ gap) / sigma_m**2 + turn**2 / sigma_rad**2
+        uniform = 1.0 / (max(self._maps[m.map_index].area_m2, 1.0) * 2 * np.pi)
+        peak = 1.0 / ((2 * np.pi) ** 1.5 * sigma_m**2 * sigma_rad)
+        return Agreement(squared, max(peak / uniform, 1.0) * (1.0 + squared / FREEDOM) ** (-0.5 * (FREEDOM + 3.0)))
+
+    def _novelty(
+        self,
+        candidates: Sequence[PoseMeasurement],
+        figures: Sequence[MatchFigures],
+        before: Belief,
+        expected_by: Sequence[int | None],
+        share: FloatArray,
+        image_worth: float,
+    ) -> float:
+        """0..1: the share of the landmarks that an image recognises and no hypothesis did lately.
+
+        While all that a hypothesis recognised is small enough for furniture that comes twice, the whole has a budget:
+        what is as large as it is worth, of which the image may count what was not counted yet. `image_worth`: what it
+        is worth by itself (log odds). Of several candidates those count that are probably true.
+        """
+        c = self.config
+        surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike is as large: images err one by one
+        weight, novelty = [], []
+        for j, (m, expecting) in enumerate(zip(candidates, expected_by, strict=True)):
+            z = m.localization
+            h = None if expecting is None else before.hypotheses[expecting]
+            # What any of them recognised is no news to this one: a look-alike's pose may scatter.
+            new = max(self._recognised_before(before.hypotheses, m).share_of_new(z.landmarks), c.same_landmarks)
+            had = NOTHING if h is None else self._recognised_before((h,), m)
+            together = had.and_then(z.landmarks, z.t_robot_ns)
+            extent_m = together.extent(self._maps[m.map_index].place_map.navigation.landmarks.p_world) / m.unit
+            worth = max(0.0, log_odds(c.right, replace(figures[j], extent_m=extent_m)))
+            worth -= float(np.log(c.deceived_again))  # as for the image alone: half of the look-alikes fit nothing
+            if h is not None and had.seen and image_worth > 0 and worth < surely:
+                new = min(new, max(0.0, worth - h.counted_log_odds) / image_worth)
+            novelty.append(new)
+            weight.append(share[j] * (before.lost if h is None else h.weight))
+        return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
+
+    def _recognised_before(self, hypotheses: Sequence[Hypothesis], m: PoseMeasurement) -> Recognised:
+        """By these hypotheses, of the candidate's map."""
+        seen = NOTHING
+        for h in hypotheses:
+            if h.map_index == m.map_index:
+                seen |= h.recognised
+        return seen.lately(m.localization.t_robot_ns, self.config.landmark_memory_s)
+
+    # -- an image that was not --------------------------------------------------------------------------------------
+
+    def of_failure(
+        self, num_features: int, failed_before: float, before: Belief, T_nav_body: FloatArray, freshness: float
+    ) -> ImageLikelihood:
+        """Of an image with so many features that was not recognised. `failed_before`: nor was the last one, 0 to 1."""
+        c = self.config
+        somewhere = failure_probability(c.fails_in_map, num_features, failed_before)
+        factors = []
+        for h in before.hypotheses:
+            count = self._in_view(h, T_nav_body)
+            at = (
+                somewhere if count is None else failure_probability(c.fails_at_pose, num_features, failed_before, count)
+            )
+            factors.append(at**freshness)
+        nowhere = failure_probability(c.fails_unmapped, num_features, failed_before)
+        return ImageLikelihood(
+            factors, somewhere**freshness, nowhere**freshness, corrects=(None,) * len(before.hypotheses)
+        )
+
+    def _in_view(self, h: Hypothesis, T_nav_body: FloatArray) -> float | None:
+        """How many landmarks should be in view, were a hypothesis true (`Coverage.in_view`); None: nobody knows."""
+        c = self.config
+        if self._camera is None or h.sigma_m > c.uncertain_m or h.sigma_rad > c.uncertain_rad:
+            return None
+        T_map_cam = h.pose(T_nav_body) @ self._camera.T_body_cam_matrix
+        return self._maps[h.map_index].coverage.in_view(T_map_cam, self._camera)
+
+
+def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:
+    """The index of the hypothesis that a candidate fits best."""
+    by = [i for i, row in enumerate(fits) if row[candidate].squared < SAME_POSE]
+    return max(by, key=lambda i: fits[i][candidate].density) if by else None
+
+
+# -- logistic regressions -----------------------------------------------------------------------------------------
+
+
+def support(recognised: float, expected: float) -> float:
+    """The share of what should be in view that was recognised, small counts drawn to what is not surprising.
+
+    Both in the number of landmarks that a usual keyframe of the map saw (`Coverage.in_view`).
+    """
+    return (recognised + NONE_RECOGNISED) / (expected + FEW_EXPECTED)
+
+
+def log_odds(odds: RecognisedOdds, figures: MatchFigures) -> float:
+    """Of a verified pose with these figures."""
+    log = odds.usual + odds.extent * np.log(max(figures.extent_m, LEAST_EXTENT_M) / USUAL_EXTENT_M)
+    log += odds.inliers * np.log(max(figures.inliers, 1) / USUAL_INLIERS)
+    log += odds.support * np.log(figures.support / USUAL_SUPPORT)
+    return float(log + odds.features * np.log(max(figures.features, 1) / USUAL_FEATURES))
+
+
+def failure_probability(odds: FailureOdds, num_features: int, failed_before: float, in_view: float = 1.0) -> float:
+    """That an image is not recognised; `in_view`: as `Coverage.in_view` counts."""
+    log = odds.usual + odds.features * np.log(max(num_features, 1) / USUAL_FEATURES)
+    log += odds.again * failed_before + odds.in_view * np.log(in_view + NONE_IN_VIEW)
+    return float(1.0 / (1.0 + np.exp(-log)))

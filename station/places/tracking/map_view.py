@@ -1,0 +1,75 @@
+"""One active map with what is asked of it for every image and answer: its places' tree, its unit, what it covers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from shared.geometry import FloatArray
+from station.model.place_map import PlaceMap
+from station.places.tracking.coverage import Coverage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapView:
+    """A map, prepared once."""
+
+    place_map: PlaceMap
+    centroids: FloatArray  # (P, 3)
+    tree: cKDTree | None  # of the centroids; None without places
+    unit: float  # map units per metre
+    area_m2: float
+    coverage: Coverage
+
+    @classmethod
+    def of(cls, place_map: PlaceMap) -> MapView:
+        """Prepare a map."""
+        unit = _units_per_metre(place_map)
+        positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
+        size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
+        centroids = _centroids(place_map)
+        return cls(place_map, centroids, _tree(centroids), unit, float(np.prod(size)), Coverage(place_map, unit))
+
+    def regrouped(self, place_map: PlaceMap) -> MapView:
+        """The same map with other places or names."""
+        centroids = _centroids(place_map)
+        return replace(self, place_map=place_map, centroids=centroids, tree=_tree(centroids))
+
+    def nearest(self, p_map: FloatArray, tie: float) -> tuple[FloatArray, FloatArray]:
+        """Shares of points (n, 3) that each place is the nearest one to, and near within `tie` times that; (P,), (P,).
+
+        In a map of thousands of places, distances to all of them would cost most of an answer.
+        """
+        count = len(self.centroids)
+        if self.tree is None:
+            return np.zeros(0), np.zeros(0)
+        distance, index = self.tree.query(p_map)
+        tied = self.tree.query_ball_point(p_map, tie * distance)
+        # Rounding must not leave out the nearest one itself.
+        point = np.repeat(np.arange(len(p_map)), [len(near) for near in tied])
+        pairs = np.concatenate(
+            [point * count + np.concatenate(tied).astype(np.int64), np.arange(len(p_map)) * count + index]
+        )
+        shares = np.bincount(index, minlength=count), np.bincount(np.unique(pairs) % count, minlength=count)
+        return shares[0] / len(p_map), shares[1] / len(p_map)
+
+
+def _centroids(place_map: PlaceMap) -> FloatArray:
+    """(P, 3) of its places."""
+    return np.array([p.centroid_map for p in place_map.places], dtype=np.float64).reshape(-1, 3)
+
+
+def _tree(centroids: FloatArray) -> cKDTree | None:
+    return cKDTree(centroids) if len(centroids) else None
+
+
+def _units_per_metre(place_map: PlaceMap) -> float:
+    """Map units per metre; of an arbitrary scale a guess: a drive through a flat spans about five metres."""
+    if place_map.navigation.is_metric:
+        return 1.0
+    positions = place_map.navigation.keyframes.T_world_cam[:, :3, 3]
+    if len(positions) < 2:
+        return 1.0
+    return max(float(np.max(np.ptp(positions, axis=0))) / 5.0, 1e-6)

@@ -1,0 +1,345 @@
+"""The station's connection to one robot: stays connected, hands on what arrives and sends what is asked."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+
+from shared.access import prove
+from shared.errors import ConfigError, RemoteProtocolError
+from shared.messages import (
+    PROTOCOL_VERSION,
+    CameraFrame,
+    DriveApplied,
+    ErrorNotice,
+    HeartbeatReply,
+    Hello,
+    ImuBatch,
+    Join,
+    Message,
+    Prove,
+    Refusal,
+    Status,
+    Welcome,
+)
+from shared.session import Event, Session, State, Tick
+from station.access.connecting import (
+    CONNECT_WITHIN_S,
+    READ_BYTES,
+    Connection,
+    ConnectionRefused,
+    answers,
+    connect,
+    in_words,
+)
+from station.access.paired_robots import PairedRobots
+from station.robots.link_commands import LinkCommands
+from station.robots.link_events import LinkListener
+from station.robots.link_hearing import Hearing
+from station.robots.link_sending import DueMessages
+from station.robots.link_state import Arrivals, LinkClock, LinkState, RateMeter
+
+logger = logging.getLogger(__name__)
+
+RETRY_S = 0.25  # a robot that just started is found well within two seconds
+REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a handshake was cut in the middle
+GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
+TICK_S = 0.025
+AUTO = "auto"  # as host: look for a robot
+FIND_WITHIN_S = 2.0
+NO_ROBOT_FOUND = (
+    "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
+)
+
+
+class RobotLink:
+    """Connection to the robot-server at host:port. All methods belong on the event loop that runs `run()`.
+
+    Host "auto" looks for a robot in the local network first, whenever there is no connection.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        listener: LinkListener,
+        *,
+        station_name: str = "station",
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        find: Callable[[float], tuple[str, int] | None] | None = None,
+        robots: PairedRobots | None = None,
+    ) -> None:
+        """`robots`: who is paired with this station; None: robots are met without TLS wherever they are."""
+        self._find = find if find is not None or host != AUTO else _find_in_network
+        self._host = host
+        self._port = port
+        self._listener = listener
+        self._station_name = station_name
+        self._now_ns = now_ns
+        self._robots = robots
+        self._connection: Connection | None = None
+        self._retry_s = RETRY_S
+        self._session = Session("station", now_ns())
+        self._due = DueMessages()
+        self._silence = asyncio.Event()
+        self.commands = LinkCommands(self._due, now_ns)
+        self._connected = False
+        self._reason = "not connected yet"
+        self._hello: Hello | None = None
+        self._clock = LinkClock()
+        self._rates = RateMeter()
+        self._arrived = Arrivals()
+        self._hearing = Hearing()
+        self._connections = 0
+        self._status: Status | None = None
+        self._notice: ErrorNotice | None = None
+
+    @property
+    def state(self) -> LinkState:
+        """What is known of the link now."""
+        frame_rate_hz, imu_rate_hz, bytes_per_s = self._rates.rates()
+        return LinkState(
+            host=self._host,
+            port=self._port,
+            connected=self._connected,
+            quiet=self._connected and self._session.state is State.QUIET,
+            hello=self._hello,
+            reason="" if self._connected else self._reason,
+            connections=self._connections,
+            rtt_ms=None if self._clock.rtt_ns is None else self._clock.rtt_ns * 1e-6,
+            clock_offset_ns=self._clock.offset_ns(self._now_ns()),
+            clock_drift_ppm=self._clock.drift_ppm,
+            frame_rate_hz=frame_rate_hz,
+            imu_rate_hz=imu_rate_hz,
+            received_bytes_per_s=bytes_per_s,
+            frames=self._arrived.frames,
+            frames_skipped=self._arrived.frames_skipped,
+            imu_samples=self._arrived.imu_samples,
+            imu_gaps=self._arrived.imu_gaps,
+            imu_lost=self._arrived.imu_lost,
+            status=self._status,
+            notice=self._notice,
+        )
+
+    def to_station_ns(self, t_robot_ns: int) -> int | None:
+        """The station's monotonic time of a robot time; None before the clocks are known."""
+        return self._clock.to_station_ns(t_robot_ns)
+
+    async def run(self) -> None:
+        """Connect, and connect again whenever the connection is lost, until cancelled."""
+        while True:
+            was_connected = False
+            self._retry_s = RETRY_S
+            try:
+                self._reason = await self._connect_once()
+            finally:
+                was_connected, self._connected = self._connected, False
+                self.commands.close()
+                self._rates = RateMeter()  # nothing arrives now
+            if was_connected:
+                logger.warning("robot lost: %s", self._reason)
+                self._listener.on_disconnected(self._reason)
+            await asyncio.sleep(self._retry_s)
+
+    async def _connect_once(self) -> str:
+        """Connect and stay connected; returns the sentence why not any longer."""
+        if self._find is not None:
+            found = await asyncio.to_thread(self._find, FIND_WITHIN_S)
+            if found is None:
+                return NO_ROBOT_FOUND
+            self._host, self._port = found
+        address = f"{self._host}:{self._port}"
+        try:
+            async with asyncio.timeout(CONNECT_WITHIN_S):
+                connection = await connect(self._host, self._port, self._robots)
+        except TimeoutError:
+            self._retry_s = 0.0  # it has waited long enough; what was lost on the way does not come any more
+            return f"no answer from {address}; check that the robot is on and in this network"
+        except OSError as exc:
+            return f"{in_words(exc, address)}; start robot-server there"
+        except (ConnectionRefused, ConfigError) as exc:
+            self._retry_s = REFUSED_RETRY_S
+            return str(exc)
+        except UnicodeError as exc:  # no name that DNS could hold, such as a..b
+            logger.info("%s: %s", self._host, exc)
+            return f"{self._host} is no host name; give --robot HOST:PORT"
+        writer = connection.writer
+        self._connection = connection
+        self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
+        self._due.clear()
+        self._silence.clear()
+        self.commands.restart_count()
+        # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
+        tasks = [
+            asyncio.create_task(part)
+            for part in (
+                self._read(connection.reader),
+                self._write(writer),
+                self._tick(),
+                self._look_for_another_way(),
+            )
+        ]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            writer.transport.abort()
+            ends = await asyncio.gather(*tasks, return_exceptions=True)
+        for end in ends:
+            if isinstance(end, OSError):
+                self._session.close(Event.LOST, f"connection lost: {in_words(end, address)}")
+            elif isinstance(end, Exception) and not isinstance(end, _Ended):
+                raise end
+        return self._session.close_reason
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        session = self._session
+        while data := await reader.read(READ_BYTES):
+            self._arrived.bytes += len(data)
+            session.receive(data)
+            try:
+                while (message := session.next_message(self._now_ns())) is not None:
+                    self._receive(message, self._now_ns())
+                    if session.state is State.CLOSED:
+                        raise _Ended
+            except RemoteProtocolError as exc:
+                raise _Ended from exc  # the session holds the reason
+        session.close(Event.LOST, "the robot closed the connection")
+        raise _Ended
+
+    async def _write(self, writer: asyncio.StreamWriter) -> None:
+        writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
+        while True:
+            await self._due.wait()
+            while (message := self._due.pop()) is not None:
+                if self._session.state is State.CLOSED:
+                    raise _Ended  # the reader saw the end while we waited: what was due is said to nobody
+                writer.write(self._session.send(message))
+                await writer.drain()
+
+    async def _tick(self) -> None:
+        session = self._session
+        while True:
+            now_ns = self._now_ns()
+            for duty in session.tick(now_ns):
+                if duty is Tick.SEND_HEARTBEAT:
+                    self.commands.beat()
+                    self._confirm()
+                elif duty is Tick.WENT_QUIET:
+                    self._silence.set()
+                elif duty is Tick.CLOSE:
+                    self._retry_s = 0.0
+                    raise _Ended
+            if self._is_unheard(now_ns):
+                self._silence.set()
+            self._rates.sample(now_ns, self._arrived.frames, self._arrived.imu_samples, self._arrived.bytes)
+            await asyncio.sleep(TICK_S)
+
+    async def _look_for_another_way(self) -> None:
+        """While nothing is heard: a connection may be dead and neither end know (a router that started anew forgot it).
+
+        Whether it is shows when the robot answers a new one. Silence alone may be a roam, which the old one survives.
+        """
+        session = self._session
+        while True:
+            await self._silence.wait()
+            self._silence.clear()
+            while session.state is State.QUIET or self._is_unheard(self._now_ns()):
+                num_bytes = self._arrived.bytes  # half a message that trickles is life enough
+                is_there = await answers(self._host, self._port, self._robots)
+                is_silent = session.state is State.QUIET and self._arrived.bytes == num_bytes
+                if is_there and (is_silent or self._is_unheard(self._now_ns())):
+                    self._retry_s = 0.0
+                    what = "carries nothing any more" if is_silent else "does not reach the robot any more"
+                    session.close(Event.LOST, f"the connection {what}, and the robot answers a new one")
+                    raise _Ended
+                await asyncio.sleep(RETRY_S)
+
+    def _is_unheard(self, now_ns: int) -> bool:
+        return self._connected and self._hearing.is_lost(now_ns)
+
+    def _receive(self, message: Message, now_ns: int) -> None:
+        self._hearing.note_message(now_ns)
+        match message:
+            case CameraFrame():
+                self._arrived.add_frame(message)
+                self._confirm()
+                self._listener.on_frame(message, now_ns)
+            case ImuBatch():
+                self._receive_imu(message)
+            case DriveApplied():
+                self._clock.add_stamp(message.t_robot_ns, now_ns)
+                self._listener.on_drive_applied(message)
+            case HeartbeatReply():
+                self._hearing.note_answer(now_ns)
+                self._clock.add_reply(message, now_ns)
+                self.commands.receive_beat(message.seq)
+            case Status():
+                self._status = message
+                self._listener.on_status(message)
+            case ErrorNotice():
+                self._receive_notice(message)
+            case Hello():
+                self._greet(message)
+            case Welcome():
+                self._connected = True
+                self.commands.open(None if self._hello is None else self._hello.capabilities)
+                self._connections += 1
+                self._hearing.note_answer(now_ns)
+                self.commands.beat()  # at once: the robot needs something to tell late commands by
+                if self._hello is not None:
+                    self._listener.on_connected(self._hello)
+            case Refusal():
+                self._retry_s = REFUSED_RETRY_S if self._hello is not None and self._hello.challenge else RETRY_S
+                self._session.close_reason = f"the robot refused this station: {message.reason}"
+            case _:
+                pass
+
+    def _confirm(self) -> None:
+        self._due.put(self._arrived.confirmation)
+
+    def _greet(self, hello: Hello) -> None:
+        is_same_run = self._hello is not None and self._hello.session_id == hello.session_id
+        if not is_same_run:  # another count of samples, and perhaps another clock
+            self._arrived.begin_run()
+            self._clock = LinkClock()
+        self._hello = hello
+        connection = self._connection
+        if hello.challenge and connection is not None and connection.token is not None:
+            proof = prove(connection.token, hello.challenge, connection.fingerprint)
+            self._due.put(Prove(token_id=connection.token.id, proof=proof))
+        self._due.put(
+            Join(
+                protocol=PROTOCOL_VERSION,
+                station_name=self._station_name,
+                resume_session_id=hello.session_id if is_same_run else "",
+                next_imu_sequence=self._arrived.next_imu_sequence,
+            )
+        )
+
+    def _receive_imu(self, batch: ImuBatch) -> None:
+        if missing := self._arrived.add_imu(batch):
+            self._listener.on_gap(missing)
+        self._listener.on_imu(batch)
+
+    def _receive_notice(self, notice: ErrorNotice) -> None:
+        self._notice = notice
+        logger.warning("robot: %s", notice.message)
+        self.commands.receive_notice(notice)
+        if notice.fatal:
+            self._session.close_reason = f"the robot closed the connection: {notice.message}"
+        self._listener.on_notice(notice)
+
+
+def _find_in_network(seconds: float) -> tuple[str, int] | None:
+    # Imported only here: zeroconf opens sockets of its own, and who gives an address does not need it.
+    from station.robots.discovery import find_robot
+
+    return find_robot(seconds)
+
+
+class _Ended(Exception):
+    """Ends the tasks of a connection; the session holds the reason."""

@@ -1,0 +1,127 @@
+"""What the station asks of a robot, as messages that are due to be sent."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from shared.errors import LocalProtocolError
+from shared.messages import (
+    MAX_DRIVE_TTL_MS,
+    Capabilities,
+    Drive,
+    ErrorNotice,
+    Heartbeat,
+    Hijack,
+    PanTilt,
+    StationMessage,
+    Stop,
+)
+from station.errors import NoRobot
+from station.robots.link_sending import DueMessages
+
+ANSWER_WITHIN_S = 2.0
+
+
+class LinkCommands:
+    """Drive, stop, point, hijack; heartbeats share their count. All methods belong on the event loop."""
+
+    def __init__(self, due: DueMessages, now_ns: Callable[[], int]) -> None:
+        self._due = due
+        self._now_ns = now_ns
+        self._seq = 0  # of drive, stop and heartbeat
+        self._is_connected = False
+        self._able: Capabilities | None = None
+        self._answer: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for what the robot says
+        self._answer_seq = 0  # of the heartbeat behind the question
+
+    def restart_count(self) -> None:
+        """A connection was made; the robot counts anew for each."""
+        self._seq = 0
+
+    def open(self, able: Capabilities | None) -> None:
+        """The robot let us in: from now on it hears commands, as far as it is able."""
+        self._is_connected, self._able = True, able
+
+    def close(self) -> None:
+        """There is no robot any more."""
+        self._is_connected, self._able = False, None
+
+    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
+        """Hold a velocity (m/s, rad/s) for `ttl_ms` (above the protocol's limit: the limit); newest wins.
+
+        Returns False, and sends nothing, when no robot is connected or it cannot drive.
+        Raises LocalProtocolError when a number is not finite or out of the protocol's range.
+        """
+        ttl_ms = max(1, min(ttl_ms, MAX_DRIVE_TTL_MS))
+        try:
+            command = Drive(
+                seq=self._count(), t_station_ns=self._now_ns(), linear=linear, angular=angular, ttl_ms=ttl_ms
+            )
+        except ValueError as exc:
+            raise LocalProtocolError(f"drive command refused: {exc}") from exc
+        return self._put(command, self._able is not None and self._able.drive)
+
+    def stop(self) -> bool:
+        """Motors off now. False when no robot is connected (its own watchdog has stopped it by then)."""
+        self._due.discard(Drive)
+        return self._is_connected and self._put(Stop(seq=self._count()))
+
+    def point(self, pan: float, tilt: float) -> bool:
+        """Point the camera head (rad, positive left and up); newest wins. False when there is none."""
+        try:
+            command = PanTilt(pan=pan, tilt=tilt)
+        except ValueError as exc:
+            raise LocalProtocolError(f"pan-tilt command refused: {exc}") from exc
+        return self._put(command, self._able is not None and self._able.pan_tilt)
+
+    async def hijack(self, spot: tuple[float, float, float] | None) -> ErrorNotice | None:
+        """Put a simulated robot down elsewhere: x m, y m, yaw rad, or None for a spot of its own choice.
+
+        Returns why the robot refused, or None when it did as it was asked. Raises NoRobot when it said neither.
+        """
+        x, y, yaw = spot or (0.0, 0.0, 0.0)
+        try:
+            command = Hijack(x=x, y=y, yaw=yaw, anywhere=spot is None)
+        except ValueError as exc:
+            raise LocalProtocolError(f"hijack refused: {exc}") from exc
+        if not self._put(command, self._able is not None and self._able.hijack):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        # A robot speaks only to refuse, and in order: the answer to a heartbeat behind the question says it did not.
+        self._answer = answer = asyncio.get_running_loop().create_future()
+        self.beat()
+        self._answer_seq = self._seq
+        try:
+            async with asyncio.timeout(ANSWER_WITHIN_S):
+                return await answer
+        except TimeoutError as exc:
+            raise NoRobot("the robot did not answer; the link comes back by itself") from exc
+        finally:
+            if self._answer is answer:
+                self._answer = None
+
+    def beat(self) -> None:
+        """A heartbeat."""
+        self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
+
+    def receive_beat(self, seq: int) -> None:
+        """The robot answered this heartbeat, and refused nothing before it."""
+        if seq >= self._answer_seq:
+            self._resolve(None)
+
+    def receive_notice(self, notice: ErrorNotice) -> None:
+        if notice.about == "hijack":
+            self._resolve(notice)
+
+    def _resolve(self, refusal: ErrorNotice | None) -> None:
+        if self._answer is not None and not self._answer.done():
+            self._answer.set_result(refusal)
+
+    def _put(self, message: StationMessage, is_possible: bool = True) -> bool:
+        if is_possible:
+            self._due.put(message)
+        return is_possible
+
+    def _count(self) -> int:
+        self._seq += 1
+        return self._seq

@@ -1,0 +1,92 @@
+"""What a link to a robot delivers, and to whom."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+
+
+class LinkListener(Protocol):
+    """Gets what a link delivers. Called on the event loop: return at once, hand computing to others."""
+
+    def on_connected(self, hello: Hello) -> None: ...
+
+    def on_disconnected(self, reason: str) -> None: ...
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        """A camera image and the station's monotonic time of its arrival."""
+        ...
+
+    def on_imu(self, batch: ImuBatch) -> None: ...
+
+    def on_gap(self, num_samples: int) -> None:
+        """IMU samples are missing between the last batch and the next one."""
+        ...
+
+    def on_drive_applied(self, applied: DriveApplied) -> None: ...
+
+    def on_status(self, status: Status) -> None: ...
+
+    def on_notice(self, notice: ErrorNotice) -> None:
+        """The robot refused something, or a device failed."""
+        ...
+
+
+class IgnoringListener:
+    """A LinkListener that does nothing; subclasses override what they need."""
+
+    def on_connected(self, hello: Hello) -> None: ...
+
+    def on_disconnected(self, reason: str) -> None: ...
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None: ...
+
+    def on_imu(self, batch: ImuBatch) -> None: ...
+
+    def on_gap(self, num_samples: int) -> None: ...
+
+    def on_drive_applied(self, applied: DriveApplied) -> None: ...
+
+    def on_status(self, status: Status) -> None: ...
+
+    def on_notice(self, notice: ErrorNotice) -> None: ...
+
+
+class LinkListeners:
+    """A LinkListener that hands everything to several others, in their order."""
+
+    def __init__(self, *listeners: LinkListener) -> None:
+        self.listeners: tuple[LinkListener, ...] = listeners
+
+    def on_connected(self, hello: Hello) -> None:
+        for listener in self.listeners:
+            listener.on_connected(hello)
+
+    def on_disconnected(self, reason: str) -> None:
+        for listener in self.listeners:
+            listener.on_disconnected(reason)
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        for listener in self.listeners:
+            listener.on_frame(frame, t_station_ns)
+
+    def on_imu(self, batch: ImuBatch) -> None:
+        for listener in self.listeners:
+            listener.on_imu(batch)
+
+    def on_gap(self, num_samples: int) -> None:
+        for listener in self.listeners:
+            listener.on_gap(num_samples)
+
+    def on_drive_applied(self, applied: DriveApplied) -> None:
+        for listener in self.listeners:
+            listener.on_drive_applied(applied)
+
+    def on_status(self, status: Status) -> None:
+        for listener in self.listeners:
+            listener.on_status(status)
+
+    def on_notice(self, notice: ErrorNotice) -> None:
+        for listener in self.listeners:
+            listener.on_notice(notice)

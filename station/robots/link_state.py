@@ -1,0 +1,130 @@
+"""What is known of a link to a robot: counts, rates, round trip, clocks."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from shared.clock import RemoteClock
+from shared.messages import CameraFrame, ErrorNotice, HeartbeatReply, Hello, ImuBatch, Received, Status
+
+RATE_WINDOW_NS = 2_000_000_000
+KEPT_ROUND_TRIPS = 600  # a minute of heartbeats
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """Snapshot of a link for the API and the page. Counts run since the link was made."""
+
+    host: str
+    port: int
+    connected: bool = False
+    quiet: bool = False  # connected, but the robot has said nothing for a second
+    hello: Hello | None = None  # of the present or the last connection
+    reason: str = "not connected yet"  # why not connected, in a sentence
+    connections: int = 0  # how often a connection was made
+    rtt_ms: float | None = None  # of the last heartbeat
+    clock_offset_ns: int | None = None  # t_station - t_robot, now
+    clock_drift_ppm: float | None = None  # the robot's clock is this much faster than the station's
+    frame_rate_hz: float = 0.0  # over the last seconds
+    imu_rate_hz: float = 0.0
+    received_bytes_per_s: float = 0.0
+    frames: int = 0
+    frames_skipped: int = 0
+    imu_samples: int = 0
+    imu_gaps: int = 0  # how many holes
+    imu_lost: int = 0  # how many samples were in them
+    status: Status | None = None  # the last one
+    notice: ErrorNotice | None = None  # the last one
+
+
+class Arrivals:
+    """Counts of what arrived over a link, and the numbers of the newest."""
+
+    def __init__(self) -> None:
+        self.bytes = self.frames = self.frames_skipped = 0
+        self.imu_samples = self.imu_gaps = self.imu_lost = 0
+        self.next_imu_sequence = self._newest_frame = -1
+
+    def begin_run(self) -> None:
+        """The robot was started anew, or is another one: it numbers frames and samples from the beginning."""
+        self.next_imu_sequence = self._newest_frame = -1
+
+    def add_frame(self, frame: CameraFrame) -> None:
+        self.frames += 1
+        self.frames_skipped += frame.skipped
+        self._newest_frame = frame.seq
+
+    def add_imu(self, batch: ImuBatch) -> int:
+        """Returns how many samples are missing before it."""
+        missing = 0
+        if self.next_imu_sequence >= 0:
+            missing = max(0, batch.first_sequence - self.next_imu_sequence)
+        self.imu_gaps += missing > 0
+        self.imu_lost += missing
+        self.next_imu_sequence = batch.next_sequence
+        self.imu_samples += len(batch.samples)
+        return missing
+
+    @property
+    def confirmation(self) -> Received:
+        """For the robot: up to where everything is here."""
+        return Received(frame_seq=self._newest_frame, next_imu_sequence=self.next_imu_sequence)
+
+
+class LinkClock:
+    """The robot's clock as the station sees it: the lower line of arrivals, less half of the shortest round trip."""
+
+    def __init__(self) -> None:
+        self._remote = RemoteClock()
+        self._round_trips_ns: deque[int] = deque(maxlen=KEPT_ROUND_TRIPS)
+        self._least_delay_ns = 0
+        self.rtt_ns: int | None = None
+
+    def add_reply(self, reply: HeartbeatReply, now_ns: int) -> None:
+        """A heartbeat came back."""
+        inside_robot_ns = reply.t_robot_sent_ns - reply.t_robot_received_ns
+        self.rtt_ns = now_ns - reply.t_station_ns - inside_robot_ns
+        self._round_trips_ns.append(self.rtt_ns)
+        self._least_delay_ns = max(0, min(self._round_trips_ns) // 2)
+        self.add_stamp(reply.t_robot_sent_ns, now_ns)
+
+    def add_stamp(self, t_robot_ns: int, now_ns: int) -> None:
+        """Something the robot stamped when it sent it has arrived."""
+        self._remote.add(t_robot_ns, now_ns)
+
+    def to_station_ns(self, t_robot_ns: int) -> int | None:
+        """Station time of a robot time; None before the first arrival."""
+        fit = self._remote.fit
+        return None if fit is None else fit.to_local_ns(t_robot_ns) - self._least_delay_ns
+
+    def offset_ns(self, now_ns: int) -> int | None:
+        """t_station - t_robot at present."""
+        fit = self._remote.fit
+        return None if fit is None else now_ns - fit.to_remote_ns(now_ns + self._least_delay_ns)
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """How much faster the robot's clock runs."""
+        return None if self._remote.fit is None else self._remote.fit.drift_ppm
+
+
+class RateMeter:
+    """Frames, samples and bytes per second over the last two seconds, from totals sampled now and then."""
+
+    def __init__(self) -> None:
+        self._totals: deque[tuple[int, int, int, int]] = deque()  # (t_ns, frames, samples, bytes)
+
+    def sample(self, now_ns: int, frames: int, samples: int, num_bytes: int) -> None:
+        """Note the totals so far."""
+        self._totals.append((now_ns, frames, samples, num_bytes))
+        while now_ns - self._totals[0][0] > RATE_WINDOW_NS:
+            self._totals.popleft()
+
+    def rates(self) -> tuple[float, float, float]:
+        """(frames/s, samples/s, bytes/s)."""
+        if len(self._totals) < 2:
+            return 0.0, 0.0, 0.0
+        first, last = self._totals[0], self._totals[-1]
+        seconds = (last[0] - first[0]) * 1e-9
+        return (last[1] - first[1]) / seconds, (last[2] - first[2]) / seconds, (last[3] - first[3]) / seconds

@@ -1,0 +1,255 @@
+"""One robot of the station and everything that is its own: nothing in here is shared with another robot.
+
+link → navigation being recorded, its SLAM; current place; pages. Plain methods, as in `app.py`; the event loop only
+carries messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
+from station.access.paired_robots import PairedRobots
+from station.config import RobotConfig, StationConfig
+from station.errors import Conflict, NoRobot, NotCapable, OutOfRange
+from station.events import Broadcast, Events
+from station.library.maps import Maps
+from station.library.navigation_records import NavigationRecord
+from station.library.navigations import Navigations
+from station.robots.current_navigation import CurrentNavigation
+from station.robots.current_place import CurrentPlace
+from station.robots.driving import Driving
+from station.robots.link import RobotLink
+from station.robots.link_events import IgnoringListener, LinkListeners
+from station.robots.link_state import LinkState
+from station.robots.navigation_files import NavigationRecorder
+from station.workers.place_requests import PlaceEvent, PlaceProgram
+from station.workers.request import ProgramName
+from station.workers.scheduling import ComputeSlots
+
+MAX_STOP_LINES = 8
+HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFrame:
+    """A camera image and when it came."""
+
+    frame: CameraFrame
+    t_station_ns: int  # arrival
+    t_captured_ns: int | None  # the capture in the station's clock; None before the clocks are known
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What a session uses and does not own."""
+
+    config: StationConfig
+    maps: Maps
+    navigations: Navigations
+    paired: PairedRobots
+    make_recorder: Callable[[Path], NavigationRecorder | None]
+    place_program: ProgramName[PlaceProgram, PlaceEvent]  # what the localisation workers run
+    slots: ComputeSlots  # of the localisation workers of all robots
+
+
+class RobotSession(IgnoringListener):
+    """One robot: what runs for it, and what a person can ask of it."""
+
+    def __init__(self, robot: RobotConfig, events: Events, shared: Shared, path: str = "") -> None:
+        """`path` is what stands before the station's calls to this robot; nothing before those to the first one."""
+        config = shared.config
+        self.name = robot.name
+        self.path = path
+        self.config = robot
+        self.events = events
+        self.maps = shared.maps
+        self.camera: Broadcast[SeenFrame] = Broadcast()
+        self._driver: str | None = None  # as was notified
+        self._last_driver: str | None = None
+        self._logged_stops: set[tuple[str, str]] = set()  # who and why, since it moved last
+        self._hijacking = asyncio.Lock()
+        self.applied: DriveApplied | None = None
+        self.current_place = CurrentPlace(
+            shared.maps.address,
+            config.localization,
+            events,
+            shared.place_program,
+            on_report=lambda report: self.current_navigation.on_answer(report),
+            slots=shared.slots,
+            looks_ahead=lambda: self.driving.looks_ahead,
+        )
+        self.current_navigation = CurrentNavigation(
+            shared.navigations,
+            config.slam,
+            events,
+            shared.make_recorder,
+            on_pose=self.current_place.receive_pose,
+            recordings=config.recordings,
+            robot=robot.name,
+        )
+        events.on_line = self.current_navigation.on_log
+        listeners = LinkListeners(self.current_navigation, self.current_place, self)
+        self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
+        self.driving = Driving(
+            self.link.commands,
+            config.drive,
+            self._capabilities,
+            on_driver=self._notify_driver,
+            on_silence=lambda text: events.notify("drive", text, "warning"),
+            on_command=self.current_navigation.on_command,
+        )
+
+    async def run(self) -> None:
+        """Run until cancelled. The link ends first, and with it the motors."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self.driving.run(), name=f"drive timer of {self.name}")
+            tasks.create_task(self.link.run(), name=f"link to {self.name}")
+            tasks.create_task(self.current_place.run(), name=f"localisation of {self.name}")
+            tasks.create_task(self._every_second(), name=f"second of {self.name}")
+
+    async def close(self) -> None:
+        """Close the navigation being recorded, and end the workers."""
+        closing = (self.current_navigation.close(), self.current_place.close())
+        # One that fails must not keep the other open.
+        for end in await asyncio.gather(*closing, return_exceptions=True):
+            if isinstance(end, BaseException):
+                raise end
+
+    @property
+    def state(self) -> LinkState:
+        return self.link.state
+
+    # What a person asks
+
+    @property
+    def head_must_rest(self) -> str:
+        """Why the camera head must look straight ahead, in a sentence; empty when it may turn.
+
+        The calibration tells where the camera is while it does; nothing tells the estimation where it is otherwise.
+        """
+        if self.current_navigation.is_busy:
+            return "a navigation is being recorded, and the camera must look straight ahead for it; stop that first"
+        return ""
+
+    @property
+    def looks_aside(self) -> str:
+        """Why the place is not looked for just now, in a sentence; empty when it is.
+
+        The localisation takes the camera where the calibration has it, and would put the robot where it is not.
+        """
+        if self.maps.active is None or self.driving.looks_ahead:
+            return ""
+        return "the camera looks aside; the place is looked for again when it looks straight ahead (pan 0, tilt 0)"
+
+    def point(self, driver: str, pan: float, tilt: float) -> None:
+        """Point the camera head (rad). Raises as Driving.point, and Conflict while it must look straight ahead."""
+        if (pan or tilt) and (reason := self.head_must_rest):
+            raise Conflict(reason)
+        self.driving.point(driver, pan, tilt)
+
+    def stop(self, by: str, why: str | None = None) -> bool:
+        """Motors off now, and a line on who said it and why; none for an empty `why`, which is letting go.
+
+        Said again while nothing moves it is no news, and one rest has no more than MAX_STOP_LINES: a program that
+        repeats, also one with ever other reasons, would leave the log no room for other lines. False when no robot is
+        connected.
+        """
+        if self.driving.is_moving:
+            self._logged_stops.clear()
+        said = (by, why or "")
+        is_news = said not in self._logged_stops and len(self._logged_stops) < MAX_STOP_LINES
+        is_sent = self.driving.stop(by)
+        if is_news and (why or (why is None and is_sent)):
+            self._logged_stops.add(said)
+            self.events.notify("drive", f"{by} stopped: {why}" if why else f"{by} stopped the robot")
+        return is_sent
+
+    async def hijack(self, spot: tuple[float, float, float] | None) -> None:
+        """Put a simulated robot down at x m, y m, yaw rad of its world, or (None) wherever it likes.
+
+        Raises NoRobot, NotCapable for a real one, OutOfRange or Conflict with the robot's own words.
+        """
+        able = self._capabilities()
+        if able is None:
+            raise NoRobot("no robot is connected")
+        if not able.hijack:
+            raise NotCapable("this robot cannot be moved by a message; only a simulated one can")
+        async with self._hijacking:
+            self.driving.stop()
+            refusal = await self.link.commands.hijack(spot)
+        if refusal is not None:
+            raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
+        self.events.notify("hijack", HIJACK_NOTICE, "warning")
+
+    async def start_navigation(self, name: str) -> NavigationRecord:
+        """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
+        state = self.link.state
+        if not state.connected or state.hello is None:
+            raise NoRobot("no robot is connected; there is nothing to record")
+        if not state.hello.capabilities.camera:
+            raise NotCapable("this robot has no camera; SLAM needs one")
+        if not self.driving.head_is_centred:
+            raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you record")
+        return await self.current_navigation.start(state.hello, name)
+
+    # What the station's maps mean for it
+
+    async def look_in_active_maps(self) -> None:
+        active = self.maps.all_active
+        if active:
+            self.driving.centre_head()
+        self.events.changed("robot")
+        await self.current_place.use_maps(tuple(one.place_map.id for one in active))
+
+    def regroup(self) -> None:
+        """Places of the active map are others, or have other names."""
+        place_map = self.maps.require_active().place_map
+        self.current_place.regroup(place_map.id, place_map.places, place_map.edges)
+
+    # What the link delivers, after navigation and place had it
+
+    def on_connected(self, hello: Hello) -> None:
+        self.events.notify("link", f"connected to {hello.name}")
+        self.events.changed("robot")
+
+    def on_disconnected(self, reason: str) -> None:
+        self.events.notify("link", f"robot lost: {reason}", "warning")
+        self.events.changed("robot")
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
+
+    def on_gap(self, num_samples: int) -> None:
+        self.events.notify("link", f"{num_samples} inertial samples were lost", "warning")
+
+    def on_drive_applied(self, applied: DriveApplied) -> None:
+        self.applied = applied
+
+    def on_status(self, status: Status) -> None:  # noqa: ARG002
+        self.events.changed("robot")
+
+    def on_notice(self, notice: ErrorNotice) -> None:
+        self.events.notify("robot", notice.message, "error" if notice.fatal else "warning")
+
+    def _notify_driver(self, driver: str | None) -> None:
+        """Who has the wheel, to the pages; a line where it is in other hands than before, not at every pause."""
+        before, self._driver = self._driver, driver
+        if driver is not None and driver != self._last_driver:
+            self._last_driver = driver
+            self.events.notify("drive", f"{driver} drives" if before is None else f"{driver} took over from {before}")
+        self.events.changed("driver", driver)
+
+    def _capabilities(self) -> Capabilities | None:
+        state = self.link.state
+        return state.hello.capabilities if state.connected and state.hello is not None else None
+
+    async def _every_second(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            self.current_navigation.refresh()
+            self.current_place.refresh(self.looks_aside)
+            self.events.changed("robot")

@@ -1,1 +1,0 @@
-"""Image front end of the online SLAM: lens, corners, optical flow, two-view outlier test."""

@@ -1,0 +1,1 @@
+"""What every backend uses: tracks, loops, bundle adjustment."""

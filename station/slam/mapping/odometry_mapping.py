@@ -1,0 +1,208 @@
+"""Structure from motion for a robot with IMU and drive commands: dead reckoning first, pictures then correct it.
+
+A narrow camera that turns in rooms sees little parallax and, at times, a blank wall: images alone come apart there.
+Gyroscope and wheels never do. So every keyframe starts at its dead-reckoned pose, tracks are triangulated from
+there, and bundle adjustment (odometry_bundle.py) refines all, odometry included; then loops are closed and all is
+refined again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.calibration import CameraCalibration
+from shared.geometry import FloatArray, IntArray, inverse
+from station.motion.inertial_track import InertialTrack
+from station.slam.mapping.bundle_state import BundleState, Observations
+from station.slam.mapping.config import MappingConfig
+from station.slam.mapping.features import Features
+from station.slam.mapping.loops import find_loops
+from station.slam.mapping.odometry import Odometry, RelativeMotions
+from station.slam.mapping.odometry_bundle import adjust, landmark_covariances, reprojection_errors
+from station.slam.mapping.rolling_shutter import turned_back
+from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
+from station.vision.lens import Lens
+from station.vision.triangulation import intersect_rays
+from station.vision.two_view import epipolar_inliers
+
+# Cauchy scales (px): wide while poses are dead reckoned or a loop has just been closed, then as sharp as the pictures.
+FIRST_SCALES = (12.0, 4.0)
+LOOP_SCALES = (40.0, 10.0, 2.0)
+LAST_SCALES = (1.5,)
+OBSERVATIONS_PER_KEYFRAME = 60  # in bundle adjustment; more do not move the poses
+GATE = 4.0  # observations further off than this many scales wait for the next round
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryMap:
+    """Poses of all keyframes and their landmarks, metric as far as the drive commands are."""
+
+    state: BundleState
+    tracks: Tracks
+    num_loops: int
+    num_matches: int
+    median_error_px: float
+    cov_world: FloatArray  # (M, 3, 3) m^2, given the poses
+
+
+def map_with_odometry(
+    features: Sequence[Features],
+    matches: Sequence[Pairs],
+    t_imu_ns: IntArray,
+    odometry: Odometry,
+    camera: CameraCalibration,
+    config: MappingConfig,
+) -> OdometryMap:
+    """Reconstruct one drive.
+
+    Args:
+        features, t_imu_ns: of the N keyframes; times on the IMU's clock.
+        matches: unverified descriptor matches of keyframes near in time.
+    """
+    rays = [straight_rays(f, int(t), odometry.track, camera) for f, t in zip(features, t_imu_ns, strict=True)]
+    return map_with_motions(features, rays, matches, odometry, camera, config)
+
+
+def map_with_motions(
+    features: Sequence[Features],
+    rays: Sequence[FloatArray],
+    matches: Sequence[Pairs],
+    odometry: RelativeMotions,
+    camera: CameraCalibration,
+    config: MappingConfig,
+) -> OdometryMap:
+    """The same for relative motions from anywhere.
+
+    Args:
+        rays: (n, 2) of each keyframe: its features' normalised coordinates as if all rows had been exposed at once, at
+            the time its pose is for.
+    """
+    T_body_cam = camera.T_body_cam_matrix
+    threshold = config.matching.max_error_px / camera.fx
+    rng = np.random.default_rng(config.seed)
+    verified = verify_by_gyro(matches, rays, odometry.T_world_body[:, :3, :3] @ T_body_cam[:3, :3], threshold, rng)
+    verified = [pair for pair in verified if len(pair[2]) >= config.matching.min_gyro_inliers]
+
+    state = BundleState(
+        R_world_body=odometry.T_world_body[:, :3, :3].copy(),
+        p_world_body=odometry.T_world_body[:, :3, 3].copy(),
+        points=np.empty((0, 3)),
+        drive_scale=1.0,
+        bias_change=np.zeros(3),
+    )
+    counts = [len(f) for f in features]
+    tracks = build_tracks(counts, verified)
+    state, kept = refine(state, tracks, rays, odometry, camera, FIRST_SCALES)
+    loops = find_loops(features, rays, state, kept, T_body_cam, camera.fx, odometry.drift, config.matching)
+    if loops:
+        tracks = build_tracks(counts, [*verified, *loops])
+        state, kept = refine(state, tracks, rays, odometry, camera, LOOP_SCALES)
+    state, kept = refine(state, tracks, rays, odometry, camera, LAST_SCALES)
+    seen = observations(kept, rays, camera)
+    errors = reprojection_errors(state, seen)
+    median = float(np.median(errors)) if len(errors) else 0.0
+    return OdometryMap(
+        state, kept, len(loops), len(verified), median, landmark_covariances(state, seen, max(median, 0.3))
+    )
+
+
+def straight_rays(features: Features, t_imu_ns: int, track: InertialTrack, camera: CameraCalibration) -> FloatArray:
+    """Normalised image coordinates (N, 2) as if all rows had been exposed with the first one.
+
+    The gyroscope knows how far the camera turned until row v was exposed; what it moved meanwhile (a few mm) is left.
+    """
+    xy = Lens(camera).unproject(features.uv_px)
+    if camera.line_delay_s == 0.0 or not len(xy):
+        return xy
+    middle = np.array([t_imu_ns + round(0.5e9 * camera.line_delay_s * camera.height)])
+    R_cam_body = camera.T_cam_body_matrix[:3, :3]
+    omega_cam = R_cam_body @ track.rate_at(middle)[0]
+    return turned_back(xy, features.uv_px[:, 1] * camera.line_delay_s, omega_cam)
+
+
+def verify_by_gyro(
+    matches: Sequence[Pairs],
+    rays: Sequence[FloatArray],
+    R_world_cam: FloatArray,
+    threshold: float,
+    rng: np.random.Generator,
+) -> list[Pairs]:
+    """The pairs of each match that agree with the gyroscope's rotation and one direction of motion."""
+    out: list[Pairs] = []
+    for a, b, pairs in matches:
+        if len(pairs) < 3:
+            continue
+        R_a_b = R_world_cam[a].T @ R_world_cam[b]
+        good = epipolar_inliers(rays[a][pairs[:, 0]], rays[b][pairs[:, 1]], R_a_b, threshold, rng)
+        out.append((a, b, pairs[good]))
+    return out
+
+
+def refine(
+    state: BundleState,
+    tracks: Tracks,
+    rays: Sequence[FloatArray],
+    odometry: RelativeMotions,
+    camera: CameraCalibration,
+    scales: Sequence[float],
+) -> tuple[BundleState, Tracks]:
+    """Triangulate all tracks and adjust, with ever stricter residuals; the observations that fit at the end."""
+    kept = tracks
+    for scale in scales:
+        kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scale)
+        used = longest(kept, OBSERVATIONS_PER_KEYFRAME)
+        few = kept.only(used[kept.point])
+        state = adjust(_with_points(state, points[used]), observations(few, rays, camera), odometry, scale)
+    kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scales[-1])
+    return _with_points(state, points), kept
+
+
+def triangulate_tracks(
+    state: BundleState, tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration, gate_px: float
+) -> tuple[Tracks, FloatArray]:
+    """Points of all tracks from the present poses; observations that do not fit are left out, then whole points."""
+    T_body_cam = camera.T_body_cam_matrix
+    R_cam = state.R_world_body @ T_body_cam[:3, :3]
+    centre = state.p_world_body + state.R_world_body @ T_body_cam[:3, 3]
+    current = tracks
+    points = np.empty((0, 3))
+    for _ in range(3):
+        xy = gather(current, rays)
+        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], np.column_stack([xy, np.ones(len(xy))]))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
+        error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
+        good = defined[current.point] & (error < gate_px)
+        if good.all():
+            break
+        # Drop the worst first: one false match spoils the point for the others.
+        worst = np.zeros(current.num_points)
+        finite = np.where(np.isfinite(error), error, 1e9)
+        np.maximum.at(worst, current.point, finite)
+        is_worst = (finite >= worst[current.point]) & ~good
+        drop = is_worst | ~defined[current.point]
+        points = points[current.alive(~drop)]
+        current = current.only(~drop)
+    error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
+    good = error < gate_px
+    points = points[current.alive(good)]
+    return current.only(good), points
+
+
+def gather(tracks: Tracks, rays: Sequence[FloatArray]) -> FloatArray:
+    """(K, 2) the normalised coordinates of all observations."""
+    offset = np.concatenate([[0], np.cumsum([len(r) for r in rays])])
+    return np.vstack(rays)[offset[tracks.keyframe] + tracks.feature]
+
+
+def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration) -> Observations:
+    """Tracks as the bundle adjustment wants them."""
+    focal = 0.5 * (camera.fx + camera.fy)
+    return Observations(tracks.keyframe, tracks.point, gather(tracks, rays), inverse(camera.T_body_cam_matrix), focal)
+
+
+def _with_points(state: BundleState, points: FloatArray) -> BundleState:
+    return BundleState(state.R_world_body, state.p_world_body, points, state.drive_scale, state.bias_change)

@@ -1,0 +1,1 @@
+"""The filter itself: state, propagation, measurements, update."""

@@ -1,0 +1,134 @@
+"""What else is known of the velocity: standing still, wheels, the commanded speed (docs/slam.md, sec. 9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray, orthonormal
+from station.motion import lie
+from station.motion.drive_commands import SPEED_EFFICIENCY
+from station.motion.error_coordinates import ErrorKind
+from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
+from station.slam.ukf.filter.update import Measurements
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyVelocity:
+    """The body moves with v_body, each component known to sigma; infinite where it is not."""
+
+    v_body: FloatArray  # (3,) m/s
+    sigma: FloatArray  # (3,) m/s
+    gate: float = np.inf  # standard deviations; a component further off is left out (wheels that slip)
+
+    def rows(self, state: FilterState, kind: ErrorKind) -> Measurements:
+        """Whitened rows; the velocity in the body frame is R^T v."""
+        v_now = state.R.T @ state.v
+        if kind is ErrorKind.RIGHT:
+            by_state = state.R.T @ state.S[XI_V]
+        elif kind is ErrorKind.LEFT:
+            by_state = state.S[XI_V] + lie.skew(v_now) @ state.S[PHI]
+        else:
+            by_state = state.R.T @ (state.S[XI_V] + lie.skew(state.v) @ state.S[PHI])
+        known = np.isfinite(self.sigma)
+        r = (self.v_body - v_now)[known] / self.sigma[known]
+        A = by_state[known] / self.sigma[known, None]
+        spread = np.sqrt(1.0 + np.einsum("ik,ik->i", A, A))
+        fits = np.abs(r) < self.gate * spread
+        return Measurements(r[fits], A[fits])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SamePlace:
+    """The body has not moved since one of the clones; how it turned since then, the image measured."""
+
+    clone_frame: int  # ImageFrame.index of that clone
+    R_clone_now: FloatArray  # (3, 3) body rotation since then, measured
+    sigma_phi: float  # rad
+    sigma_x: float  # m
+
+    def rows(self, state: FilterState, kind: ErrorKind) -> Measurements:
+        """Whitened rows for rotation and position; none when the clone has left the window."""
+        found = np.flatnonzero(state.clone_frame == self.clone_frame)
+        if not len(found):
+            return Measurements.none(state)
+        i = int(found[0])
+        rows = state.S[state.clone_rows(i)]
+        phi_clone, x_clone = rows[:3], rows[3:]
+        phi, x = state.S[PHI], state.S[XI_X]
+        R_then, x_then = state.clone_R[i], state.clone_x[i]
+        turned = R_then.T @ state.R
+        r_phi = lie.so3_log(self.R_clone_now @ turned.T)
+        if kind is ErrorKind.LEFT:
+            by_phi = turned @ phi - phi_clone
+            by_x = state.R @ x - R_then @ x_clone
+        else:
+            by_phi = R_then.T @ (phi - phi_clone)
+            by_x = x - x_clone
+            if kind is ErrorKind.RIGHT:  # x = exp(phi) x_mean + xi_x
+                by_x = by_x - lie.skew(state.x) @ phi + lie.skew(x_then) @ phi_clone
+        r = np.concatenate([r_phi / self.sigma_phi, (x_then - state.x) / self.sigma_x])
+        return Measurements(r, np.vstack([by_phi / self.sigma_phi, by_x / self.sigma_x]))
+
+
+def turn_between(xy_then: FloatArray, xy_now: FloatArray, R_body_cam: FloatArray) -> FloatArray | None:
+    """Body rotation (3, 3) between two views from one place, by their rays (N, 2); None when they do not agree.
+
+    Source: Kabsch, Acta Cryst. A32, 1976; twice, the second time without outliers.
+    """
+    if len(xy_then) < 8:
+        return None
+    then = np.column_stack([xy_then, np.ones(len(xy_then))])
+    now = np.column_stack([xy_now, np.ones(len(xy_now))])
+    then /= np.linalg.norm(then, axis=1, keepdims=True)
+    now /= np.linalg.norm(now, axis=1, keepdims=True)
+    keep = np.ones(len(then), dtype=bool)
+    R = np.eye(3)
+    for _ in range(2):
+        R = orthonormal(then[keep].T @ now[keep])
+        off = np.linalg.norm(then - now @ R.T, axis=1)
+        keep = off < max(3.0 * float(np.median(off)), 1e-4)
+        if keep.sum() < 8:
+            return None
+    return R_body_cam @ R @ R_body_cam.T
+
+
+@dataclass(frozen=True, slots=True)
+class WheelConfig:
+    """Soft knowledge about a wheeled robot; each can be switched off."""
+
+    use_zero_velocity: bool = True
+    use_non_holonomic: bool = True
+    use_commanded_speed: bool = True
+    sigma_still_m_s: float = 0.01
+    sigma_still_rad: float = 5e-4
+    sigma_still_m: float = 0.002
+    sigma_lateral_m_s: float = 0.03  # plus what the unknown turning centre makes of a turn:
+    lateral_per_turn_m: float = 0.05
+    sigma_vertical_m_s: float = 0.02
+    speed_efficiency: float = SPEED_EFFICIENCY
+    sigma_speed_share: float = 0.08
+    sigma_speed_m_s: float = 0.02
+    settle_s: float = 0.35  # a command is believed that long after it changed: motors have made 93 % of the change then
+
+
+def wheel_velocity(
+    config: WheelConfig, turn_rate: float, command_m_s: float | None, since_change_s: float
+) -> BodyVelocity | None:
+    """What wheels say of the body's velocity now; None when nothing is switched on.
+
+    Args:
+        turn_rate: rad/s about the body's vertical axis, from the gyroscope.
+        command_m_s: commanded forward speed, None where no command is known.
+        since_change_s: since the command changed.
+    """
+    sigma = np.full(3, np.inf)
+    v = np.zeros(3)
+    if config.use_non_holonomic:
+        sigma[1] = config.sigma_lateral_m_s + config.lateral_per_turn_m * abs(turn_rate)
+        sigma[2] = config.sigma_vertical_m_s
+    if config.use_commanded_speed and command_m_s is not None and since_change_s > config.settle_s:
+        v[0] = config.speed_efficiency * command_m_s
+        sigma[0] = config.sigma_speed_m_s + config.sigma_speed_share * abs(command_m_s)
+    return BodyVelocity(v, sigma, gate=4.0) if np.isfinite(sigma).any() else None

@@ -1,0 +1,122 @@
+"""Views for the map: keyframes that differ from each other, with SIFT features matched to the views before.
+
+The filter's corners are followed from frame to frame; nobody finds them again from elsewhere. These features are found
+again: when the robot comes back, and when it looks for its place in the map another day (docs/slam.md, sec. 10).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.slam.mapping.config import MappingConfig
+from station.slam.mapping.features import Features
+from station.slam.mapping.matching import match_descriptors
+from station.slam.mapping.tracks import Pairs
+from station.slam.ukf.map.keyframes import Keyframe
+from station.vision import features as local
+from station.vision.lens import Lens
+
+
+@dataclass(frozen=True, slots=True)
+class ViewConfig:
+    """Which keyframes become views."""
+
+    min_flow: float = 0.1  # median motion of common features since the last view, as a fraction of the image width
+    min_common: float = 0.6  # or fewer than that share of the last view's features are left
+    max_interval_s: float = 2.0
+    min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
+    num_previous: int = 4  # views before, that each one is matched with
+    capacity: int = 300  # beyond, every second view goes and the spacing grows by half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    frame_index: int  # ImageFrame.index
+    segment: int
+    keyframe: Keyframe
+    features: Features
+    seen: local.Features  # what localisation sees in it
+
+
+class MapViews:
+    """Grows while the robot drives; bounded.
+
+    Choosing a view is cheap and done at once, describing it costs as much as following ten frames: it waits until
+    somebody has time for it (`describe_next`), and gives the same whenever that is.
+    """
+
+    def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
+        self._lens, self._config = lens, config
+        self.mapping = MappingConfig(seed=seed)
+        self._extractor = local.DetailExtractor()
+        self._spacing = 1.0
+        self._chosen: deque[Keyframe] = deque()  # that wait to be described
+        self._newest: Keyframe | None = None
+        self._items: list[View] = []
+        self._pairs: list[Pairs] = []  # indices into items, unverified
+
+    def add(self, keyframe: Keyframe) -> None:
+        """Take a keyframe in; it becomes a view when it shows something else than the last one."""
+        if not self._is_new(keyframe):
+            return
+        self._newest = keyframe
+        self._chosen.append(keyframe)
+        if len(self._items) + len(self._chosen) > self._config.capacity:
+            self.describe_all()
+            self._thin()
+
+    def describe_next(self) -> bool:
+        """Describe one view that waits; False when none does."""
+        if not self._chosen:
+            return False
+        keyframe = self._chosen.popleft()
+        found = self._extractor.extract(keyframe.image.grey())
+        features = Features(found.uv_px, found.descriptors)
+        descriptors = features.descriptors
+        b = len(self._items)
+        self._items.append(View(keyframe.image.index, keyframe.segment, keyframe, features, found.features))
+        for a in range(max(0, b - self._config.num_previous), b):
+            if self._items[a].segment == keyframe.segment:
+                before = self._items[a].features.descriptors
+                pairs = match_descriptors(before, descriptors, self.mapping.matching.max_ratio)
+                self._pairs.append((a, b, pairs))
+        return True
+
+    def describe_all(self) -> tuple[list[View], list[Pairs]]:
+        """All views, and the unverified matches between them."""
+        while self.describe_next():
+            pass
+        return self._items, self._pairs
+
+    def pictures(self) -> list[bytes]:
+        """Of the views described so far, as they were encoded."""
+        return [view.keyframe.image.encoded for view in self._items]
+
+    def seen(self, number: int) -> local.Features:
+        """What pictures()[number] shows."""
+        return self._items[number].seen
+
+    def _is_new(self, keyframe: Keyframe) -> bool:
+        if self._newest is None or self._newest.segment != keyframe.segment:
+            return True
+        last, config = self._newest, self._config
+        since_s = (keyframe.image.t_robot_ns - last.image.t_robot_ns) * 1e-9
+        if since_s < config.min_interval_s:
+            return False
+        _, i, j = np.intersect1d(last.tracked.ids, keyframe.tracked.ids, assume_unique=True, return_indices=True)
+        if len(i) == 0 or len(i) < config.min_common / self._spacing * len(last.tracked.ids):
+            return True
+        flow = float(np.median(np.linalg.norm(last.tracked.uv_px[i] - keyframe.tracked.uv_px[j], axis=1)))
+        waited = since_s > config.max_interval_s * self._spacing
+        enough = self._spacing * config.min_flow * self._lens.camera.width
+        return flow > enough or (waited and flow > 0.2 * enough)
+
+    def _thin(self) -> None:
+        """Every second view stays, with the matches among those that stay."""
+        self._items = self._items[::2]
+        self._pairs = [(a // 2, b // 2, pairs) for a, b, pairs in self._pairs if a % 2 == 0 and b % 2 == 0]
+        self._newest = self._items[-1].keyframe
+        self._spacing *= 1.5

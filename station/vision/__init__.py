@@ -1,0 +1,1 @@
+"""From pictures to features, matches and camera geometry."""

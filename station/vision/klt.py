@@ -1,0 +1,179 @@
+"""Feature tracks: pyramidal Lucas-Kanade from frame to frame, started where the gyroscope says a feature has moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shared.geometry import FloatArray, IntArray
+from station.model.frames import ImageArray
+from station.vision.corners import detect_corners
+from station.vision.lens import BoolArray, Lens
+from station.vision.two_view import epipolar_inliers
+
+PointsArray = npt.NDArray[np.float32]  # (N, 1, 2), OpenCV's shape of points
+LK_EPSILON_PX = 0.02  # the last step; half of it would take half as much time again, for what no filter can see
+VANISHING_BORDER = 0.08  # of the width: a robot that drives on takes features nearer to the border out of the picture
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerConfig:
+    """Front end's settings; pixels refer to the image as delivered."""
+
+    num_features: int = 150
+    cell_px: int = 32  # one new corner per empty cell of this size
+    min_response: float = 3e-4  # Shi-Tomasi eigenvalue below which a corner is noise
+    window_px: int = 17  # Lucas-Kanade
+    pyramid_levels: int = 3  # reach: about window * 2^levels pixels around the prediction
+    forward_backward_px: float = 0.7
+    epipolar_px: float = 1.2  # with a known gyro bias
+    epipolar_unbiased_px: float = 4.0  # before: 0.08 rad/s of unknown bias turn 2 px per frame
+    border_px: int = 4
+    redetect_below: float = 0.9  # new corners once fewer than this share of num_features live
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedFrame:
+    """The features of one frame; track ids never repeat."""
+
+    ids: IntArray  # (N,)
+    uv_px: FloatArray  # (N, 2) as measured, distorted
+    xy: FloatArray  # (N, 2) normalised, undistorted
+    num_tracked: int  # of the previous frame's features, how many were found again
+    num_previous: int  # features the previous frame had
+    num_vanished: int  # of those not found again: how many the camera's rotation left well inside the picture
+
+
+class Tracker:
+    """Keeps about num_features tracks alive. Deterministic for a seed."""
+
+    def __init__(self, lens: Lens, config: TrackerConfig, seed: int = 0) -> None:
+        self.lens = lens
+        self.config = config
+        self._seed = seed
+        self._num_frames = 0
+        self._next_id = 0
+        self._previous: ImageArray | None = None
+        self._ids = np.zeros(0, dtype=np.int64)
+        self._uv = np.zeros((0, 2))
+        self._xy = np.zeros((0, 2))
+
+    def reset(self) -> None:
+        """Forget all tracks; ids go on."""
+        self._previous = None
+        self._ids, self._uv, self._xy = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2))
+
+    def drop(self, ids: IntArray) -> None:
+        """Forget these tracks: the filter found them to be outliers."""
+        keep = ~np.isin(self._ids, ids)
+        self._ids, self._uv, self._xy = self._ids[keep], self._uv[keep], self._xy[keep]
+
+    def process(self, grey: ImageArray, R_prev_cur: FloatArray, is_bias_known: bool) -> TrackedFrame:
+        """Follow the tracks into this image and add new ones.
+
+        Args:
+            grey: (H, W) 8 bit.
+            R_prev_cur: (3, 3) rotation of the camera since the previous image (maps current to previous coordinates).
+            is_bias_known: whether that rotation is free of the gyroscope's bias.
+        """
+        rng = np.random.default_rng([self._seed, self._num_frames])
+        self._num_frames += 1
+        num_previous = len(self._ids)
+        num_vanished = 0
+        if self._previous is not None and num_previous:
+            num_vanished = self._follow(self._previous, grey, R_prev_cur, is_bias_known, rng)
+        num_tracked = len(self._ids)
+        if num_tracked < self.config.redetect_below * self.config.num_features:
+            self._add_corners(grey)
+        self._previous = grey
+        return TrackedFrame(
+            ids=self._ids.copy(),
+            uv_px=self._uv.copy(),
+            xy=self._xy.copy(),
+            num_tracked=num_tracked,
+            num_previous=num_previous,
+            num_vanished=num_vanished,
+        )
+
+    def _follow(
+        self,
+        previous: ImageArray,
+        grey: ImageArray,
+        R_prev_cur: FloatArray,
+        is_bias_known: bool,
+        rng: np.random.Generator,
+    ) -> int:
+        """Move every track into the new image or end it; returns how many vanished."""
+        config = self.config
+        predicted_xy, in_front = self._rotate(self._xy, R_prev_cur.T)
+        predicted_uv = np.where(in_front[:, None], self.lens.project(predicted_xy), self._uv)
+        old = self._uv.astype(np.float32).reshape(-1, 1, 2)
+        new, found = _flow(
+            previous,
+            grey,
+            old,
+            predicted_uv.astype(np.float32).reshape(-1, 1, 2),
+            config,
+            config.pyramid_levels,
+            LK_EPSILON_PX,
+        )
+        # Starts at its goal: needs no reach; and only whether it stays near is asked.
+        back, found_back = _flow(grey, previous, new, old, config, 1, 0.1 * config.forward_backward_px)
+        distance = np.linalg.norm((back - old).reshape(-1, 2), axis=1)
+        uv = np.asarray(new, dtype=np.float64).reshape(-1, 2)
+        good = found & found_back & (distance < config.forward_backward_px) & np.isfinite(uv).all(axis=1)
+        good &= self.lens.is_inside(np.where(good[:, None], uv, -1e3), config.border_px)
+        index = np.flatnonzero(good)
+        near = predicted_xy[index] + (uv[index] - predicted_uv[index]) / self.lens.focal
+        xy = self.lens.unproject(uv[index], near if in_front[index].all() else None)
+        threshold_px = config.epipolar_px if is_bias_known else config.epipolar_unbiased_px
+        inlier = epipolar_inliers(self._xy[index], xy, R_prev_cur, threshold_px / self.lens.camera.fx, rng)
+        inlier &= self.lens.is_invertible(uv[index], xy)
+        index, xy = index[inlier], xy[inlier]
+        stays = in_front & self.lens.is_inside(predicted_uv, VANISHING_BORDER * self.lens.camera.width)
+        num_vanished = int(np.count_nonzero(stays)) - int(np.count_nonzero(stays[index]))
+        self._ids, self._uv, self._xy = self._ids[index], uv[index], xy
+        return num_vanished
+
+    def _rotate(self, xy: FloatArray, R: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Normalised coordinates after a rotation, and which of them stay well in front of the camera."""
+        rays = np.column_stack([xy, np.ones(len(xy))]) @ R.T
+        in_front = rays[:, 2] > 0.2
+        return rays[:, :2] / np.where(in_front, rays[:, 2], 1.0)[:, None], in_front
+
+    def _add_corners(self, grey: ImageArray) -> None:
+        corners = detect_corners(
+            grey, self._uv, self.config.num_features - len(self._ids), self.config.cell_px, self.config.min_response
+        )
+        xy = self.lens.unproject(corners)
+        usable = self.lens.is_invertible(corners, xy)
+        corners, xy = corners[usable], xy[usable]
+        ids = np.arange(self._next_id, self._next_id + len(corners), dtype=np.int64)
+        self._next_id += len(corners)
+        self._ids = np.concatenate([self._ids, ids])
+        self._uv = np.concatenate([self._uv, corners])
+        self._xy = np.concatenate([self._xy, xy])
+
+
+def _flow(
+    a: ImageArray,
+    b: ImageArray,
+    points: PointsArray,
+    start: PointsArray,
+    config: TrackerConfig,
+    levels: int,
+    epsilon_px: float,
+) -> tuple[PointsArray, BoolArray]:
+    """Lucas-Kanade from image a to b, starting at `start`."""
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        a, b, points, start.copy(),
+        winSize=(config.window_px, config.window_px),
+        maxLevel=levels,
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, epsilon_px),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=1e-4,
+    )  # fmt: skip
+    return np.asarray(moved, dtype=np.float32), np.asarray(status).reshape(-1) == 1

@@ -1,0 +1,42 @@
+// Everything a person may hold to drive; where several are held, the joystick counts before keys, and keys before a gamepad.
+import { GamepadStick } from "./gamepad";
+import { Keyboard, type KeyboardEvents } from "./keyboard";
+import { type Direction, type Hands, INTERRUPTION } from "./safety";
+import { Stick } from "./stick";
+
+export class PageHands implements Hands {
+  private readonly stick: Stick;
+  private readonly keyboard: Keyboard;
+  private readonly gamepad: GamepadStick;
+
+  constructor(events: KeyboardEvents) {
+    this.stick = new Stick(events.onChange, events.onInterruption);
+    this.keyboard = new Keyboard(events);
+    this.gamepad = new GamepadStick(events.onInterruption);
+    watchPage(events.onInterruption);
+  }
+
+  get direction(): Direction | null {
+    return this.stick.direction ?? this.keyboard.direction ?? this.gamepad.direction;
+  }
+
+  release(): void {
+    for (const input of [this.stick, this.keyboard, this.gamepad]) input.release();
+  }
+
+  readGamepad(): void {
+    this.gamepad.read();
+  }
+}
+
+/** Where the person leaves the page, nothing of what they let go reaches it. */
+function watchPage(onInterruption: (why: string) => void): void {
+  addEventListener("blur", () => onInterruption(INTERRUPTION.windowLeft));
+  addEventListener("contextmenu", (event) => {
+    if (!event.defaultPrevented) onInterruption(INTERRUPTION.menuOpened);
+  });
+  addEventListener("pagehide", () => onInterruption(INTERRUPTION.pageClosed));
+  document.addEventListener("visibilitychange", () => {
+    if (document.hidden) onInterruption(INTERRUPTION.pageHidden);
+  });
+}

@@ -1,0 +1,592 @@
+// Made by `python -m station.api.page_types` from station/api/schema and station/api/messages.py. Do not edit.
+
+/** Done. */
+export interface Accepted {
+  ok: true;
+}
+
+/** What the motors were told. */
+export interface AppliedModel {
+  linear: number;
+  angular: number;
+}
+
+export interface BatteryModel {
+  voltage_v: number | null;
+  fraction: number | null;
+}
+
+/** Something was deleted or restored: fetch GET /bin. */
+export interface BinMessage {
+  type: "bin";
+}
+
+/** Something deleted that can still be restored. */
+export interface BinModel {
+  kind: "navigation" | "map";
+  id: string;
+  name: string;
+  deleted_unix_s: number;
+  /** when it is deleted for good, at the latest */
+  gone_unix_s: number;
+}
+
+export interface CapabilitiesModel {
+  camera: boolean;
+  imu: boolean;
+  drive: boolean;
+  pan_tilt: boolean;
+  battery: boolean;
+  hijack: boolean;
+  max_linear_m_s: number;
+  max_angular_rad_s: number;
+}
+
+export interface ClockModel {
+  /** t_station - t_robot */
+  offset_s: number | null;
+  drift_ppm: number | null;
+  rtt_ms: number | null;
+}
+
+/** Two navigations compared; the report has the pictures. */
+export interface ComparisonModel {
+  id: string;
+  name: string;
+  first: string;
+  second: string;
+  made_unix_s: number;
+  /** of the first navigation */
+  places: number;
+  /** of the second one */
+  locations: number;
+  matches: number;
+  /** the registration */
+  accepted: boolean;
+  /** why it was refused */
+  reasons: string[];
+  /** row-major 4x4, may carry a scale */
+  T_first_second: number[] | null;
+  report: string;
+}
+
+/** Which navigations to compare: places are made of the first one and looked for in the second. */
+export interface ComparisonOrder {
+  first: string;
+  second: string;
+}
+
+/** Which place the robot is at. `place` is null unless the state is "known". */
+export interface CurrentPlace {
+  state: "known" | "unknown" | "lost";
+  place: PlaceName | null;
+  /** that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known */
+  probability: number;
+  /** robot to the place's centroid; null without a metric map */
+  distance_m: number | null;
+  /** x, y, z of the robot in `map` */
+  position_map: number[] | null;
+  /** since the picture the answer is about was taken */
+  age_s: number | null;
+  /** id of the active map that place, position and evidence are of; while there are none, the first */
+  map: string | null;
+  alternatives: PlaceProbability[];
+  evidence: Evidence;
+  /** 0..1 while the map is prepared for answers; else null */
+  preparing: number | null;
+  /** in a sentence */
+  reason: string;
+  /** sensor time the answer is about, robot clock */
+  t_robot_ns: number | null;
+  /** T_map_cam of the newest picture, row-major 4x4; null when it was not recognised in `map` */
+  pose_map: number[] | null;
+}
+
+/** The newest command went to the robot. */
+export interface DriveAccepted {
+  type: "accepted";
+  seq: number;
+}
+
+export interface DriveCommand {
+  type: "drive";
+  seq: number;
+  linear: number;
+  angular: number;
+  ttl_ms: number;
+  /** t_ms of the newest `time` heard before */
+  heard_ms: number | null;
+}
+
+/** Hold this velocity, then stop. */
+export interface DriveOrder {
+  /** m/s, forward */
+  linear: number;
+  /** rad/s, left */
+  angular: number;
+  /** stop after this, unless told again */
+  ttl_ms: number;
+}
+
+/** It did not, and why. */
+export interface DriveRefused {
+  type: "refused";
+  /** the kind of problem, as in problem documents */
+  problem: string;
+  text: string;
+}
+
+/** Who drives; sent at the start and at every change. */
+export interface DriveReply {
+  type: "driver";
+  driver: string | null;
+  you_drive: boolean;
+}
+
+export interface DriverMessage {
+  type: "driver";
+  driver: string | null;
+}
+
+export interface DriverModel {
+  driver: string | null;
+  you_drive: boolean;
+  /** so long the driver keeps the wheel without another word */
+  keeps_s: number;
+}
+
+export interface EdgeModel {
+  a: string;
+  b: string;
+  /** a to b in the ground plane, from +x towards +y */
+  bearing_rad: number;
+  /** between centroids, map units */
+  distance: number;
+  kind: "seen together" | "driven between" | "nearest";
+}
+
+/** Why: the running picture and the map's picture that shows the same landmarks. */
+export interface Evidence {
+  query_image: string | null;
+  map_image: string | null;
+  /** landmarks of the map found where they belong */
+  inliers: number;
+  /** since the picture that was recognised */
+  age_s: number | null;
+}
+
+/** The topological map. */
+export interface GraphModel {
+  map: string;
+  /** distances are metres; false: of unknown scale */
+  metric: boolean;
+  nodes: PlaceModel[];
+  edges: EdgeModel[];
+}
+
+export interface HealthModel {
+  status: "ok";
+  version: string;
+  uptime_s: number;
+  robot_connected: boolean;
+  /** in words */
+  localisation: string;
+}
+
+/** Where to put it down; nothing at all: wherever the robot likes. */
+export interface HijackOrder {
+  /** m, the simulated world's frame */
+  x: number | null;
+  y: number | null;
+  /** rad */
+  yaw: number;
+}
+
+export interface JobMessage {
+  type: "job";
+  job: JobModel;
+}
+
+/** Work in the background. */
+export interface JobModel {
+  id: string;
+  kind: string;
+  title: string;
+  state: "running" | "done" | "failed" | "cancelled";
+  /** 0..1 */
+  progress: number;
+  message: string;
+  result: Record<string, string | number | null> | null;
+}
+
+/** There are new landmarks: fetch GET /landmarks?since=. */
+export interface LandmarksMessage {
+  type: "landmarks";
+  navigation: string | null;
+  /** the cloud: X-Source of GET /landmarks */
+  source: string | null;
+  total: number;
+}
+
+export interface LogMessage {
+  type: "log";
+  line: LogModel;
+}
+
+/** Something a person may want to know. */
+export interface LogModel {
+  number: number;
+  unix_s: number;
+  level: "info" | "warning" | "error";
+  topic: string;
+  text: string;
+}
+
+export interface LossesModel {
+  frames_skipped: number;
+  imu_gaps: number;
+  imu_lost: number;
+  imu_lost_in_sensor: number;
+}
+
+/** Where robots are looked for. */
+export interface MapChoice {
+  /** null: no map */
+  id: string | null;
+  /** further maps, of other rooms; their order means nothing */
+  also: string[];
+}
+
+/** The list of maps, the active one or a name in it changed. */
+export interface MapMessage {
+  type: "map";
+  active: string | null;
+  /** another one: the active map is another, or its places are */
+  revision: number;
+}
+
+export interface MapModel {
+  id: string;
+  name: string;
+  places: number;
+  /** robots are looked for in it */
+  active: boolean;
+  /** it is the active map whose places GET /places and GET /graph show */
+  first: boolean;
+  /** a sentence, where the map cannot be read */
+  damaged: string;
+}
+
+/** What to build a map from. */
+export interface MapOrder {
+  navigations: string[];
+  name: string;
+  mode: "default" | "thesis" | null;
+  /** use the map as soon as it is built */
+  activate: boolean;
+}
+
+/** A navigation changed; null: one was deleted. */
+export interface NavigationMessage {
+  type: "navigation";
+  navigation: NavigationModel | null;
+}
+
+/** One recorded drive and what SLAM made of it. */
+export interface NavigationModel {
+  id: string;
+  name: string;
+  state: "recording" | "finishing" | "ready" | "failed";
+  message: string;
+  /** its name in GET /robots when it drove; empty: an old drive */
+  robot: string;
+  started_unix_s: number;
+  duration_s: number;
+  backend: string;
+  frames: number;
+  /** by live SLAM; the recording has them */
+  frames_skipped: number;
+  imu_samples: number;
+  imu_lost: number;
+  /** pictures or samples that SLAM refused; the message quotes it */
+  slam_failures: number;
+  landmarks: number;
+  scale: "metric" | "arbitrary" | "";
+  /** where to download the MCAP file */
+  recording: string | null;
+}
+
+export interface NavigationStart {
+  name: string;
+}
+
+/** What it shall be called. */
+export interface NewName {
+  name: string;
+}
+
+export interface PanTiltCommand {
+  type: "pan_tilt";
+  pan: number;
+  tilt: number;
+}
+
+export interface PanTiltOrder {
+  /** rad, left */
+  pan: number;
+  /** rad, up */
+  tilt: number;
+}
+
+/** What is to be otherwise; what is left out or null stays, and one thing must be said. */
+export interface PlaceChange {
+  name: string | null;
+  hidden: boolean | null;
+}
+
+/** Which places are one; it keeps id and name of the first. */
+export interface PlaceMerge {
+  places: string[];
+}
+
+export interface PlaceMessage {
+  type: "place";
+  place: CurrentPlace;
+  visit: VisitModel | null;
+}
+
+/** A place of the active map. */
+export interface PlaceModel {
+  id: string;
+  name: string;
+  centroid_map: number[];
+  /** RMS distance of its landmarks from the centroid, map units */
+  radius: number;
+  landmarks: number;
+  /** keyframes that saw it */
+  images: number;
+  /** 0..1, how clearly it stands out, and of how many landmarks */
+  quality: number;
+  representative_image: string | null;
+  mean_image: string | null;
+  /** how much the brightness of its pictures differs */
+  deviation_image: string | null;
+  /** its number in GET /maps/{id}/landmarks; neighbours differ in the remainder by 12 */
+  colour: number;
+  /** by a person: never the current place, and not in the graph */
+  hidden: boolean;
+  /** a person gave it its name */
+  named: boolean;
+}
+
+export interface PlaceName {
+  id: string;
+  name: string;
+}
+
+export interface PlaceProbability {
+  id: string;
+  name: string;
+  /** that it is the nearest one or within 10 % of that: several may sum to more than 1 */
+  probability: number;
+  /** id of the active map that it is a place of */
+  map: string;
+}
+
+/** What a person made of the places: renamed, hidden, merged. */
+export interface PlacesChangeModel {
+  /** of the map, that the change led to */
+  version: number;
+  why: string;
+  unix_s: number;
+}
+
+export interface PoseMessage {
+  type: "pose";
+  slam: SlamModel;
+}
+
+/** What went wrong (RFC 9457). */
+export interface Problem {
+  type: string;
+  title: string;
+  status: number;
+  detail: string;
+  instance: string;
+}
+
+export interface RatesModel {
+  frames_hz: number;
+  imu_hz: number;
+  bytes_per_s: number;
+}
+
+export interface ReleaseCommand {
+  type: "release";
+}
+
+/** Where the camera was during a recorded navigation; the pictures come by /ws/replay. */
+export interface ReplayModel {
+  navigation: string;
+  /** robot clock, of the first pose */
+  start_ns: number;
+  /** since start_ns, increasing; at most `limit` poses */
+  t_s: number[];
+  /** row-major 4x4 each */
+  T_world_cam: number[][];
+}
+
+/** How to run SLAM over a recording again. */
+export interface ReprocessOrder {
+  /** null: the station's own */
+  backend: "sfm" | "ukf" | null;
+}
+
+/** One of the station's robots, and where it is. */
+export interface RobotEntry {
+  /** in this station */
+  name: string;
+  /** put before a call to ask for this robot */
+  path: string;
+  /** id of the drive that is being recorded */
+  navigation: string | null;
+  state: "known" | "unknown" | "lost";
+  place: PlaceName | null;
+  robot: RobotModel;
+}
+
+export interface RobotMessage {
+  type: "robot";
+  robot: RobotModel;
+}
+
+/** Link, battery, rates, losses, clock, who drives. */
+export interface RobotModel {
+  connected: boolean;
+  /** why not connected, in a sentence */
+  reason: string;
+  host: string;
+  port: number;
+  robot_id: string | null;
+  name: string | null;
+  capabilities: CapabilitiesModel | null;
+  calibrated: boolean;
+  connections: number;
+  rates: RatesModel;
+  losses: LossesModel;
+  clock: ClockModel;
+  battery: BatteryModel | null;
+  temperatures_c: Record<string, number>;
+  /** of one core, robot-server */
+  cpu_percent: number | null;
+  /** who drives through this station */
+  driver: string | null;
+  /** the station that drives, as the robot says */
+  robot_driver: string | null;
+  applied: AppliedModel | null;
+  /** why the camera head must look straight ahead; empty: it may turn */
+  head_must_rest: string;
+  faults: string[];
+}
+
+/** The shortest way along the graph's edges. */
+export interface RouteModel {
+  map: string;
+  /** distances are metres; false: of unknown scale */
+  metric: boolean;
+  /** from start to goal */
+  places: PlaceName[];
+  /** from each place to the next one */
+  legs: EdgeModel[];
+  /** of all legs, map units */
+  length: number;
+}
+
+/** Who asks. */
+export interface SessionModel {
+  /** false: everybody who reaches this station is admin */
+  controlled: boolean;
+  name: string;
+  role: "watch" | "drive" | "admin";
+}
+
+/** The running SLAM, or the last one. */
+export interface SlamModel {
+  navigation: string | null;
+  state: "none" | "initialising" | "tracking" | "lost" | "finishing" | "finished";
+  message: string;
+  landmarks: number;
+  frames: number;
+  t_robot_ns: number | null;
+  /** row-major 4x4; null while there is no pose */
+  T_world_body: number[] | null;
+  /** the same for the camera */
+  T_world_cam: number[] | null;
+  segment: number;
+}
+
+/** Motors off, and why: the log shows it. */
+export interface StopCommand {
+  type: "stop";
+  reason: string;
+}
+
+export interface TakeOverCommand {
+  type: "take_over";
+}
+
+/** The station's clock, twenty times a second. A drive command that repeats it shows by it that it is not old. */
+export interface TimeReply {
+  type: "time";
+  t_ms: number;
+}
+
+/** Poses so far, oldest first; thinned to `limit` poses. */
+export interface TrajectoryModel {
+  navigation: string | null;
+  /** the cloud it belongs to: X-Source of GET /landmarks */
+  source: string | null;
+  total: number;
+  t_robot_ns: number[];
+  /** body positions, (N, 3) */
+  p_world: number[][];
+}
+
+/** What to take back. */
+export interface UndoOrder {
+  /** only if this is the newest change; null: whatever it is */
+  version: number | null;
+}
+
+/** A stretch of time with one answer. */
+export interface VisitModel {
+  state: "known" | "unknown" | "lost";
+  place: PlaceName | null;
+  start_unix_s: number;
+  end_unix_s: number;
+}
+
+export type EventMessage =
+  | RobotMessage
+  | DriverMessage
+  | PoseMessage
+  | LandmarksMessage
+  | NavigationMessage
+  | MapMessage
+  | JobMessage
+  | PlaceMessage
+  | BinMessage
+  | LogMessage;
+
+export type DriveRequest =
+  | DriveCommand
+  | StopCommand
+  | PanTiltCommand
+  | TakeOverCommand
+  | ReleaseCommand;
+
+export type DriveAnswer =
+  | DriveAccepted
+  | DriveRefused
+  | DriveReply
+  | TimeReply;

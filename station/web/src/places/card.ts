@@ -1,0 +1,122 @@
+// The current place in large letters, and why; the places of the map in use.
+import type { CurrentPlace, PlaceModel, PlacesChangeModel, VisitModel } from "../link/messages";
+import { by, make, setText, show } from "../ui/dom";
+import { action, Rows } from "../ui/rows";
+import { count, duration, percent } from "../ui/text";
+import { attempt } from "../ui/toast";
+import { change, undo } from "./changes";
+import { colourOf } from "./colours";
+import { openPlace } from "./dialog";
+import { Timeline } from "./timeline";
+
+export class PlaceView {
+  private readonly timeline = new Timeline();
+  private places: PlaceModel[] = [];
+  private colours = new Map<string, number>();
+  private current: string | null = null;
+  private readonly hiddenRows = new Rows<PlaceModel>(
+    by("hidden-places"),
+    (p) => p.id,
+    (place, now) => {
+      const again = () => attempt(() => change(now(), { hidden: false }));
+      return make("li", {}, make("span", {}, place.name), action("show", "Show", `Show ${place.name} again`, again));
+    },
+  );
+
+  /** The visits before now. */
+  reload(): Promise<void> {
+    return this.timeline.reload();
+  }
+
+  /** The places of the map in use, hidden ones too, and what people made of them. */
+  setPlaces(places: PlaceModel[], changes: PlacesChangeModel[]): void {
+    this.places = places;
+    const [last] = changes;
+    show(by("undo"), last !== undefined);
+    if (last) {
+      setText(by("undo-text"), last.why);
+      by("undo-places").onclick = () => attempt(() => undo(last));
+    }
+    this.colours = new Map(places.map((p) => [p.id, p.colour]));
+    this.timeline.colours = this.colours;
+    this.showColour();
+    const hidden = places.filter((p) => p.hidden);
+    show(by("hidden"), hidden.length > 0);
+    this.hiddenRows.show(hidden);
+  }
+
+  /** Everything known of one place, and what can be made of it. */
+  open(place: PlaceModel): void {
+    openPlace(
+      place,
+      this.places.filter((p) => p.id !== place.id && !p.hidden),
+    );
+  }
+
+  show(place: CurrentPlace, visit: VisitModel | null): void {
+    const card = by("place");
+    const hasAnswer = place.t_robot_ns !== null;
+    card.dataset.state = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
+    const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
+    const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : "Getting ready…";
+    setText(by("place-name"), place.place?.name ?? otherwise);
+    const shown = place.place ? place.probability : place.preparing;
+    setText(by("place-probability"), shown === null ? "" : percent(shown));
+    setText(
+      by("place-kicker"),
+      place.place && place.distance_m !== null
+        ? `Current place · ${place.distance_m.toFixed(1)} m away`
+        : "Current place",
+    );
+    setText(by("place-reason"), place.reason);
+    by("place-reason").title = place.reason;
+    const preparing = by("preparing", HTMLProgressElement);
+    show(preparing, place.preparing !== null);
+    if (place.preparing !== null) preparing.value = place.preparing;
+    this.current = place.place?.id ?? null;
+    this.showColour();
+    by("alternatives").replaceChildren(
+      ...place.alternatives
+        .filter((a) => a.probability >= 0.01)
+        .slice(0, 3)
+        .map((a) => {
+          const bar = make("span", { class: "meter" });
+          bar.style.setProperty("--share", String(a.probability));
+          return make("li", {}, a.name, bar, make("span", { class: "number" }, percent(a.probability)));
+        }),
+    );
+    this.showEvidence(place);
+    if (visit) this.timeline.add(visit);
+  }
+
+  /** Answers and the places they name come one by one: whichever is later shows the colour. */
+  private showColour(): void {
+    const colour = this.current === null ? undefined : this.colours.get(this.current);
+    by("place").style.setProperty("--own", colour === undefined ? "transparent" : colourOf(colour));
+  }
+
+  private showEvidence(place: CurrentPlace): void {
+    const { query_image, map_image, inliers, age_s } = place.evidence;
+    setImage(by("query", HTMLImageElement), query_image);
+    setImage(by("match", HTMLImageElement), map_image);
+    show(by("evidence"), Boolean(query_image && map_image));
+    // What was recognised once does not tell where the robot is now: the answer says whether it does.
+    const seen =
+      `${count(inliers, "landmark")} of the map seen where they belong` +
+      (age_s === null ? "" : `, ${duration(age_s)} ago`);
+    const isNow = place.state === "known";
+    setText(
+      by("evidence-text"),
+      !map_image
+        ? "No picture was recognised yet."
+        : isNow
+          ? seen
+          : `The last picture that was recognised: ${seen}. It does not tell where the robot is now.`,
+    );
+  }
+}
+
+function setImage(image: HTMLImageElement, path: string | null): void {
+  show(image, path !== null);
+  if (path !== null && image.getAttribute("src") !== path) image.src = path;
+}

@@ -1,0 +1,32 @@
+// A sentence at the edge of the page that goes by itself.
+import { by, make } from "./dom";
+import { sentence } from "./text";
+
+let toastTimer = 0;
+
+/** What can be done about it. */
+interface Remedy {
+  label: string;
+  act: () => Promise<unknown>;
+}
+
+/** A sentence for a while; with what can be done about it, for longer. */
+export function toast(text: string, remedy?: Remedy): void {
+  const node = by("toast");
+  node.replaceChildren(make("span", {}, text));
+  if (remedy) {
+    const run = () => {
+      node.hidden = true;
+      attempt(remedy.act);
+    };
+    node.append(make("button", { type: "button", class: "small", onclick: run }, remedy.label));
+  }
+  node.hidden = false;
+  clearTimeout(toastTimer);
+  toastTimer = window.setTimeout(() => (node.hidden = true), remedy ? 15_000 : 6000);
+}
+
+/** Run an action of a button; its failure becomes a sentence on the screen. */
+export function attempt(action: () => Promise<unknown>): void {
+  action().catch((error: unknown) => toast(sentence(error)));
+}

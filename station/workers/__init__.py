@@ -1,0 +1,1 @@
+"""Processes that compute, and how the station talks to them."""

@@ -1,0 +1,144 @@
+"""What happens in a worker's process: requests in, answers and events out, until the station is gone."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+import pickle
+import select
+import signal
+import socket
+import struct
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from shared.errors import RobotSystemError
+from station.workers.request import Program, ProgramName, Request, WorkerFailed
+
+logger = logging.getLogger(__name__)
+
+NICE = 10  # the event loop comes first: it gets nine times the share of any worker, and there may be twenty busy ones
+LENGTH = struct.Struct("!Q")  # before each pickled Asked or Reply
+
+
+class Asked(NamedTuple):
+    """A request as it travels."""
+
+    call: int | None  # its number where somebody waits for the answer
+    request: Request[Any, Any] | None  # None: end
+
+
+class Reply(NamedTuple):
+    """An answer, an error or an event as it travels."""
+
+    call: int | None  # None: an event, or an error that nobody waits for
+    is_ok: bool
+    value: Any
+
+
+class Pipe:
+    """The process' end of the socket to the station."""
+
+    def __init__(self, socket: socket.socket) -> None:
+        self._socket = socket
+        self._arrivals = select.poll()
+        self._arrivals.register(socket, select.POLLIN)
+
+    def has_request(self) -> bool:
+        """Whether one waits, or the station is gone, which `receive` tells."""
+        return bool(self._arrivals.poll(0))
+
+    def receive(self) -> Asked:
+        """Wait for a request. Raises EOFError, OSError when the station is gone."""
+        (length,) = LENGTH.unpack(self._read(LENGTH.size))
+        asked: Asked = pickle.loads(self._read(length))  # from our own parent  # noqa: S301  # nosec B301
+        return asked
+
+    def send(self, reply: Reply) -> None:
+        """Raises OSError when the station is gone."""
+        data = pickle.dumps(reply, pickle.HIGHEST_PROTOCOL)
+        self._socket.sendall(LENGTH.pack(len(data)) + data)
+
+    def _read(self, size: int) -> bytearray:
+        data = bytearray(size)
+        rest = memoryview(data)
+        while rest:
+            count = self._socket.recv_into(rest)
+            if not count:
+                raise EOFError
+            rest = rest[count:]
+        return data
+
+
+class Importance:
+    """A worker gives way to the event loop, but for its head start."""
+
+    def __init__(self, head_start_s: float) -> None:
+        self._nice_from_s = time.monotonic() + head_start_s
+        self._is_nice = False
+
+    def end_head_start(self) -> None:
+        self._nice_from_s = -math.inf
+
+    def settle(self) -> None:
+        """Before a piece of work."""
+        if not self._is_nice and time.monotonic() >= self._nice_from_s:
+            os.nice(NICE)
+            self._is_nice = True
+
+
+def run_worker(socket: socket.socket, name: str, head_start_s: float, program_name: ProgramName[Any, Any]) -> None:
+    """The process' main function: run a program until the pipe closes."""
+    pipe = Pipe(socket)
+    importance = Importance(head_start_s)
+    with contextlib.suppress(OSError):  # `top` shows which robot's worker it is; only Linux has this file
+        Path("/proc/self/comm").write_text(name[:15])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+
+    def emit(event: object) -> None:
+        pipe.send(Reply(None, True, event))
+        importance.end_head_start()
+
+    program: Program = program_name.load()(emit)
+    can_catch_up = True
+    while True:
+        can_catch_up = can_catch_up and _catch_up(pipe, program)
+        try:
+            call, request = pipe.receive()
+        except (EOFError, OSError):
+            return
+        if request is None:
+            return
+        importance.settle()
+        reply = _run(program, call, request)
+        if call is not None or not reply.is_ok:
+            try:
+                pipe.send(reply)
+            except OSError:
+                return
+
+
+def _catch_up(pipe: Pipe, program: Program) -> bool:
+    """Do what can wait until a request comes. False when that fails: it fails again where it is needed, and says so."""
+    try:
+        while not pipe.has_request() and program.catch_up():
+            pass
+    except Exception:
+        logger.exception("catching up failed")
+        return False
+    return True
+
+
+def _run(program: Program, call: int | None, request: Request[Any, Any]) -> Reply:
+    try:
+        return Reply(call, True, request.run(program))
+    except RobotSystemError as exc:
+        return Reply(call, False, exc)
+    except Exception as exc:  # the one broad catch: a bug in one request must reach its caller, not end the worker
+        name = type(request).__name__
+        logger.exception("%s failed", name)
+        return Reply(call, False, WorkerFailed(f"{name} failed: {type(exc).__name__}: {exc}"))

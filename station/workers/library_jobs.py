@@ -1,0 +1,152 @@
+"""What runs in the worker of a job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from shared.errors import DataError
+from station.datasets import open_dataset
+from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
+from station.files.unwritable import cannot_write, why_unwritable
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from station.model.navigation import Navigation, NavigationReport
+from station.model.place_map import PlaceMap
+from station.model.slam_update import SlamUpdate
+from station.places.joining.growing import keep_places
+from station.places.joining.merge import merge_navigations
+from station.places.localisation.described_pictures import DescribedPictures
+from station.places.localisation.index_file import index_of
+from station.places.making.build import build_map
+from station.places.making.config import PlacesConfig, PlacesMode
+from station.places.making.repeatability import repeatability
+from station.slam.backends import make_backend
+from station.slam.run import run_backend
+from station.workers.executors.opening import open_executor
+from station.workers.library_requests import BuiltMap, LibraryProgram, Progress
+from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+
+
+class LibraryJobs(LibraryProgram):
+    """One job; sends how far it is."""
+
+    def __init__(self, emit: Callable[[Progress], None]) -> None:
+        self._emit = emit
+        self._built: PlaceMap | None = None
+
+    def build_map(
+        self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
+    ) -> BuiltMap:
+        """Navigation folders -> a map in the store. Places of an earlier map of the first one stay."""
+        store = MapStore(address)
+        store.require_writable()  # before the work
+        self._emit(Progress(0.05, "reading the navigation"))
+        navigations = [load_navigation(folder) for folder in folders]
+        config = PlacesConfig() if mode is None else PlacesConfig(mode=mode)
+        if len(navigations) > 1:
+            self._emit(Progress(0.1, f"registering {_count(len(navigations) - 1, 'navigation')} to the first one"))
+        place_map = self._map_of(navigations, config, name, executor)
+        earlier = store.newest_of_navigation(navigations[0].id)
+        if earlier is not None:
+            place_map = keep_places(earlier, place_map)
+        self._emit(Progress(0.8, f"saving {_count(len(place_map.places), 'place')}"))
+        store.save(place_map, f"built from {place_map.navigation.id}"[:200])
+        self._built = place_map
+        return BuiltMap(place_map.id, place_map.name, len(place_map.places))
+
+    def index_map(self, folders: list[Path], address: StoreAddress) -> None:
+        """The index of the map that was built, where most pictures were described while the robot drove.
+
+        Else that is left to localisation: it can take minutes, and the map can be seen meanwhile.
+        """
+        if self._built is None:
+            return
+        pictures = DescribedPictures()
+        for folder in folders:
+            pictures.add(folder / PICTURES)
+        encoded = self._built.navigation.keyframes.encoded
+        if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded):
+            self._emit(Progress(0.85, "indexing what its pictures look like"))
+            waiting = Progress(0.85, "another map is indexed; this one is next")
+            index_of(address.root, self._built, _nothing, lambda: self._emit(waiting), pictures)
+
+    def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:
+        """The repeatability of each place of a map, by its id."""
+        self._emit(Progress(0.1, "reading the map"))
+        place_map = MapStore(address).load(map_id)
+        self._emit(Progress(0.3, f"grouping {_count(len(place_map.navigation.landmarks), 'landmark')} anew"))
+        shares = repeatability(place_map).tolist()
+        return {place.id: share for place, share in zip(place_map.places, shares, strict=True)}
+
+    def _map_of(self, navigations: list[Navigation], config: PlacesConfig, name: str, executor: str) -> PlaceMap:
+        if executor:
+            with open_executor(executor) as machines:
+                return machines.map(make_map, [MapOfNavigations(tuple(navigations), config, name)])[0]
+        navigation = merge_navigations(navigations, config)
+        self._emit(Progress(0.5, f"grouping {_count(len(navigation.landmarks), 'landmark')} into places"))
+        return build_map(navigation, config=config, name=name)
+
+    def compare(self, first: Path, second: Path, out: Path, title: str, setting: str) -> dict[str, Any]:
+        """Two navigation folders -> the experiment's report in `out`, which says `setting`; returns results.json."""
+        # Drawing loads matplotlib, which no other job needs.
+        from station.experiments.experiment import Story, results_dict, run_experiment
+        from station.experiments.output import write_experiment
+
+        self._emit(Progress(0.05, "reading two navigations"))
+        navigations = load_navigation(first), load_navigation(second)
+        steps = iter((0.15, 0.35))
+        done = run_experiment(
+            *navigations,
+            PlacesConfig(),
+            story=Story(title=title, setting=(setting,)),
+            say=lambda text: self._emit(Progress(next(steps, 0.6), text)),
+        )
+        self._emit(Progress(0.7, "drawing the report"))
+        write_experiment(done, out)
+        return results_dict(done)
+
+    def reprocess(
+        self, recording: Path, backend: str, seed: int, navigation_id: str, folder: Path, executor: str = ""
+    ) -> NavigationReport:
+        """A recording -> its navigation folder, by running SLAM over it again."""
+        if (reason := why_unwritable(folder.parent)) is not None:  # before the work
+            raise cannot_write(folder, reason)
+        if executor:
+            self._emit(Progress(0.02, f"SLAM runs at {executor}"))
+            with open_executor(executor) as machines:
+                piece = Reconstruction(Recorded(recording), backend, seed, navigation_id)
+                [navigation] = reconstruct_all(machines, [piece])
+            save_navigation(navigation, folder)
+            return navigation.report
+        self._emit(Progress(0.02, "reading the recording"))
+        data = open_dataset(recording)
+        if not data.has_images:
+            raise DataError("the recording has no pictures; SLAM needs them")
+        slam = make_backend(backend, data.calibration, seed)
+        total = max(len(data.frame_times_ns), 1)
+        seen = 0
+
+        def count(update: SlamUpdate) -> None:
+            nonlocal seen
+            seen += 1
+            if seen % 10 == 1:
+                self._emit(Progress(0.05 + 0.6 * seen / total, f"picture {seen} of {total}: {update.message}"))
+
+        def finishing() -> None:
+            self._emit(Progress(0.65, "computing trajectory and landmarks"))
+
+        navigation = replace(run_backend(slam, data.events(), count, finishing), id=navigation_id)
+        self._emit(Progress(0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
+        save_navigation(navigation, folder)
+        return navigation.report
+
+
+def _nothing() -> None:
+    """Nobody is told."""
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}" + ("" if number == 1 else "s")

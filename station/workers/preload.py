@@ -1,0 +1,25 @@
+"""What workers need and takes seconds to import: loaded once, by the server process that all workers are forked from.
+
+Importing is all that may happen here. A library that started threads now would leave its locks to children without
+them (tests/unit/station/workers/test_preload.py looks).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+
+from station.workers.library_requests import LIBRARY
+from station.workers.place_requests import PLACES
+from station.workers.slam_requests import SLAM
+
+PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module)
+BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
+MAIN = ("shared.command_line",)  # and with it Typer: multiprocessing imports station.main in every child
+
+for _name in (*PROGRAMS, *BACKENDS, *MAIN):
+    with contextlib.suppress(ImportError):  # who needs it says what is missing
+        importlib.import_module(_name)
+gc.collect()
+gc.freeze()  # a collection in a child would write to, and so copy, pages that all children share

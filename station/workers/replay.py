@@ -1,0 +1,174 @@
+"""A recorded drive through the code of the live workers, in recorded time: the same input gives the same bits.
+
+What could differ between two runs is held: linear algebra runs on one thread (how sums are split changes their last
+bits), COLMAP's mapper too, and pictures are looked for in the map at fixed times of the recording instead of whenever a
+worker is free.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from shared.errors import ConfigError
+from shared.geometry import FloatArray
+from station.datasets import Dataset
+from station.maps.record import map_content_hash
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation, Trajectory
+from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
+from station.model.place_map import PlaceMap
+from station.model.slam_update import SlamUpdate
+from station.places.making.build import build_map
+from station.workers.place_requests import PlaceEvent
+from station.workers.places import PlaceFinder
+from station.workers.repeatable import repeatable
+from station.workers.slam import NavigationSlam
+
+Pace = Callable[[int], None]  # given the recorded time before something of it is used; may wait
+Say = Callable[[str], None]  # given what is done next
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """What a replay may be told."""
+
+    backend: str = "sfm"
+    seed: int = 1
+    threads: int = 1  # of image processing; any number gives the same result
+    rate_hz: float = 4.0  # pictures a second that are looked for in the map (config: localization.rate_hz)
+
+    def __post_init__(self) -> None:
+        if self.threads < 1:
+            raise ConfigError(f"threads = {self.threads} must be at least 1")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """What came out."""
+
+    navigation: Navigation
+    place_map: PlaceMap  # made from it
+    answers: tuple[PlaceAnswer, ...]  # in the map given, else in the one just made
+    hijacks: tuple[HijackEvent, ...]
+
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of each part, over all its bits."""
+        return {
+            "trajectory": trajectory_hash(self.navigation.trajectory),
+            "map": map_content_hash(self.place_map),
+            "answers": answers_hash(self.answers),
+        }
+
+
+def replay(
+    data: Dataset,
+    options: ReplayOptions,
+    known_map: PlaceMap | None = None,
+    pace: Pace = lambda _: None,
+    say: Say = lambda _: None,
+) -> Replay:
+    """Run SLAM over a recorded drive, make its map, and ask at every moment which place the robot is at.
+
+    Raises:
+        EstimationError: nothing could be reconstructed; says why.
+        DataError: the recording has no images, or one that cannot be read.
+    """
+    with repeatable(options.threads):
+        navigation, updates = follow(data, options, pace, say)
+        say("clustering landmarks into places")
+        place_map = build_map(navigation)
+        say("looking for the current place")
+        answers, hijacks = locate(data, known_map or place_map, updates, options, pace)
+    return Replay(navigation, place_map, answers, hijacks)
+
+
+def follow(
+    data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None, say: Say = lambda _: None
+) -> tuple[Navigation, list[SlamUpdate]]:
+    """The SLAM worker's part."""
+    say("following the robot")
+    updates: list[SlamUpdate] = []
+    slam = NavigationSlam(updates.append)
+    slam.begin(options.backend, data.calibration, options.seed, 1, data.intrinsics_known)
+    for event in _paced(data.events(), pace):
+        if isinstance(event, ImuBatch):
+            slam.add_imu(event.t_robot_ns.tolist(), event.gyro_imu.tolist(), event.accel_imu.tolist())
+        elif isinstance(event, DriveSample):
+            slam.add_drive(event)
+        else:
+            slam.add_frame(event)
+    say("making the navigation")
+    return slam.complete(f"replay-{data.path.stem}"), updates
+
+
+def locate(
+    data: Dataset,
+    place_map: PlaceMap,
+    updates: Iterable[SlamUpdate],
+    options: ReplayOptions,
+    pace: Pace = lambda _: None,
+) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
+    """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
+    hijacks: list[HijackEvent] = []
+
+    def receive(event: PlaceEvent) -> None:
+        if isinstance(event, HijackNotice):
+            hijacks.append(event.event)
+
+    places = PlaceFinder(receive)
+    places.use([place_map])
+    places.calibrate(data.calibration)
+    poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
+    following: Iterator[tuple[int, FloatArray, int]] = iter(poses)
+    pose = next(following, None)
+    interval_ns = round(1e9 / options.rate_hz)
+    next_ns: int | None = None
+    answers = []
+    for event in _paced(data.events(), pace):
+        if isinstance(event, ImuBatch):
+            places.add_imu(event.t_robot_ns.tolist(), event.gyro_imu.tolist(), event.accel_imu.tolist())
+        elif isinstance(event, DriveSample):
+            places.add_drive(event)
+        elif next_ns is None or event.t_robot_ns >= next_ns:
+            next_ns = event.t_robot_ns + interval_ns
+            answers.append(places.answer(event).answer)
+        while pose is not None and pose[0] <= _begin(event):
+            places.add_pose(*pose)
+            pose = next(following, None)
+    return tuple(answers), tuple(hijacks)
+
+
+def trajectory_hash(trajectory: Trajectory) -> str:
+    """SHA-256 over times and poses, every bit of them."""
+    digest = hashlib.sha256(np.ascontiguousarray(trajectory.t_robot_ns, "<i8").tobytes())
+    digest.update(np.ascontiguousarray(trajectory.T_world_body, "<f8").tobytes())
+    return digest.hexdigest()
+
+
+def answers_hash(answers: Iterable[PlaceAnswer]) -> str:
+    """SHA-256 over all that the answers say; JSON writes every bit of a number."""
+    return hashlib.sha256("\n".join(answer_line(answer) for answer in answers).encode()).hexdigest()
+
+
+def answer_line(answer: PlaceAnswer) -> str:
+    """An answer as one line of JSON."""
+    plain = replace(answer, position_map=None)
+    position = None if answer.position_map is None else answer.position_map.tolist()
+    return json.dumps({**asdict(plain), "position_map": position})
+
+
+def _paced(
+    events: Iterable[ImuBatch | DriveSample | ImageFrame], pace: Pace
+) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
+    for event in events:
+        pace(_begin(event))
+        yield event
+
+
+def _begin(event: ImuBatch | DriveSample | ImageFrame) -> int:
+    return int(event.t_robot_ns[0]) if isinstance(event, ImuBatch) else event.t_robot_ns

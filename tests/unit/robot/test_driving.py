@@ -1,0 +1,129 @@
+"""One driver at a time, and only its fresh commands."""
+
+from __future__ import annotations
+
+from robot.commands import CommandDesk
+from robot.config import DriveConfig
+from robot.devices.ports import DeviceSet
+from robot.driving import CommandOrder
+from robot.watchdog import MotorWatchdog
+from shared.calibration import REFERENCE_ROBOT
+from shared.messages import Drive, Heartbeat, Stop
+from tests.support.motors import FakeMotors
+
+MS = 1_000_000
+S = 1_000_000_000
+
+
+def command(seq: int, t_station_ns: int, ttl_ms: int = 200) -> Drive:
+    return Drive(seq=seq, t_station_ns=t_station_ns, linear=0.1, angular=0.0, ttl_ms=ttl_ms)
+
+
+def test_the_first_to_command_drives_and_others_hear_why_they_do_not() -> None:
+    command_desk, _ = desk(9 * S)
+    for t in (8 * S, 9 * S):
+        command_desk.handle(2, Heartbeat(seq=0, t_station_ns=t), t)
+    assert command_desk.handle(1, command(1, 9 * S), 9 * S) is None
+    refused = command_desk.handle(2, command(1, 9 * S), 9 * S + 1)
+    assert refused is not None and refused.code == "not_driver" and "another station drives" in refused.message
+    assert command_desk.handle(2, Stop(seq=2), 9 * S + 2) is None  # anybody may
+    refused = command_desk.handle(1, command(2, 9 * S + 50 * MS), 9 * S + 50 * MS)
+    assert refused is not None and refused.code == "not_driver" and "let go of the joystick" in refused.message
+    assert command_desk.watchdog is not None and command_desk.refused == 2
+    command_desk.leave(1)
+    assert command_desk.handle(2, command(3, 9 * S + 60 * MS), 9 * S + 60 * MS) is None
+    command_desk.watchdog.close()
+
+
+def known(station_ahead_ns: int = 0) -> CommandOrder:
+    """An order that has heard the station's clock long enough; now is 100 ms."""
+    order = CommandOrder()
+    for t in (0, 50 * MS, 100 * MS):
+        order.observe(t + station_ahead_ns, t)
+    return order
+
+
+def test_older_numbers_are_ignored() -> None:
+    order, now = known(), 100 * MS
+    assert order.until_ns(command(5, now), now)
+    assert order.until_ns(command(5, now), now + 1) is None
+    assert order.until_ns(command(4, now), now + 2) is None
+    assert order.until_ns(command(6, now), now + 3)
+
+
+def test_a_stop_makes_commands_sent_before_it_old() -> None:
+    order, now = known(), 100 * MS
+    assert order.is_newest(7)
+    assert order.until_ns(command(6, now), now) is None
+
+
+def test_the_time_to_live_counts_from_when_it_was_said() -> None:
+    order, said = known(77 * S), 100 * MS
+    assert order.until_ns(command(1, said + 77 * S), said + 150 * MS) == said + 200 * MS
+    assert order.until_ns(command(2, said + 77 * S), said + 200 * MS) is None
+
+
+def test_a_frozen_network_cannot_replay_the_past() -> None:
+    order, seq = CommandOrder(), 0
+    station_ahead_ns = 77 * S
+    for step in range(100):  # 5 s of driving with 5 ms of delay
+        t = step * 50 * MS
+        seq += 1
+        is_fresh = order.until_ns(command(seq, t + station_ahead_ns), t + 5 * MS) is not None
+        assert is_fresh == (step > 0)
+    thaw_ns = 14 * S  # everything said from 5 s to 14 s arrives at once
+    accepted = []
+    for t in range(5 * S, thaw_ns, 50 * MS):
+        order.observe(t + station_ahead_ns, thaw_ns)
+        seq += 1
+        if (until_ns := order.until_ns(command(seq, t + station_ahead_ns), thaw_ns)) is not None:
+            assert until_ns <= t + 210 * MS
+            accepted.append(t)
+    assert accepted and min(accepted) > thaw_ns - 210 * MS
+
+
+def test_a_connection_that_begins_with_an_old_burst_moves_nothing() -> None:
+    """robot-server stood still right after the welcome: all the station said since is read at once, the end too."""
+    order = CommandOrder()
+    for seq in range(60):
+        assert order.until_ns(command(seq, 9 * S + seq * 50 * MS), 20 * S) is None
+    said = 9 * S + 60 * 50 * MS
+    assert order.until_ns(command(60, said), 20 * S + 50 * MS) is not None  # the driver is still there
+
+
+def test_drifting_clocks_do_not_make_commands_stale() -> None:
+    order = CommandOrder()
+    for step in range(20 * 300):  # five minutes, 5000 ppm: the clocks part by 1.5 s
+        t = step * 50 * MS
+        until_ns = order.until_ns(command(step, int(t * 0.995)), t + (step * 7919 % 20) * MS)
+        assert step < 2 or until_ns is not None
+
+
+def desk(now_ns: int) -> tuple[CommandDesk, FakeMotors]:
+    """A desk whose motors' clock stands at `now_ns`; station 1 has been heard long enough."""
+    motors = FakeMotors()
+    devices = DeviceSet(calibration=REFERENCE_ROBOT, camera=None, imu=None, motors=motors)
+    command_desk = CommandDesk(devices, MotorWatchdog(motors, now_ns=lambda: now_ns), DriveConfig())
+    for t in (8 * S, 9 * S):
+        command_desk.handle(1, Heartbeat(seq=0, t_station_ns=t), t)
+    return command_desk, motors
+
+
+def test_letting_go_counts_however_late_it_is_read() -> None:
+    command_desk, motors = desk(9 * S)
+    assert command_desk.watchdog is not None
+    command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
+    assert motors.wait_for_last(0.1, 0.0)
+    late = Drive(seq=2, t_station_ns=8 * S, linear=0.0, angular=0.0, ttl_ms=100)
+    command_desk.handle(1, late, 9 * S)
+    assert motors.wait_for_last(0.0, 0.0)
+    command_desk.watchdog.close()
+
+
+def test_a_command_read_before_and_carried_out_after_a_standstill_moves_nothing() -> None:
+    """SIGSTOP between reading and the motors: the clock has gone on when the command is carried out."""
+    command_desk, motors = desk(11 * S)
+    assert command_desk.watchdog is not None
+    command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
+    command_desk.watchdog.close()
+    assert (0.1, 0.0) not in motors.history

@@ -1,0 +1,156 @@
+"""Files are there whole or not at all, whoever is killed or fails in the middle; locks end with their holder."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from shared.disk import PRIVATE, SCRATCH, lock, make_folder, replace_file, replacing, replacing_folder, unlock
+
+OLD, NEW = b"old" * 1000, b"new" * 2000
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("scratch", [None, ".scratch"])
+def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path, scratch: str | None) -> None:
+    path = tmp_path / "x"
+    for content in (OLD, NEW):
+        with replacing(path, scratch=None if scratch is None else tmp_path / scratch) as file:
+            file.write(content)
+            assert not path.exists() or path.read_bytes() == OLD
+        assert path.read_bytes() == content
+    assert names(tmp_path) == ["x"]
+
+
+def test_it_is_on_the_disk_before_its_name_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[bool, bytes]] = []
+    path = tmp_path / "x"
+    path.write_bytes(OLD)
+    monkeypatch.setattr(os, "fsync", lambda fd: seen.append((stat.S_ISDIR(os.fstat(fd).st_mode), path.read_bytes())))
+    replace_file(path, NEW)
+    assert seen == [(False, OLD), (True, NEW)]
+
+
+def test_a_writer_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    replace_file(tmp_path / "x", OLD)
+    with pytest.raises(ZeroDivisionError), replacing(tmp_path / "x") as file:
+        file.write(bytes(file.write(NEW) // 0))
+    assert names(tmp_path) == ["x"] and (tmp_path / "x").read_bytes() == OLD
+
+
+def test_a_disk_that_fails_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace_file(tmp_path / "x", OLD)
+
+    def fail(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="No space left"):
+        replace_file(tmp_path / "x", NEW)
+    assert names(tmp_path) == ["x"] and (tmp_path / "x").read_bytes() == OLD
+
+
+@pytest.mark.parametrize("scratch", ["None", "path.with_name('.scratch')"])
+def test_a_writer_that_is_killed_leaves_the_old_file(tmp_path: Path, scratch: str) -> None:
+    replace_file(tmp_path / "x", OLD)
+    script = (
+        "import os, sys; from pathlib import Path; from shared.disk import replacing; path = Path(sys.argv[1])\n"
+        f"with replacing(path, scratch={scratch}) as file: file.write(b'half'); file.flush(); os.kill(os.getpid(), 9)"
+    )
+    assert subprocess.run([sys.executable, "-c", script, tmp_path / "x"], check=False).returncode == -9
+    assert (tmp_path / "x").read_bytes() == OLD
+    left = ".scratch" if "scratch" in scratch else SCRATCH
+    assert [name.startswith(left) for name in names(tmp_path)] == [True, False]
+    with replacing(tmp_path / "x", scratch=tmp_path / ".scratch") as file:
+        file.write(NEW)
+    assert (tmp_path / "x").read_bytes() == NEW and not (tmp_path / ".scratch").exists()
+
+
+def test_of_several_writers_at_once_one_has_the_whole_file(tmp_path: Path) -> None:
+    contents = [bytes([number]) * 100_000 for number in range(8)]
+    writers = [threading.Thread(target=replace_file, args=(tmp_path / "x", content)) for content in contents]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert (tmp_path / "x").read_bytes() in contents and names(tmp_path) == ["x"]
+
+
+def test_a_private_file_is_private_from_its_first_byte(tmp_path: Path) -> None:
+    with replacing(tmp_path / "x", mode=PRIVATE) as file:
+        assert stat.S_IMODE(os.fstat(file.fileno()).st_mode) == PRIVATE
+    assert stat.S_IMODE((tmp_path / "x").stat().st_mode) == PRIVATE
+
+
+def test_folders_are_made_with_their_parents_and_their_names_flushed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[Path] = []
+    monkeypatch.setattr(os, "fsync", lambda fd: flushed.append(Path(os.readlink(f"/proc/self/fd/{fd}"))))
+    for _ in range(2):
+        make_folder(tmp_path / "a" / "b")
+        assert flushed == [tmp_path, tmp_path / "a"]
+    (tmp_path / "file").touch()
+    with pytest.raises(FileExistsError):
+        make_folder(tmp_path / "file")
+
+
+def test_a_folder_is_replaced_whole_with_all_that_is_in_it_flushed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda fd: flushed.append(os.fstat(fd).st_ino))
+    folder = tmp_path / "f"
+    for number in range(2):
+        with replacing_folder(folder) as fresh:
+            (fresh / "deep").mkdir()
+            (fresh / "deep" / str(number)).write_bytes(NEW)
+        inside = [tmp_path, folder, *folder.rglob("*")]
+        assert {path.stat().st_ino for path in inside} <= set(flushed) and names(tmp_path) == ["f"]
+        assert names(folder / "deep") == [str(number)]
+
+
+def test_a_folder_that_could_not_be_filled_leaves_the_old_one(tmp_path: Path) -> None:
+    with replacing_folder(tmp_path / "f") as fresh:
+        (fresh / "old").touch()
+    with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "f") as fresh:
+        (fresh / "new").write_bytes(bytes((fresh / "half").write_bytes(NEW) // 0))
+    assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["old"]
+
+
+HOLD = (
+    "import sys; from shared.disk import lock; file = open(sys.argv[1], 'ab'); print(lock(file), flush=True); input()"
+)
+
+
+def test_a_lock_ends_when_its_holder_is_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", HOLD, tmp_path / "x"]
+    holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert holder.stdout is not None and holder.stdout.readline() == "True\n"
+    with (tmp_path / "x").open("ab") as file:
+        assert (
+            not lock(file, timeout_s=0) and not lock(file, timeout_s=0.1) and not lock(file, shared=True, timeout_s=0)
+        )
+        holder.kill()
+        assert lock(file)  # waits as long as it takes, which is until the kernel has buried the holder
+    holder.communicate()
+
+
+def test_a_shared_lock_is_shared_and_keeps_others_out(tmp_path: Path) -> None:
+    with (tmp_path / "x").open("ab") as a, (tmp_path / "x").open("ab") as b, (tmp_path / "x").open("ab") as c:
+        assert lock(a, shared=True, timeout_s=0) and lock(b, shared=True, timeout_s=0)
+        assert not lock(c, timeout_s=0)
+        unlock(a)
+        b.close()
+        assert lock(c, timeout_s=0)

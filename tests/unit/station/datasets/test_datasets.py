@@ -1,0 +1,250 @@
+"""Datasets of every kind give the same data, and each damage gets one sentence."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from shared.errors import DataError
+from station.datasets import open_dataset
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+
+CAMERA_YAML = """%YAML:1.0
+sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0, 0, 1, 0.1,  -1, 0, 0, 0,  0, -1, 0, 0.2,  0, 0, 0, 1]
+rate_hz: 20
+resolution: [64, 48]
+intrinsics: [50.0, 51.0, 31.5, 23.5]
+distortion_model: radial-tangential
+distortion_coefficients: [-0.1, 0.01, 0.0, 0.0]
+time_shift_s: -0.04
+line_delay_s: 0.00003
+noise: whatever
+"""
+IMU_YAML = "%YAML:1.0\nrate_hz: 100\ngyroscope_noise_density: 1.0e-04\n"
+T0_NS = 1403715273262142976  # more digits than a float holds
+
+
+def picture(value: int, suffix: str = ".jpg") -> bytes:
+    image = np.full((48, 64, 3), value, np.uint8)
+    return cv2.imencode(suffix, image)[1].tobytes()
+
+
+@pytest.fixture
+def asl(tmp_path: Path) -> Path:
+    """Five frames 50 ms apart, IMU every 10 ms, one drive command at 45 ms, truth."""
+    mav = tmp_path / "mav0"
+    for folder in ("cam0/data", "imu0", "drive0", "state_groundtruth_estimate0"):
+        (mav / folder).mkdir(parents=True)
+    (mav / "cam0" / "sensor.yaml").write_text(CAMERA_YAML)
+    (mav / "imu0" / "sensor.yaml").write_text(IMU_YAML)
+    lines = ["#timestamp [ns],filename"]
+    for i in range(5):
+        name = f"{i}.jpg"
+        (mav / "cam0" / "data" / name).write_bytes(picture(40 * i))
+        lines.append(f"{T0_NS + i * 50_000_000},{name}")
+    (mav / "cam0" / "data.csv").write_text("\n".join(lines) + "\n")
+    imu = [f"{T0_NS + i * 10_000_000},0.1,0.2,0.3,0,0,9.81" for i in range(25)]
+    (mav / "imu0" / "data.csv").write_text("#timestamp\n" + "\n".join(imu) + "\n")
+    (mav / "drive0" / "data.csv").write_text(
+        f"#timestamp [ns],linear [m/s],angular [rad/s]\n{T0_NS + 45_000_000},0.2,0.1\n"
+    )
+    (mav / "state_groundtruth_estimate0" / "data.csv").write_text(f"#t\n{T0_NS},1,2,3,1,0,0,0\n")
+    return tmp_path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for n in (0, 2, 4, 10):
+        (tmp_path / f"frame-{n:06d}.color.jpg").write_bytes(picture(n))
+        np.savetxt(tmp_path / f"frame-{n:06d}.pose.txt", np.eye(4))
+    (tmp_path / "frame-000000.depth.png").write_bytes(picture(0, ".png"))
+    (tmp_path / "camera-intrinsics.txt").write_text("525 0 32\n0 525 24\n0 0 1\n")
+    return tmp_path
+
+
+def test_asl_folder_gives_everything_with_exact_times(asl: Path) -> None:
+    data = open_dataset(asl)
+    assert data.frame_times_ns.tolist() == [T0_NS + i * 50_000_000 for i in range(5)]
+    camera = data.calibration.camera
+    assert camera is not None and (camera.fx, camera.cy) == (50.0, 23.5)
+    assert (camera.time_shift_s, camera.line_delay_s) == (-0.04, 0.00003)
+    np.testing.assert_allclose(camera.T_body_cam_matrix[:3, 3], [0.1, 0, 0.2])
+    assert data.calibration.imu is not None and data.calibration.imu.gyro_density == 1e-4
+    assert data.require_imu().t_robot_ns[1] == T0_NS + 10_000_000
+    assert data.drive() == [DriveSample(T0_NS + 45_000_000, 0.2, 0.1)]
+    truth = data.truth()
+    assert truth is not None
+    np.testing.assert_allclose(truth.T_world_body[0, :3, 3], [1, 2, 3])
+
+
+def test_events_come_in_sensor_time_order_and_lose_nothing(asl: Path) -> None:
+    last, frames, samples, commands = 0, 0, 0, 0
+    for event in open_dataset(asl).events():
+        begin = int(event.t_robot_ns[0]) if isinstance(event, ImuBatch) else event.t_robot_ns
+        assert begin >= last
+        last = int(event.t_robot_ns[-1]) if isinstance(event, ImuBatch) else event.t_robot_ns
+        frames += isinstance(event, ImageFrame)
+        commands += isinstance(event, DriveSample)
+        samples += len(event) if isinstance(event, ImuBatch) else 0
+    assert (frames, samples, commands) == (5, 25, 1)
+
+
+def test_range_cuts_frames_and_keeps_inertial_margin(asl: Path) -> None:
+    data = open_dataset(asl, first=1, last=3, step=2)
+    assert [frame.name for frame in data.frames()] == ["1.jpg", "3.jpg"]
+    assert [frame.index for frame in data.frames()] == [0, 1]
+    assert len(data.require_imu()) == 25
+
+
+def test_images_may_be_absent(asl: Path) -> None:
+    for image in (asl / "mav0" / "cam0" / "data").iterdir():
+        image.unlink()
+    data = open_dataset(asl)
+    assert not data.has_images and len(data.frame_times_ns) == 5
+    with pytest.raises(DataError, match="no camera images"):
+        next(data.frames())
+
+
+def test_imu_may_be_absent(asl: Path) -> None:
+    (asl / "mav0" / "imu0" / "data.csv").unlink()
+    data = open_dataset(asl)
+    assert data.imu() is None
+    with pytest.raises(DataError, match="no IMU"):
+        data.require_imu()
+
+
+def test_without_imu_and_drive_the_camera_is_the_body(asl: Path) -> None:
+    (asl / "mav0" / "imu0" / "data.csv").unlink()
+    (asl / "mav0" / "drive0" / "data.csv").unlink()
+    data = open_dataset(asl)
+    truth = data.truth()
+    assert data.calibration.camera is not None and truth is not None
+    np.testing.assert_array_equal(data.calibration.camera.T_body_cam_matrix, np.eye(4))
+    np.testing.assert_allclose(truth.T_world_body[0, :3, 3], [1.1, 2, 3.2])
+
+
+def test_image_folder_uses_the_numbers_in_the_names(folder: Path) -> None:
+    data = open_dataset(folder, first=2, last=10)
+    assert [f.name for f in data.frames()] == [f"frame-{n:06d}.color.jpg" for n in (2, 4, 10)]
+    assert data.frame_times_ns.tolist() == [round(n / 30 * 1e9) for n in (2, 4, 10)]
+    assert not data.intrinsics_known
+    truth = data.truth()
+    assert truth is not None and len(truth) == 3
+    assert data.calibration.camera is not None and data.calibration.camera.width == 64
+
+
+def test_images_named_by_their_stamps_have_these_times(tmp_path: Path) -> None:
+    for k in range(3):
+        (tmp_path / f"{T0_NS + k * 50_000_000}.png").write_bytes(picture(k, ".png"))
+    (tmp_path / "camera-intrinsics.txt").write_text("525 0 32\n0 525 24\n0 0 1\n")
+    assert open_dataset(tmp_path).frame_times_ns.tolist() == [T0_NS + k * 50_000_000 for k in range(3)]
+    (tmp_path / f"{10**25}.png").write_bytes(picture(9, ".png"))
+    with pytest.raises(DataError, match="give no times"):
+        open_dataset(tmp_path)
+
+
+def test_images_without_numbers_of_their_own_come_by_name(tmp_path: Path) -> None:
+    for name in ("b_1", "a_2", "a_1", "b_2"):
+        (tmp_path / f"{name}.png").write_bytes(picture(9, ".png"))
+    (tmp_path / "camera-intrinsics.txt").write_text("525 0 32\n0 525 24\n0 0 1\n")
+    data = open_dataset(tmp_path)
+    assert [frame.name for frame in data.frames()] == ["a_1.png", "a_2.png", "b_1.png", "b_2.png"]
+    assert data.frame_times_ns.tolist() == [round(n / 30 * 1e9) for n in range(4)]
+
+
+def test_each_frame_keeps_the_exposure_that_was_recorded(asl: Path) -> None:
+    lines = [f"{T0_NS + i * 50_000_000},{i}.jpg" + (f",{1000 * i}" if i else "") for i in range(5)]
+    (asl / "mav0" / "cam0" / "data.csv").write_text("\n".join(lines) + "\n")
+    (asl / "mav0" / "cam0" / "sensor.yaml").write_text(CAMERA_YAML + "exposure_s: 0.008\n")
+    frames = list(open_dataset(asl, first=0, last=4, step=2).frames())
+    assert [frame.exposure_ns for frame in frames] == [8_000_000, 2000, 4000]
+
+
+def test_video_gives_its_frames(tmp_path: Path) -> None:
+    path = tmp_path / "drive.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
+    for value in range(0, 200, 20):
+        writer.write(np.full((48, 64, 3), value, np.uint8))
+    writer.release()
+    with pytest.raises(DataError, match=r"camera\.yaml"):
+        open_dataset(path)
+    (tmp_path / "camera.yaml").write_text(CAMERA_YAML)
+    frames = list(open_dataset(path, first=2, step=3).frames())
+    assert [f.t_robot_ns for f in frames] == [80_000_000, 200_000_000, 320_000_000]
+    assert abs(float(frames[0].grey().mean()) - 40) < 6
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "says"),
+    [
+        ("cam0/sensor.yaml", "resolution: [64, 48\n", "not readable YAML"),
+        ("cam0/sensor.yaml", "just words", "no `key: value` lines"),
+        ("cam0/sensor.yaml", "resolution: [64, 48]\n", "intrinsics must be 4 numbers"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("50.0", "-50.0"), "focal length"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("radial-tangential", "magic"), "distortion_model"),
+        ("imu0/data.csv", "1,2,3\n", "line 1"),
+        ("imu0/data.csv", "1,a,3,4,5,6,7\n", "line 1"),
+        ("imu0/data.csv", "2,1,1,1,1,1,1\n1,1,1,1,1,1,1\n", "sort"),
+        ("imu0/data.csv", "1,nan,1,1,1,1,1\n", "not finite"),
+        ("cam0/data.csv", "no time,a.jpg\n", "line 1"),
+        ("cam0/data.csv", "1,a.jpg,soon\n", "exposure"),
+        ("cam0/data.csv", "1,a.jpg,-5\n", "exposure"),
+        ("cam0/data.csv", f"{2**63},a.jpg\n", "no time in ns"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("rate_hz: 20", "rate_hz: 0"), "rate_hz is 0"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("rate_hz: 20", "rate_hz: 1" + 400 * "0"), "rate_hz must be"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("-0.04", "40"), "time_shift_s"),
+        ("cam0/sensor.yaml", CAMERA_YAML.replace("0.00003", "3"), "line_delay_s"),
+        ("cam0/sensor.yaml", CAMERA_YAML + "exposure_s: 1.0e300\n", "exposure_s"),
+        ("cam0/sensor.yaml", "date: 2021-13-45\n", "not readable YAML"),
+        ("cam0/sensor.yaml", "a: " + "[" * 5000, "not readable YAML"),
+        ("imu0/data.csv", "\0" * 200_000, "cannot be read"),
+        ("imu0/data.csv", f"{10**19},1,1,1,1,1,1\n", "no time in ns"),
+    ],
+)
+def test_damaged_file_gets_one_sentence(asl: Path, file: str, content: str, says: str) -> None:
+    (asl / "mav0" / file).write_text(content)
+    with pytest.raises(DataError, match=says) as caught:
+        open_dataset(asl)
+    assert str(asl / "mav0" / file) in str(caught.value)
+
+
+def test_corrupt_image_is_named_when_its_pixels_are_needed(asl: Path) -> None:
+    (asl / "mav0" / "cam0" / "data" / "2.jpg").write_bytes(b"no picture")
+    frames = list(open_dataset(asl).frames())
+    with pytest.raises(DataError, match=r"2\.jpg is not a readable"):
+        frames[2].grey()
+
+
+def test_missing_image_is_named(asl: Path) -> None:
+    (asl / "mav0" / "cam0" / "data" / "3.jpg").unlink()
+    with pytest.raises(DataError, match=r"3\.jpg cannot be read"):
+        list(open_dataset(asl).frames())
+
+
+def test_paths_that_are_no_dataset(tmp_path: Path, folder: Path) -> None:
+    with pytest.raises(DataError, match="does not exist"):
+        open_dataset(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match=r"no \*\.jpg"):
+        open_dataset(tmp_path / "empty")
+    (tmp_path / "text.txt").write_text("hello")
+    with pytest.raises(DataError, match="is no dataset"):
+        open_dataset(tmp_path / "text.txt")
+    (tmp_path / "broken" / "mav0").mkdir(parents=True)
+    with pytest.raises(DataError, match="neither"):
+        open_dataset(tmp_path / "broken")
+    with pytest.raises(DataError, match="none of them"):
+        open_dataset(folder, first=100)
+    with pytest.raises(DataError, match="step 0"):
+        open_dataset(folder, step=0)
+    (folder / "camera-intrinsics.txt").write_text("1 2\n3 4\n")
+    with pytest.raises(DataError, match="3x3"):
+        open_dataset(folder)
+    (folder / "camera-intrinsics.txt").unlink()
+    with pytest.raises(DataError, match=r"camera\.yaml"):
+        open_dataset(folder)

@@ -1,0 +1,185 @@
+"""A navigation survives the disk exactly, and damage is named."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
+from shared.errors import DataError
+from station.files.navigation_folder import load_navigation, save_navigation
+from station.files.ply import read_ply, read_points, write_ply
+from station.model.navigation import Landmarks, Navigation
+from station.slam.run import content_digest
+from tests.support.navigations import small_navigation
+
+CONTRACT_KEYS = {"backend", "frames", "duration_s", "wall_s", "realtime_factor", "cpu_s", "landmarks"} | {
+    "tracking_lost_s",
+    "scale",
+    "gravity_aligned",
+    "seed",
+    "versions",
+    "config",
+}
+
+
+def test_a_folder_that_cannot_take_the_name_leaves_the_old_one_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, new = small_navigation(), replace(small_navigation(), id="hall")
+    save_navigation(old, tmp_path / "nav")
+    rename = Path.rename
+
+    def refuse_the_new_one(self: Path, target: Path) -> Path:
+        if self.name == "fresh":
+            raise OSError(28, "No space left on device")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse_the_new_one)
+    with pytest.raises(DataError, match="No space left"):
+        save_navigation(new, tmp_path / "nav")
+    assert load_navigation(tmp_path / "nav").id == "kitchen"
+    assert [p.name for p in tmp_path.iterdir()] == ["nav"]
+
+
+def test_too_long_a_name_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="cannot be written"):
+        save_navigation(small_navigation(), tmp_path / ("x" * 300))
+
+
+def test_navigations_share_a_digest_only_when_they_are_the_same() -> None:
+    nav = small_navigation()
+    other_pictures = replace(nav, keyframes=replace(nav.keyframes, encoded=nav.keyframes.encoded[::-1]))
+    other_points = replace(nav, landmarks=replace(nav.landmarks, p_world=nav.landmarks.p_world + 0.1))
+    digests = [content_digest(n) for n in (nav, small_navigation(), other_pictures, other_points)]
+    assert digests[0] == digests[1] and len(set(digests)) == 3
+
+
+def test_a_sensor_range_without_limit_survives_the_disk(tmp_path: Path) -> None:
+    unlimited = msgspec.structs.replace(REFERENCE_IMU, gyro_range=math.inf, accel_range=math.inf)
+    calibration = msgspec.structs.replace(REFERENCE_ROBOT, imu=unlimited)
+    save_navigation(replace(small_navigation(), calibration=calibration), tmp_path / "nav")
+    assert load_navigation(tmp_path / "nav").calibration == calibration
+
+
+def test_navigation_survives_the_disk(tmp_path: Path) -> None:
+    nav = small_navigation()
+    save_navigation(nav, tmp_path / "nav")
+    back = load_navigation(tmp_path / "nav")
+    assert back.id == nav.id and back.report == nav.report and back.calibration == nav.calibration
+    assert back.trajectory.t_robot_ns.tolist() == nav.trajectory.t_robot_ns.tolist()
+    np.testing.assert_allclose(back.trajectory.T_world_body, nav.trajectory.T_world_body, atol=1e-8)
+    for name in ("frame_index", "t_robot_ns", "T_world_cam", "segment"):
+        np.testing.assert_array_equal(getattr(back.keyframes, name), getattr(nav.keyframes, name))
+    assert back.keyframes.encoded == nav.keyframes.encoded
+    for name in ("p_world", "rgb", "cov_world", "observed_landmark", "observed_keyframe", "observed_uv_px"):
+        np.testing.assert_array_equal(getattr(back.landmarks, name), getattr(nav.landmarks, name))
+
+
+def test_files_are_those_of_the_contract(tmp_path: Path) -> None:
+    save_navigation(small_navigation(), tmp_path / "nav")
+    assert json.loads((tmp_path / "nav" / "navigation.json").read_text()).keys() >= CONTRACT_KEYS
+    cloud = read_ply(tmp_path / "nav" / "landmarks.ply")
+    assert list(cloud)[:8] == ["x", "y", "z", "red", "green", "blue", "first_frame", "num_observations"]
+    assert cloud["num_observations"].tolist() == [2, 2, 2, 1, 1, 1, 1]
+    assert cloud["first_frame"].tolist() == [0, 0, 0, 4, 4, 4, 4]
+
+
+def test_no_landmarks_is_a_navigation_too(tmp_path: Path) -> None:
+    nav = small_navigation(3)
+    empty = Landmarks(*(column[:0] for column in (nav.landmarks.p_world, nav.landmarks.rgb, nav.landmarks.cov_world)),
+                      np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)))  # fmt: skip
+    save_navigation(
+        Navigation(nav.id, nav.calibration, nav.trajectory, nav.keyframes, empty, nav.report), tmp_path / "n"
+    )
+    assert len(load_navigation(tmp_path / "n").landmarks) == 0
+
+
+def test_saving_again_replaces_but_never_deletes_other_things(tmp_path: Path) -> None:
+    save_navigation(small_navigation(7), tmp_path / "nav")
+    save_navigation(small_navigation(5), tmp_path / "nav")
+    assert len(load_navigation(tmp_path / "nav").landmarks) == 5
+    assert [p.name for p in tmp_path.iterdir()] == ["nav"]
+    (tmp_path / "nav" / "letter.txt").write_text("dear")
+    with pytest.raises(DataError, match=r"letter\.txt"):
+        save_navigation(small_navigation(7), tmp_path / "nav")
+    assert (tmp_path / "nav" / "letter.txt").read_text() == "dear"
+
+
+def test_failed_save_leaves_the_old_navigation(tmp_path: Path) -> None:
+    save_navigation(small_navigation(7), tmp_path / "nav")
+    broken = small_navigation(5)
+    broken.report.config["odd"] = {1: object()}
+    object.__setattr__(broken.keyframes, "encoded", ("not bytes",))
+    with pytest.raises(TypeError):
+        save_navigation(broken, tmp_path / "nav")
+    assert len(load_navigation(tmp_path / "nav").landmarks) == 7
+    assert [p.name for p in tmp_path.iterdir()] == ["nav"]
+
+
+@pytest.mark.parametrize(
+    "name", ["trajectory.tum", "landmarks.ply", "navigation.json", "calibration.json", "keyframes/observations.npz"]
+)
+def test_damaged_or_missing_file_is_named(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "nav"
+    save_navigation(small_navigation(), folder)
+    content = (folder / name).read_bytes()
+    for damage in (b"garbage", content[: len(content) // 2], b""):
+        (folder / name).write_bytes(damage)
+        if name == "trajectory.tum" and damage == b"":
+            continue
+        with pytest.raises(DataError, match=name.split("/")[-1]):
+            load_navigation(folder)
+    (folder / name).unlink()
+    with pytest.raises(DataError):
+        load_navigation(folder)
+
+
+def test_ascii_and_foreign_plys_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\ncomment hi\nelement camera 1\nproperty float f\nelement vertex 2\n"
+        "property float x\nproperty double y\nproperty float z\nproperty uchar red\nelement face 1\n"
+        "property list uchar int vertex_indices\nend_header\n5\n1 2 3 4\n5 6 nan 7\n3 0 1 0\n"
+    )
+    columns = read_ply(path)
+    assert columns["red"].tolist() == [4, 7]
+    np.testing.assert_array_equal(read_points(path), [[1, 2, 3]])
+
+
+def test_big_endian_ply_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    header = (
+        b"ply\nformat binary_big_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    )
+    path.write_bytes(header + b"end_header\n" + np.array([1, 2, 3], ">f4").tobytes())
+    np.testing.assert_array_equal(read_points(path), [[1, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"hello", "not a PLY"),
+        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "without x, y and z"),
+        (b"ply\nformat odd 1.0\nelement vertex 1\nend_header\n1\n", "odd"),
+        (b"ply\nformat ascii 1.0\nwhat is this\nend_header\n", "header line"),
+        (b"ply\nformat ascii 1.0\nend_header\n", "no vertices"),
+        (b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n", "claims more"),
+    ],
+)
+def test_bad_ply_gets_a_sentence(tmp_path: Path, content: bytes, says: str) -> None:
+    (tmp_path / "bad.ply").write_bytes(content)
+    with pytest.raises(DataError, match=says):
+        read_ply(tmp_path / "bad.ply")
+
+
+def test_cut_ply_says_how_much_is_left(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    write_ply(path, {axis: np.arange(10.0) for axis in "xyz"})
+    path.write_bytes(path.read_bytes()[:-24])
+    with pytest.raises(DataError, match="9 of 10"):
+        read_ply(path)

@@ -1,0 +1,216 @@
+"""What is damaged is found, named, and put right where that is possible; backups bring everything back."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import sqlalchemy
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from shared.errors import DataError
+from station.files.navigation_folder import save_navigation
+from station.main import app
+from station.maps import versions
+from station.maps.address import address_of, heal
+from station.maps.backup import restore_backup, write_backup
+from station.maps.blobs import Damaged
+from station.maps.record import map_content_hash
+from station.maps.repair.check import repair, verify
+from station.maps.repair.purging import purge_versions
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
+from tests.support.store import blobs, cut, largest_blob, newest_record
+
+
+@pytest.fixture
+def told() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def store(place_map: PlaceMap, address: StoreAddress, told: list[str]) -> MapStore:
+    """A map of three versions."""
+    store = MapStore(address, told.append)
+    store.save(place_map)
+    for name in ("Sofa", "Couch"):
+        store.rename_place(place_map.id, place_map.places[0].id, name)
+    return store
+
+
+@given(data=st.binary(min_size=1, max_size=300), position=st.floats(0, 1, exclude_max=True), second=st.booleans())
+def test_one_wrong_bit_is_put_right_and_never_more(data: bytes, position: float, second: bool) -> None:
+    bit = int(position * 8 * len(data))
+    wrong = bytearray(data)
+    wrong[bit // 8] ^= 1 << bit % 8
+    if second:
+        wrong[-1 if bit // 8 < len(data) - 1 else 0] ^= 1 << (bit + 1) % 8
+    assert heal(bytes(wrong), address_of(data)) == (None if second else data)
+
+
+def test_a_sound_store_is_called_sound(store: MapStore, told: list[str]) -> None:
+    assert verify(store) == () and told == []
+    assert repair(store).done == ()
+
+
+def test_a_wrong_bit_in_a_file_is_told_and_put_right(place_map: PlaceMap, store: MapStore, told: list[str]) -> None:
+    path = largest_blob(store)
+    whole = path.read_bytes()
+    path.write_bytes(bytes([whole[0] ^ 4]) + whole[1:])
+    assert store.load(place_map.id).places[0].name == "Couch"
+    assert path.read_bytes() == whole
+    assert len(told) == 1 and path.name in told[0] and "one wrong bit" in told[0]
+
+
+def test_where_the_newest_version_is_lost_the_one_before_opens(
+    place_map: PlaceMap, store: MapStore, told: list[str]
+) -> None:
+    cut(newest_record(store))
+    assert store.load(place_map.id).places[0].name == "Sofa"
+    assert "version 3" in told[0] and "version 2" in told[0].lower()
+    assert [d.number for d in verify(store)] == [3]
+    done = repair(store)
+    assert any("again what it was at version 2" in sentence for sentence in done.done)
+    told.clear()
+    assert store.load(place_map.id).places[0].name == "Sofa" and told == []
+
+
+def test_a_lost_file_is_named_and_copied_from_the_navigation(
+    place_map: PlaceMap, store: MapStore, tmp_path: Path
+) -> None:
+    path = largest_blob(store)
+    path.unlink()
+    with pytest.raises(Damaged, match=path.name):
+        store.load(place_map.id)
+    assert [d.address for d in verify(store)] == [path.name]
+    assert repair(store).left != ()
+    save_navigation(place_map.navigation, tmp_path / "copy")
+    assert repair(store, [tmp_path / "copy"]).left == ()
+    assert store.load(place_map.id).places[0].name == "Couch"
+
+
+def test_a_wrong_row_is_noticed_and_made_again(place_map: PlaceMap, store: MapStore) -> None:
+    with store.contents.database.writing("test") as connection:
+        connection.execute(sqlalchemy.text("UPDATE map_version SET name = 'x' WHERE number = 3"))
+    assert "seal" in store.list()[0].damaged
+    assert store.load(place_map.id).places[0].name == "Sofa"
+    assert repair(MapStore(store.address)).left == ()
+    assert store.load(place_map.id).places[0].name == "Couch"
+    assert verify(store) == ()
+
+
+def test_a_broken_sqlite_file_is_set_aside_and_made_again(place_map: PlaceMap, tmp_path: Path) -> None:
+    store = MapStore(tmp_path)
+    store.save(place_map)
+    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    index = tmp_path / "maps.db"
+    for content in (b"no database" * 100, index.read_bytes()[:5000], b""):
+        index.write_bytes(content)
+        told: list[str] = []
+        again = MapStore(tmp_path, told.append)
+        assert again.load(place_map.id).places[0].name == "Sofa"
+        assert len(again.history(place_map.id)) == 2
+        assert bool(told) == bool(content)  # an empty file is one that was never written
+    assert len(list(tmp_path.glob("maps.db.damaged-*"))) == 2
+
+
+def test_a_record_whose_writer_was_killed_is_taken_in(place_map: PlaceMap, tmp_path: Path) -> None:
+    store = MapStore(tmp_path)
+    store.save(place_map)
+    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    with sqlite3.connect(tmp_path / "maps.db") as connection:
+        connection.execute("DELETE FROM map_version WHERE number = 2")
+    connection.close()
+    again = MapStore(tmp_path)
+    assert again.load(place_map.id).places[0].name == "Sofa"
+    with again.reading() as reading:
+        assert [row.number for row in versions.history(reading, place_map.id)] == [2, 1]
+
+
+def test_a_backup_brings_everything_back(place_map: PlaceMap, store: MapStore, tmp_path: Path) -> None:
+    report = write_backup(store, tmp_path / "b.tar")
+    assert (report.maps, report.versions, report.damaged) == (1, 3, ())
+    with pytest.raises(DataError, match="exists already"):
+        write_backup(store, tmp_path / "b.tar")
+    other = MapStore(tmp_path / "other")
+    assert restore_backup(other, tmp_path / "b.tar").versions == 3
+    assert other.content_hash(place_map.id) == store.content_hash(place_map.id)
+    assert [r.why for r in other.history(place_map.id)] == [r.why for r in store.history(place_map.id)]
+    assert restore_backup(other, tmp_path / "b.tar").versions == 0
+    other.rename_place(place_map.id, place_map.places[0].id, "Bench")
+    other.delete(place_map.id)
+    assert restore_backup(other, tmp_path / "b.tar").versions == 0  # its history has it: undo brings it back
+    other.undo(place_map.id, to=1)
+    assert other.content_hash(place_map.id) == map_content_hash(place_map)
+
+
+def test_a_damaged_backup_gives_what_is_whole(place_map: PlaceMap, store: MapStore, tmp_path: Path) -> None:
+    backup = tmp_path / "b.tar"
+    write_backup(store, backup)
+    data = bytearray(backup.read_bytes())
+    at = data.index(b'"Couch"')
+    data[at + 1 : at + 3] = b"ab"  # more than one bit, which would be put right
+    backup.write_bytes(data)
+    other = MapStore(tmp_path / "other")
+    report = restore_backup(other, backup)
+    assert len(report.damaged) == 1 and report.versions == 2
+    assert other.load(place_map.id).places[0].name == "Sofa"
+    backup.write_bytes(b"nothing" * 1000)
+    with pytest.raises(DataError, match="no backup"):
+        restore_backup(other, backup)
+
+
+def test_purging_frees_the_space_of_a_deleted_map(
+    place_map: PlaceMap, store: MapStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("station.maps.repair.purging.UNUSED_S", -1.0)
+    purge_versions(store, place_map.id)
+    assert [r.number for r in store.history(place_map.id)] == [3]
+    assert store.load(place_map.id).places[0].name == "Couch"
+    store.delete(place_map.id)
+    purge_versions(store, place_map.id)
+    assert list(blobs(store)) == [] and store.list() == ()
+    with pytest.raises(DataError, match="holds no map"):
+        store.undo(place_map.id)
+    assert MapStore(store.address).list() == ()
+    store.save(replace(place_map, name="again"))
+    assert store.load(place_map.id).name == "again" and verify(store) == ()
+
+
+def test_the_commands_say_what_they_do(place_map: PlaceMap, tmp_path: Path) -> None:
+    def run(*words: str, code: int = 0) -> str:
+        result = CliRunner().invoke(app, ["map", *words, "--data", str(tmp_path)])
+        assert result.exit_code == code, result.output
+        return result.output
+
+    assert "which is not there" in run("list")
+    store = MapStore(tmp_path / "maps")
+    store.save(place_map)
+    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    assert place_map.id in run("list") and "Sofa" in run("show", place_map.id)
+    assert "is now Sofa" in run("history", place_map.id)
+    assert "version 1 again" in run("undo", place_map.id)
+    run("backup", str(tmp_path / "b.tar"))
+    run("delete", place_map.id)
+    assert f"`station map undo {place_map.id} --data {tmp_path}` brings it back" in run("list")
+    run("undo", place_map.id)
+    assert "all maps are as they were written" in run("verify")
+    cut(largest_blob(store))
+    assert "is damaged" in run("verify", code=1)
+    assert "not repaired" in run("repair", code=1)
+    assert "1 maps read" in run("restore", str(tmp_path / "b.tar"))
+    assert "all maps are as they were written" in run("verify")
+
+
+def test_a_restore_into_another_folder_says_what_is_to_be_done_then(place_map: PlaceMap, tmp_path: Path) -> None:
+    store = MapStore(tmp_path / "maps")
+    store.save(place_map)
+    write_backup(store, tmp_path / "b.tar")
+    restore = ["map", "restore", str(tmp_path / "b.tar"), "--data", str(tmp_path / "other")]
+    assert "PUT /maps/active" in CliRunner().invoke(app, restore).output
+    assert "0 versions added\n" in CliRunner().invoke(app, restore).output[-20:]

@@ -1,0 +1,216 @@
+"""Maps come back as they were saved, with their history; damage becomes a sentence, never a traceback or half a map."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shared.errors import ConfigError, DataError
+from station.maps import bucket as bucket_module
+from station.maps import store as store_module
+from station.maps.folder import save_map_folder
+from station.maps.record import map_content_hash
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
+from station.places.making.build import carry_names
+
+
+def holds(store: MapStore, place_map: PlaceMap) -> bool:
+    return store.content_hash(place_map.id) == map_content_hash(place_map)
+
+
+def renamed(place_map: PlaceMap, name: str) -> PlaceMap:
+    return replace(place_map, name=name)
+
+
+def test_a_map_comes_back_as_it_was_saved(place_map: PlaceMap, address: StoreAddress) -> None:
+    MapStore(address).save(place_map)
+    again = MapStore(address).load(place_map.id)
+    assert (again.id, again.name, again.edges, again.config) == (
+        place_map.id, place_map.name, place_map.edges, place_map.config
+    )  # fmt: skip
+    assert again.navigation.id == place_map.navigation.id
+    for a, b in zip(again.places, place_map.places, strict=True):
+        assert (a.id, a.name, a.radius, a.quality, a.representative_keyframe) == (
+            b.id, b.name, b.radius, b.quality, b.representative_keyframe
+        )  # fmt: skip
+        np.testing.assert_array_equal(a.centroid_map, b.centroid_map)
+        np.testing.assert_array_equal(a.landmark_index, b.landmark_index)
+        np.testing.assert_array_equal(a.keyframe_index, b.keyframe_index)
+    np.testing.assert_array_equal(again.navigation.landmarks.p_world, place_map.navigation.landmarks.p_world)
+    assert again.navigation.keyframes.encoded == place_map.navigation.keyframes.encoded
+    assert holds(MapStore(address), place_map)
+
+
+def test_a_new_name_is_kept_and_names_stay_unique(place_map: PlaceMap, address: StoreAddress) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+    first, second = place_map.places[:2]
+    store.rename_place(place_map.id, first.id, "  Sofa   corner ")
+    assert store.load(place_map.id).places[0].name == "Sofa corner"
+    with pytest.raises(DataError, match='another place named "sofa corner"'):
+        store.rename_place(place_map.id, second.id, "sofa corner")
+    with pytest.raises(DataError, match="1 to 80 characters"):
+        store.rename_place(place_map.id, second.id, " ")
+    with pytest.raises(DataError, match='no place with id "x"'):
+        store.rename_place(place_map.id, "x", "Desk")
+    assert [record.why for record in store.history(place_map.id)] == [f"{first.id} is now Sofa   corner", "saved"]
+
+
+def test_saving_the_same_again_changes_nothing_and_another_one_is_a_version(
+    place_map: PlaceMap, address: StoreAddress
+) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+    store.save(place_map)
+    assert len(store.history(place_map.id)) == 1
+    store.save(renamed(place_map, "Flat"))
+    assert [(s.id, s.name, s.places) for s in store.list()] == [(place_map.id, "Flat", len(place_map.places))]
+    assert store.load(place_map.id, 1).name == place_map.name
+    with pytest.raises(DataError, match="no version 7"):
+        store.load(place_map.id, 7)
+
+
+def test_a_deleted_map_is_gone_until_it_is_undone(place_map: PlaceMap, address: StoreAddress) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+    store.delete(place_map.id)
+    assert store.list() == () and [s.id for s in store.deleted()] == [place_map.id]
+    for forbidden in (store.load, store.delete, store.content_hash):
+        with pytest.raises(DataError, match="its maps: none"):
+            forbidden(place_map.id)
+    store.undo(place_map.id)
+    assert holds(store, place_map) and store.deleted() == ()
+
+
+def test_undo_goes_back_step_by_step_and_forth_by_number(place_map: PlaceMap, address: StoreAddress) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+    place = place_map.places[0]
+
+    def name() -> str:
+        return store.load(place_map.id).places[0].name
+
+    for new in ("Sofa", "Couch", "Settee"):
+        store.rename_place(place_map.id, place.id, new)
+    seen = []
+    for _ in range(3):
+        store.undo(place_map.id)
+        seen.append(name())
+    assert seen == ["Couch", "Sofa", place.name]
+    with pytest.raises(DataError, match="no earlier version"):
+        store.undo(place_map.id)
+    store.undo(place_map.id, to=3)
+    assert name() == "Couch"
+    store.rename_place(place_map.id, place.id, "Bench")
+    store.undo(place_map.id)
+    assert name() == "Couch"
+    with pytest.raises(DataError, match="no version 99"):
+        store.undo(place_map.id, to=99)
+    assert len({record.number for record in store.history(place_map.id)}) == 10
+
+
+def test_names_survive_building_the_map_again(place_map: PlaceMap, address: StoreAddress) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    earlier = store.newest_of_navigation("nav-1")
+    assert earlier is not None and store.newest_of_navigation("nav") is None
+    store.save(carry_names(earlier, renamed(place_map, "built again")))
+    assert store.load(place_map.id).places[0].name == "Sofa"
+    store.delete(place_map.id)
+    assert store.newest_of_navigation("nav-1") is None
+
+
+def test_a_failed_save_leaves_what_was_there(
+    place_map: PlaceMap, address: StoreAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    for target, method in ((bucket_module, "replace_file"), (store_module.versions, "add")):
+        with monkeypatch.context() as patch:
+            patch.setattr(target, method, fail)
+            with pytest.raises(DataError, match="No space left"):
+                store.save(renamed(place_map, "x"))
+            with pytest.raises(DataError, match="No space left"):
+                store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+        assert holds(MapStore(address), place_map)
+
+
+def test_every_version_names_the_station_that_wrote_it(place_map: PlaceMap, address: StoreAddress) -> None:
+    MapStore(address).save(place_map)
+    other = MapStore(replace(address, author="hall"))
+    other.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    assert [record.author for record in other.history(place_map.id)] == ["hall", "desk"]
+
+
+def test_an_id_cannot_leave_the_store(place_map: PlaceMap, address: StoreAddress) -> None:
+    with pytest.raises(DataError, match="holds no map"):
+        MapStore(address).load("../../etc")
+    with pytest.raises(DataError, match="is no file name"):
+        MapStore(address).save(replace(place_map, id="../x"))
+
+
+def test_looking_into_an_empty_folder_writes_nothing(tmp_path: Path) -> None:
+    assert MapStore(tmp_path / "none").list() == ()
+    assert not (tmp_path / "none").exists()
+
+
+def test_maps_of_the_old_format_are_imported(place_map: PlaceMap, address: StoreAddress) -> None:
+    save_map_folder(renamed(place_map, "older"), address.root / f"{place_map.id}.000001")
+    save_map_folder(place_map, address.root / f"{place_map.id}.000002")
+    save_map_folder(place_map, address.root / "broken.000001")
+    (address.root / "broken.000001" / "navigation" / "landmarks.ply").write_bytes(b"x")
+    store = MapStore(address)
+    assert [(s.id, bool(s.damaged)) for s in store.list()] == [(place_map.id, False), ("broken", True)]
+    assert store.load(place_map.id).name == place_map.name
+    assert {p.name for p in (address.root / "imported").iterdir()} == {
+        f"{place_map.id}.000001",
+        f"{place_map.id}.000002",
+    }
+    assert len(MapStore(address).history(place_map.id)) == 1
+
+
+def test_blobs_may_lie_in_an_object_store(place_map: PlaceMap, tmp_path: Path) -> None:
+    address = StoreAddress(tmp_path, blobs=f"memory://{tmp_path.name}/maps")
+    store = MapStore(address)
+    store.save(place_map)
+    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    assert {p.name for p in tmp_path.iterdir()} == {"maps.db", ".lock"}
+    (tmp_path / "maps.db").unlink()  # the records there are enough
+    again = MapStore(address)
+    assert again.load(place_map.id).places[0].name == "Sofa" and len(again.history(place_map.id)) == 2
+
+
+def test_an_unusable_address_gets_a_sentence(place_map: PlaceMap, tmp_path: Path) -> None:
+    for wrong in ("mysql://x/y", "no url", "postgresql://127.0.0.1:1/x"):
+        with pytest.raises((ConfigError, DataError), match=r"store\.database|127\.0\.0\.1"):
+            MapStore(StoreAddress(tmp_path, wrong)).save(place_map)
+    with pytest.raises(ConfigError, match=r"store\.blobs"):
+        MapStore(StoreAddress(tmp_path, blobs="nothing://x"))
+
+
+def test_a_password_is_never_told(place_map: PlaceMap, tmp_path: Path) -> None:
+    store = MapStore(StoreAddress(tmp_path, "postgresql://user:secret-word@127.0.0.1:1/x"))
+    with pytest.raises(DataError) as caught:
+        store.save(place_map)
+    assert "secret-word" not in str(caught.value) and "127.0.0.1" in str(caught.value)
+
+
+def test_a_newer_database_is_refused(place_map: PlaceMap, tmp_path: Path) -> None:
+    MapStore(tmp_path).save(place_map)
+    with sqlite3.connect(tmp_path / "maps.db") as connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9000'")
+        connection.execute("ALTER TABLE map_version ADD COLUMN mood TEXT")
+    connection.close()
+    with pytest.raises(DataError, match="newer station"):
+        MapStore(tmp_path).list()

@@ -1,0 +1,377 @@
+"""The current place: what images, failures, odometry and hijacks do to the answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from station.places.tracking.current import CurrentPlaceEstimator
+from station.places.tracking.map_view import MapView
+from station.places.tracking.report import largest
+from tests.support.places import SECOND, make_map, pose, seen
+
+
+def test_before_any_image_the_robot_is_lost() -> None:
+    answer = CurrentPlaceEstimator([make_map()]).answer(0)
+    assert answer.state == "lost" and answer.place is None
+    assert answer.reason
+
+
+def test_a_verified_image_names_the_nearest_place() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_candidates([seen(1.0, pose(2.8, 0.2))])
+    answer = estimator.answer(SECOND)
+    assert answer.state == "known"
+    assert answer.place is not None and answer.place.id == "map-1"
+    assert answer.place.probability > 0.9
+    assert answer.distance == pytest.approx(np.linalg.norm([0.2, 0.2, 0.3]))
+    assert answer.evidence_keyframe == 4 and answer.inliers == 200
+
+
+def test_odometry_carries_the_robot_to_the_next_place() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.1, 0.0, 0.0))])
+    for k in range(1, 31):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    answer = estimator.answer(3 * SECOND)
+    assert answer.state == "known" and answer.place is not None
+    assert answer.place.id == "map-1"
+    assert answer.position_map is not None
+    assert np.allclose(answer.position_map, [3.1, 0.0, 0.0], atol=0.05)
+
+
+def test_an_image_localised_late_counts_for_its_own_moment() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    for k in range(31):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    estimator.on_candidates([seen(1.0, pose(1.0, 0.0))])  # known 2 s later, when the robot is at x = 3
+    answer = estimator.answer(3 * SECOND)
+    assert answer.place is not None and answer.place.id == "map-1"
+    assert answer.position_map is not None and answer.position_map[0] == pytest.approx(3.0, abs=0.05)
+
+
+def test_a_piece_of_furniture_is_less_evidence_than_an_arrangement() -> None:
+    for extent, state in ((0.07, "lost"), (0.5, "known")):
+        estimator = CurrentPlaceEstimator([make_map()])
+        estimator.on_candidates([seen(1.0, pose(2.8, 0.2), inliers=150, extent=extent)])
+        assert estimator.answer(SECOND).state == state
+
+
+def test_of_two_poses_the_one_that_explains_more_space_is_believed_not_the_one_with_more_landmarks() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    piece, arrangement = pose(0.2, 0.0), pose(5.9, 0.0)
+    estimator.on_candidates(
+        [seen(1.0, piece, inliers=300, extent=0.1), seen(1.0, arrangement, inliers=160, extent=0.6)]
+    )
+    answer = estimator.answer(SECOND)
+    assert answer.place is not None and answer.place.id == "map-2"
+
+
+def test_an_answer_about_the_past_says_that_it_is_about_now() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    for k in range(31):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    estimator.on_candidates([seen(1.0, pose(1.0, 0.0))])
+    answer = estimator.answer(SECOND)  # of the image, when the robot is two metres farther already
+    assert answer.t_robot_ns == 3 * SECOND
+    assert answer.place is not None and answer.place.id == "map-1"
+    assert answer.position_map is not None and answer.position_map[0] == pytest.approx(3.0, abs=0.05)
+    assert answer.evidence_t_robot_ns == SECOND
+
+
+def test_failed_views_make_the_robot_doubt_the_map() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    for k in range(12):
+        estimator.on_odometry(k * SECOND, pose(0, 0, 0.4 * k))
+        estimator.on_failure(k * SECOND, num_features=400)
+    answer = estimator.answer(12 * SECOND)
+    assert answer.state == "unknown"
+    assert answer.place is None
+
+
+def test_a_robot_that_stands_still_before_a_view_it_does_not_know_keeps_its_place() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+    for k in range(1, 240):
+        estimator.on_odometry(k * SECOND // 4, pose(0.0, 0.0, 2.0))
+        estimator.on_failure(k * SECOND // 4, num_features=400)
+    answer = estimator.answer(60 * SECOND)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+
+
+def test_a_covered_lens_is_no_evidence() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+    before = estimator.place_probabilities().unmapped
+    for k in range(1, 30):
+        estimator.on_odometry(k * SECOND // 2, pose(0, 0))
+        estimator.on_failure(k * SECOND // 2, num_features=3)
+    assert estimator.answer(15 * SECOND).state == "known"
+    assert estimator.place_probabilities().unmapped == pytest.approx(before, abs=0.01)
+
+
+def test_after_a_hijack_the_old_place_is_forgotten_and_the_new_one_found() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+    estimator.on_hijack(SECOND, "lifted")
+    lost = estimator.answer(SECOND)
+    assert lost.state == "lost" and "lifted" in lost.reason
+    estimator.on_candidates([seen(2.0, pose(6.0, 0.0, 2.0))])
+    found = estimator.answer(2 * SECOND)
+    assert found.state == "known" and found.place is not None and found.place.id == "map-2"
+
+
+@pytest.mark.parametrize(("inliers", "state"), [(30, "lost"), (200, "known")])
+def test_a_first_image_of_few_landmarks_may_be_of_a_room_that_no_map_knows(inliers: int, state: str) -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0), inliers=inliers, extent=0.3)])
+    assert estimator.answer(0).state == state
+
+
+def test_what_was_lost_is_found_also_where_the_robot_was_before_the_hijack() -> None:
+    def weight(before: bool) -> float:
+        estimator = CurrentPlaceEstimator([make_map()])
+        estimator.on_odometry(0, pose(0, 0))
+        if before:
+            estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+        estimator.on_hijack(SECOND, "lifted")
+        estimator.on_candidates([seen(2.0, pose(0.0, 0.0), inliers=100, extent=0.2)])
+        return float(estimator.place_probabilities().place[0])
+
+    assert weight(before=False) > 0.5
+    assert weight(before=True) > 0.95 * weight(before=False)
+
+
+def test_a_pose_that_errs_by_more_than_it_should_is_still_the_tracked_robots() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    for k in range(4):
+        estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.3 * k))
+        estimator.on_candidates([seen(k, pose(0.05 * k, 0, 0.3 * k))])
+    before = estimator.answer(3 * SECOND).position_map
+    estimator.on_odometry(4 * SECOND, pose(0.2, 0, 1.2))
+    estimator.on_candidates([seen(4.0, pose(0.2, 0.28, 1.2))])
+    answer = estimator.answer(4 * SECOND)
+    assert answer.state == "known" and answer.position_map is not None and before is not None
+    assert 0.0 <= answer.position_map[1] - before[1] < 0.1  # and does not drag it along
+
+
+def test_of_two_poses_in_one_image_the_larger_one_with_more_landmarks_is_believed_at_once() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    larger = seen(0.0, pose(0.0, 0.0), inliers=270, extent=0.47)
+    estimator.on_candidates([larger, seen(0.0, pose(6.0, 0.0, 1.0), inliers=74, extent=0.2)])
+    answer = estimator.answer(0)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+
+
+def test_a_robot_found_again_is_not_told_of_the_hijack_when_it_is_lost_later() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_hijack(0, "lifted")
+    estimator.on_candidates([seen(1.0, pose(6.0, 0.0, 2.0))])
+    assert estimator.answer(SECOND).state == "known"
+    reasons = []
+    for k in range(2, 12):
+        estimator.on_odometry(k * SECOND, pose(0, 0, 0.3 * k))
+        estimator.on_candidates([seen(k, pose(0.0, 0.0, 0.3 * k), inliers=30)])
+        answer = estimator.answer(k * SECOND)
+        if answer.state == "lost":
+            reasons.append(answer.reason)
+    assert reasons and not any("hijack" in reason for reason in reasons), reasons
+
+
+def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    for k in range(10):
+        estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.1 * k))
+        estimator.on_candidates([seen(k, pose(0.05 * k, 0, 0.1 * k))])
+    estimator.on_candidates([seen(9.5, pose(6.0, 0.0), inliers=16)])
+    answer = estimator.answer(10 * SECOND)
+    assert answer.place is not None and answer.place.id == "map-0"
+
+
+def test_of_look_alikes_the_one_that_odometry_expects_is_believed() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+    for k in range(1, 6):
+        estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.3 * k))
+        look_alike = seen(k, pose(6.0, 0.0, 2.0 + 0.3 * k), inliers=120)
+        estimator.on_candidates([look_alike, seen(k, pose(0.05 * k, 0, 0.3 * k), inliers=100)])
+    answer = estimator.answer(5 * SECOND)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+
+
+def test_after_a_hijack_look_alikes_leave_it_open_until_a_view_decides() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_hijack(0, "lifted")
+    estimator.on_candidates([seen(1.0, pose(0.0, 0.0), inliers=120), seen(1.0, pose(6.0, 0.0, 1.0), inliers=110)])
+    assert estimator.answer(SECOND).state == "lost"
+    estimator.on_odometry(2 * SECOND, pose(0.0, 0.0, 0.5))
+    estimator.on_candidates([seen(2.0, pose(6.0, 0.0, 1.5))])
+    answer = estimator.answer(2 * SECOND)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-2"
+
+
+def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    for k in range(8):
+        estimator.on_odometry(k * SECOND, pose(0.8 * k, 0))
+        assert estimator.on_candidates([seen(k, pose(0.75 * k, 0))]) is None
+    jumps = []
+    for k in range(8, 15):
+        estimator.on_odometry(k * SECOND, pose(5.6, 0, 0.4 * (k - 8)))
+        jumps.append(estimator.on_candidates([seen(k, pose(0.5, 0, 0.4 * (k - 8)))]))
+    told = [jump for jump in jumps if jump is not None]
+    assert len(told) == 1 and told[0].distance_m == pytest.approx(4.75, abs=0.3)
+
+
+def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(6.0, 0.0))])
+    for k in range(1, 60):
+        estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
+    answer = estimator.answer(6 * SECOND)
+    assert answer.state == "unknown" and "mapping drive" in answer.reason
+
+
+def test_at_the_edge_of_the_map_the_place_is_unknown_and_the_robot_not_lost() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    for k in range(6):  # beside Place 1, not quite as far away as the map is sure to end
+        estimator.on_candidates([seen(k, pose(3.0, 0.9))])
+    answer = estimator.answer(6 * SECOND)
+    assert answer.state == "unknown" and answer.position_map is not None
+    assert answer.alternatives[0].name == "Place 1" and answer.alternatives[0].probability > 0.5
+
+
+def test_halfway_between_two_places_both_count_as_right() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_candidates([seen(0.0, pose(1.5, 0.0))])
+    answer = estimator.answer(0)
+    assert answer.state == "known" and answer.place is not None
+    assert {answer.place.id, answer.alternatives[0].id} == {"map-0", "map-1"}
+    assert answer.place.probability > 0.9 and answer.alternatives[0].probability > 0.9  # of being right: both are
+
+
+def test_a_map_without_places_never_answers_known() -> None:
+    estimator = CurrentPlaceEstimator([make_map(places=0)])
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+    answer = estimator.answer(0)
+    assert answer.state == "unknown" and "no places" in answer.reason
+
+
+def test_a_map_with_one_place_answers_it_within_and_unknown_beyond() -> None:
+    estimator = CurrentPlaceEstimator([make_map(places=1)])
+    estimator.on_candidates([seen(0.0, pose(0.5, 0.0))])
+    answer = estimator.answer(0)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
+    assert answer.alternatives == ()
+    for k in range(1, 8):
+        estimator.on_candidates([seen(k, pose(3.0, 5.0))])
+    assert estimator.answer(8 * SECOND).state == "unknown"
+
+
+def test_without_any_map_the_answer_is_unknown() -> None:
+    answer = CurrentPlaceEstimator([]).answer(0)
+    assert answer.state == "unknown" and answer.place is None and answer.reason
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), places=st.integers(1, 40), tie=st.floats(1.0, 2.0))
+def test_shares_of_the_nearest_place_are_those_of_all_distances(seed: int, places: int, tie: float) -> None:
+    rng = np.random.default_rng(seed)
+    view = replace(MapView.of(make_map(places=places)), centroids=rng.uniform(-5, 5, (places, 3)))
+    view = replace(view, tree=cKDTree(view.centroids))
+    p = rng.uniform(-6, 6, (50, 3))
+    distance = np.linalg.norm(p[:, None] - view.centroids[None], axis=2)
+    nearest, tied = view.nearest(p, tie)
+    np.testing.assert_allclose(nearest, np.bincount(distance.argmin(axis=1), minlength=places) / 50)
+    least = distance.min(axis=1, keepdims=True)
+    assert (tied >= nearest).all()
+    assert (tied >= (distance <= (tie - 1e-9) * least).mean(axis=0)).all()
+    assert (tied <= (distance <= (tie + 1e-9) * least).mean(axis=0)).all()
+
+
+@given(values=st.lists(st.sampled_from([0.0, 0.1, 0.2, 0.7, 1.0]), max_size=30), how_many=st.integers(1, 5))
+def test_the_largest_of_many_are_those_a_sort_puts_first(values: list[float], how_many: int) -> None:
+    expected = np.argsort(-np.array(values), kind="stable")[:how_many]
+    assert largest(np.array(values), how_many).tolist() == expected.tolist()
+
+
+def test_without_odometry_certainty_fades() -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    estimator.on_candidates([seen(0.0, pose(1.0, 0.0))])
+    assert estimator.answer(SECOND).state == "known"
+    assert estimator.answer(60 * SECOND).state != "known"
+
+
+def test_the_right_one_of_two_active_maps_answers() -> None:
+    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    estimator.on_candidates([seen(0.0, pose(3.0, 0.0), map_id="b")])
+    answer = estimator.answer(0)
+    assert answer.place is not None and answer.place.id == "b-1" and answer.map_id == "b"
+    assert answer.distance == pytest.approx(np.linalg.norm([0.0, 0.0, 0.3]))  # to a position in the same map
+
+
+def test_while_nothing_was_recognised_no_map_is_named() -> None:
+    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    assert estimator.answer(0).map_id is None
+
+
+def test_after_a_hijack_a_robot_is_found_in_the_other_map_and_going_over_without_one_is_a_jump_there() -> None:
+    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0), map_id="a")])
+    estimator.on_hijack(SECOND, "lifted", 0.99)
+    assert estimator.answer(SECOND).state == "lost"
+    assert estimator.on_candidates([seen(2.0, pose(6.0, 0.0), map_id="b")]) is None  # the hijack was told already
+    found = estimator.answer(2 * SECOND)
+    assert (found.state, found.map_id) == ("known", "b") and found.place is not None and found.place.id == "b-2"
+    jumps = [estimator.on_candidates([seen(k, pose(0.3 * k, 0.0), map_id="a")]) for k in range(10, 30, 2)]
+    assert [jump.is_other_map for jump in jumps if jump is not None] == [True]
+    assert estimator.answer(30 * SECOND).map_id == "a"
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["loc", "fail", "odometry", "hijack", "wait"]),
+        st.floats(0, 5),
+        st.floats(-2, 8),
+        st.floats(-3, 3),
+    ),
+    max_size=25,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(events=EVENTS)
+def test_probabilities_always_sum_to_one(events: list[tuple[str, float, float, float]]) -> None:
+    estimator = CurrentPlaceEstimator([make_map()])
+    t = 0.0
+    for kind, seconds, x, yaw in events:
+        t += seconds
+        if kind == "loc":
+            estimator.on_candidates([seen(t, pose(x, 0.0, yaw))])
+        elif kind == "fail":
+            estimator.on_failure(int(t * SECOND))
+        elif kind == "odometry":
+            estimator.on_odometry(int(t * SECOND) + 1, pose(x, 0.0, yaw))
+        elif kind == "hijack":
+            estimator.on_hijack(int(t * SECOND), "test")
+        belief = estimator.place_probabilities()
+        assert belief.place.sum() + belief.unmapped == pytest.approx(1.0)
+        assert (belief.place >= 0).all() and belief.unmapped >= 0
+        answer = estimator.answer(int(t * SECOND))
+        assert (answer.place is not None) == (answer.state == "known")

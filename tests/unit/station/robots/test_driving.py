@@ -1,0 +1,155 @@
+"""Who drives a robot through this station, what is refused, and what stops it."""
+
+from __future__ import annotations
+
+import pytest
+
+from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
+from station.config import DriveConfig
+from station.errors import Conflict, NotDriver, OutOfRange
+from station.robots.driving import Driving
+
+MS = 1_000_000
+
+
+def test_who_takes_over_has_time_for_the_first_command_and_keeps_the_wheel_by_commands() -> None:
+    clock = [0]
+    desk = driving(Link(), clock)
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.take_over("ben")
+    clock[0] = 4900 * MS
+    assert desk.driver == "ben" and desk.keeps_wheel_s == pytest.approx(1.1)
+    for _ in range(10):  # once a second, as long as a command may hold
+        desk.drive("ben", 0.1, 0.0, 1000)
+        clock[0] += 1000 * MS
+        with pytest.raises(NotDriver, match="ben drives"):
+            desk.drive("anna", 0.1, 0.0, 200)
+    clock[0] += 1000 * MS
+    assert desk.driver is None
+    desk.drive("anna", 0.1, 0.0, 200)
+    assert desk.driver == "anna"
+
+
+def test_taking_over_for_good_is_not_possible() -> None:
+    clock = [0]
+    desk = driving(Link(), clock)
+    desk.take_over("ben")
+    clock[0] = 6000 * MS
+    assert desk.driver is None
+
+
+class Link:
+    """Keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[float, float, int] | str] = []
+
+    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
+        self.told.append((linear, angular, ttl_ms))
+        return True
+
+    def stop(self) -> bool:
+        self.told.append("stop")
+        return True
+
+    def point(self, pan: float, tilt: float) -> bool:
+        return True
+
+
+def driving(link: Link, clock: list[int]) -> Driving:
+    able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=True, battery=False, hijack=False)
+    return Driving(link, DriveConfig(), lambda: able, lambda _: None, lambda _: None, now_ns=lambda: clock[0])
+
+
+def test_a_take_over_stops_the_robot_and_the_same_driver_does_not() -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.take_over("anna")
+    assert link.told == [(0.1, 0.0, 200)]
+    desk.take_over("ben")
+    assert link.told[-1] == "stop"
+    with pytest.raises(NotDriver, match="ben drives"):
+        desk.drive("anna", 0.1, 0.0, 200)
+
+
+def test_a_stop_by_somebody_else_holds_until_the_driver_lets_go() -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("anna", 0.1, 0.0, 1000)
+    clock[0] = 590 * MS  # a long command: she has been silent, but not since the stop
+    desk.stop("ben")
+    for _ in range(100):  # she holds on
+        clock[0] += 30 * MS
+        with pytest.raises(Conflict, match="let go of the joystick once"):
+            desk.drive("anna", 0.1, 0.0, 200)
+    assert link.told[-1] == "stop" and desk.driver == "anna" and not desk.is_moving
+    clock[0] += 700 * MS
+    desk.drive("anna", 0.1, 0.0, 200)
+    assert link.told[-1] == (0.1, 0.0, 200)
+
+
+def test_a_stop_holds_against_a_program_that_repeats_once_a_second() -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("program", 0.1, 0.0, 1000)
+    desk.stop("ben")
+    for _ in range(10):
+        clock[0] += 1000 * MS
+        with pytest.raises(Conflict, match="let go of the joystick once"):
+            desk.drive("program", 0.1, 0.0, 1000)
+    assert link.told == [(0.1, 0.0, MAX_DRIVE_TTL_MS), "stop"]
+    clock[0] += 1500 * MS  # silent half a second after its last command would have ended
+    desk.drive("program", 0.1, 0.0, 1000)
+    assert len(link.told) == 3
+
+
+def test_a_recorder_that_fails_does_not_keep_the_robot_from_stopping() -> None:
+    def fail(*_: object) -> None:
+        raise OSError("disk full")
+
+    link = Link()
+    desk = Driving(link, DriveConfig(), lambda: None, lambda _: None, lambda _: None, on_command=fail)
+    with pytest.raises(OSError, match="disk full"):
+        desk.stop("anna")
+    assert link.told == ["stop"]
+
+
+@pytest.mark.parametrize("lets_go", ["zero", "stop", "release"])
+def test_zero_stop_and_release_are_letting_go(lets_go: str) -> None:
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.stop(None)
+    with pytest.raises(Conflict):
+        desk.drive("anna", 0.1, 0.0, 200)
+    {"zero": lambda: desk.drive("anna", 0.0, 0.0, 200), "stop": lambda: desk.stop("anna")}.get(
+        lets_go, lambda: desk.release("anna")
+    )()
+    desk.drive("anna", 0.1, 0.0, 200)
+    assert link.told[-1] == (0.1, 0.0, 200)
+
+
+def test_a_drivers_own_stop_holds_nobody() -> None:
+    link = Link()
+    desk = driving(link, [0])
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.stop("anna")
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.take_over("ben")
+    desk.drive("ben", 0.2, 0.0, 200)
+    assert link.told == [(0.1, 0.0, 200), "stop", (0.1, 0.0, 200), "stop", (0.2, 0.0, 200)]
+
+
+@pytest.mark.parametrize(
+    ("linear", "angular", "ttl_ms"),
+    [(0.6, 0, 200), (0, 2.5, 200), (float("nan"), 0, 200), (0, float("inf"), 200), (0, 0, 0), (0, 0, 1001)],
+)
+def test_commands_out_of_range_are_refused_and_do_not_take_the_wheel(
+    linear: float, angular: float, ttl_ms: int
+) -> None:
+    link = Link()
+    desk = driving(link, [0])
+    with pytest.raises(OutOfRange):
+        desk.drive("anna", linear, angular, ttl_ms)
+    assert desk.driver is None and link.told == []

@@ -1,0 +1,20 @@
+"""When a station believes that a robot does not hear it: not from what a stall of the network held back."""
+
+from __future__ import annotations
+
+from station.robots.link_hearing import UNHEARD_AFTER_NS, UNHEARD_FOR_NS, Hearing
+
+SECOND = 1_000_000_000
+
+
+def test_a_burst_after_a_stall_is_no_sign_but_a_robot_that_speaks_on_without_answering_is() -> None:
+    hearing, now = Hearing(), 100 * SECOND
+    hearing.note_answer(now)
+    now += 5 * SECOND  # a stall; then everything at once, the answers to heartbeats last
+    for _ in range(40):
+        hearing.note_message(now)
+    assert not hearing.is_lost(now + UNHEARD_FOR_NS // 2)
+    hearing.note_answer(now)
+    for k in range(40):
+        hearing.note_message(now + UNHEARD_AFTER_NS + k)
+    assert hearing.is_lost(now + UNHEARD_AFTER_NS + UNHEARD_FOR_NS)

@@ -1,0 +1,93 @@
+"""When the ukf backend gives tracking up, and when it does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.motion import lie
+from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.filter.filter import FrameResult
+from station.slam.ukf.filter.state import FilterState, initial_state
+from station.slam.ukf.monitor import TrackingMonitor
+from station.vision.klt import TrackedFrame
+
+FRAME_NS = 50_000_000
+
+
+def result(observed: int, passed: int, tried: int, used: int, misfits: int = 0) -> FrameResult:
+    none = np.zeros(0, dtype=np.int64)
+    return FrameResult(0, 0.0, 1, observed, passed, observed, used, tried, misfits, none, none, ())
+
+
+def view(num_tracked: int, num_vanished: int = 0) -> TrackedFrame:
+    nothing = np.zeros((0, 2))
+    return TrackedFrame(np.zeros(0, np.int64), nothing, nothing, num_tracked, 100, num_vanished)
+
+
+def resting() -> FilterState:
+    return initial_state(0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.1 * np.eye(15))
+
+
+def seconds_until_lost(
+    results: FrameResult,
+    state: FilterState,
+    num_tracked: int = 80,
+    num_vanished: int = 0,
+    has_wheels: bool = False,
+    limit: int = 200,
+) -> float | None:
+    monitor = TrackingMonitor(UkfConfig())
+    for k in range(limit):
+        if monitor.why_lost(state, view(num_tracked, num_vanished), k * FRAME_NS, has_wheels, results) is not None:
+            return k * FRAME_NS * 1e-9
+    return None
+
+
+@pytest.mark.parametrize(
+    "sound",
+    [
+        result(30, 29, 10, 9),
+        result(30, 20, 10, 6, misfits=2),  # somebody walks through the picture
+        result(0, 0, 0, 0),  # a blank wall
+    ],
+)
+def test_tracking_goes_on_while_most_measurements_fit(sound: FrameResult) -> None:
+    assert seconds_until_lost(sound, resting()) is None
+
+
+def test_a_few_tracks_that_do_not_fit_are_no_reason() -> None:
+    assert seconds_until_lost(result(2, 0, 1, 0), resting(), limit=8) is None
+
+
+@pytest.mark.parametrize("wrong", [result(20, 3, 5, 0), result(0, 0, 8, 2), result(0, 0, 0, 0, misfits=10)])
+def test_a_camera_that_seldom_fits_is_given_up_within_two_seconds(wrong: FrameResult) -> None:
+    lost_s = seconds_until_lost(wrong, resting())
+    assert lost_s is not None and lost_s <= 2.0
+
+
+def test_on_wheels_a_blank_wall_is_borne_longer_than_a_covered_lens() -> None:
+    nothing, config = result(0, 0, 0, 0), UkfConfig()
+    flown_s = seconds_until_lost(nothing, resting(), num_tracked=0)
+    wall_s = seconds_until_lost(nothing, resting(), num_tracked=0, num_vanished=7, has_wheels=True)
+    covered_s = seconds_until_lost(nothing, resting(), num_tracked=0, num_vanished=26, has_wheels=True)
+    assert flown_s == pytest.approx(config.max_outage_s + 0.05, abs=0.051)
+    assert wall_s == pytest.approx(config.max_outage_wheels_s + 0.05, abs=0.051)
+    assert covered_s is not None and covered_s <= 2.0
+
+
+def test_a_robot_that_rises_or_tilts_is_lifted_and_a_drone_is_not() -> None:
+    fine = result(30, 30, 5, 5)
+    rising = replace(resting(), v=np.array([0.0, 0.0, 0.4]))
+    tilted = replace(resting(), R=lie.so3_exp(np.array([0.25, 0.0, 0.0])))
+    for state in (rising, tilted):
+        assert seconds_until_lost(fine, state, has_wheels=True) == pytest.approx(0.1)
+        assert seconds_until_lost(fine, state, has_wheels=False) is None
+
+
+def test_nonsense_is_given_up_at_once() -> None:
+    fine = result(30, 30, 5, 5)
+    assert seconds_until_lost(fine, replace(resting(), x=np.array([np.nan, 0.0, 0.0]))) == 0.0
+    assert seconds_until_lost(fine, replace(resting(), v=np.array([40.0, 0.0, 0.0]))) == 0.0

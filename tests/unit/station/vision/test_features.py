@@ -1,0 +1,68 @@
+"""Local features lie where things are, and are the same for whoever looks for them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from station.model.frames import ImageArray
+from station.vision.features import MAX_DETAILS, MAX_FEATURES, DetailExtractor, FeatureExtractor
+
+
+@pytest.mark.parametrize("width", [320, 640])  # described as it is, and at half its size
+def test_the_middle_of_a_blob_is_found_without_bias(width: int) -> None:
+    rng = np.random.default_rng(0)
+    v, u = np.mgrid[: width * 3 // 4, :width]
+    extractor = FeatureExtractor()
+    errors = []
+    for _ in range(12):
+        middle = rng.uniform(0.3, 0.6, 2) * [width, width * 3 // 4]
+        size = rng.uniform(0.006, 0.014) * width
+        blob = 110.0 * np.exp(-((u - middle[0]) ** 2 + (v - middle[1]) ** 2) / (2.0 * size**2))
+        found = extractor.extract((128.0 + blob).astype(np.uint8)).uv_px
+        if len(found):
+            errors.append(found[np.argmin(np.linalg.norm(found - middle, axis=1))] - middle)
+    assert len(errors) >= 8
+    # Upscaling that is not precise: a quarter of a pixel of the image that is looked at, so half a pixel at half size.
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.1
+
+
+def patches(number: int, contrast: float) -> ImageArray:
+    """A picture (480, 640) of blurred noise, of which a part is stronger than the rest."""
+    rng = np.random.default_rng(number)
+    noise = cv2.resize(rng.normal(0.0, contrast, (120, 160)), (640, 480), interpolation=cv2.INTER_CUBIC)
+    noise[:, :160] *= 4.0
+    return np.clip(128.0 + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("contrast", "rich"), [(4.0, False), (14.0, True)])
+def test_details_hold_the_features_bit_for_bit(contrast: float, rich: bool) -> None:
+    for number in range(3):
+        picture = patches(number, contrast)
+        direct, details = FeatureExtractor().extract(picture), DetailExtractor().extract(picture)
+        assert (len(direct) >= MAX_FEATURES) == rich
+        assert np.array_equal(direct.uv_px, details.features.uv_px)
+        assert np.array_equal(direct.descriptors, details.features.descriptors)
+        places = {tuple(uv) for uv in details.uv_px.tolist()}
+        assert len(places) == len(details.uv_px) == len(details.descriptors) <= MAX_DETAILS
+        assert {tuple(uv) for uv in direct.uv_px.tolist()} <= places
+        assert rich or len(details.uv_px) > 1.2 * len(direct)
+
+
+def test_threads_do_not_change_what_is_found() -> None:
+    picture = patches(4, 14.0)
+    found, before = [], cv2.getNumThreads()
+    for threads in (1, 2):
+        cv2.setNumThreads(threads)
+        found.append((FeatureExtractor().extract(picture), DetailExtractor().extract(picture)))
+    cv2.setNumThreads(before)
+    (one, one_details), (two, two_details) = found
+    assert np.array_equal(one.uv_px, two.uv_px) and np.array_equal(one.descriptors, two.descriptors)
+    assert np.array_equal(one_details.uv_px, two_details.uv_px)
+    assert np.array_equal(one_details.descriptors, two_details.descriptors)
+
+
+def test_a_blank_picture_has_no_details() -> None:
+    details = DetailExtractor().extract(np.full((480, 640), 90, dtype=np.uint8))
+    assert len(details.features) == 0 and len(details.uv_px) == 0 and len(details.descriptors) == 0

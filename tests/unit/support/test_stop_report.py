@@ -1,0 +1,30 @@
+"""What a table of injected faults proves, and what it does not."""
+
+from __future__ import annotations
+
+from robot.devices.emulated.board import BoardEvent
+from tests.support.stopping.report import Judged, refusals, started_at_us
+
+GOOD = Judged("page closed", server_ms=200.0, pins_ms=250.0, commit="a")
+
+
+def test_a_whole_table_of_one_commit_is_taken() -> None:
+    assert refusals([GOOD, GOOD], {"page closed": 2}) == []
+
+
+def test_mixed_commits_missing_kinds_too_few_and_not_judged_are_refused() -> None:
+    other = Judged("page closed", server_ms=1.0, pins_ms=1.0, commit="b")
+    broken = Judged("page closed", not_judged="RuntimeError: x", commit="a")
+    assert "several commits" in refusals([GOOD, other], {"page closed": 2})[0]
+    assert refusals([GOOD], {"page closed": 2, "page frozen": 1}) == [
+        "page closed: 1 of 2 faults were judged",
+        "page frozen: 0 of 1 faults were judged",
+    ]
+    assert refusals([GOOD, broken], {"page closed": 1}) == ["1 trials could not be judged"]
+    assert GOOD.is_good and not broken.is_good
+
+
+def test_motion_at_any_time_after_the_stop_is_seen() -> None:
+    events = [BoardEvent(t, t * 1000, text) for t, text in ((10, "pins 500 500"), (20, "pins 0 0"), (700, "pins 1 0"))]
+    assert started_at_us(events, 20) == 700
+    assert started_at_us(events, 700) is None
