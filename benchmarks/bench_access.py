@@ -58,7 +58,6 @@ async def measure(frames: int) -> list[Figure]:
     return [
         Figure("CPU of both ends per MB of video, plain", plain * 1e3, "ms", of=frames),
         Figure("CPU of both ends per MB of video, TLS", tls * 1e3, "ms", of=frames),
-        Figure("CPU of one side of a pairing", pairing_ms, "ms", of=20),
     ]
 
 

@@ -225,11 +225,9 @@ def summary(tally: Tally) -> str:
 def figures(tally: Tally) -> list[Figure]:
     """Ended connections, how soon they were back, and what was left of them."""
     faults = len(tally.returns)
-    back_s = statistics.median(r.back_s for r in tally.returns) if tally.returns else None
     late = f"connections back later than {BACK_WITHIN_S:g} s after their network, waits for a processor left out"
     return [
         Figure(late, len(tally.late), at_most=0, of=faults),
-        Figure("connection back, median", back_s, "s", of=faults),
         Figure("kinds of things left behind: tasks, threads, files, sockets, …", len(tally.left), at_most=0, of=faults),
     ]
 

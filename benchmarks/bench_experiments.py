@@ -266,9 +266,11 @@ def figures(work: Path, seeds: range) -> list[Figure]:
             co_visible = [len(row["co_visible"] or []) for row in rows]
             seen = sum((row["recall"] or 0.0) * n for row, n in zip(rows, co_visible, strict=True))
             title = f"{name}, {mode} mode, {len(rows)} worlds"
-            found.append(share(f"{title}: matches that are right", sum(correct), len(correct), at_least=bounds.right))
             found.append(share(f"{title}: co-visible places found", seen, sum(co_visible), at_least=bounds.found))
             if mode == "default":
+                found.append(
+                    share(f"{title}: matches that are right", sum(correct), len(correct), at_least=bounds.right)
+                )
                 rand = [row["adjusted_rand_index"] for row in rows if row["adjusted_rand_index"] is not None]
                 median = float(np.median(rand)) if rand else None
                 found.append(

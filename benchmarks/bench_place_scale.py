@@ -307,7 +307,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     """What an answer costs in each map, and whether it is right."""
     answers = [
         Figure(
-            f"answer in a map of {row['rooms']} rooms, wall time, 95 %",
+            f"rooms in the map: {row['rooms']}; wall time of an answer, 95 %",
             row["wall_ms_p95"], "ms", ANSWER_WITHIN_MS, of=row["answers"],
         )
         for row in rows

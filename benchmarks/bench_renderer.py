@@ -84,7 +84,6 @@ def main() -> None:
         arguments.results,
         [
             Figure("simulated camera, 640×480: CPU per frame, mean", float(np.mean(cpu_ms)), "ms", of=len(cpu_ms)),
-            Figure("simulated camera, 640×480: CPU per frame, 99 %", float(p99), "ms", of=len(cpu_ms)),
         ],
     )
 

@@ -75,16 +75,16 @@ def judge(path: Path, first: int | None, last: int | None, backend_name: str, th
 def simulate(seed: int, folder: Path, max_duration_s: float) -> Path:
     """The mapping drive in the flat of this seed; rendered where it is missing."""
     ends = ["--max-duration", str(max_duration_s)] if max_duration_s else []
-    return render(folder / f"home{seed}-mapping{max_duration_s:g}", seed, "home", "--route", "mapping", *ends)
+    cut = f"-{max_duration_s:g}s" if max_duration_s else ""
+    return render(folder / f"home{seed}-mapping{cut}", seed, "home", "--route", "mapping", *ends)
 
 
 def figures(rows: list[dict[str, Any]]) -> list[Figure]:
-    """Of the drives together; a drive that failed counts as one without a navigation."""
+    """Of the drives together; one that failed has no navigation."""
     good = [row for row in rows if "failed" not in row]
-    found = [share("drives followed by structure from motion", len(good), len(rows))]
+    found = [share("navigations that structure from motion made", len(good), len(rows))]
     for key, what, unit, factor in (
         ("ate_yaw_m", "error of the path after position and yaw", "m", 1.0),
-        ("ate_sim3_m", "error of the path after a similarity", "m", 1.0),
         ("scale_error", "error of the scale", "%", 100.0),
     ):
         values = [factor * abs(row[key]) for row in good if key in row]

@@ -50,10 +50,10 @@ def machines(results: dict[str, ResultFile]) -> list[str]:
 def table_rows(result: ResultFile) -> list[str]:
     before, after = result.load
     end = f"`{result.command}` | {result.commit} | {result.date} | {before:g}, {after:g} |"
-    return [f"| {figure.what} | {shown(figure)} | {bound(figure)} | {end}" for figure in result.figures]
+    return [f"| {figure.what} | {value_with_unit(figure)} | {bound(figure)} | {end}" for figure in result.figures]
 
 
-def shown(figure: Figure) -> str:
+def value_with_unit(figure: Figure) -> str:
     """The value with its unit, and how many it rests on."""
     if figure.value is None:
         return "–"
@@ -72,7 +72,7 @@ def number(value: float) -> str:
 
 
 def bound(figure: Figure) -> str:
-    asked = [f"≤ {figure.at_most:g}"] if figure.at_most is not None else []
+    asked = [f"≤ {figure.at_most:g}" if figure.at_most else "0"] if figure.at_most is not None else []
     asked += [f"≥ {figure.at_least:g}"] if figure.at_least is not None else []
     if not asked:
         return "–"
