@@ -21,9 +21,10 @@ from station.errors import Conflict, Unknown
 from station.events import EventKind, Events, EventsOfAll
 from station.library.bin import Bin, Kind
 from station.library.comparisons import Comparisons, summarise
-from station.library.maps import Maps, PlacesChange
+from station.library.maps import Maps
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.library.navigations import Navigations
+from station.library.place_changes import PlacesChange
 from station.library.recordings import recover_recordings, retain_recordings
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place
@@ -77,7 +78,8 @@ class Station:
         self.navigations = Navigations(NavigationLibrary(config.data_dir / "navigations"), self.events)
         shared = Shared(
             config,
-            self.maps,
+            store,
+            self.maps.active,
             self.navigations,
             self.access.robots,
             make_recorder or (lambda path: open_recorder(path, config.recordings)),
@@ -186,7 +188,7 @@ class Station:
 
     def measure_places(self) -> Job:
         """How surely each place of the active map would be found again, in the background. Raises Conflict."""
-        place_map = self.maps.require_active().place_map
+        place_map = self.maps.active.require_first().place_map
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             return await worker.call(MeasurePlaces(self.maps.address, place_map.id))

@@ -79,7 +79,7 @@ async def _send_events(socket: WebSocket, robot: RobotSession) -> None:
 def to_message(robot: RobotSession, event: Event) -> Model:
     """What a page is told of an event."""
     live = robot.current_navigation.live
-    active = robot.maps.active
+    active = robot.active_maps.first
     match event.kind:
         case "robot":
             return RobotMessage(robot=robot_model(robot))
@@ -96,7 +96,7 @@ def to_message(robot: RobotSession, event: Event) -> Model:
             navigation = cast(NavigationRecord | None, event.subject)
             return NavigationMessage(navigation=None if navigation is None else navigation_model(navigation))
         case "map":
-            return MapMessage(active=active.place_map.id if active else None, revision=robot.maps.revision)
+            return MapMessage(active=active.place_map.id if active else None, revision=robot.active_maps.revision)
         case "job":
             return JobMessage(job=job_model(cast(Job, event.subject)))
         case "place":

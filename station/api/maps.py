@@ -14,7 +14,7 @@ from station.api.schema.base import NewName
 from station.api.schema.jobs import JobModel, job_model
 from station.api.schema.maps import MapChoice, MapModel, MapOrder, map_model
 from station.errors import Unknown
-from station.library.maps import keyframe_image
+from station.library.place_images import keyframe_image
 from station.model.points import pack_points
 
 router = APIRouter(tags=["maps"])
@@ -22,7 +22,7 @@ router = APIRouter(tags=["maps"])
 
 @router.get("/maps", summary="All maps")
 async def maps(station: StationDep) -> list[MapModel]:
-    return [map_model(summary, station.maps) for summary in await station.maps.list()]
+    return [map_model(summary, station.maps.active) for summary in await station.maps.list()]
 
 
 @router.post("/maps", summary="Build a map from navigations", status_code=202, responses=responses(404, 409))
@@ -43,13 +43,13 @@ async def activate(choice: MapChoice, station: StationDep) -> MapModel | None:
     await station.use_maps(choice.id, *choice.also)
     for summary in await station.maps.list():
         if summary.id == choice.id:
-            return map_model(summary, station.maps)
+            return map_model(summary, station.maps.active)
     raise Unknown(f"there is no map {choice.id!r}; GET /maps lists them")
 
 
 @router.patch("/maps/{map_id}", summary="Rename a map", responses=responses(404, 409))
 async def rename(map_id: str, name: NewName, station: StationDep) -> MapModel:
-    return map_model(await station.maps.rename(map_id, name.name), station.maps)
+    return map_model(await station.maps.rename(map_id, name.name), station.maps.active)
 
 
 @router.delete("/maps/{map_id}", summary="Delete a map", status_code=204, responses=responses(404, 409))
@@ -64,7 +64,7 @@ async def delete(map_id: str, station: StationDep) -> Response:
 
 @router.post("/maps/{map_id}/restore", summary="Bring a deleted map back", responses=responses(404, 409))
 async def restore(map_id: str, station: StationDep) -> MapModel:
-    return map_model(await station.restore_map(map_id), station.maps)
+    return map_model(await station.restore_map(map_id), station.maps.active)
 
 
 @router.get(

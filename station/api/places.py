@@ -29,7 +29,7 @@ from station.api.schema.places import (
     visit_model,
 )
 from station.errors import Conflict, Unknown
-from station.library.maps import deviation_image, keyframe_image, mean_image
+from station.library.place_images import deviation_image, keyframe_image, mean_image
 from station.places.making.changes import without_hidden
 from station.places.making.graph import places_called, shortest_route, to_graphml
 
@@ -63,7 +63,7 @@ async def query_image(t_robot_ns: int, robot: RobotDep) -> Response:
 
 @router.get("/places", summary="Places of the active map, hidden ones too", responses=responses(409))
 async def places(station: StationDep) -> list[PlaceModel]:
-    active = station.maps.require_active()
+    active = station.maps.active.require_first()
     return [place_model(active, place) for place in active.place_map.places]
 
 
@@ -75,7 +75,7 @@ async def changes(station: StationDep) -> list[PlacesChangeModel]:
 
 @router.get("/places/{place_id}", summary="One place", responses=responses(404, 409))
 async def place(place_id: str, station: StationDep) -> PlaceModel:
-    active = station.maps.require_active()
+    active = station.maps.active.require_first()
     return place_model(active, active.place(place_id))
 
 
@@ -83,7 +83,7 @@ async def place(place_id: str, station: StationDep) -> PlaceModel:
 async def merge(order: PlaceMerge, station: StationDep) -> PlaceModel:
     """The place keeps id and name of the first one; the others are gone. POST /places/undo takes it back."""
     merged = await station.merge_places(order.places)
-    return place_model(station.maps.require_active(), merged)
+    return place_model(station.maps.active.require_first(), merged)
 
 
 @router.post("/places/undo", summary="Take back the newest change of the places", responses=responses(409))
@@ -106,13 +106,13 @@ async def measure(station: StationDep) -> JobModel:
 @router.patch("/places/{place_id}", summary="Rename, hide or show a place", responses=responses(404, 409))
 async def change(place_id: str, change: PlaceChange, station: StationDep) -> PlaceModel:
     """A hidden place is never the current one and not in the graph; it keeps its name."""
-    active = station.maps.require_active()
+    active = station.maps.active.require_first()
     place = active.place(place_id)
     if change.name is not None:
         place = await station.rename_place(place_id, change.name)
     if change.hidden is not None and change.hidden != place.hidden:
         place = await station.hide_place(place_id, change.hidden)
-    return place_model(station.maps.require_active(), place)
+    return place_model(station.maps.active.require_first(), place)
 
 
 @router.get(
@@ -122,7 +122,7 @@ async def change(place_id: str, change: PlaceChange, station: StationDep) -> Pla
     responses={200: IMAGE, **responses(404, 409)},
 )
 async def image(place_id: str, kind: Literal["representative", "mean", "deviation"], station: StationDep) -> Response:
-    active = station.maps.require_active()
+    active = station.maps.active.require_first()
     found = active.place(place_id)
     if kind == "representative":
         return image_response(keyframe_image(active.place_map, found.representative_keyframe))
@@ -139,7 +139,7 @@ async def image(place_id: str, kind: Literal["representative", "mean", "deviatio
 async def graph(
     station: StationDep, format: Annotated[Literal["json", "graphml"], Query()] = "json"
 ) -> GraphModel | Response:
-    active = station.maps.require_active()
+    active = station.maps.active.require_first()
     if format == "graphml":
         return Response(to_graphml(without_hidden(active.place_map)), media_type="application/graphml+xml")
     return GraphModel(
@@ -156,7 +156,7 @@ Called = Annotated[str, Query(min_length=1, max_length=80, description="id or na
 @router.get("/graph/route", summary="The shortest way between two places", responses=responses(404, 409))
 async def route(start: Called, goal: Called, station: StationDep) -> RouteModel:
     """Along the edges of the graph, with the bearing of each leg; by names, in which upper and lower case are one."""
-    place_map = without_hidden(station.maps.require_active().place_map)
+    place_map = without_hidden(station.maps.active.require_first().place_map)
     for word in (start, goal):
         if not places_called(place_map, word):
             raise Unknown(f"the graph has no place {word!r}; GET /graph lists them")

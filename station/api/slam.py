@@ -79,7 +79,7 @@ async def landmarks(
 
 
 def _no_points(robot: RobotSession) -> str:
-    active = robot.maps.active
+    active = robot.active_maps.first
     if robot.current_navigation.running is not None:
         return "the navigation that is recorded has no landmarks yet; most come when it is finished"
     elsewhere = "those of a finished one are at /navigations/ID/landmarks?format=ply"

@@ -16,9 +16,10 @@ from station.access.paired_robots import PairedRobots
 from station.config import RobotConfig, StationConfig
 from station.errors import Conflict, NoRobot, NotCapable, OutOfRange
 from station.events import Broadcast, Events
-from station.library.maps import Maps
+from station.library.active_maps import ActiveMaps
 from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
+from station.model.map_store import StoreAddress
 from station.robots.current_navigation import CurrentNavigation
 from station.robots.current_place import CurrentPlace
 from station.robots.driving import Driving
@@ -48,7 +49,8 @@ class Shared:
     """What a session uses and does not own."""
 
     config: StationConfig
-    maps: Maps
+    store: StoreAddress  # of the maps
+    active_maps: ActiveMaps
     navigations: Navigations
     paired: PairedRobots
     make_recorder: Callable[[Path], NavigationRecorder | None]
@@ -66,7 +68,7 @@ class RobotSession(IgnoringListener):
         self.path = path
         self.config = robot
         self.events = events
-        self.maps = shared.maps
+        self.active_maps = shared.active_maps
         self.camera: Broadcast[SeenFrame] = Broadcast()
         self._driver: str | None = None  # as was notified
         self._last_driver: str | None = None
@@ -74,7 +76,7 @@ class RobotSession(IgnoringListener):
         self._hijacking = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.current_place = CurrentPlace(
-            shared.maps.address,
+            shared.store,
             config.localization,
             events,
             shared.place_program,
@@ -141,7 +143,7 @@ class RobotSession(IgnoringListener):
 
         The localisation takes the camera where the calibration has it, and would put the robot where it is not.
         """
-        if self.maps.active is None or self.driving.looks_ahead:
+        if self.active_maps.first is None or self.driving.looks_ahead:
             return ""
         return "the camera looks aside; the place is looked for again when it looks straight ahead (pan 0, tilt 0)"
 
@@ -199,7 +201,7 @@ class RobotSession(IgnoringListener):
     # What the station's maps mean for it
 
     async def look_in_active_maps(self) -> None:
-        active = self.maps.all_active
+        active = self.active_maps.all
         if active:
             self.driving.centre_head()
         self.events.changed("robot")
@@ -207,7 +209,7 @@ class RobotSession(IgnoringListener):
 
     def regroup(self) -> None:
         """Places of the active map are others, or have other names."""
-        place_map = self.maps.require_active().place_map
+        place_map = self.active_maps.require_first().place_map
         self.current_place.regroup(place_map.id, place_map.places, place_map.edges)
 
     # What the link delivers, after navigation and place had it

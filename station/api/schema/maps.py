@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from station.api.schema.base import Model, Question
 from station.config import MAX_ACTIVE_MAPS
-from station.library.maps import Maps
+from station.library.active_maps import ActiveMaps
 from station.model.map_store import MapSummary
 
 
@@ -48,12 +48,13 @@ class MapChoice(Question):
         return self
 
 
-def map_model(summary: MapSummary, maps: Maps) -> MapModel:
+def map_model(summary: MapSummary, active: ActiveMaps) -> MapModel:
+    first = active.first
     return MapModel(
         id=summary.id,
         name=summary.name,
         places=summary.places,
-        active=maps.among_active(summary.id) is not None,
-        first=maps.active is not None and maps.active.place_map.id == summary.id,
+        active=active.find(summary.id) is not None,
+        first=first is not None and first.place_map.id == summary.id,
         damaged=summary.damaged,
     )

@@ -8,7 +8,8 @@ from typing import Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from station.api.schema.base import Model, Name, Question
-from station.library.maps import ActiveMap, PlacesChange
+from station.library.active_maps import ActiveMap
+from station.library.place_changes import PlacesChange
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
@@ -166,10 +167,10 @@ class RouteModel(Model):
 def current_place(robot: RobotSession) -> CurrentPlace:
     """The answer to the question all this is for."""
     report = robot.current_place.report
-    first = robot.maps.active
-    active = None if report is None else robot.maps.among_active(report.map_id)
+    first = robot.active_maps.first
+    active = None if report is None else robot.active_maps.find(report.map_id)
     # Places may have been renamed, hidden or merged since the answer was made: what they are now counts.
-    known = {place.id: (place, one) for one in robot.maps.all_active for place in one.visible_places}
+    known = {place.id: (place, one) for one in robot.active_maps.all for place in one.visible_places}
     is_outdated = report is not None and report.answer.place is not None and report.answer.place.id not in known
     if report is None or active is None or is_outdated:
         return CurrentPlace(
@@ -220,7 +221,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
 
 
 def _no_answer_yet(robot: RobotSession) -> str:
-    if robot.maps.active is None:
+    if robot.active_maps.first is None:
         return "no map is active; record a navigation, build a map from it and choose it"
     if not robot.state.connected:
         return "no robot is connected"

@@ -11,7 +11,7 @@ import pytest
 
 from station.errors import Conflict, Unknown
 from station.events import Events
-from station.library.active_maps import FILE, keep_choice, kept_choice, why_not_together
+from station.library.map_choice import FILE, keep_choice, kept_choice, why_not_together
 from station.library.maps import Maps
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
@@ -45,7 +45,7 @@ async def started(root: Path) -> Maps:
 
 
 def active(maps: Maps) -> list[str]:
-    return [one.place_map.id for one in maps.all_active]
+    return [one.place_map.id for one in maps.active.all]
 
 
 def said(maps: Maps) -> list[str]:
@@ -97,26 +97,28 @@ def test_maps_of_one_drive_or_of_one_flat_are_not_put_together() -> None:
 
 async def test_a_set_is_active_in_its_order_and_after_a_restart(maps: Maps) -> None:
     await maps.activate(("attic", "flat", "attic"))
-    assert active(maps) == ["attic", "flat"] and maps.require_active().place_map.id == "attic"
+    assert active(maps) == ["attic", "flat"] and maps.active.require_first().place_map.id == "attic"
     assert said(maps)[-1] == "using attic, and flat too"
-    found = maps.among_active("flat")
-    assert found is not None and found.place("flat-0").name == "Place 0" and maps.among_active("both") is None
+    found = maps.active.find("flat")
+    assert found is not None and found.place("flat-0").name == "Place 0" and maps.active.find("both") is None
     again = await started(maps.address.root)
     assert active(again) == ["attic", "flat"]
     await again.activate(("flat",))
     assert active(await started(maps.address.root)) == ["flat"]
     await again.activate(())
-    assert active(await started(maps.address.root)) == [] and again.active is None
+    assert active(await started(maps.address.root)) == [] and again.active.first is None
 
 
 async def test_a_set_that_cannot_be_changes_nothing(maps: Maps) -> None:
     await maps.activate(("attic",))
-    revision = maps.revision
+    revision = maps.active.revision
     with pytest.raises(Conflict, match="maps of the same rooms, both are made from nav-1"):
         await maps.activate(("flat", "both"))
     with pytest.raises(Unknown, match="no map 'cellar'"):
         await maps.activate(("flat", "cellar"))
-    assert active(maps) == ["attic"] and kept_choice(maps.address.root) == ("attic",) and maps.revision == revision
+    assert (
+        active(maps) == ["attic"] and kept_choice(maps.address.root) == ("attic",) and maps.active.revision == revision
+    )
 
 
 @pytest.mark.parametrize(("gone", "left"), [("attic", ["flat"]), ("flat", ["attic"])])
@@ -158,8 +160,8 @@ async def test_deleting_one_of_a_set_leaves_it_out_and_the_first_stays_protected
 async def test_any_map_of_the_set_is_renamed_and_places_of_the_first(maps: Maps) -> None:
     await maps.activate(("flat", "attic"))
     await maps.rename("attic", "Under the roof")
-    assert [one.place_map.name for one in maps.all_active] == ["flat", "Under the roof"]
+    assert [one.place_map.name for one in maps.active.all] == ["flat", "Under the roof"]
     await maps.rename_place("flat-1", "Kitchen")
     with pytest.raises(Unknown, match="attic-1"):
         await maps.rename_place("attic-1", "Bed")
-    assert [one.place_map.places[1].name for one in maps.all_active] == ["Kitchen", "Place 1"]
+    assert [one.place_map.places[1].name for one in maps.active.all] == ["Kitchen", "Place 1"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shared.errors import DataError
-from station.library.maps import deviation_image
+from station.library.place_images import deviation_image
 from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map, carry_names

@@ -1,0 +1,46 @@
+"""What people made of a map's places, and what of it can be taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from station.maps.record import MapRecord, says_same_of_places
+
+
+@dataclass(frozen=True, slots=True)
+class PlacesChange:
+    """A place was renamed, hidden or shown, or places were merged."""
+
+    version: int  # of the map, that it led to
+    previous: int  # the version that it changed
+    why: str  # for a person
+    changed_wall_s: float
+
+
+def changes_of(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
+    """The edits that led from the map as it was made to the newest version; those taken back are not among them."""
+    by_number = {record.number: record for record in history}
+    changes: list[PlacesChange] = []
+    record = by_number.get(history[0].content) if history else None
+    while record is not None and record.kind == "edited":
+        before = by_number.get(record.previous or 0)
+        if before is None:
+            break  # it cannot be read any more, so nothing leads back to it
+        if not says_same_of_places(before, record):  # else the map was renamed
+            changes.append(PlacesChange(record.number, before.number, record.why, record.created_ms / 1e3))
+        record = by_number.get(before.content)
+    return tuple(changes)
+
+
+def why_not_that_one(version: int, changes: Sequence[PlacesChange]) -> str:
+    """Why this version is not the change that can be taken back."""
+    newest = changes[0]
+    later = next((i for i, change in enumerate(changes) if change.version == version), None)
+    if later is not None:
+        others = "another change" if later == 1 else f"{later} other changes"
+        return f"{others} came after version {version}, the newest is version {newest.version}: {newest.why}"
+    return (
+        f"version {version} is no change of the places that can be taken back; "
+        f"the newest is version {newest.version}: {newest.why}; GET /places/changes lists them"
+    )
