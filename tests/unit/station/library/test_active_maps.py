@@ -106,7 +106,7 @@ async def test_a_set_is_active_in_its_order_and_after_a_restart(maps: Maps) -> N
     await again.activate(("flat",))
     assert active(await started(maps.address.root)) == ["flat"]
     await again.activate(())
-    assert active(await started(maps.address.root)) == [] and again.active is None
+    assert active(await started(maps.address.root)) == [] and again.active.first is None
 
 
 async def test_a_set_that_cannot_be_changes_nothing(maps: Maps) -> None:
