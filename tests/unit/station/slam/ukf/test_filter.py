@@ -8,7 +8,6 @@ from scipy.stats import chi2
 
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, se3, so3_exp
-from station.experiments.synthetic import observe, room_points, sine_path
 from station.motion import lie
 from station.motion.error_coordinates import ErrorKind, difference_group, pose_jacobian, retract_group
 from station.motion.imu_buffer import ImuBuffer
@@ -32,6 +31,7 @@ from station.slam.ukf.filter.state import (
 from station.slam.ukf.filter.update import Gate, Measurements, update
 from station.vision.camera_model import CameraModel, project_points
 from station.vision.triangulation import triangulate
+from tests.support.synthetic_run import observe, room_points, sine_path
 
 KINDS = list(ErrorKind)
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
