@@ -13,8 +13,8 @@ from shared.geometry import FloatArray, IntArray
 from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Landmarks
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.features import Features
 from station.slam.mapping.odometry_mapping import OdometryMap
+from station.vision.features import Features
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,12 +18,12 @@ from shared.geometry import FloatArray, IntArray, inverse
 from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.bundle_state import BundleState, Observations
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.features import Features
 from station.slam.mapping.loops import find_loops
 from station.slam.mapping.odometry import Odometry, RelativeMotions
 from station.slam.mapping.odometry_bundle import adjust, landmark_covariances, reprojection_errors
 from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
+from station.vision.features import Features
 from station.vision.lens import Lens
 from station.vision.triangulation import intersect_rays
 from station.vision.two_view import epipolar_inliers

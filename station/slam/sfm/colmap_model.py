@@ -11,10 +11,10 @@ from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
 from station.model.frames import ImageFrame
 from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
-from station.slam.mapping.features import Features
 from station.slam.sfm.colmap import COLMAP_PIXEL_CENTRE, pycolmap
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.visual import CAMERA_ID
+from station.vision.features import Features
 
 
 def read_model(

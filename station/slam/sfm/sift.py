@@ -8,9 +8,9 @@ import numpy as np
 
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray
-from station.slam.mapping.features import Features
 from station.slam.sfm.colmap import COLMAP_PIXEL_CENTRE, pycolmap
 from station.slam.sfm.config import FeatureConfig
+from station.vision.features import Features
 from station.vision.lens import Lens
 
 
