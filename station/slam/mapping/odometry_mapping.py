@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, IntArray, inverse
+from shared.geometry import FloatArray, IntArray, homogeneous, inverse
 from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.bundle_state import BundleState, Observations
 from station.slam.mapping.config import MappingConfig
@@ -171,7 +171,7 @@ def triangulate_tracks(
     points = np.empty((0, 3))
     for _ in range(3):
         xy = gather(current, rays)
-        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], np.column_stack([xy, np.ones(len(xy))]))
+        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], homogeneous(xy))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
         error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
