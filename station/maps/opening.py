@@ -9,11 +9,13 @@ from pathlib import Path
 from shared.errors import DataError
 from station.files.unwritable import Unwritable
 from station.maps import versions
-from station.maps.contents import Contents, newer, read_all, without_row
+from station.maps.contents import Contents, row_of
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder
-from station.maps.record import FOLDER, MapRecord
-from station.maps.versions import VersionRow, row_of
+from station.maps.record import MapRecord
+from station.maps.record_files import FOLDER
+from station.maps.unclaimed import newer, read_all, without_row
+from station.maps.versions import VersionRow
 
 IMPORTED = "imported"  # where folders of the old format go when their map is in the store
 _OLD = re.compile(r"(?P<id>[A-Za-z0-9][A-Za-z0-9_-]{0,99})\.(?P<number>\d{6})")
@@ -57,13 +59,13 @@ def take_in_records(contents: Contents) -> list[VersionRow]:
         rows = versions.all_rows(connection)
     if any(not row.is_sealed for row in rows):
         raise IndexDamaged(f"{contents.database.place} is damaged (a row's seal differs)")
-    if not newer(without_row(contents, rows), rows):
+    if not newer(without_row(contents.bucket, rows), rows):
         return []
     with contents.database.writing(FOLDER) as connection:
         rows = versions.all_rows(connection)
         found: dict[tuple[str, int], tuple[MapRecord, VersionRow]] = {}
         there = {address for address, _ in contents.blobs.addresses()}
-        for one in read_all(contents, newer(without_row(contents, rows), rows)):
+        for one in read_all(contents.bucket, newer(without_row(contents.bucket, rows), rows), contents.tell):
             if one.record is None:
                 contents.tell(one.sentence)
                 continue

@@ -91,7 +91,7 @@ class MapStore:
             if not rows:
                 raise DataError(f"map {map_id} has no version {number}; `station map history {map_id}` lists them")
         elif not rows or rows[0].kind == "deleted":
-            raise self.no_map(map_id)
+            raise self.contents.no_map(map_id)
         contents = self.contents
         failure: Damaged | None = None
         for row in rows:
@@ -135,7 +135,7 @@ class MapStore:
         """The versions of a map that can be read, the newest first. Raises DataError when there is none of this id."""
         rows = self._history(map_id)
         if not rows:
-            raise self.no_map(map_id)
+            raise self.contents.no_map(map_id)
         records = []
         for row in rows:
             try:
@@ -173,7 +173,7 @@ class MapStore:
         with contents.changing(map_id) as change:
             newest = contents.newest(change.rows)
             if newest is None:
-                raise self.no_map(map_id)
+                raise self.contents.no_map(map_id)
             if newest_is is not None and newest.number != newest_is:
                 raise DataError(
                     f"map {map_id} was changed since: it is at version {newest.number}, not {newest_is}; look again"
@@ -257,11 +257,6 @@ class MapStore:
         self._leave_copy()
         self._home.database.close()
 
-    def no_map(self, map_id: str) -> DataError:
-        """What to raise where there is no map of this id."""
-        known = ", ".join(sorted(summary.id for summary in self.list())) or "none"
-        return DataError(f'{self.contents.bucket.place} holds no map "{map_id}"; its maps: {known}')
-
     def _look_at_copy(self, because: Unwritable) -> None:
         if not self._home.database.is_sqlite:
             raise because
@@ -299,5 +294,5 @@ class MapStore:
     def _present(self, rows: Rows, map_id: str) -> MapRecord:
         record = self.contents.newest(rows)
         if record is None or record.kind == "deleted":
-            raise self.no_map(map_id)
+            raise self.contents.no_map(map_id)
         return record
