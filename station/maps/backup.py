@@ -79,7 +79,7 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
                     damaged.append(f"{path}: {name} is damaged (its checksum differs); it is left out")
                     continue
                 if whole is not data:
-                    store.tell(f"{path}: {name} had one wrong bit; it is put right. Check the disk")
+                    store.notify(f"{path}: {name} had one wrong bit; it is put right. Check the disk")
                 if file:
                     records.setdefault(file.map_id, []).append((decode_record(whole, name), whole))
                 else:
@@ -98,12 +98,14 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         lacking = [pair for pair in found if pair not in whole_ones]
         if lacking:
             numbers = ", ".join(str(record.number) for record, _ in lacking)
-            damaged.append(f"{path}: map {map_id} lacks files of version {numbers}; {_keep_lacking(contents, lacking)}")
+            damaged.append(
+                f"{path}: map {map_id} lacks files of version {numbers}; {_store_lacking(contents, lacking)}"
+            )
         count += _restore_map(contents, map_id, whole_ones)
     return BackupReport(len(records), count, path.stat().st_size, tuple(damaged))
 
 
-def _keep_lacking(contents: Contents, found: list[tuple[MapRecord, bytes]]) -> str:
+def _store_lacking(contents: Contents, found: list[tuple[MapRecord, bytes]]) -> str:
     """Records whose files may turn up; what became of them, in words. Only in SQLite are records taken in later."""
     with contents.database.reading() as connection:
         is_new = not versions.history(connection, found[0][0].map_id)
@@ -127,7 +129,7 @@ def _restore_map(contents: Contents, map_id: str, found: list[tuple[MapRecord, b
     newest, data = found[-1]
     if newest.kind == "deleted" or any(row.record == address_of(data) for row in rows):
         return 0
-    return int(contents.keep_record(replace(newest, why="from a backup")))
+    return int(contents.save_record(replace(newest, why="from a backup")))
 
 
 def _readable(store: MapStore, damaged: list[str]) -> Iterator[tuple[MapRecord, bytes]]:

@@ -13,7 +13,7 @@ from shared.errors import DataError
 from station.files.navigation_folder import encode_navigation
 from station.maps import versions
 from station.maps.address import address_of
-from station.maps.blobs import Blobs, Damaged, Tell, read_checked
+from station.maps.blobs import Blobs, Damaged, Notify, read_checked
 from station.maps.bucket import Bucket
 from station.maps.database import Database
 from station.maps.record import (
@@ -35,15 +35,15 @@ class Contents:
     All methods raise DataError when it cannot be read or written; nothing is left half-written.
     """
 
-    def __init__(self, database: Database, bucket: Bucket, author: str, tell: Tell) -> None:
-        """`author`: the station's name, written with every version. `tell` hears of everything found damaged."""
+    def __init__(self, database: Database, bucket: Bucket, author: str, notify: Notify) -> None:
+        """`author`: the station's name, written with every version. `notify` hears of everything found damaged."""
         self.database = database
         self.bucket = bucket
-        self.blobs = Blobs(bucket, tell)
+        self.blobs = Blobs(bucket, notify)
         self.author = author
-        self.tell = tell
+        self.notify = notify
 
-    def keep(self, place_map: PlaceMap, why: str) -> None:
+    def save(self, place_map: PlaceMap, why: str) -> None:
         """Make a map the newest version of its id; nothing happens when that is the same already."""
         files = encode_navigation(place_map.navigation)
         addresses = self.blobs.put(files.values())
@@ -51,10 +51,10 @@ class Contents:
             name: FileRef(address, len(data))
             for (name, data), address in zip(files.items(), addresses, strict=True)
         }  # fmt: skip
-        self.keep_record(replace(describe_map(place_map, refs), why=why))
+        self.save_record(replace(describe_map(place_map, refs), why=why))
 
-    def keep_record(self, content: MapRecord) -> bool:
-        """As keep, of a record whose files are here. False: it is the newest version already."""
+    def save_record(self, content: MapRecord) -> bool:
+        """As save, of a record whose files are here. False: it is the newest version already."""
         with self.changing(content.map_id) as change:
             newest = self.newest(change.rows)
             if newest is not None and newest.kind != "deleted" and same_content(newest, content):
@@ -83,7 +83,7 @@ class Contents:
                 return self.record(row)
             except Damaged as exc:
                 failure = failure or exc
-                self.tell(str(exc))
+                self.notify(str(exc))
         if failure is not None:
             raise failure
         return None
@@ -97,7 +97,7 @@ class Contents:
         if not row.is_sealed:
             raise Damaged(self.unsealed(row))
         what = f"map {row.map_id}, version {row.number}"
-        data = read_checked(self.bucket, row.file.name, row.record, what, self.tell)
+        data = read_checked(self.bucket, row.file.name, row.record, what, self.notify)
         record = decode_record(data, what)
         if (record.map_id, record.number) != (row.map_id, row.number):
             raise Damaged(

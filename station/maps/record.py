@@ -91,7 +91,7 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
     )
 
 
-def says_same_of_places(a: MapRecord, b: MapRecord) -> bool:
+def same_places(a: MapRecord, b: MapRecord) -> bool:
     """Whether two versions of a map differ in nothing but its name."""
     return _content(replace(a, name=b.name)) == _content(b)
 

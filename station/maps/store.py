@@ -15,7 +15,7 @@ from shared.errors import DataError
 from station.files.navigation_folder import REPORT
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps import versions
-from station.maps.blobs import Damaged, Tell
+from station.maps.blobs import Damaged, Notify
 from station.maps.bucket import open_bucket
 from station.maps.contents import Contents
 from station.maps.database import Database
@@ -44,15 +44,15 @@ class MapStore:
     In a folder that takes no writes the maps can still be seen (index_copy.py).
     """
 
-    def __init__(self, where: Path | StoreAddress, tell: Tell = logger.warning) -> None:
-        """`tell` hears a sentence about everything found damaged, whether it was put right or not."""
+    def __init__(self, where: Path | StoreAddress, notify: Notify = logger.warning) -> None:
+        """`notify` hears a sentence about everything found damaged, whether it was put right or not."""
         self.address = StoreAddress(where) if isinstance(where, Path) else where
-        self.tell = tell
+        self.notify = notify
         database = Database(self.address.database, self.address.root)
         bucket = open_bucket(self.address.blobs, self.address.root)
-        self._home = Contents(database, bucket, self.address.author, tell)
+        self._home = Contents(database, bucket, self.address.author, notify)
         self._copy: IndexCopy | None = None  # where nothing can be written: what is looked at instead
-        self._told = ""
+        self._notified = ""
         self._opening = threading.Lock()
         self._is_open = False
         self._not_imported: dict[str, str] = {}  # maps in the old format that cannot be read: id → why
@@ -61,7 +61,7 @@ class MapStore:
         """Keep a map as the newest version of its id; nothing happens when that is the same already."""
         if not MAP_ID.fullmatch(place_map.id):
             raise DataError(f'map id "{place_map.id}" is no file name; use letters, digits, "-" and "_"')
-        self.for_writing().keep(place_map, why)
+        self.for_writing().save(place_map, why)
 
     def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> PlaceMap:
         """Change places, edges or names of a map and return it. Two stations that edit at once keep both changes."""
@@ -101,7 +101,7 @@ class MapStore:
                 failure = failure or exc
                 continue
             if failure is not None:
-                self.tell(f"{failure}. Version {row.number} of the map is used instead")
+                self.notify(f"{failure}. Version {row.number} of the map is used instead")
             return place_map
         assert failure is not None
         raise failure
@@ -141,7 +141,7 @@ class MapStore:
             try:
                 records.append(self.contents.record(row))
             except Damaged as exc:
-                self.tell(str(exc))
+                self.notify(str(exc))
         return tuple(records)
 
     def deleted(self) -> tuple[MapSummary, ...]:
@@ -267,9 +267,9 @@ class MapStore:
             copy.remove()
             raise
         self._copy = copy
-        if copy.refusal != self._told:
-            self._told = copy.refusal
-            self.tell(self._told)
+        if copy.refusal != self._notified:
+            self._notified = copy.refusal
+            self.notify(self._notified)
 
     def _leave_copy(self) -> None:
         if self._copy is not None:

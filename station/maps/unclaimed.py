@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from station.maps.blobs import Damaged, Tell, read_checked
+from station.maps.blobs import Damaged, Notify, read_checked
 from station.maps.bucket import Bucket
 from station.maps.record import MapRecord, decode_record
 from station.maps.record_files import RecordFile, record_files
@@ -36,12 +36,12 @@ def newer(files: list[RecordFile], rows: list[VersionRow]) -> list[RecordFile]:
     return [file for file in files if file.number > newest.get(file.map_id, 0)]
 
 
-def read_all(bucket: Bucket, files: list[RecordFile], tell: Tell) -> Iterator[Unclaimed]:
+def read_all(bucket: Bucket, files: list[RecordFile], notify: Notify) -> Iterator[Unclaimed]:
     """One with a single wrong bit is put right on the way."""
     for file in files:
         what = f"map {file.map_id}, version {file.number}"
         try:
-            data = read_checked(bucket, file.name, file.address, what, tell)
+            data = read_checked(bucket, file.name, file.address, what, notify)
             yield Unclaimed(file, data, decode_record(data, what), "")
         except Damaged as exc:
             left = bucket.get(file.name)

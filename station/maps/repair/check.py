@@ -30,7 +30,7 @@ class Damage:
 
 
 def verify(store: MapStore) -> tuple[Damage, ...]:
-    """What is damaged and could not be put right by itself; the store's `tell` hears what could."""
+    """What is damaged and could not be put right by itself; the store's `notify` hears what could."""
     if not store.open():
         return ()
     with store.reading() as connection:
@@ -54,15 +54,15 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
     """
     contents = store.for_writing()
     folders = list(copies)
-    done = _take_in(contents) + _repair_rows(contents)
+    done = _index_unclaimed(contents) + _repair_rows(contents)
     done += _copy_records(contents, folders)
-    done += _take_in(contents)
+    done += _index_unclaimed(contents)
     damages = verify(store)
     wanted = {damage.address: damage for damage in damages if damage.address}
     for address, path in _found_copies(wanted, folders):
         contents.bucket.put({blob_name(address): path.read_bytes()})
         done.append(f"{wanted[address].sentence.partition(';')[0]}: copied again from {path}")
-    done += _take_in(contents)
+    done += _index_unclaimed(contents)
     done += _set_aside(contents)
     left = verify(store) if done else damages
     done += _go_back(store, contents, left)
@@ -70,8 +70,8 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
     return Repair(tuple(done), left)
 
 
-def _take_in(contents: Contents) -> list[str]:
-    return [f"version {row.number} of map {row.map_id} was taken in" for row in opening.take_in_records(contents)]
+def _index_unclaimed(contents: Contents) -> list[str]:
+    return [f"version {row.number} of map {row.map_id} was taken in" for row in opening.index_unclaimed(contents)]
 
 
 def _damages(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
@@ -93,12 +93,12 @@ def _damages(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
 
 
 def _lost(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
-    """Of what was lost together with the index, which would have told of it. As take_in_records, SQLite only."""
+    """Of what was lost together with the index, which would have told of it. As index_unclaimed, SQLite only."""
     if not contents.database.is_sqlite:
         return
     files = without_row(contents.bucket, rows)
     may_count = {file.name for file in newer(files, rows)}
-    for one in read_all(contents.bucket, files, contents.tell):
+    for one in read_all(contents.bucket, files, contents.notify):
         if one.record is None:
             yield Damage(one.file.map_id, one.file.number, "", 0, one.sentence)
         elif one.file.name in may_count:
@@ -144,7 +144,7 @@ def _set_aside(contents: Contents) -> list[str]:
     done = []
     with contents.database.writing(FOLDER) as connection:
         rows = versions.all_rows(connection)
-        for one in read_all(contents.bucket, without_row(contents.bucket, rows), contents.tell):
+        for one in read_all(contents.bucket, without_row(contents.bucket, rows), contents.notify):
             if one.record is not None:
                 continue
             file = one.file

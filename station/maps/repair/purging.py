@@ -47,7 +47,7 @@ def collect_garbage(contents: Contents) -> list[str]:
     except Damaged:
         return ["nothing was tidied up: a damaged version may still need its files"]
     # Those without a row, too: the index may be of another store, or another station may be about to commit.
-    for one in read_all(contents.bucket, without_row(contents.bucket, rows), contents.tell):
+    for one in read_all(contents.bucket, without_row(contents.bucket, rows), contents.notify):
         if one.record is None:
             return [f"nothing was tidied up: {one.sentence.partition(';')[0]}, and may still need its files"]
         needed |= {ref.address for ref in one.record.files.values()}
