@@ -248,7 +248,7 @@ class MapStore:
                 connection = stack.enter_context(self.contents.database.reading())
             except Unwritable as exc:  # a write was cut while this store was open
                 with self._opening:
-                    if self._copy is None:
+                    if not self.is_copy:
                         self._look_at_copy(exc)
                 connection = stack.enter_context(self.contents.database.reading())
             yield connection
