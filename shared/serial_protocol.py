@@ -78,7 +78,6 @@ class Hello:
 GYRO_RANGES_DEG_S = (250.0, 500.0, 1000.0, 2000.0)
 ACCEL_RANGES_G = (2.0, 4.0, 8.0, 16.0)
 STANDARD_GRAVITY = 9.80665  # m/s^2, what the accelerometer's g means
-MAG_UT_PER_COUNT = 0.15  # AK09916 datasheet, table 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +87,11 @@ class ImuPacket:
     LAYOUT: ClassVar = struct.Struct("<IIB23s")
     TYPE: ClassVar = Type.IMU
     BURST: ClassVar = struct.Struct(">7h")  # accel, gyro, temperature; big-endian
-    MAG: ClassVar = struct.Struct("<BhhhBB")  # ST1, x, y, z, reserved, ST2; little-endian
 
     sequence: int  # counts data-ready interrupts
     t_us: int  # Mega's clock, wraps at 2^32
     scales: int  # gyro_scale | accel_scale << 4
-    burst: bytes
+    burst: bytes  # and behind BURST the magnetometer's ST1, x, y, z, reserved, ST2: "<BhhhBB"
 
     def raw(self) -> tuple[int, ...]:
         """Accel x y z, gyro x y z, temperature: counts."""
@@ -110,20 +108,6 @@ class ImuPacket:
         unit = math.radians(GYRO_RANGES_DEG_S[self.scales & 3]) / 32768.0
         x, y, z = self.raw()[3:6]
         return x * unit, y * unit, z * unit
-
-    def temperature_c(self) -> float:
-        """Chip temperature, deg C (DS-000189, section 8.33)."""
-        return self.raw()[6] / 333.87 + 21.0
-
-    def mag_imu(self) -> tuple[float, float, float] | None:
-        """Field in uT in the IMU's axes; None where the magnetometer had nothing new or was saturated.
-
-        The AK09916 inside the chip has its y and z against those of accelerometer and gyro (DS-000189, figure 12).
-        """
-        st1, x, y, z, _, st2 = self.MAG.unpack_from(self.burst, 14)
-        if not st1 & 1 or st2 & 8:
-            return None
-        return x * MAG_UT_PER_COUNT, -y * MAG_UT_PER_COUNT, -z * MAG_UT_PER_COUNT
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,21 +86,6 @@ class Mega:
         self._thread.start()
         self._ready.wait(2 * SILENCE_S)  # whoever opens us may drive or ask for the battery next
 
-    @property
-    def bad_frames(self) -> int:
-        """Frames the line damaged."""
-        return self._decoder.bad
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """Of the Mega's resonator against our clock."""
-        return self._clock.drift_ppm
-
-    @property
-    def is_set(self) -> bool:
-        """Whether the firmware has confirmed all settings."""
-        return self._settings.are_confirmed
-
     def problems(self) -> dict[str, str]:
         """What goes wrong on the Mega although it answers: name → sentence."""
         if self.lost:
