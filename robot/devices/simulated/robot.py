@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
+from robot.devices.mailbox import Mailbox
 from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
-from robot.devices.simulated.mailbox import Mailbox
 from robot.devices.simulated.rendering import CameraJob, CameraProcess, FrameRequest
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
 from robot.simulation.config import Faults, SimulationConfig, config_from_table

@@ -1,5 +1,6 @@
 """The Pi's side of the serial line, against a line that tests write: greeting, restarts, losses."""
 
+import asyncio
 import contextlib
 import os
 import pty
@@ -128,7 +129,8 @@ def test_samples_keep_their_numbers_and_a_restart_shows_as_a_hole() -> None:
         line.say(imu(5), imu(6), imu(8))
         line.say(hello(2), imu(0), imu(1))
         got: list[int] = []
-        until(lambda: got.extend(r.sequence for r in mega.take_readings()) or len(got) == 5)
+        while len(got) < 5:
+            got += [r.sequence for r in asyncio.run(mega.wait_readings())]
         assert got == [0, 1, 3, 5, 6]
         assert mega.restarts == 1
         assert line.written.count(sp.encode(sp.ConfigMotors())) == 2
