@@ -210,7 +210,9 @@ _BODIES: dict[type[FirmwareMessage | Command], tuple[Type, struct.Struct]] = {
     ConfigMotors: (Type.CONFIG_MOTORS, struct.Struct("<BBBH")),
     Servo: (Type.SERVO, struct.Struct("<HH")),
 }
-_FIRMWARE_MESSAGES = {_BODIES[message][0]: message for message in get_args(FirmwareMessage)}
+_FIRMWARE_MESSAGES: dict[int, type[FirmwareMessage]] = {
+    _BODIES[message][0]: message for message in get_args(FirmwareMessage)
+}
 
 
 def crc16(data: bytes) -> int:
