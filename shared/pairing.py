@@ -12,8 +12,6 @@ from typing import Any, Literal
 from shared.errors import ConfigError, RemoteProtocolError
 
 CODE_DIGITS = 6
-PAKE_BYTES = 33
-MAC_BYTES = 32
 _STATION, _ROBOT = b"sentinel station", b"sentinel robot"
 
 

@@ -15,7 +15,11 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from robot.devices.simulated.robot import SimulatedRobot, parse_faults
+from msgspec import structs
+
+from robot.config import convert
+from robot.devices.simulated.robot import SimulatedRobot
+from robot.simulation.config import Faults
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.geometry import se3
 
@@ -143,5 +147,5 @@ class ControlDesk:
     def _faults(self, question: dict[str, Any]) -> dict[str, Any]:
         changes = {k: v for k, v in question.items() if k != "cmd"}
         if changes:
-            self._robot.set_faults(parse_faults(self._robot.faults, changes))
-        return asdict(self._robot.faults)
+            self._robot.set_faults(convert(structs.asdict(self._robot.faults) | changes, Faults, "faults"))
+        return structs.asdict(self._robot.faults)
