@@ -33,7 +33,6 @@ from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.commands.slam import given_state
 from station.datasets import open_dataset
-from station.experiments.trajectory import absolute_trajectory_error, path_length, relative_pose_error
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.motion.error_coordinates import ErrorKind, difference_group
@@ -47,6 +46,7 @@ from station.slam.ukf.filter.state import PHI, XI_X, initial_state, retract
 from station.slam.ukf.start.starter import ORIGIN, GivenState, Starter, WaitingFrame, state_from_given
 from station.vision.camera_model import CameraModel
 from tests.support.synthetic_run import TruePath, observe, room_points, sine_path
+from tests.support.trajectory import absolute_trajectory_error, path_length, relative_pose_error
 
 VARIANTS = {
     "right Lie UKF": FilterConfig(),
