@@ -60,7 +60,7 @@ def run_program(*arguments: str) -> None:
 
 def trajectory_of(data: Dataset) -> Trajectory:
     """The truth as a trajectory."""
-    truth = data.truth()
+    truth = data.truth
     if truth is None:
         raise SystemExit(f"{data.path} has no truth; it cannot be judged")
     return Trajectory(truth.t_robot_ns, truth.T_world_body)

@@ -54,7 +54,7 @@ def judge(path: Path, first: int | None, last: int | None, backend_name: str, th
         "scales": nav.report.config["scale_and_gravity"],
         "messages": nav.report.messages,
     }
-    truth = data.truth()
+    truth = data.truth
     if truth is not None:
         free = absolute_trajectory_error(nav.trajectory, truth, "sim3")
         row |= {

@@ -80,7 +80,7 @@ def slam(
 
 def given_state(data: Dataset) -> GivenState:
     """The dataset's true state at its first frame. Raises DataError where the truth has no velocity and biases."""
-    truth = data.truth()
+    truth = data.truth
     if truth is None or truth.v_world is None or truth.gyro_bias is None or truth.accel_bias is None:
         raise DataError(f"{data.path} has no true velocity and biases; leave --initial-state at own")
     camera = data.calibration.camera
