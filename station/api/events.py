@@ -23,24 +23,23 @@ from station.api.messages import (
     RobotMessage,
 )
 from station.api.schema.base import Model
-from station.api.schema.jobs import job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import navigation_model
 from station.api.schema.places import current_place, visit_model
 from station.api.schema.robot import robot_model
 from station.api.schema.slam import slam_model
-from station.api.schema.station import LogModel, log_model
+from station.api.schema.station import LogModel
 from station.errors import Busy
 from station.events import Event, LogLine
 from station.library.navigation_records import NavigationRecord
 from station.robots.session import RobotSession
-from station.workers.jobs import Job
 
 of_robot = APIRouter(tags=["events"])
 
 
 @of_robot.get("/log", summary="What happened lately, oldest first")
 async def log(robot: RobotDep) -> list[LogModel]:
-    return [log_model(line) for line in robot.events.log]
+    return [_log(line) for line in robot.events.log]
 
 
 @of_robot.websocket("/ws/events")
@@ -98,7 +97,7 @@ def to_message(robot: RobotSession, event: Event) -> Model:
         case "map":
             return MapMessage(active=active.place_map.id if active else None, revision=robot.active_maps.revision)
         case "job":
-            return JobMessage(job=job_model(cast(Job, event.subject)))
+            return JobMessage(job=JobModel.of(event.subject))
         case "place":
             current, last = robot.current_place, robot.current_place.visits.last
             return PlaceMessage(
@@ -108,4 +107,8 @@ def to_message(robot: RobotSession, event: Event) -> Model:
         case "bin":
             return BinMessage()
         case "log":
-            return LogMessage(line=log_model(cast(LogLine, event.subject)))
+            return LogMessage(line=_log(cast(LogLine, event.subject)))
+
+
+def _log(line: LogLine) -> LogModel:
+    return LogModel.of(line, unix_s=line.t_wall_s)

@@ -16,7 +16,7 @@ from station.api.deps import StationDep
 from station.api.limits import refuse, seated
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import ReplayModel, ReprocessOrder, replay_model
 from station.api.streams import BOUNDARY, HEADER, STREAM, SeatedStream
 from station.app import Station
@@ -40,7 +40,7 @@ NO_SUCH_NAVIGATION = 4404  # close code of /ws/replay
 )
 async def reprocess(navigation_id: str, station: StationDep, order: ReprocessOrder | None = None) -> JobModel:
     """For a navigation whose SLAM failed, or with another backend. Its navigation is replaced when the job is done."""
-    return job_model(station.reprocess(navigation_id, order.backend if order else None))
+    return JobModel.of(station.reprocess(navigation_id, order.backend if order else None))
 
 
 @router.get(
