@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 from typing import cast
 
-from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, WebSocket
 
 from station.api.deps import RobotDep
-from station.api.limits import refuse, seated
+from station.api.limits import converse
 from station.api.messages import (
     BinMessage,
     DriverMessage,
@@ -29,7 +27,6 @@ from station.api.schema.places import current_place, visit_model
 from station.api.schema.robot import robot_model
 from station.api.schema.slam import slam_model
 from station.api.schema.station import LogModel
-from station.errors import Busy
 from station.events import Event, LogLine
 from station.library.navigation_records import NavigationRecord
 from station.robots.session import RobotSession
@@ -45,27 +42,7 @@ async def log(robot: RobotDep) -> list[LogModel]:
 @of_robot.websocket("/ws/events")
 async def events_socket(socket: WebSocket, robot: RobotDep) -> None:
     """JSON messages (`EventMessage`): first the state of everything, then each change. Nothing is read."""
-    await socket.accept()
-    try:
-        with seated(socket):
-            await _tell(socket, robot)
-    except Busy as exc:
-        await refuse(socket, exc)
-
-
-async def _tell(socket: WebSocket, robot: RobotSession) -> None:
-    sending = asyncio.create_task(_send_events(socket, robot))
-    try:
-        while True:
-            await socket.receive()
-            if socket.client_state.name == "DISCONNECTED":
-                return
-    except (WebSocketDisconnect, RuntimeError):
-        return
-    finally:
-        sending.cancel()
-        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-            await sending
+    await converse(socket, socket.receive, lambda: _send_events(socket, robot))
 
 
 async def _send_events(socket: WebSocket, robot: RobotSession) -> None:
