@@ -60,7 +60,7 @@ class Pake:
         """Whether this exchange was begun for that code."""
         return hmac.compare_digest(self._code, code)
 
-    def hear(self, message: bytes) -> None:
+    def receive(self, message: bytes) -> None:
         """The other side's message. Raises RemoteProtocolError: it is none."""
         from spake2 import SPAKEError
         from spake2.ed25519_basic import NotOnCurve

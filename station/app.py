@@ -213,7 +213,7 @@ class Station:
                 compare = CompareNavigations(folder(first.id), folder(second.id), scratch, title, setting)
                 results = await worker.call(compare)
                 made = summarise(comparison_id, title, (first.id, second.id), results)
-                await asyncio.to_thread(self.comparisons.keep, made, scratch)
+                await asyncio.to_thread(self.comparisons.store, made, scratch)
             finally:
                 await asyncio.to_thread(self.comparisons.discard, scratch)
             return {"comparison": comparison_id, "matches": made.matches}

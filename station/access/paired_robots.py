@@ -81,7 +81,7 @@ class PairedRobots:
             f" run `robot-server pair` on it, then `station pair {host}:{port} --code CODE{self._data}`"
         )
 
-    def keep(self, robot: PairedRobot) -> None:
+    def store(self, robot: PairedRobot) -> None:
         """In place of what was known of this robot or address."""
         make_private_folder(self.path.parent)
         with locked(self.path):

@@ -133,7 +133,7 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
         paired = await pair(host, port, code, config.name)
     except PairingFailed as exc:
         raise Conflict(str(exc)) from exc
-    await asyncio.to_thread(station.access.robots.keep, paired)
+    await asyncio.to_thread(station.access.robots.store, paired)
     which.events.notify("link", f"paired with {paired.name}")
     return PairedModel(robot=paired.name, host=host, port=port, fingerprint=paired.fingerprint)
 

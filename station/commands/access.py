@@ -139,7 +139,7 @@ def pair(
     host, port = parse_address(robot, "ROBOT")
     station_name = f"{settings.name} on {socket.gethostname() or 'a PC'}"
     paired = asyncio.run(pair_with(host, port, parse_code(code), station_name))
-    _robots(data, config).keep(paired)
+    _robots(data, config).store(paired)
     shown = show_fingerprint(bytes.fromhex(paired.fingerprint))
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))

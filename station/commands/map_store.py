@@ -15,7 +15,7 @@ from shared.errors import DataError
 from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
-from station.maps.contents import ASIDE, record_files
+from station.maps.record_files import ASIDE, record_files
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 
@@ -137,7 +137,7 @@ def verify_maps(data: Data = None, config: Config = None, as_json: Json = False)
             print(hint(sentence, data, config))
         if not damages:
             print("all maps are as they were written" if store.list() else f"no maps in {store.contents.bucket.place}")
-        for aside in record_files(store.contents, ASIDE):
+        for aside in record_files(store.contents.bucket, ASIDE):
             print(f"version {aside.number} of map {aside.map_id} was lost: {store.contents.bucket.place}/{aside.name}")
     if damages:
         sys.exit(1)

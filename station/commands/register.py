@@ -68,7 +68,7 @@ def register_files(
                     "backend": result.backend,
                     "score": result.score,
                     "confidence": _number(result.confidence),
-                    "measured": result.measured,
+                    "evidence": result.measured,
                     "uncertainty": None if uncertainty is None else asdict(uncertainty),
                     "covariance": None if result.covariance is None else result.covariance.tolist(),
                     "eigenvalues": None if result.eigenvalues is None else result.eigenvalues.tolist(),

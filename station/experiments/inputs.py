@@ -1,4 +1,4 @@
-"""A recorded drive or a finished navigation → what an experiment starts from, with its truth where recorded."""
+"""A dataset or a finished navigation → what an experiment starts from, with its truth where recorded."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def is_navigation(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Input:
-    """One drive, opened and checked: a finished navigation, or a dataset still to be reconstructed."""
+    """One navigation, opened and checked: a finished navigation, or a dataset still to be reconstructed."""
 
     path: Path
     source: Navigation | Dataset

@@ -13,10 +13,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from shared.calibration import CameraCalibration
-from shared.mcap_recording import NANO
 
 IMAGE_SCHEMA_NAME: str = CompressedImage.DESCRIPTOR.full_name
 CALIBRATION_SCHEMA_NAME = "foxglove.CameraCalibration"
+NANO = 1_000_000_000
 
 
 def encode_image(t_robot_ns: int, jpeg: bytes) -> bytes:

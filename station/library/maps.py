@@ -14,7 +14,7 @@ from station.errors import Conflict, Unknown
 from station.events import Notifier
 from station.files.unwritable import Unwritable
 from station.library.active_maps import ActiveMap, ActiveMaps, numbered
-from station.library.map_choice import keep_choice, kept_choice, why_not_together
+from station.library.map_choice import store_choice, stored_choice, why_not_together
 from station.library.place_changes import PlacesChange, changes_of, why_not_that_one
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.repair.purging import collect_garbage, purge
@@ -50,7 +50,7 @@ class Maps:
         """
         self._loop = asyncio.get_running_loop()
         async with self._changing:
-            self._chosen = kept_choice(self.address.root)
+            self._chosen = stored_choice(self.address.root)
             usable: list[ActiveMap] = []
             for map_id in self._chosen:
                 try:
@@ -94,7 +94,7 @@ class Maps:
     async def _choose(self, chosen: tuple[str, ...]) -> None:
         self._chosen = chosen
         try:
-            await asyncio.to_thread(keep_choice, self.address.root, chosen)
+            await asyncio.to_thread(store_choice, self.address.root, chosen)
         except Unwritable as exc:
             self._events.notify("map", f"which map is in use will be forgotten at the next start: {exc}", "warning")
 

@@ -7,21 +7,19 @@ import json
 import re
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from shared.errors import DataError
 from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
-from station.maps.address import ADDRESS, address_of
+from station.maps.address import address_of
 from station.maps.blobs import Blobs, Damaged
+from station.model.map_store import VersionKind
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 
 FORMAT = 2  # 1 was a folder per map (station/maps/folder.py)
-FOLDER = "records"
-Kind = Literal["saved", "edited", "restored", "deleted"]
 MAP_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
-_NAME = re.compile(rf"(?P<map>[A-Za-z0-9][A-Za-z0-9_-]{{0,99}})\.(?P<number>\d{{6,}})\.(?P<address>{ADDRESS.pattern})")
 _MEASURED = ("wall_s", "cpu_s", "realtime_factor", "versions", "id")  # differ between runs that gave the same
 
 
@@ -39,7 +37,7 @@ class MapRecord:
 
     map_id: str
     number: int
-    kind: Kind
+    kind: VersionKind
     why: str  # "saved", "Place 3 is now Sofa": for a person
     author: str  # the station that wrote it
     created_ms: int  # since 1970
@@ -93,7 +91,7 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
     )
 
 
-def says_same_of_places(a: MapRecord, b: MapRecord) -> bool:
+def same_places(a: MapRecord, b: MapRecord) -> bool:
     """Whether two versions of a map differ in nothing but its name."""
     return _content(replace(a, name=b.name)) == _content(b)
 
@@ -130,17 +128,6 @@ def decode_record(data: bytes, what: str) -> MapRecord:
         )
     except (ValueError, KeyError, TypeError) as exc:
         raise Damaged(f"{what} is no record of a map ({exc!r}); run `station map repair`") from exc
-
-
-def record_name(record: MapRecord, data: bytes) -> str:
-    """The file a record is kept in: what a lost index is made from again."""
-    return f"{FOLDER}/{record.map_id}.{record.number:06d}.{address_of(data)}"
-
-
-def parse_record_name(name: str) -> tuple[str, int, str] | None:
-    """Map id, number and address; None for a file that is no record."""
-    match = _NAME.fullmatch(name.removeprefix(f"{FOLDER}/"))
-    return None if match is None else (match["map"], int(match["number"]), match["address"])
 
 
 def content_hash(record: MapRecord, report: bytes) -> str:

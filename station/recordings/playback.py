@@ -1,4 +1,4 @@
-"""A recorded drive played again: its pictures at the pace they were taken."""
+"""A recording played again: its pictures at the pace they were taken."""
 
 from __future__ import annotations
 

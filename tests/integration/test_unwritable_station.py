@@ -34,8 +34,8 @@ def spoilt_station(data_dir: Path) -> str:
         connection.execute("DELETE FROM map_version WHERE number = 2")
         connection.commit()
     library = NavigationLibrary(data_dir / "navigations")
-    library.keep(NavigationRecord("nav-1", "Ready", "ready", 1.0, "sfm", landmarks=5, scale="metric"))
-    library.keep(NavigationRecord("nav-2", "Cut", "recording", 2.0, "sfm"))
+    library.store(NavigationRecord("nav-1", "Ready", "ready", 1.0, "sfm", landmarks=5, scale="metric"))
+    library.store(NavigationRecord("nav-2", "Cut", "recording", 2.0, "sfm"))
     save_navigation(made_up_navigation(), library.navigation_folder("nav-1"))
     (library.folder("nav-1") / "recording.mcap").write_bytes(b"x")
     return place_map.id

@@ -52,7 +52,7 @@ def record_on(folder: Path, child: Child) -> None:
         else:
             child.promise([navigation.id, "closed", 0])
         ended = replace(navigation, state="failed", message=report.error or "ended")
-        child.do(functools.partial(library.keep, ended))
+        child.do(functools.partial(library.store, ended))
 
 
 def begin_on_some_disk(library: NavigationLibrary, navigation: NavigationRecord, child: Child) -> Recorder:
@@ -65,7 +65,7 @@ def begin(library: NavigationLibrary, navigation: NavigationRecord, min_free_byt
     recorder: Recorder | None = None
     try:
         recorder = Recorder(library.recording(navigation.id), min_free_bytes=min_free_bytes)
-        library.keep(navigation)
+        library.store(navigation)
     except DataError:
         if recorder is not None:
             recorder.close()
@@ -147,7 +147,7 @@ def write_again(folder: Path) -> None:
     recorder.on_imu(ImuBatch(first_sequence=0, samples=(sample,)))
     assert not recorder.close().error
     assert lost_s(library.recording(navigation.id), number, 0) == 0.0
-    library.keep(replace(navigation, state="failed", message="ended"))
+    library.store(replace(navigation, state="failed", message="ended"))
     assert not NavigationLibrary(folder / "drives").open()
 
 

@@ -104,7 +104,7 @@ def test_a_cut_recording_gets_its_end_again(
         summary = make_reader(file).get_summary()
     assert summary is not None and summary.statistics is not None
     if recovery is not None:
-        assert recovery.inside == "" and recovery.kept is None  # nothing but the end is missing
+        assert recovery.inside == "" and recovery.original is None  # nothing but the end is missing
         assert summary.statistics.message_count == recovery.messages and str(path) in str(recovery)
     if readable:
         assert [f.encoded for f in open_dataset(path).frames()] == readable
