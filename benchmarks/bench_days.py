@@ -86,7 +86,7 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
         if not navigation.is_dir():
             slam = make_backend(backend, data.calibration, 1)
             save_navigation(replace(run_backend(slam, data.events()), id=f"flat-{seed}-day-{day}"), navigation)
-        truth = data.truth()
+        truth = data.truth
         assert truth is not None
         drives.append(Drive(navigation, true_landmarks(load_navigation(navigation), truth)))
     return drives

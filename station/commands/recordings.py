@@ -10,14 +10,12 @@ from typing import Annotated, Any
 import typer
 
 from shared.errors import DataError
+from station.commands.options import Config, Data, Json
 from station.config import load_config
 
 recordings = typer.Typer(no_args_is_help=True, help="Recorded drives on disk.")
 
 Files = Annotated[list[Path] | None, typer.Argument(metavar="[RECORDING]...", help="By default all of the station's.")]
-Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
-Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 
 def register(app: typer.Typer) -> None:

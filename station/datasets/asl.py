@@ -84,9 +84,9 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
         intrinsics_known=not bool(camera_yaml.get("approximate", False)),
         frame_times_ns=times,
         read_frames=read_frames if has_images else None,
-        imu_samples=imu,
-        drive_samples=drive,
-        truth_poses=truth,
+        imu=imu,
+        drive=drive,
+        truth=truth,
     )
 
 

@@ -47,7 +47,7 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         intrinsics_known=known,
         frame_times_ns=times,
         read_frames=read_frames,
-        truth_poses=truth,
+        truth=truth,
     )
 
 

@@ -56,8 +56,8 @@ def open_mcap(path: Path, first: int | None, last: int | None, step: int) -> Dat
         intrinsics_known=True,
         frame_times_ns=frame_times[chosen],
         read_frames=read_frames if chosen else None,
-        imu_samples=imu,
-        drive_samples=drive,
+        imu=imu,
+        drive=drive,
     )
 
 

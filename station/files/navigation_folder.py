@@ -128,13 +128,8 @@ def decode_navigation(read: Callable[[str], bytes], folder: Path) -> Navigation:
     return Navigation(identity, calibration, trajectory, keyframes, landmarks, report)
 
 
-def write_tum(trajectory: Trajectory, path: Path) -> None:
-    """Poses as `t x y z qx qy qz qw`, t in s with all nanoseconds."""
-    path.write_text(format_tum(trajectory))
-
-
 def format_tum(trajectory: Trajectory) -> str:
-    """The text of a TUM file."""
+    """The text of a TUM file: poses as `t x y z qx qy qz qw`, t in s with all nanoseconds."""
     lines = []
     for t_ns, T in zip(trajectory.t_robot_ns.tolist(), trajectory.T_world_body, strict=True):
         w, x, y, z = quat_from_rotation(T[:3, :3])
