@@ -24,7 +24,6 @@ class TextureSpec:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height in texels."""
         return max(4, round(self.width_m * self.texels_per_m)), max(4, round(self.height_m * self.texels_per_m))
 
 
