@@ -28,7 +28,6 @@ class CheckFailed(Exception):
 
 
 async def check_camera(camera: Camera, expected_hz: float | None = None) -> str:
-    """Rate and picture."""
     frames = [await asyncio.wait_for(camera.capture(), 10.0) for _ in range(FRAMES)]
     span_s = (frames[-1].t_robot_ns - frames[0].t_robot_ns) * 1e-9
     if span_s <= 0:
@@ -72,7 +71,6 @@ async def check_imu(imu: Imu, expected_hz: float | None = None) -> str:
 
 
 async def check_battery(battery: Battery) -> str:
-    """Voltage."""
     for _ in range(20):  # the first report may still be on its way
         try:
             state = battery.read()

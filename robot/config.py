@@ -28,8 +28,6 @@ class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class IdentityConfig(Section, frozen=True, kw_only=True):
-    """Who this robot is."""
-
     id: ShortText = ""  # empty: the host's name
     name: ShortText = ""  # for people; empty: the id, and "Simulated robot" for a simulated one without id
 
@@ -61,8 +59,6 @@ class DriveConfig(Section, frozen=True, kw_only=True):
 
 
 class SimulatedConfig(Section, frozen=True, kw_only=True):
-    """The simulated robot's world."""
-
     world: str = "home"
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
     # emulated: IMU and motors go through the real firmware in an emulated Mega (docs/firmware.md)
@@ -116,8 +112,6 @@ class PiConfig(Section, frozen=True, kw_only=True):
 
 
 class RobotConfig(Section, frozen=True, kw_only=True):
-    """The whole file."""
-
     identity: IdentityConfig = IdentityConfig()
     server: ServerConfig = ServerConfig()
     access: AccessConfig = AccessConfig()

@@ -16,7 +16,6 @@ _STATION, _ROBOT = b"sentinel station", b"sentinel robot"
 
 
 def new_code() -> str:
-    """Six random digits."""
     return f"{secrets.randbelow(10**CODE_DIGITS):0{CODE_DIGITS}d}"
 
 

@@ -158,8 +158,6 @@ class Stop(msgspec.Struct, frozen=True):
 
 
 class AskTime(msgspec.Struct, frozen=True):
-    """Asks for the Mega's clock."""
-
     token: int
 
 

@@ -36,8 +36,6 @@ class ImuReading:
 
 @dataclass(frozen=True, slots=True)
 class BatteryState:
-    """Supply of the motors."""
-
     voltage_v: float
     fraction: float  # 0..1
 
@@ -85,8 +83,6 @@ class PanTilt(Protocol):
 
 
 class Battery(Protocol):
-    """Voltage source of the motors."""
-
     def read(self) -> BatteryState: ...
 
 

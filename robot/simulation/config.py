@@ -40,8 +40,6 @@ class ImuImperfections(Section, frozen=True, kw_only=True):
 
 
 class BodyParameters(Section, frozen=True, kw_only=True):
-    """The skid-steer platform."""
-
     radius_m: float = 0.21  # around the IMU; the camera's front is inside
     imu_height_m: float = 0.25
     max_linear_m_s: float = 0.6

@@ -22,8 +22,6 @@ SILENT_NS = 500_000_000
 
 
 class MegaImu:
-    """Every sample of the Mega's IMU."""
-
     def __init__(self, mega: Mega) -> None:
         self._mega = mega
 

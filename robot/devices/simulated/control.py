@@ -52,7 +52,6 @@ class ControlServer:
         logger.info("simulator control on 127.0.0.1:%d", self.port)
 
     def close(self) -> None:
-        """Stop listening."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join(timeout=2.0)
@@ -64,8 +63,6 @@ class _Server(socketserver.ThreadingTCPServer):
 
 
 class ControlDesk:
-    """Answers one question at a time."""
-
     def __init__(self, robot: SimulatedRobot) -> None:
         self._robot = robot
         self._commands: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {

@@ -29,8 +29,6 @@ class SimulatedCameraPort(_Part):
 
 
 class SimulatedImu(_Part):
-    """Delivers every sample."""
-
     async def read(self) -> list[ImuReading]:
         return await self._robot.imu_mailbox.get(MAX_READINGS)
 
@@ -58,8 +56,6 @@ class SimulatedMotors(_Part):
 
 
 class SimulatedPanTilt(_Part):
-    """Turns the simulated camera."""
-
     def point(self, pan_rad: float, tilt_rad: float) -> None:
         self._robot.point_head(pan_rad, tilt_rad)
 
@@ -75,10 +71,7 @@ class SimulatedBattery(_Part):
 
 
 class SimulatedHijack(_Part):
-    """Somebody's hands."""
-
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
-        """Raises ValueError where the robot cannot stand."""
         self._robot.hijack(x_m, y_m, yaw_rad)
 
     def hijack_anywhere(self) -> None:

@@ -41,8 +41,6 @@ MAX_PAN_RAD, MAX_TILT_RAD, HEAD_SPEED_RAD_S = math.radians(80), math.radians(40)
 
 
 class Closable(Protocol):
-    """Something that ends with the robot."""
-
     def close(self) -> None: ...
 
 
@@ -82,7 +80,6 @@ class SimulatedRobot:
         self._threads: list[threading.Thread] = []
 
     def start(self, *controls: Closable | None) -> None:
-        """Begin to live."""
         self._controls = [c for c in controls if c is not None]
         self._epoch_ns = time.monotonic_ns()
         self._threads = [
@@ -105,7 +102,6 @@ class SimulatedRobot:
     # --- what the devices need ------------------------------------------------------------------------------------
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Tell the motors."""
         with self._lock:
             self._body.command(linear_m_s, angular_rad_s)
 
@@ -141,7 +137,6 @@ class SimulatedRobot:
 
     @property
     def is_carried(self) -> bool:
-        """Whether somebody holds the robot."""
         return self._body.is_carried
 
     def truth(self) -> tuple[int, MotionState]:
