@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,18 +41,9 @@ def verify(files: Files = None, data: Data = None, config: Config = None, as_jso
         is_damaged = is_damaged or bool(check.damage)
         if not as_json:
             print(check, flush=True)
-        shown.append(
-            {
-                "path": str(check.path),
-                "messages": check.messages,
-                "seconds": check.seconds,
-                "bytes": check.size,
-                "damage": check.damage,
-                "is_being_written": check.is_being_written,
-            }
-        )
+        shown.append(asdict(check))
     if as_json:
-        print(json.dumps({"recordings": shown}))
+        print(json.dumps({"recordings": shown}, default=str))
     elif not paths:
         print("there are no recordings")
     if is_damaged:

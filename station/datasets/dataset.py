@@ -96,13 +96,18 @@ def slice_imu(imu: ImuBatch, start: int, stop: int) -> ImuBatch:
     return ImuBatch(imu.t_robot_ns[start:stop], imu.gyro_imu[start:stop], imu.accel_imu[start:stop])
 
 
-def choose_frames(numbers: Sequence[int], first: int | None, last: int | None, step: int) -> list[int]:
-    """Positions of the frames whose number lies in first..last (both included), every step-th of them."""
+def choose_frames(path: Path, numbers: Sequence[int], first: int | None, last: int | None, step: int) -> list[int]:
+    """Positions of the frames whose number lies in first..last (both included), every step-th of them.
+
+    Raises DataError where there are frames, but none of them there; `path` is what the message calls the whole.
+    """
     if step < 1:
         raise DataError(f"step {step} must be at least 1")
     chosen = [
         i for i, number in enumerate(numbers) if (first is None or number >= first) and (last is None or number <= last)
     ]
+    if numbers and not chosen:
+        raise DataError(f"{path} has {len(numbers)} frames, none of them in the range asked for")
     return chosen[::step]
 
 
