@@ -51,8 +51,8 @@ async def measure(frames: int) -> list[Figure]:
     begun = time.process_time()
     for _ in range(20):
         robot, station = Pake("robot", "123456", b"f"), Pake("station", "123456", b"f")
-        robot.hear(station.message)
-        station.hear(robot.message)
+        robot.receive(station.message)
+        station.receive(robot.message)
     pairing_ms = (time.process_time() - begun) / 40 * 1e3
     print(f"pairing: {pairing_ms:.1f} ms of CPU on each side")
     return [

@@ -68,7 +68,7 @@ class PairingDesk:
             opened = self._open(now_s)
             self._write(msgspec.structs.replace(opened, exchanges_left=opened.exchanges_left - 1))
         pake = Pake("robot", opened.code, self._fingerprint)
-        pake.hear(message)
+        pake.receive(message)
         return pake
 
     def finish(self, pake: Pake, mac: bytes, station_name: str, now_s: float) -> Token:

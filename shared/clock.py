@@ -69,7 +69,7 @@ class RemoteClock:
             self._arrivals.clear()
             self._fit = None
             self.steps += 1
-        self._keep(t_remote_ns, difference)
+        self._store(t_remote_ns, difference)
         while t_remote_ns - self._arrivals[0][0] > WINDOW_NS:
             self._arrivals.popleft()
         if self._fit is None or t_remote_ns - self._fitted_at_ns >= REFIT_NS:
@@ -88,7 +88,7 @@ class RemoteClock:
         allowed = STEP_NS + MAX_DRIFT * abs(t_remote_ns - last_remote_ns)
         return difference < self._fit.offset_at_ns(t_remote_ns) - allowed
 
-    def _keep(self, t_remote_ns: int, difference: int) -> None:
+    def _store(self, t_remote_ns: int, difference: int) -> None:
         if self._arrivals and t_remote_ns // BIN_NS <= self._arrivals[-1][0] // BIN_NS:
             last_remote_ns, last_difference = self._arrivals[-1]
             slope = self._fit.slope if self._fit else 0.0

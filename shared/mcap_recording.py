@@ -54,12 +54,12 @@ class McapContent:
         self._pending: tuple[int, int] | None = None  # a frame's record, whose image must follow
         for topic, data in _messages(path, {HELLO_TOPIC, FRAME_TOPIC, IMAGE_TOPIC, IMU_TOPIC, DRIVE_TOPIC}):
             try:
-                if not self._take(topic, data, path):
+                if not self._add(topic, data, path):
                     return
             except (KeyError, TypeError, ValueError) as exc:
                 raise DataError(f"{path}: a message on {topic} is not one of ours ({exc!r}); record again") from exc
 
-    def _take(self, topic: str, data: bytes, path: Path) -> bool:
+    def _add(self, topic: str, data: bytes, path: Path) -> bool:
         """False when the rest of the file must not be used."""
         if topic == IMAGE_TOPIC:
             if self._pending is not None:
@@ -68,16 +68,16 @@ class McapContent:
             return True
         content = _json(data, path)
         if topic == HELLO_TOPIC:
-            return self._take_hello(content, path)
+            return self._add_hello(content, path)
         if topic == FRAME_TOPIC:
             self._pending = (_time(content), int(content["exposure_ns"]))
         elif topic == IMU_TOPIC:
-            self._take_sample(content)
+            self._add_sample(content)
         else:
-            self._take_drive(_time(content), (float(content["linear"]), float(content["angular"])))
+            self._add_drive(_time(content), (float(content["linear"]), float(content["angular"])))
         return True
 
-    def _take_hello(self, content: dict[str, Any], path: Path) -> bool:
+    def _add_hello(self, content: dict[str, Any], path: Path) -> bool:
         """False when the robot was started anew: what follows has another clock."""
         try:
             hello = msgspec.msgpack.decode(base64.b64decode(content["msgpack_base64"]), type=Hello)
@@ -89,7 +89,7 @@ class McapContent:
         self.hello = self.hello or hello
         return True
 
-    def _take_sample(self, content: dict[str, Any]) -> None:
+    def _add_sample(self, content: dict[str, Any]) -> None:
         t_ns = _time(content)
         if self.samples and t_ns <= self.samples[-1][0]:
             return  # a sensor that repeats a stamp; estimators need increasing times
@@ -99,7 +99,7 @@ class McapContent:
             return
         self.samples.append((t_ns, readings))
 
-    def _take_drive(self, t_ns: int, command: tuple[float, float]) -> None:
+    def _add_drive(self, t_ns: int, command: tuple[float, float]) -> None:
         """Reports come 20 times a second; only changes say something."""
         if self.drive and t_ns <= self.drive[-1][0]:
             return

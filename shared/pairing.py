@@ -12,13 +12,10 @@ from typing import Any, Literal
 from shared.errors import ConfigError, RemoteProtocolError
 
 CODE_DIGITS = 6
-PAKE_BYTES = 33
-MAC_BYTES = 32
 _STATION, _ROBOT = b"sentinel station", b"sentinel robot"
 
 
 def new_code() -> str:
-    """Six random digits."""
     return f"{secrets.randbelow(10**CODE_DIGITS):0{CODE_DIGITS}d}"
 
 
@@ -60,7 +57,7 @@ class Pake:
         """Whether this exchange was begun for that code."""
         return hmac.compare_digest(self._code, code)
 
-    def hear(self, message: bytes) -> None:
+    def receive(self, message: bytes) -> None:
         """The other side's message. Raises RemoteProtocolError: it is none."""
         from spake2 import SPAKEError
         from spake2.ed25519_basic import NotOnCurve

@@ -213,7 +213,7 @@ class Station:
                 compare = CompareNavigations(folder(first.id), folder(second.id), scratch, title, setting)
                 results = await worker.call(compare)
                 made = summarise(comparison_id, title, (first.id, second.id), results)
-                await asyncio.to_thread(self.comparisons.keep, made, scratch)
+                await asyncio.to_thread(self.comparisons.store, made, scratch)
             finally:
                 await asyncio.to_thread(self.comparisons.discard, scratch)
             return {"comparison": comparison_id, "matches": made.matches}
@@ -237,7 +237,7 @@ class Station:
                 seed, executor = self.config.slam.seed, self.config.executor
                 report = await worker.call(Reprocess(recording, chosen, seed, navigation_id, folder, executor))
                 navigation = await self.navigations.reprocessed(navigation_id, report)
-                await self._robot_of(navigation).current_navigation.show(navigation_id)
+                await self._robot_of(navigation).current_navigation.view(navigation_id)
             finally:
                 self.navigations.release(navigation_id)
             return {"navigation": navigation_id, "landmarks": report.landmarks}

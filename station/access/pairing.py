@@ -77,7 +77,7 @@ async def _talk(connection: Connection, host: str, port: int, code: str, station
     reply = await hear()
     if not isinstance(reply, PairReply):
         raise PairingFailed(f"the robot at {host}:{port} answered with {reply}; install the same release on both")
-    await asyncio.to_thread(pake.hear, reply.message)
+    await asyncio.to_thread(pake.receive, reply.message)
     connection.writer.write(session.send(PairProof(mac=pake.mac("station"))))
     paired = await hear()
     # The robot's proof comes last: who does not know the code must not be remembered as the robot.

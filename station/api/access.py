@@ -12,7 +12,6 @@ from starlette.requests import Request
 from shared.access import Role
 from shared.errors import ConfigError
 from shared.pairing import parse_code
-from shared.token_book import TokenRecord
 from station.access.pairing import PairingFailed, pair
 from station.access.visitors import SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
@@ -96,7 +95,7 @@ async def session(visitor: VisitorDep, station: StationDep) -> SessionModel:
 @router.get("/access/tokens", summary="Who may, and who no longer may", responses=responses(409))
 async def tokens(station: StationDep) -> list[TokenModel]:
     station.access.door.book.refresh()
-    return [_token(record) for record in station.access.door.book.tokens()]
+    return [TokenModel.of(record) for record in station.access.door.book.tokens()]
 
 
 @router.post("/access/tokens", summary="A token for somebody", status_code=201, responses=responses(409))
@@ -134,22 +133,10 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
         paired = await pair(host, port, code, config.name)
     except PairingFailed as exc:
         raise Conflict(str(exc)) from exc
-    await asyncio.to_thread(station.access.robots.keep, paired)
+    await asyncio.to_thread(station.access.robots.store, paired)
     which.events.notify("link", f"paired with {paired.name}")
     return PairedModel(robot=paired.name, host=host, port=port, fingerprint=paired.fingerprint)
 
 
 def _session(visitor: Visitor, controlled: bool) -> SessionModel:
     return SessionModel(controlled=controlled, name=visitor.name, role=visitor.role.value)
-
-
-def _token(record: TokenRecord) -> TokenModel:
-    return TokenModel(
-        id=record.id,
-        name=record.name,
-        role=record.role,
-        created_s=record.created_s,
-        last_used_s=record.last_used_s,
-        expires_s=record.expires_s,
-        revoked_s=record.revoked_s,
-    )

@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse
 from station.api.deps import StationDep
 from station.api.problems import responses
 from station.api.schema.comparisons import ComparisonModel, ComparisonOrder, comparison_model
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.library.comparisons import FILES
 
 router = APIRouter(tags=["comparisons"])
@@ -32,7 +32,7 @@ async def comparisons(station: StationDep) -> list[ComparisonModel]:
 @router.post("/comparisons", summary="Compare two navigations", status_code=202, responses=responses(404, 409))
 async def compare(order: ComparisonOrder, station: StationDep) -> JobModel:
     """Runs in the background: follow GET /jobs/{id}, whose result names the comparison; DELETE /jobs/{id} cancels."""
-    return job_model(station.compare(order.first, order.second))
+    return JobModel.of(station.compare(order.first, order.second))
 
 
 @router.get("/comparisons/{comparison_id}", summary="One comparison", responses=responses(404))

@@ -11,7 +11,7 @@ from station.api.images import image_response
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.schema.base import NewName
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.maps import MapChoice, MapModel, MapOrder, map_model
 from station.errors import Unknown
 from station.library.place_images import keyframe_image
@@ -28,7 +28,7 @@ async def maps(station: StationDep) -> list[MapModel]:
 @router.post("/maps", summary="Build a map from navigations", status_code=202, responses=responses(404, 409))
 async def build(order: MapOrder, station: StationDep) -> JobModel:
     """Runs in the background: follow GET /jobs/{id}, whose result names the map; DELETE /jobs/{id} cancels."""
-    return job_model(station.build_map(order.navigations, order.name, order.mode, order.activate))
+    return JobModel.of(station.build_map(order.navigations, order.name, order.mode, order.activate))
 
 
 @router.put("/maps/active", summary="Choose the map in use, or several", responses=responses(404, 409))

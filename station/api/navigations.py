@@ -10,7 +10,7 @@ from fastapi.responses import FileResponse
 from station.api.deps import RobotDep, StationDep
 from station.api.problems import responses
 from station.api.schema.base import NewName
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import BinModel, NavigationModel, NavigationStart, bin_model, navigation_model
 from station.errors import Conflict, Unknown
 
@@ -108,15 +108,15 @@ async def download(navigation_id: str, name: str, station: StationDep) -> FileRe
 
 @router.get("/jobs", summary="Work in the background", tags=["jobs"])
 async def jobs(station: StationDep) -> list[JobModel]:
-    return [job_model(job) for job in station.jobs.list()]
+    return [JobModel.of(job) for job in station.jobs.list()]
 
 
 @router.get("/jobs/{job_id}", summary="One job", tags=["jobs"], responses=responses(404))
 async def job(job_id: str, station: StationDep) -> JobModel:
-    return job_model(station.jobs.get(job_id))
+    return JobModel.of(station.jobs.get(job_id))
 
 
 @router.delete("/jobs/{job_id}", summary="Cancel a job", tags=["jobs"], responses=responses(404, 409))
 async def cancel(job_id: str, station: StationDep) -> JobModel:
     """409 when it was over before it could be cancelled: what it made is there."""
-    return job_model(await station.jobs.cancel(job_id))
+    return JobModel.of(await station.jobs.cancel(job_id))

@@ -12,7 +12,7 @@ import typer
 from station.commands.progress import working
 from station.commands.verdict import verdict
 from station.experiments.experiment import Experiment, results_dict
-from station.experiments.output import write_experiment
+from station.experiments.report import write_experiment
 
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:

@@ -26,9 +26,7 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
     numbers, files = [number for number, _ in numbered], [file for _, file in numbered]
     if not files:
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a dataset")
-    chosen = choose_frames(numbers, first, last, step)
-    if not chosen:
-        raise DataError(f"{path} has {len(files)} images, none of them numbered in the range asked for")
+    chosen = choose_frames(path, numbers, first, last, step)
     camera, known = _read_calibration(path, files[chosen[0]])
     files = [files[i] for i in chosen]
     times = np.array(image_times_ns(numbers, camera.rate_hz, path), dtype=np.int64)[chosen]
@@ -47,7 +45,7 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         intrinsics_known=known,
         frame_times_ns=times,
         read_frames=read_frames,
-        truth_poses=truth,
+        truth=truth,
     )
 
 

@@ -40,9 +40,7 @@ def open_video(path: Path, first: int | None, last: int | None, step: int) -> Da
         raise DataError(
             f"{path} is {size[0]}x{size[1]} but {yaml_path} says {camera.width}x{camera.height}; correct it"
         )
-    chosen = choose_frames(range(total), first, last, step)
-    if not chosen:
-        raise DataError(f"{path} has {total} frames, none of them in the range asked for")
+    chosen = choose_frames(path, range(total), first, last, step)
     times = np.array([round(i * 1e9 / rate) for i in chosen], dtype=np.int64)
     return Dataset(
         path=path,

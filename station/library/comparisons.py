@@ -79,7 +79,7 @@ class Comparisons:
             raise DataError(f"{self._root} cannot be written ({exc.strerror}); choose another folder") from exc
         return candidate, folder
 
-    def keep(self, comparison: Comparison, folder: Path) -> None:
+    def store(self, comparison: Comparison, folder: Path) -> None:
         """The job is done: its folder becomes a comparison."""
         try:
             (folder / "comparison.json").write_bytes(msgspec.json.encode(comparison))

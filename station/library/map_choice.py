@@ -26,12 +26,12 @@ class _Choice(msgspec.Struct, frozen=True, omit_defaults=True):
     also: tuple[str, ...] = ()
 
 
-def kept_choice(root: Path) -> tuple[str, ...]:
+def stored_choice(root: Path) -> tuple[str, ...]:
     """The ids that were chosen last, the first one first; none where nothing was, or nothing that can be read."""
     return _written(root) or ()
 
 
-def keep_choice(root: Path, chosen: tuple[str, ...]) -> None:
+def store_choice(root: Path, chosen: tuple[str, ...]) -> None:
     """Raises Unwritable."""
     if chosen == _written(root):
         return

@@ -1,4 +1,4 @@
-"""The recorded drives on disk: `<root>/<id>/` with record.json, recording.mcap and, when SLAM is done, navigation/."""
+"""The navigations on disk: `<root>/<id>/` with record.json, recording.mcap and, when SLAM is done, navigation/."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class NavigationLibrary:
         self._navigations: dict[str, NavigationRecord] = {}
 
     def open(self) -> list[NavigationRecord]:
-        """Read what is there. Drives that were under way when the station ended are kept as failed, and returned.
+        """Read what is there. Returns those that were under way when the station ended; they are failed now.
 
         Where nothing can be written they are only known as failed until the station ends; `unwritable` says why then.
         Raises DataError: there is no such folder and none can be made.
@@ -87,7 +87,7 @@ class NavigationLibrary:
                     navigation, state="failed", message="the station ended before this navigation was finished"
                 )
                 try:
-                    self.keep(navigation)
+                    self.store(navigation)
                 except Unwritable:
                     self.remember(navigation)
                 interrupted.append(navigation)
@@ -119,7 +119,7 @@ class NavigationLibrary:
     def navigation_folder(self, navigation_id: str) -> Path:
         return self.folder(navigation_id) / "navigation"
 
-    def keep(self, navigation: NavigationRecord) -> None:
+    def store(self, navigation: NavigationRecord) -> None:
         """Write a navigation's record and know it. Raises Unwritable."""
         self.write(navigation)
         self.remember(navigation)
@@ -158,7 +158,7 @@ class NavigationLibrary:
         del self._navigations[navigation_id]
 
     def deleted(self) -> tuple[NavigationRecord, ...]:
-        """Drives that can be restored."""
+        """Those that can be restored."""
         found = []
         for folder in sorted((self._root / BIN).glob("*")):
             try:

@@ -27,10 +27,10 @@ class Navigations:
 
     def __init__(self, library: NavigationLibrary, events: Notifier) -> None:
         self.library = library
-        self._disk = ThreadPoolExecutor(1, thread_name_prefix="drives")
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="navigations")
         self._writing: set[asyncio.Future[None]] = set()
         self._events = events
-        self._running: dict[str, Callable[[], NavigationRecord]] = {}  # drive → its record of now
+        self._running: dict[str, Callable[[], NavigationRecord]] = {}  # id → its record of now
         self._reserved: set[str] = set()
 
     def list(self) -> list[NavigationRecord]:
@@ -49,13 +49,13 @@ class Navigations:
     def end(self, navigation_id: str) -> None:
         self._running.pop(navigation_id, None)
 
-    def keep(self, navigation: NavigationRecord) -> asyncio.Future[None]:
+    def store(self, navigation: NavigationRecord) -> asyncio.Future[None]:
         """Know it from now on, and write it; wait for the result where somebody is told that it is kept.
 
         A disk that does not take it is told as an event: then only this run of the station knows how it ended.
         """
         self.library.remember(navigation)
-        self.tell(navigation)
+        self.notify(navigation)
         writing = asyncio.ensure_future(self._watch(self.in_order(self._write, navigation)))
         self._writing.add(writing)
         writing.add_done_callback(self._writing.discard)
@@ -83,7 +83,7 @@ class Navigations:
         await asyncio.gather(*self._writing, return_exceptions=True)
         await asyncio.to_thread(self._disk.shutdown)
 
-    def tell(self, navigation: NavigationRecord) -> None:
+    def notify(self, navigation: NavigationRecord) -> None:
         self._events.changed("navigation", navigation, navigation.id)
 
     async def rename(self, navigation_id: str, name: str) -> NavigationRecord:
@@ -102,7 +102,7 @@ class Navigations:
         except DataError:
             self.library.remember(replace(self.library.get(navigation_id), name=navigation.name))
             raise
-        self.tell(self.library.get(navigation_id))
+        self.notify(self.library.get(navigation_id))
         return self.library.get(navigation_id)
 
     async def delete(self, navigation_id: str) -> None:
@@ -121,23 +121,20 @@ class Navigations:
     async def restore(self, navigation_id: str) -> NavigationRecord:
         """Take a navigation out of the bin. Raises Unknown."""
         navigation = await self.in_order(self.library.restore, navigation_id)
-        self.tell(navigation)
+        self.notify(navigation)
         return navigation
 
     def reserve(self, navigation_id: str) -> None:
         """A job works on this navigation's files until `release`. Raises Conflict when one does already."""
-        self._refuse_reserved(navigation_id)
-        self._reserved.add(navigation_id)
-
-    def release(self, navigation_id: str) -> None:
-        self._reserved.discard(navigation_id)
-
-    def _refuse_reserved(self, navigation_id: str) -> None:
         if navigation_id in self._reserved:
             name = self.library.get(navigation_id).name
             raise Conflict(
                 f"SLAM runs over {name} just now, or it goes into the bin; wait for the job or cancel it (GET /jobs)"
             )
+        self._reserved.add(navigation_id)
+
+    def release(self, navigation_id: str) -> None:
+        self._reserved.discard(navigation_id)
 
     async def reprocessed(self, navigation_id: str, report: NavigationReport) -> NavigationRecord:
         """SLAM ran over a navigation's recording again and left its navigation."""
@@ -149,7 +146,7 @@ class Navigations:
             scale=report.scale,
             message="; ".join(report.messages) or f"{report.landmarks} landmarks",
         )
-        await self.keep(navigation)
+        await self.store(navigation)
         self._events.notify("navigation", f"{navigation.name} is ready: {report.landmarks} landmarks")
         return navigation
 

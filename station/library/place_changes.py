@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from station.maps.record import MapRecord, says_same_of_places
+from station.maps.record import MapRecord, same_places
 
 
 @dataclass(frozen=True, slots=True)
 class PlacesChange:
     """A place was renamed, hidden or shown, or places were merged."""
 
-    version: int  # of the map, that it led to
+    version: int  # of the map, after the change
     previous: int  # the version that it changed
     why: str  # for a person
     changed_wall_s: float
@@ -27,14 +27,14 @@ def changes_of(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
         before = by_number.get(record.previous or 0)
         if before is None:
             break  # it cannot be read any more, so nothing leads back to it
-        if not says_same_of_places(before, record):  # else the map was renamed
+        if not same_places(before, record):  # else the map was renamed
             changes.append(PlacesChange(record.number, before.number, record.why, record.created_ms / 1e3))
         record = by_number.get(before.content)
     return tuple(changes)
 
 
 def why_not_that_one(version: int, changes: Sequence[PlacesChange]) -> str:
-    """Why this version is not the change that can be taken back."""
+    """What to answer to an undo of any but the newest change."""
     newest = changes[0]
     later = next((i for i, change in enumerate(changes) if change.version == version), None)
     if later is not None:

@@ -42,7 +42,7 @@ async def recover_recordings(
                 f"interrupted; {recovery.seconds:.0f} s are recovered: run SLAM again to make a navigation of them"
             )
             if navigation in navigations.library.list():  # nobody deleted or named it meanwhile
-                await navigations.keep(replace(navigation, message=message, duration_s=recovery.seconds))
+                await navigations.store(replace(navigation, message=message, duration_s=recovery.seconds))
             events.notify("navigation", f"{navigation.name}: {recovery}", "warning")
         except RobotSystemError as exc:
             events.notify("navigation", f"{navigation.name}: {exc}", "error")

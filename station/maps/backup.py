@@ -13,10 +13,10 @@ from shared.errors import DataError
 from station.maps import versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
 from station.maps.blobs import Damaged, blob_name
-from station.maps.contents import Contents
-from station.maps.record import MapRecord, decode_record, parse_record_name, record_name
+from station.maps.contents import Contents, row_of
+from station.maps.record import MapRecord, decode_record
+from station.maps.record_files import parse_record_name
 from station.maps.store import MapStore
-from station.maps.versions import row_of
 
 README = b"Maps of a Sentinel station: `station map restore FILE` brings them back. File names end in sha256-crc32.\n"
 
@@ -48,7 +48,7 @@ def write_backup(store: MapStore, path: Path) -> BackupReport:
             _add(archive, "README.txt", README)
             written: set[str] = set()
             for record, data in records:  # first: a file that is cut later still says what there was
-                _add(archive, record_name(record, data), data)
+                _add(archive, row_of(record, data).file.name, data)
             for record, _ in records:
                 _add_blobs(store.contents, archive, record, written, damaged)
     except OSError as exc:
@@ -72,16 +72,16 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
     try:
         with tarfile.open(path, mode="r|") as archive:
             for name, data in _members(archive):
-                parsed = parse_record_name(name)
-                address = parsed[2] if parsed else name.rpartition("/")[2]
+                file = parse_record_name(name)
+                address = file.address if file else name.rpartition("/")[2]
                 whole = data if is_whole(data, address) else heal(data, address)
                 if whole is None:
                     damaged.append(f"{path}: {name} is damaged (its checksum differs); it is left out")
                     continue
                 if whole is not data:
-                    store.tell(f"{path}: {name} had one wrong bit; it is put right. Check the disk")
-                if parsed:
-                    records.setdefault(parsed[0], []).append((decode_record(whole, name), whole))
+                    store.notify(f"{path}: {name} had one wrong bit; it is put right. Check the disk")
+                if file:
+                    records.setdefault(file.map_id, []).append((decode_record(whole, name), whole))
                 else:
                     contents.blobs.put([whole])
                     there.add(address)
@@ -98,18 +98,20 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         lacking = [pair for pair in found if pair not in whole_ones]
         if lacking:
             numbers = ", ".join(str(record.number) for record, _ in lacking)
-            damaged.append(f"{path}: map {map_id} lacks files of version {numbers}; {_keep_lacking(contents, lacking)}")
+            damaged.append(
+                f"{path}: map {map_id} lacks files of version {numbers}; {_store_lacking(contents, lacking)}"
+            )
         count += _restore_map(contents, map_id, whole_ones)
     return BackupReport(len(records), count, path.stat().st_size, tuple(damaged))
 
 
-def _keep_lacking(contents: Contents, found: list[tuple[MapRecord, bytes]]) -> str:
+def _store_lacking(contents: Contents, found: list[tuple[MapRecord, bytes]]) -> str:
     """Records whose files may turn up; what became of them, in words. Only in SQLite are records taken in later."""
     with contents.database.reading() as connection:
         is_new = not versions.history(connection, found[0][0].map_id)
     if not (is_new and contents.database.is_sqlite):
         return "left out"
-    contents.bucket.put({record_name(record, data): data for record, data in found})
+    contents.bucket.put({row_of(record, data).file.name: data for record, data in found})
     return "`station map repair FOLDER` brings it in when a folder has them"
 
 
@@ -120,13 +122,14 @@ def _restore_map(contents: Contents, map_id: str, found: list[tuple[MapRecord, b
     with contents.database.writing(map_id) as connection:
         rows = versions.history(connection, map_id)
         if not rows:
-            contents.bucket.put({record_name(record, data): data for record, data in found})
-            versions.add(connection, [row_of(record, data) for record, data in found])
+            added = [(row_of(record, data), data) for record, data in found]
+            contents.bucket.put({row.file.name: data for row, data in added})
+            versions.add(connection, [row for row, _ in added])
             return len(found)
     newest, data = found[-1]
     if newest.kind == "deleted" or any(row.record == address_of(data) for row in rows):
         return 0
-    return int(contents.keep_record(replace(newest, why="from a backup")))
+    return int(contents.save_record(replace(newest, why="from a backup")))
 
 
 def _readable(store: MapStore, damaged: list[str]) -> Iterator[tuple[MapRecord, bytes]]:

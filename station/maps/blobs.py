@@ -12,7 +12,7 @@ from station.maps.bucket import Bucket
 FOLDER = "blobs"
 REPAIR_OR_RESTORE = "run `station map repair` or restore a backup"
 RENEWED_AFTER_S = 12 * 3600.0
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 class Damaged(DataError):
@@ -20,11 +20,11 @@ class Damaged(DataError):
 
 
 class Blobs:
-    """Content-addressed files in a bucket. `tell` hears a sentence about every file that was wrong and put right."""
+    """Content-addressed files in a bucket. `notify` hears a sentence about every file that was wrong and put right."""
 
-    def __init__(self, bucket: Bucket, tell: Tell = lambda _: None) -> None:
+    def __init__(self, bucket: Bucket, notify: Notify = lambda _: None) -> None:
         self._bucket = bucket
-        self._tell = tell
+        self._notify = notify
 
     @property
     def bucket(self) -> Bucket:
@@ -48,7 +48,7 @@ class Blobs:
 
     def get(self, address: str, what: str) -> bytes:
         """The bytes; `what` is what the sentence calls them. Raises Damaged when they are missing or wrong."""
-        return read_checked(self._bucket, blob_name(address), address, what, self._tell)
+        return read_checked(self._bucket, blob_name(address), address, what, self._notify)
 
     def remove(self, address: str, older_than_s: float) -> bool:
         """Unless it was written again meanwhile."""
@@ -72,7 +72,7 @@ def blob_name(address: str) -> str:
     return f"{FOLDER}/{address[:2]}/{address}"
 
 
-def read_checked(bucket: Bucket, name: str, address: str, what: str, tell: Tell) -> bytes:
+def read_checked(bucket: Bucket, name: str, address: str, what: str, notify: Notify) -> bytes:
     """A file of a bucket, checked; one wrong bit is put right, in the bucket too where it can be written."""
     data = bucket.get(name)
     if data is None:
@@ -84,7 +84,7 @@ def read_checked(bucket: Bucket, name: str, address: str, what: str, tell: Tell)
         raise Damaged(f"{what} ({bucket.place}/{name}) is damaged (its checksum differs); {REPAIR_OR_RESTORE}")
     try:
         bucket.put({name: healed})
-        tell(f"{what} ({bucket.place}/{name}) had one wrong bit; it is put right. Check the disk")
+        notify(f"{what} ({bucket.place}/{name}) had one wrong bit; it is put right. Check the disk")
     except DataError:
-        tell(f"{what} ({bucket.place}/{name}) has one wrong bit and cannot be written; it is used put right")
+        notify(f"{what} ({bucket.place}/{name}) has one wrong bit and cannot be written; it is used put right")
     return healed

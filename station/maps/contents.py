@@ -5,29 +5,27 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
 from station.files.navigation_folder import encode_navigation
 from station.maps import versions
-from station.maps.blobs import Blobs, Damaged, Tell, read_checked
+from station.maps.address import address_of
+from station.maps.blobs import Blobs, Damaged, Notify, read_checked
 from station.maps.bucket import Bucket
 from station.maps.database import Database
 from station.maps.record import (
-    FOLDER,
     FileRef,
-    Kind,
     MapRecord,
     decode_record,
     describe_map,
     encode_record,
-    parse_record_name,
-    record_name,
     same_content,
 )
-from station.maps.versions import Rows, VersionRow, row_of
+from station.maps.versions import Rows, VersionRow
+from station.model.map_store import VersionKind
 from station.model.place_map import PlaceMap
 
 
@@ -37,15 +35,15 @@ class Contents:
     All methods raise DataError when it cannot be read or written; nothing is left half-written.
     """
 
-    def __init__(self, database: Database, bucket: Bucket, author: str, tell: Tell) -> None:
-        """`author`: the station's name, written with every version. `tell` hears of everything found damaged."""
+    def __init__(self, database: Database, bucket: Bucket, author: str, notify: Notify) -> None:
+        """`author`: the station's name, written with every version. `notify` hears of everything found damaged."""
         self.database = database
         self.bucket = bucket
-        self.blobs = Blobs(bucket, tell)
+        self.blobs = Blobs(bucket, notify)
         self.author = author
-        self.tell = tell
+        self.notify = notify
 
-    def keep(self, place_map: PlaceMap, why: str) -> None:
+    def save(self, place_map: PlaceMap, why: str) -> None:
         """Make a map the newest version of its id; nothing happens when that is the same already."""
         files = encode_navigation(place_map.navigation)
         addresses = self.blobs.put(files.values())
@@ -53,10 +51,10 @@ class Contents:
             name: FileRef(address, len(data))
             for (name, data), address in zip(files.items(), addresses, strict=True)
         }  # fmt: skip
-        self.keep_record(replace(describe_map(place_map, refs), why=why))
+        self.save_record(replace(describe_map(place_map, refs), why=why))
 
-    def keep_record(self, content: MapRecord) -> bool:
-        """As keep, of a record whose files are here. False: it is the newest version already."""
+    def save_record(self, content: MapRecord) -> bool:
+        """As save, of a record whose files are here. False: it is the newest version already."""
         with self.changing(content.map_id) as change:
             newest = self.newest(change.rows)
             if newest is not None and newest.kind != "deleted" and same_content(newest, content):
@@ -85,7 +83,7 @@ class Contents:
                 return self.record(row)
             except Damaged as exc:
                 failure = failure or exc
-                self.tell(str(exc))
+                self.notify(str(exc))
         if failure is not None:
             raise failure
         return None
@@ -95,17 +93,26 @@ class Contents:
         return self.record_and_bytes(row)[0]
 
     def record_and_bytes(self, row: VersionRow) -> tuple[MapRecord, bytes]:
-        """The same, and what it was decoded from."""
+        """The record of a row and the bytes it was decoded from. Raises Damaged."""
         if not row.is_sealed:
             raise Damaged(self.unsealed(row))
         what = f"map {row.map_id}, version {row.number}"
-        data = read_checked(self.bucket, row.record_name, row.record, what, self.tell)
+        data = read_checked(self.bucket, row.file.name, row.record, what, self.notify)
         record = decode_record(data, what)
         if (record.map_id, record.number) != (row.map_id, row.number):
             raise Damaged(
                 f"{what}: its record is of {record.map_id}, version {record.number}; run `station map repair`"
             )
         return record, data
+
+    def no_map(self, map_id: str) -> DataError:
+        """What to raise where there is no map of this id."""
+        rows: Rows = []
+        if self.database.exists:
+            with self.database.reading() as connection:
+                rows = versions.newest_of_all(connection)
+        known = ", ".join(sorted(row.map_id for row in rows if row.kind != "deleted")) or "none"
+        return DataError(f'{self.bucket.place} holds no map "{map_id}"; its maps: {known}')
 
     def unsealed(self, row: VersionRow) -> str:
         """What to say of a row that is not what was written."""
@@ -124,7 +131,7 @@ class Change:
         self._connection = connection
         self._written = written  # names of records, for whoever must undo it
 
-    def append(self, content: MapRecord, before: MapRecord | None, kind: Kind) -> MapRecord:
+    def append(self, content: MapRecord, before: MapRecord | None, kind: VersionKind) -> MapRecord:
         """Write a new version: its record first, then its row, which the transaction commits."""
         number = self.rows[0].number + 1 if self.rows else 1
         is_new = kind in ("saved", "edited")
@@ -138,66 +145,23 @@ class Change:
             content=number if is_new else content.content,
         )
         data = encode_record(record)
-        name = record_name(record, data)
-        self._written.append(name)
-        self._contents.bucket.put({name: data})
-        versions.add(self._connection, [row_of(record, data)])
+        row = row_of(record, data)
+        self._written.append(row.file.name)
+        self._contents.bucket.put({row.file.name: data})
+        versions.add(self._connection, [row])
         return record
 
 
-ASIDE = "damaged"  # the folder of records that repair gave up
-
-
-@dataclass(frozen=True, slots=True)
-class RecordFile:
-    """A record by the name of its file."""
-
-    map_id: str
-    number: int  # of the version
-    address: str
-    name: str  # in the bucket
-
-
-@dataclass(frozen=True, slots=True)
-class Unclaimed:
-    """A record without a row, read."""
-
-    file: RecordFile
-    data: bytes
-    record: MapRecord | None  # None: it is damaged
-    sentence: str  # how; empty while it is whole
-
-
-def record_files(contents: Contents, folder: str = FOLDER) -> Iterator[RecordFile]:
-    """All records, or those that were set aside; not what a killed writer left half-written."""
-    for name, _ in contents.bucket.names(folder):
-        parsed = parse_record_name(f"{FOLDER}/{name.removeprefix(f'{folder}/')}")
-        if parsed is not None:
-            yield RecordFile(*parsed, name)
-
-
-def without_row(contents: Contents, rows: list[VersionRow]) -> list[RecordFile]:
-    """Records that these rows do not name."""
-    named = {row.record_name for row in rows}
-    return [file for file in record_files(contents) if file.name not in named]
-
-
-def newer(files: list[RecordFile], rows: list[VersionRow]) -> list[RecordFile]:
-    """Those that no version of their map with a row is newer than: the others never count."""
-    newest: dict[str, int] = {}
-    for row in rows:
-        newest[row.map_id] = max(row.number, newest.get(row.map_id, 0))
-    return [file for file in files if file.number > newest.get(file.map_id, 0)]
-
-
-def read_all(contents: Contents, files: list[RecordFile]) -> Iterator[Unclaimed]:
-    """One with a single wrong bit is put right on the way."""
-    for file in files:
-        what = f"map {file.map_id}, version {file.number}"
-        try:
-            data = read_checked(contents.bucket, file.name, file.address, what, contents.tell)
-            yield Unclaimed(file, data, decode_record(data, what), "")
-        except Damaged as exc:
-            left = contents.bucket.get(file.name)
-            if left is not None:  # else a writer that failed took it away just now
-                yield Unclaimed(file, left, None, str(exc))
+def row_of(record: MapRecord, data: bytes) -> VersionRow:
+    """The row of a record, and of the bytes it was written as."""
+    return VersionRow(
+        record.map_id,
+        record.number,
+        record.kind,
+        record.name,
+        len(record.places),
+        record.navigation,
+        record.created_ms,
+        address_of(data),
+        record.author,
+    )

@@ -76,7 +76,7 @@ class IndexCopy:
                 raise Unwritable(f"{because} ({self._original} cannot be copied: {exc.strerror})") from exc
         database = Database("", folder, place=original.database.place)
         files = Overlay(original.bucket, FolderBucket(folder))
-        self.contents = Contents(database, files, original.author, original.tell)
+        self.contents = Contents(database, files, original.author, original.notify)
         told = why_unwritable(root)
         self.refusal = f"{cannot_write(root, told) if told else because}; until then its maps can be seen, not changed"
 

@@ -9,11 +9,13 @@ from pathlib import Path
 from shared.errors import DataError
 from station.files.unwritable import Unwritable
 from station.maps import versions
-from station.maps.contents import Contents, newer, read_all, without_row
+from station.maps.contents import Contents, row_of
 from station.maps.database import IndexDamaged
 from station.maps.folder import load_map_folder
-from station.maps.record import FOLDER, MapRecord
-from station.maps.versions import VersionRow, row_of
+from station.maps.record import MapRecord
+from station.maps.record_files import FOLDER
+from station.maps.unclaimed import newer, read_all, without_row
+from station.maps.versions import VersionRow
 
 IMPORTED = "imported"  # where folders of the old format go when their map is in the store
 _OLD = re.compile(r"(?P<id>[A-Za-z0-9][A-Za-z0-9_-]{0,99})\.(?P<number>\d{6})")
@@ -33,19 +35,19 @@ def open_contents(contents: Contents, root: Path, *, is_copy: bool = False) -> d
         was_empty = contents.database.migrate()
         if not was_empty:
             contents.database.check()
-        take_in_records(contents)
+        index_unclaimed(contents)
     except IndexDamaged as exc:
         if not contents.database.is_sqlite:
             raise
         aside = contents.database.set_aside()
         done = "what is shown is" if is_copy else f"it is set aside as {aside.name} and"
-        contents.tell(f"{exc}; {done} made again from the records")
+        contents.notify(f"{exc}; {done} made again from the records")
         contents.database.migrate()
-        take_in_records(contents)
+        index_unclaimed(contents)
     return _import_folders(contents, root, is_copy=is_copy)
 
 
-def take_in_records(contents: Contents) -> list[VersionRow]:
+def index_unclaimed(contents: Contents) -> list[VersionRow]:
     """Rows for whole records that have none and are newer than those that have.
 
     Such a record was written by a program that was killed before it could commit, or its row was lost with the index.
@@ -57,15 +59,15 @@ def take_in_records(contents: Contents) -> list[VersionRow]:
         rows = versions.all_rows(connection)
     if any(not row.is_sealed for row in rows):
         raise IndexDamaged(f"{contents.database.place} is damaged (a row's seal differs)")
-    if not newer(without_row(contents, rows), rows):
+    if not newer(without_row(contents.bucket, rows), rows):
         return []
     with contents.database.writing(FOLDER) as connection:
         rows = versions.all_rows(connection)
         found: dict[tuple[str, int], tuple[MapRecord, VersionRow]] = {}
         there = {address for address, _ in contents.blobs.addresses()}
-        for one in read_all(contents, newer(without_row(contents, rows), rows)):
+        for one in read_all(contents.bucket, newer(without_row(contents.bucket, rows), rows), contents.notify):
             if one.record is None:
-                contents.tell(one.sentence)
+                contents.notify(one.sentence)
                 continue
             key = one.file.map_id, one.file.number
             # Two of one number: the later one was committed, the other's writer was killed before.
@@ -83,7 +85,7 @@ def _import_folders(contents: Contents, root: Path, *, is_copy: bool) -> dict[st
     failed = {}
     for map_id, folders in _old_folders(root).items():
         try:
-            contents.keep(load_map_folder(max(folders)), f"imported from {max(folders).name}")
+            contents.save(load_map_folder(max(folders)), f"imported from {max(folders).name}")
         except DataError as exc:
             if isinstance(exc, Unwritable) and contents.database.is_sqlite and not is_copy:
                 raise  # a copy can take it in
@@ -96,7 +98,7 @@ def _import_folders(contents: Contents, root: Path, *, is_copy: bool) -> dict[st
             for folder in folders:
                 os.rename(folder, root / IMPORTED / folder.name)
         except OSError as exc:
-            contents.tell(f"{folders[0]} was imported but cannot be moved away ({exc.strerror})")
+            contents.notify(f"{folders[0]} was imported but cannot be moved away ({exc.strerror})")
     return failed
 
 

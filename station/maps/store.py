@@ -12,20 +12,17 @@ from pathlib import Path
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.files.navigation_folder import REPORT
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps import versions
-from station.maps.blobs import Damaged, Tell
+from station.maps.blobs import Damaged, Notify
 from station.maps.bucket import open_bucket
 from station.maps.contents import Contents
 from station.maps.database import Database
-from station.maps.editing import with_place_renamed
 from station.maps.index_copy import IndexCopy
 from station.maps.opening import has_content, open_contents
 from station.maps.record import (
     MAP_ID,
     MapRecord,
-    content_hash,
     describe_map,
     read_map,
     same_content,
@@ -44,15 +41,15 @@ class MapStore:
     In a folder that takes no writes the maps can still be seen (index_copy.py).
     """
 
-    def __init__(self, where: Path | StoreAddress, tell: Tell = logger.warning) -> None:
-        """`tell` hears a sentence about everything found damaged, whether it was put right or not."""
+    def __init__(self, where: Path | StoreAddress, notify: Notify = logger.warning) -> None:
+        """`notify` hears a sentence about everything found damaged, whether it was put right or not."""
         self.address = StoreAddress(where) if isinstance(where, Path) else where
-        self.tell = tell
+        self.notify = notify
         database = Database(self.address.database, self.address.root)
         bucket = open_bucket(self.address.blobs, self.address.root)
-        self._home = Contents(database, bucket, self.address.author, tell)
+        self._home = Contents(database, bucket, self.address.author, notify)
         self._copy: IndexCopy | None = None  # where nothing can be written: what is looked at instead
-        self._told = ""
+        self._notified = ""
         self._opening = threading.Lock()
         self._is_open = False
         self._not_imported: dict[str, str] = {}  # maps in the old format that cannot be read: id → why
@@ -61,7 +58,7 @@ class MapStore:
         """Keep a map as the newest version of its id; nothing happens when that is the same already."""
         if not MAP_ID.fullmatch(place_map.id):
             raise DataError(f'map id "{place_map.id}" is no file name; use letters, digits, "-" and "_"')
-        self.for_writing().keep(place_map, why)
+        self.for_writing().save(place_map, why)
 
     def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> PlaceMap:
         """Change places, edges or names of a map and return it. Two stations that edit at once keep both changes."""
@@ -73,11 +70,6 @@ class MapStore:
             if not same_content(record, fresh):
                 changing.append(fresh, record, "edited")
         return place_map
-
-    def rename_place(self, map_id: str, place_id: str, name: str) -> PlaceMap:
-        """Give a place another name, and return the map. Raises DataError for an unknown place or a name in use."""
-        why = f"{place_id} is now {name.strip()}"[:200]
-        return self.edit(map_id, lambda place_map: with_place_renamed(place_map, place_id, name), why)
 
     def load(self, map_id: str, number: int | None = None) -> PlaceMap:
         """Read a map, or one of its versions. Where the newest is damaged the last good one is read, and it is told.
@@ -91,7 +83,7 @@ class MapStore:
             if not rows:
                 raise DataError(f"map {map_id} has no version {number}; `station map history {map_id}` lists them")
         elif not rows or rows[0].kind == "deleted":
-            raise self.no_map(map_id)
+            raise self.contents.no_map(map_id)
         contents = self.contents
         failure: Damaged | None = None
         for row in rows:
@@ -101,7 +93,7 @@ class MapStore:
                 failure = failure or exc
                 continue
             if failure is not None:
-                self.tell(f"{failure}. Version {row.number} of the map is used instead")
+                self.notify(f"{failure}. Version {row.number} of the map is used instead")
             return place_map
         assert failure is not None
         raise failure
@@ -135,13 +127,13 @@ class MapStore:
         """The versions of a map that can be read, the newest first. Raises DataError when there is none of this id."""
         rows = self._history(map_id)
         if not rows:
-            raise self.no_map(map_id)
+            raise self.contents.no_map(map_id)
         records = []
         for row in rows:
             try:
                 records.append(self.contents.record(row))
             except Damaged as exc:
-                self.tell(str(exc))
+                self.notify(str(exc))
         return tuple(records)
 
     def deleted(self) -> tuple[MapSummary, ...]:
@@ -173,7 +165,7 @@ class MapStore:
         with contents.changing(map_id) as change:
             newest = contents.newest(change.rows)
             if newest is None:
-                raise self.no_map(map_id)
+                raise self.contents.no_map(map_id)
             if newest_is is not None and newest.number != newest_is:
                 raise DataError(
                     f"map {map_id} was changed since: it is at version {newest.number}, not {newest_is}; look again"
@@ -187,12 +179,6 @@ class MapStore:
             why = f"version {record.content} again"
             name = newest.name if keeps_name else record.name
             return change.append(replace(record, why=why, name=name), record, "restored")
-
-    def content_hash(self, map_id: str) -> str:
-        """What the newest version is, whoever made it and when (record.content_hash)."""
-        record = self._present(self._history(map_id), map_id)
-        report = self.contents.blobs.get(record.files[REPORT].address, f"map {map_id}: {REPORT}")
-        return content_hash(record, report)
 
     def open(self, *, writes: bool = False) -> bool:
         """Once: check, migrate, index what is there. False when there is nothing yet and nothing is to be written.
@@ -248,7 +234,7 @@ class MapStore:
                 connection = stack.enter_context(self.contents.database.reading())
             except Unwritable as exc:  # a write was cut while this store was open
                 with self._opening:
-                    if self._copy is None:
+                    if not self.is_copy:
                         self._look_at_copy(exc)
                 connection = stack.enter_context(self.contents.database.reading())
             yield connection
@@ -256,11 +242,6 @@ class MapStore:
     def close(self) -> None:
         self._leave_copy()
         self._home.database.close()
-
-    def no_map(self, map_id: str) -> DataError:
-        """What to raise where there is no map of this id."""
-        known = ", ".join(sorted(summary.id for summary in self.list())) or "none"
-        return DataError(f'{self.contents.bucket.place} holds no map "{map_id}"; its maps: {known}')
 
     def _look_at_copy(self, because: Unwritable) -> None:
         if not self._home.database.is_sqlite:
@@ -272,9 +253,9 @@ class MapStore:
             copy.remove()
             raise
         self._copy = copy
-        if copy.refusal != self._told:
-            self._told = copy.refusal
-            self.tell(self._told)
+        if copy.refusal != self._notified:
+            self._notified = copy.refusal
+            self.notify(self._notified)
 
     def _leave_copy(self) -> None:
         if self._copy is not None:
@@ -299,5 +280,5 @@ class MapStore:
     def _present(self, rows: Rows, map_id: str) -> MapRecord:
         record = self.contents.newest(rows)
         if record is None or record.kind == "deleted":
-            raise self.no_map(map_id)
+            raise self.contents.no_map(map_id)
         return record

@@ -11,9 +11,9 @@ from typing import cast
 from sqlalchemy import Row, delete, func, insert, select
 from sqlalchemy.engine import Connection
 
-from station.maps.address import address_of
 from station.maps.database import VERSIONS
-from station.maps.record import FOLDER, Kind, MapRecord
+from station.maps.record_files import RecordFile
+from station.model.map_store import VersionKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class VersionRow:
 
     map_id: str
     number: int
-    kind: Kind
+    kind: VersionKind
     name: str
     places: int
     navigation: str  # id of the navigation, or of several joined by "+"
@@ -32,8 +32,9 @@ class VersionRow:
     is_sealed: bool = True  # False: the row is not what was written
 
     @property
-    def record_name(self) -> str:
-        return f"{FOLDER}/{self.map_id}.{self.number:06d}.{self.record}"
+    def file(self) -> RecordFile:
+        """Its record."""
+        return RecordFile(self.map_id, self.number, self.record)
 
     @property
     def seal(self) -> str:
@@ -45,21 +46,6 @@ class VersionRow:
 
 
 Rows = list[VersionRow]  # of one map: the newest first
-
-
-def row_of(record: MapRecord, data: bytes) -> VersionRow:
-    """The row of a record, and of the bytes it was written as."""
-    return VersionRow(
-        record.map_id,
-        record.number,
-        record.kind,
-        record.name,
-        len(record.places),
-        record.navigation,
-        record.created_ms,
-        address_of(data),
-        record.author,
-    )
 
 
 def add(connection: Connection, rows: Iterable[VersionRow]) -> None:

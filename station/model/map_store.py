@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
+
+VersionKind = Literal["saved", "edited", "restored", "deleted"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ class Recovery:
     seconds: float  # of recording
     inside: str  # what was passed over before the end, in words; empty: nothing
     bytes_cut: int  # a record that the file's end cut off
-    kept: Path | None  # the file as it was, when something was passed over
+    original: Path | None  # the file as it was, when something was passed over
 
     def __str__(self) -> str:
         said = f"{self.path}: {self.seconds:.1f} s of the recording were recovered ({self.messages} messages)"
@@ -38,8 +38,8 @@ class Recovery:
             said += f"; {self.bytes_cut / 1000:.1f} kB at its end were cut off"
         if self.inside:
             said += f"; {self.inside} could not be read"
-        if self.kept is not None:
-            said += f"; the file as it was is kept as {self.kept}"
+        if self.original is not None:
+            said += f"; the file as it was is kept as {self.original}"
         return said
 
 
@@ -65,22 +65,22 @@ def recover_recording(path: Path) -> Recovery | None:
                     raise DataError(f"{path} holds nothing that can be recovered; it stays as it is")
                 target.flush()
                 os.fsync(target.fileno())  # before the old one gets a second name
-                kept = _keep(path) if survey.num_damaged else None
+                original = _name_twice(path) if survey.num_damaged else None
     except OSError as exc:
         raise DataError(f"{path} cannot be recovered ({exc.strerror}); look at the disk and its free space") from exc
-    return Recovery(path, survey.messages, survey.seconds, survey.inside, survey.bytes_cut, kept)
+    return Recovery(path, survey.messages, survey.seconds, survey.inside, survey.bytes_cut, original)
 
 
-def _keep(path: Path) -> Path:
+def _name_twice(path: Path) -> Path:
     """Give the file a second name, which nothing has yet."""
-    kept, number = path.with_name(f"{path.name}.damaged"), 1
+    second, number = path.with_name(f"{path.name}.damaged"), 1
     while True:
         try:
-            os.link(path, kept)
-            return kept
+            os.link(path, second)
+            return second
         except FileExistsError:
             number += 1
-            kept = path.with_name(f"{path.name}.damaged.{number}")
+            second = path.with_name(f"{path.name}.damaged.{number}")
 
 
 def _copy(source: BinaryIO, target: BinaryIO, path: Path) -> Survey:
@@ -94,7 +94,7 @@ def _copy(source: BinaryIO, target: BinaryIO, path: Path) -> Survey:
         survey.add(part)
         if isinstance(part, SoundChunk):
             for record in part.records:
-                copy.take(record)
+                copy.add(record)
         else:
             copy.note_hole()
     finish: Callable[[], None] = writer.finish  # mcap leaves it untyped
@@ -124,11 +124,11 @@ class _Copy:
     def note_hole(self) -> None:
         self._is_behind_hole = True
 
-    def take(self, record: McapRecord) -> None:
+    def add(self, record: McapRecord) -> None:
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
-            self._take_channel(record)
+            self._add_channel(record)
         elif isinstance(record, Message):
             if record.channel_id not in self._channels:
                 raise DataError(
@@ -144,7 +144,7 @@ class _Copy:
             )
             self._is_behind_hole = False
 
-    def _take_channel(self, channel: Channel) -> None:
+    def _add_channel(self, channel: Channel) -> None:
         if channel.topic not in self._by_topic:
             schema = self._schemas.get(channel.schema_id)
             number = self._writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0

@@ -74,7 +74,7 @@ class CurrentNavigation(LinkListeners):
         self._tasks: set[asyncio.Task[None]] = set()  # that finish navigations, until all of it is kept
         self._beginning: _Beginning | None = None
         self._is_closed = False
-        self._times_shown = 0
+        self._times_viewed = 0
         self._pose_notified_s = 0.0
         self.live: LiveSlam | None = None
 
@@ -142,7 +142,7 @@ class CurrentNavigation(LinkListeners):
         self._pose_notified_s = 0.0
         self._navigations.begin(navigation.id, running.counted)
         self.live = live
-        self._navigations.tell(navigation)
+        self._navigations.notify(navigation)
         self._events.changed("landmarks")
         self._events.notify("navigation", f"recording {navigation.name}")
         return navigation
@@ -185,7 +185,7 @@ class CurrentNavigation(LinkListeners):
         self._finishing[navigation.id] = running
         if why:
             self._events.notify("navigation", f"{navigation.name}: {why}", "warning")
-        kept = self._navigations.keep(navigation)
+        kept = self._navigations.store(navigation)
         self._events.changed("pose")  # SLAM's state is another one
         return kept
 
@@ -195,13 +195,13 @@ class CurrentNavigation(LinkListeners):
         self.listeners = ()
         self._navigations.end(running.record.id)
 
-    async def show(self, navigation_id: str) -> None:
+    async def view(self, navigation_id: str) -> None:
         """Let `live` be a finished navigation, unless one is being recorded."""
         if self._running is not None:
             return
         self.live = await asyncio.to_thread(_view_of, self._library.navigation_folder(navigation_id))
-        self._times_shown += 1
-        self.live.source = f"{navigation_id}/again-{self._times_shown}"  # another cloud than before
+        self._times_viewed += 1
+        self.live.source = f"{navigation_id}/again-{self._times_viewed}"  # another cloud than before
         self._events.changed("pose")
         self._events.changed("landmarks")
 
@@ -215,7 +215,7 @@ class CurrentNavigation(LinkListeners):
             await running.close_recorder()
             await running.slam.close(at_once=True)
             message = _joined(f"the station was stopped{AGAIN}", running.recorder_error)
-            await self._navigations.keep(replace(running.counted(), state="failed", message=message))
+            await self._navigations.store(replace(running.counted(), state="failed", message=message))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
         tasks = tuple(self._tasks)
         for task in tasks:
@@ -251,14 +251,14 @@ class CurrentNavigation(LinkListeners):
         """Once a second: the counts of the running navigation, and how far those are whose SLAM finishes."""
         if self._running is not None:
             self._running.record = self._running.counted()
-            self._navigations.tell(self._running.record)
+            self._navigations.notify(self._running.record)
             self._running.notify_recorder_error()
         for finishing in self._finishing.values():
             message = _joined(finishing.why_ended, finishing.left_to_do)
             if message != finishing.record.message:
                 finishing.record = replace(finishing.record, message=message)
                 self._library.remember(finishing.record)
-                self._navigations.tell(finishing.record)
+                self._navigations.notify(finishing.record)
                 self._events.changed("pose")
 
     def _on_update(self, live: LiveSlam, update: SlamUpdate) -> None:
@@ -307,7 +307,7 @@ class CurrentNavigation(LinkListeners):
                 navigation = replace(navigation, state="failed", message=text)
             await running.slam.close(at_once=navigation.state == "failed")
             self._finishing.pop(navigation.id, None)
-            kept = self._navigations.keep(navigation)
+            kept = self._navigations.store(navigation)
             self._events.changed("pose")
             self._events.changed("landmarks")
             await kept

@@ -38,7 +38,7 @@ async def test_pairing_gives_a_token_that_joins_and_pins_the_robot(tmp_path: Pat
         code = bench.gate.desk.open_code(Role.DRIVE, time.time())
         paired = await pair("127.0.0.1", bench.port, code, "desk")
         assert paired.fingerprint == bench.gate.fingerprint.hex()
-        robots.keep(paired)
+        robots.store(paired)
         assert robots.path.stat().st_mode & 0o777 == 0o600
         async with linked(bench.port, robots) as (link, notes):
             await until(lambda: link.state.connected)
@@ -94,7 +94,7 @@ async def test_guesses_whose_answer_nobody_waits_for_are_counted(tmp_path: Path)
                 assert isinstance(reply, PairReply)
                 if number % 2:
                     continue
-                await asyncio.to_thread(pake.hear, reply.message)
+                await asyncio.to_thread(pake.receive, reply.message)
                 talk.say(PairProof(mac=pake.mac("station")))
                 await talk.connection.writer.drain()
             await until(lambda before=left: tries_left(bench) < before)
@@ -219,7 +219,7 @@ async def test_proofs_in_one_breath_are_one_try(tmp_path: Path) -> None:
         talk.say(PairRequest(protocol=PROTOCOL_VERSION, station_name="thief", message=pake.message))
         reply = await talk.hear()
         assert isinstance(reply, PairReply)
-        pake.hear(reply.message)
+        pake.receive(reply.message)
         burst = (PairProof(mac=bytes(32)), PairProof(mac=pake.mac("station")))
         talk.say_bytes(b"".join(encode_payload(encode_message(proof), MAX_STATION_PAYLOAD) for proof in burst))
         assert isinstance(await talk.hear(), Refusal)

@@ -18,6 +18,7 @@ from tests.support.disk import unwritable
 from tests.support.made_up_workers import made_up_navigation
 from tests.support.station import running_station, store_map
 from tests.support.station_at_work import at_work, is_problem, wait_for
+from tests.support.store import rename_place
 
 pytestmark = pytest.mark.timeout(600)
 NAMED = "Sofa"
@@ -29,13 +30,13 @@ def spoilt_station(data_dir: Path) -> str:
     A change of the map without its row, a drive that was being recorded, one that is ready, a deleted map.
     """
     place_map = store_map(data_dir)
-    MapStore(data_dir / "maps").rename_place(place_map.id, place_map.places[0].id, NAMED)
+    rename_place(MapStore(data_dir / "maps"), place_map.id, place_map.places[0].id, NAMED)
     with contextlib.closing(sqlite3.connect(data_dir / "maps" / "maps.db")) as connection:
         connection.execute("DELETE FROM map_version WHERE number = 2")
         connection.commit()
     library = NavigationLibrary(data_dir / "navigations")
-    library.keep(NavigationRecord("nav-1", "Ready", "ready", 1.0, "sfm", landmarks=5, scale="metric"))
-    library.keep(NavigationRecord("nav-2", "Cut", "recording", 2.0, "sfm"))
+    library.store(NavigationRecord("nav-1", "Ready", "ready", 1.0, "sfm", landmarks=5, scale="metric"))
+    library.store(NavigationRecord("nav-2", "Cut", "recording", 2.0, "sfm"))
     save_navigation(made_up_navigation(), library.navigation_folder("nav-1"))
     (library.folder("nav-1") / "recording.mcap").write_bytes(b"x")
     return place_map.id

@@ -75,7 +75,7 @@ class GuardedBench(Bench):
         """Make a token by hand and give it to a station; returns the token."""
         book = TokenBook(self.folder)
         text = book.add(name, role, self.gate.now_s()).text
-        robots.keep(
+        robots.store(
             PairedRobot(
                 robot_id="r",
                 name="Robot",

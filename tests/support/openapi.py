@@ -72,7 +72,7 @@ def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     comparison_id, folder = comparisons.prepare()
     (folder / "report.html").write_text("<!doctype html><title>Report</title>")
     (folder / "results.json").write_text("{}")
-    comparisons.keep(Comparison(comparison_id, "One", *drives, 1.0, 3, 3, 2, True, (), None), folder)
+    comparisons.store(Comparison(comparison_id, "One", *drives, 1.0, 3, 3, 2, True, (), None), folder)
     places = [place.id for place in place_map.places]
     return place_map, {
         "navigation_id": list(drives), "navigations": drives, "first": drives, "second": drives,

@@ -72,6 +72,6 @@ def keep_navigation(data_dir: Path, navigation_id: str) -> NavigationRecord:
     navigation = NavigationRecord(
         navigation_id, f"Drive {navigation_id}", "ready", 1.0, "sfm", landmarks=5, scale="metric"
     )
-    library.keep(navigation)
+    library.store(navigation)
     save_navigation(made_up_navigation(), library.navigation_folder(navigation_id))
     return navigation

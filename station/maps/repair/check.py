@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from station.maps import opening, versions
 from station.maps.address import is_whole
 from station.maps.blobs import Damaged, blob_name
-from station.maps.contents import ASIDE, Contents, RecordFile, newer, read_all, record_files, without_row
-from station.maps.record import FOLDER, MapRecord, decode_record, parse_record_name
+from station.maps.contents import Contents, row_of
+from station.maps.record import MapRecord, decode_record
+from station.maps.record_files import ASIDE, FOLDER, RecordFile, record_files
 from station.maps.repair.purging import collect_garbage
 from station.maps.store import MapStore
-from station.maps.versions import VersionRow, row_of
+from station.maps.unclaimed import newer, read_all, without_row
+from station.maps.versions import VersionRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class Damage:
 
 
 def verify(store: MapStore) -> tuple[Damage, ...]:
-    """What is damaged and could not be put right by itself; the store's `tell` hears what could."""
+    """What is damaged and could not be put right by itself; the store's `notify` hears what could."""
     if not store.open():
         return ()
     with store.reading() as connection:
@@ -52,24 +54,24 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
     """
     contents = store.for_writing()
     folders = list(copies)
-    done = _take_in(contents) + _repair_rows(contents)
+    done = _index_unclaimed(contents) + _repair_rows(contents)
     done += _copy_records(contents, folders)
-    done += _take_in(contents)
+    done += _index_unclaimed(contents)
     damages = verify(store)
     wanted = {damage.address: damage for damage in damages if damage.address}
     for address, path in _found_copies(wanted, folders):
         contents.bucket.put({blob_name(address): path.read_bytes()})
         done.append(f"{wanted[address].sentence.partition(';')[0]}: copied again from {path}")
-    done += _take_in(contents)
+    done += _index_unclaimed(contents)
     done += _set_aside(contents)
     left = verify(store) if done else damages
     done += _go_back(store, contents, left)
-    done += collect_garbage(store.for_writing())
+    done += collect_garbage(contents)
     return Repair(tuple(done), left)
 
 
-def _take_in(contents: Contents) -> list[str]:
-    return [f"version {row.number} of map {row.map_id} was taken in" for row in opening.take_in_records(contents)]
+def _index_unclaimed(contents: Contents) -> list[str]:
+    return [f"version {row.number} of map {row.map_id} was taken in" for row in opening.index_unclaimed(contents)]
 
 
 def _damages(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
@@ -80,31 +82,27 @@ def _damages(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
         except Damaged as exc:
             yield Damage(row.map_id, row.number, "", 0, str(exc))
             continue
-        for name, ref in record.files.items():
-            if ref.address in seen:
-                continue
-            seen.add(ref.address)
-            try:
-                contents.blobs.get(ref.address, f"map {row.map_id}, version {row.number}: {name}")
-            except Damaged as exc:
-                yield Damage(row.map_id, row.number, ref.address, ref.size, str(exc))
+        yield from _missing(contents, record, seen)
 
 
 def _lost(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
-    """Of what was lost together with the index, which would have told of it. As take_in_records, SQLite only."""
+    """Of what was lost together with the index, which would have told of it. As index_unclaimed, SQLite only."""
     if not contents.database.is_sqlite:
         return
-    files = without_row(contents, rows)
+    files = without_row(contents.bucket, rows)
     may_count = {file.name for file in newer(files, rows)}
-    for one in read_all(contents, files):
+    for one in read_all(contents.bucket, files, contents.notify):
         if one.record is None:
             yield Damage(one.file.map_id, one.file.number, "", 0, one.sentence)
         elif one.file.name in may_count:
-            yield from _missing(contents, one.record)
+            yield from _missing(contents, one.record, set())
 
 
-def _missing(contents: Contents, record: MapRecord) -> Iterator[Damage]:
+def _missing(contents: Contents, record: MapRecord, seen: set[str]) -> Iterator[Damage]:
     for name, ref in record.files.items():
+        if ref.address in seen:
+            continue
+        seen.add(ref.address)
         try:
             contents.blobs.get(ref.address, f"map {record.map_id}, version {record.number}: {name}")
         except Damaged as exc:
@@ -116,14 +114,13 @@ def _copy_records(contents: Contents, folders: list[Path]) -> list[str]:
     with contents.database.reading() as connection:
         rows = versions.all_rows(connection)
     wanted: dict[str, RecordFile] = {}
-    for file in record_files(contents):
+    for file in record_files(contents.bucket):
         data = contents.bucket.get(file.name)
         if data is not None and not is_whole(data, file.address):
             wanted[file.name.rpartition("/")[2]] = file
     for row in rows:
-        if contents.bucket.get(row.record_name) is None:
-            name = row.record_name
-            wanted[name.rpartition("/")[2]] = RecordFile(row.map_id, row.number, row.record, name)
+        if contents.bucket.get(row.file.name) is None:
+            wanted[row.file.name.rpartition("/")[2]] = row.file
     done = []
     for folder in folders if wanted else ():
         for path in sorted(path for path in folder.rglob("*") if path.name in wanted and path.is_file()):
@@ -143,11 +140,11 @@ def _set_aside(contents: Contents) -> list[str]:
     done = []
     with contents.database.writing(FOLDER) as connection:
         rows = versions.all_rows(connection)
-        for one in read_all(contents, without_row(contents, rows)):
+        for one in read_all(contents.bucket, without_row(contents.bucket, rows), contents.notify):
             if one.record is not None:
                 continue
             file = one.file
-            aside = f"{ASIDE}/{file.name.removeprefix(f'{FOLDER}/')}"
+            aside = replace(file, folder=ASIDE).name
             contents.bucket.put({aside: one.data})
             contents.bucket.remove(file.name)
             of_map = [row for row in rows if row.map_id == file.map_id]
@@ -166,15 +163,14 @@ def _repair_rows(contents: Contents) -> list[str]:
         broken = [row for row in versions.all_rows(connection) if not row.is_sealed]
     done = []
     for row in broken:
-        for name, _ in contents.bucket.names(FOLDER):
-            parsed = parse_record_name(name)
-            if parsed is None or parsed[:2] != (row.map_id, row.number):
+        for file in record_files(contents.bucket):
+            if (file.map_id, file.number) != (row.map_id, row.number):
                 continue
-            data = contents.bucket.get(name)
-            if data is None or not is_whole(data, parsed[2]):
+            data = contents.bucket.get(file.name)
+            if data is None or not is_whole(data, file.address):
                 continue
             with contents.database.writing(row.map_id) as connection:
-                versions.replace_row(connection, row_of(decode_record(data, name), data))
+                versions.replace_row(connection, row_of(decode_record(data, file.name), data))
             done.append(f"the row of version {row.number} of map {row.map_id} was made again from its record")
     return done
 

@@ -6,8 +6,9 @@ from shared.disk import SCRATCH
 from shared.errors import DataError
 from station.maps import versions
 from station.maps.blobs import Damaged
-from station.maps.contents import ASIDE, Contents, RecordFile, read_all, record_files, without_row
-from station.maps.record import FOLDER
+from station.maps.contents import Contents
+from station.maps.record_files import ASIDE, FOLDER, RecordFile, record_files
+from station.maps.unclaimed import read_all, without_row
 
 UNUSED_S = 24 * 3600.0  # blobs nobody names are kept as long: their map may be being saved
 
@@ -34,7 +35,7 @@ def purge(contents: Contents, map_id: str) -> None:
 
 def collect_garbage(contents: Contents) -> list[str]:
     """Remove files that no record needs: of purged maps, and of writers that were killed."""
-    for file in record_files(contents, ASIDE):
+    for file in record_files(contents.bucket, ASIDE):
         where = f"{contents.bucket.place}/{file.name}"
         return [f"nothing was tidied up: {where} may still need its files; purging map {file.map_id} lets it go"]
     with contents.database.reading() as connection:
@@ -46,7 +47,7 @@ def collect_garbage(contents: Contents) -> list[str]:
     except Damaged:
         return ["nothing was tidied up: a damaged version may still need its files"]
     # Those without a row, too: the index may be of another store, or another station may be about to commit.
-    for one in read_all(contents, without_row(contents, rows)):
+    for one in read_all(contents.bucket, without_row(contents.bucket, rows), contents.notify):
         if one.record is None:
             return [f"nothing was tidied up: {one.sentence.partition(';')[0]}, and may still need its files"]
         needed |= {ref.address for ref in one.record.files.values()}
@@ -75,11 +76,10 @@ def purge_versions(contents: Contents, map_id: str) -> list[str]:
         rows = versions.history(connection, map_id)
         files = records_of(contents, map_id)
         if not rows and not files:
-            known = ", ".join(sorted(row.map_id for row in versions.newest_of_all(connection) if row.kind != "deleted"))
-            raise DataError(f'{contents.bucket.place} holds no map "{map_id}"; its maps: {known or "none"}')
+            raise contents.no_map(map_id)
         is_kept = bool(rows) and rows[0].kind != "deleted"
         if is_kept:
-            files = [file for file in files if file.number < rows[0].number or file.name.startswith(f"{ASIDE}/")]
+            files = [file for file in files if file.number < rows[0].number or file.folder == ASIDE]
             versions.forget(connection, map_id, below=rows[0].number)
     if not is_kept and rows:
         purge(contents, map_id)
@@ -94,5 +94,5 @@ def purge_versions(contents: Contents, map_id: str) -> list[str]:
 
 def records_of(contents: Contents, map_id: str) -> list[RecordFile]:
     """Every record of a map, the oldest first: also lost ones, which no row names."""
-    found = [file for folder in (FOLDER, ASIDE) for file in record_files(contents, folder) if file.map_id == map_id]
-    return sorted(found, key=lambda file: file.number)
+    everything = (file for folder in (FOLDER, ASIDE) for file in record_files(contents.bucket, folder))
+    return sorted((file for file in everything if file.map_id == map_id), key=lambda file: file.number)

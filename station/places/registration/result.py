@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -60,6 +60,32 @@ def uncertainty_of(registration: Registration) -> Uncertainty | None:
         return None
     largest = [float(np.linalg.eigvalsh(block)[-1]) for block in (C[:3, :3], C[3:6, 3:6], C[6:, 6:])]
     return Uncertainty(*(float(np.sqrt(max(value, 0.0))) for value in largest))
+
+
+def registration_json(registration: Registration) -> dict[str, Any]:
+    """What `station register` and the results of an experiment say of it."""
+    uncertainty = uncertainty_of(registration)
+    return {
+        "accepted": registration.accepted,
+        "reasons": list(registration.reasons),
+        "T_target_source": _listed(registration.T_target_source),
+        "scale": registration.scale,
+        "rmse": finite(registration.rmse),
+        "inlier_ratio": registration.inlier_ratio,
+        "overlap": registration.overlap,
+        "backend": registration.backend,
+        "uncertainty": None if uncertainty is None else asdict(uncertainty),
+        "covariance": _listed(registration.covariance),
+    }
+
+
+def finite(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _listed(array: FloatArray | None) -> Any:
+    return None if array is None else array.tolist()
 
 
 def refused(reason: str, backend: str) -> Registration:

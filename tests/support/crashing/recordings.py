@@ -17,6 +17,7 @@ from station.library.navigation_records import NavigationLibrary, NavigationReco
 from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
 from tests.support.crashing.child import Child, Scenario
+from tests.support.datasets import imu_of
 
 MAX_LOST_S = 5.0
 IMU_HZ, FPS = 225, 20
@@ -51,7 +52,7 @@ def record_on(folder: Path, child: Child) -> None:
         else:
             child.promise([navigation.id, "closed", 0])
         ended = replace(navigation, state="failed", message=report.error or "ended")
-        child.do(functools.partial(library.keep, ended))
+        child.do(functools.partial(library.store, ended))
 
 
 def begin_on_some_disk(library: NavigationLibrary, navigation: NavigationRecord, child: Child) -> Recorder:
@@ -64,7 +65,7 @@ def begin(library: NavigationLibrary, navigation: NavigationRecord, min_free_byt
     recorder: Recorder | None = None
     try:
         recorder = Recorder(library.recording(navigation.id), min_free_bytes=min_free_bytes)
-        library.keep(navigation)
+        library.store(navigation)
     except DataError:
         if recorder is not None:
             recorder.close()
@@ -146,7 +147,7 @@ def write_again(folder: Path) -> None:
     recorder.on_imu(ImuBatch(first_sequence=0, samples=(sample,)))
     assert not recorder.close().error
     assert lost_s(library.recording(navigation.id), number, 0) == 0.0
-    library.keep(replace(navigation, state="failed", message="ended"))
+    library.store(replace(navigation, state="failed", message="ended"))
     assert not NavigationLibrary(folder / "drives").open()
 
 
@@ -169,7 +170,7 @@ def lost_s(path: Path, navigation: int, last_ns: int) -> float:
     try:
         data = open_dataset(path)
         frames = [frame.encoded for frame in data.frames()]
-        imu = data.require_imu().t_robot_ns.tolist()
+        imu = imu_of(data).t_robot_ns.tolist()
         last_read_ns = int(data.frame_times_ns[-1])
     except (DataError, IndexError):  # killed before the first second was written
         return (last_ns + 1e9 / FPS) * 1e-9

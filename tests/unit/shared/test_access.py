@@ -274,8 +274,8 @@ def test_codes_are_read_as_people_type_them() -> None:
 def test_both_sides_of_a_pairing_agree_only_on_the_same_code_and_certificate() -> None:
     for code, fingerprint, agree in (("111111", b"a", True), ("111112", b"a", False), ("111111", b"b", False)):
         robot_, station_ = Pake("robot", "111111", b"a"), Pake("station", code, fingerprint)
-        robot_.hear(station_.message)
-        station_.hear(robot_.message)
+        robot_.receive(station_.message)
+        station_.receive(robot_.message)
         assert robot_.is_mac("station", station_.mac("station")) == agree
         assert station_.is_mac("robot", robot_.mac("robot")) == agree
         assert not robot_.is_mac("station", robot_.mac("robot"))  # its own proof, sent back to it
@@ -290,7 +290,7 @@ def test_a_side_that_heard_nothing_accepts_no_proof() -> None:
 def test_noise_in_a_pairing_is_refused(message: bytes) -> None:
     pake = Pake("robot", "111111", b"")
     try:
-        pake.hear(b"A" + message[1:])
+        pake.receive(b"A" + message[1:])
     except RemoteProtocolError:
         return
     assert not pake.is_mac("station", bytes(32))
@@ -336,7 +336,7 @@ def test_an_exchange_for_an_earlier_code_gets_nothing_of_the_next_one(tmp_path: 
     desk = PairingDesk(tmp_path, book, b"f")
     early = Pake("station", desk.open_code(Role.WATCH, 0.0), b"f")
     robot_ = desk.exchange(early.message, 1.0)
-    early.hear(robot_.message)
+    early.receive(robot_.message)
     code = desk.open_code(Role.DRIVE, 2.0)
     for _ in range(TRIES):
         with pytest.raises(PairingRefused, match="another code"):
@@ -344,7 +344,7 @@ def test_an_exchange_for_an_earlier_code_gets_nothing_of_the_next_one(tmp_path: 
     assert not book.tokens()
     late = Pake("station", code, b"f")
     robot_ = desk.exchange(late.message, 4.0)
-    late.hear(robot_.message)
+    late.receive(robot_.message)
     assert book.find(desk.finish(robot_, late.mac("station"), "desk", 5.0).text, 6.0) is not None
 
 

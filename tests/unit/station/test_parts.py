@@ -176,7 +176,7 @@ def test_wrong_addresses_are_refused(text: str) -> None:
 def test_a_drive_that_a_dead_station_left_is_kept_as_failed(tmp_path: Path) -> None:
     library = NavigationLibrary(tmp_path)
     assert library.open() == []
-    library.keep(NavigationRecord(id="nav-1", name="one", state="recording", started_wall_s=1.0, backend="sfm"))
+    library.store(NavigationRecord(id="nav-1", name="one", state="recording", started_wall_s=1.0, backend="sfm"))
     (tmp_path / "half").mkdir()
     (tmp_path / "half" / "record.json").write_text("{")
     again = NavigationLibrary(tmp_path)
@@ -186,12 +186,12 @@ def test_a_drive_that_a_dead_station_left_is_kept_as_failed(tmp_path: Path) -> N
 
 def test_a_record_under_its_old_name_still_opens(tmp_path: Path) -> None:
     library = NavigationLibrary(tmp_path)
-    library.keep(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
+    library.store(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
     (tmp_path / "nav-1" / "record.json").rename(tmp_path / "nav-1" / "drive.json")
     again = NavigationLibrary(tmp_path)
     assert again.open() == []
     assert again.get("nav-1").name == "one"
-    again.keep(replace(again.get("nav-1"), name="two"))
+    again.store(replace(again.get("nav-1"), name="two"))
     assert [path.name for path in (tmp_path / "nav-1").iterdir()] == ["record.json"]
     reopened = NavigationLibrary(tmp_path)
     reopened.open()

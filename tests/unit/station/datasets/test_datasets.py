@@ -9,6 +9,7 @@ import pytest
 from shared.errors import DataError
 from station.datasets import open_dataset
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from tests.support.datasets import imu_of
 
 CAMERA_YAML = """%YAML:1.0
 sensor_type: camera
@@ -75,9 +76,9 @@ def test_asl_folder_gives_everything_with_exact_times(asl: Path) -> None:
     assert (camera.time_shift_s, camera.line_delay_s) == (-0.04, 0.00003)
     np.testing.assert_allclose(camera.T_body_cam_matrix[:3, 3], [0.1, 0, 0.2])
     assert data.calibration.imu is not None and data.calibration.imu.gyro_density == 1e-4
-    assert data.require_imu().t_robot_ns[1] == T0_NS + 10_000_000
-    assert data.drive() == [DriveSample(T0_NS + 45_000_000, 0.2, 0.1)]
-    truth = data.truth()
+    assert imu_of(data).t_robot_ns[1] == T0_NS + 10_000_000
+    assert data.drive == (DriveSample(T0_NS + 45_000_000, 0.2, 0.1),)
+    truth = data.truth
     assert truth is not None
     np.testing.assert_allclose(truth.T_world_body[0, :3, 3], [1, 2, 3])
 
@@ -98,7 +99,7 @@ def test_range_cuts_frames_and_keeps_inertial_margin(asl: Path) -> None:
     data = open_dataset(asl, first=1, last=3, step=2)
     assert [frame.name for frame in data.frames()] == ["1.jpg", "3.jpg"]
     assert [frame.index for frame in data.frames()] == [0, 1]
-    assert len(data.require_imu()) == 25
+    assert len(imu_of(data)) == 25
 
 
 def test_images_may_be_absent(asl: Path) -> None:
@@ -113,16 +114,14 @@ def test_images_may_be_absent(asl: Path) -> None:
 def test_imu_may_be_absent(asl: Path) -> None:
     (asl / "mav0" / "imu0" / "data.csv").unlink()
     data = open_dataset(asl)
-    assert data.imu() is None
-    with pytest.raises(DataError, match="no IMU"):
-        data.require_imu()
+    assert data.imu is None
 
 
 def test_without_imu_and_drive_the_camera_is_the_body(asl: Path) -> None:
     (asl / "mav0" / "imu0" / "data.csv").unlink()
     (asl / "mav0" / "drive0" / "data.csv").unlink()
     data = open_dataset(asl)
-    truth = data.truth()
+    truth = data.truth
     assert data.calibration.camera is not None and truth is not None
     np.testing.assert_array_equal(data.calibration.camera.T_body_cam_matrix, np.eye(4))
     np.testing.assert_allclose(truth.T_world_body[0, :3, 3], [1.1, 2, 3.2])
@@ -133,7 +132,7 @@ def test_image_folder_uses_the_numbers_in_the_names(folder: Path) -> None:
     assert [f.name for f in data.frames()] == [f"frame-{n:06d}.color.jpg" for n in (2, 4, 10)]
     assert data.frame_times_ns.tolist() == [round(n / 30 * 1e9) for n in (2, 4, 10)]
     assert not data.intrinsics_known
-    truth = data.truth()
+    truth = data.truth
     assert truth is not None and len(truth) == 3
     assert data.calibration.camera is not None and data.calibration.camera.width == 64
 

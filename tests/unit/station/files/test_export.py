@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from shared.errors import DataError
 from shared.geometry import FloatArray
 from station.datasets import open_dataset
-from station.files.navigation_folder import read_tum, save_navigation
-from station.files.ply import read_points
+from station.files.navigation_folder import parse_tum, save_navigation
+from station.files.ply import read_rows
 from station.main import app
 from station.model.navigation import Navigation
 from tests.support.navigations import small_navigation
@@ -37,9 +37,10 @@ def export(folder: Path, file_format: str, out: Path) -> Path:
 
 
 def test_tum_and_ply_come_back(folder: Path, tmp_path: Path) -> None:
-    back = read_tum(export(folder, "tum", tmp_path / "a.tum"))
+    written = export(folder, "tum", tmp_path / "a.tum")
+    back = parse_tum(written.read_text(), written)
     np.testing.assert_allclose(back.T_world_body, nav.trajectory.T_world_body, atol=1e-8)
-    np.testing.assert_array_equal(read_points(export(folder, "ply", tmp_path / "a.ply")), nav.landmarks.p_world)
+    np.testing.assert_array_equal(read_rows(export(folder, "ply", tmp_path / "a.ply")), nav.landmarks.p_world)
 
 
 def test_euroc_folder_opens_as_a_dataset(folder: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from station.errors import Conflict, Unknown
 from station.events import Events
-from station.library.map_choice import FILE, keep_choice, kept_choice, why_not_together
+from station.library.map_choice import FILE, store_choice, stored_choice, why_not_together
 from station.library.maps import Maps
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
@@ -74,14 +74,14 @@ async def test_a_damaged_map_is_told_with_a_command_for_this_stations_data(tmp_p
 )
 def test_a_file_of_any_station_is_read(tmp_path: Path, content: str, chosen: tuple[str, ...]) -> None:
     (tmp_path / FILE).write_text(content)
-    assert kept_choice(tmp_path) == chosen
+    assert stored_choice(tmp_path) == chosen
 
 
 @pytest.mark.parametrize("chosen", [(), ("flat",), ("flat", "attic", "cellar")])
 def test_what_is_kept_is_read_again(tmp_path: Path, chosen: tuple[str, ...]) -> None:
-    keep_choice(tmp_path, ("another",))
-    keep_choice(tmp_path, chosen)
-    assert kept_choice(tmp_path) == chosen
+    store_choice(tmp_path, ("another",))
+    store_choice(tmp_path, chosen)
+    assert stored_choice(tmp_path) == chosen
     stored = json.loads((tmp_path / FILE).read_text())
     assert stored["id"] == (chosen[0] if chosen else None)
     assert ("also" in stored) == (len(chosen) > 1)  # so that a station from before can read a file of one map
@@ -117,7 +117,9 @@ async def test_a_set_that_cannot_be_changes_nothing(maps: Maps) -> None:
     with pytest.raises(Unknown, match="no map 'cellar'"):
         await maps.activate(("flat", "cellar"))
     assert (
-        active(maps) == ["attic"] and kept_choice(maps.address.root) == ("attic",) and maps.active.revision == revision
+        active(maps) == ["attic"]
+        and stored_choice(maps.address.root) == ("attic",)
+        and maps.active.revision == revision
     )
 
 
@@ -150,7 +152,7 @@ async def test_deleting_one_of_a_set_leaves_it_out_and_the_first_stays_protected
     with pytest.raises(Conflict, match="flat is in use"):
         await maps.delete("flat")
     assert await maps.delete("attic")
-    assert active(maps) == ["flat"] and kept_choice(maps.address.root) == ("flat",)
+    assert active(maps) == ["flat"] and stored_choice(maps.address.root) == ("flat",)
     assert "attic is deleted, so it is left out from now on" in said(maps)
     assert not await maps.delete("both")  # nobody looked in it
     await maps.restore("attic")

@@ -17,6 +17,7 @@ from station.main import app
 from station.recordings.check import check_recording
 from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
+from tests.support.datasets import imu_of
 from tests.support.recordings import HELLO, batch, frame, messages_in, recorded_in_small_chunks
 
 
@@ -40,7 +41,7 @@ def test_a_file_cut_anywhere_is_read_up_to_there(
     frames = list(dataset.frames()) if dataset.has_images else []
     assert [f.encoded for f in frames] == [frame(n).jpeg for n in range(len(frames))]
     assert len(frames) == len(dataset.frame_times_ns) >= 40 * fraction - 8
-    times = dataset.require_imu().t_robot_ns.tolist()
+    times = imu_of(dataset).t_robot_ns.tolist()
     assert times == [s.t_robot_ns for n in range(40) for s in batch(10 * n).samples][: len(times)]
 
 
@@ -103,7 +104,7 @@ def test_a_cut_recording_gets_its_end_again(
         summary = make_reader(file).get_summary()
     assert summary is not None and summary.statistics is not None
     if recovery is not None:
-        assert recovery.inside == "" and recovery.kept is None  # nothing but the end is missing
+        assert recovery.inside == "" and recovery.original is None  # nothing but the end is missing
         assert summary.statistics.message_count == recovery.messages and str(path) in str(recovery)
     if readable:
         assert [f.encoded for f in open_dataset(path).frames()] == readable

@@ -31,6 +31,7 @@ from station.events import LogLine
 from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
+from tests.support.datasets import imu_of
 from tests.support.recordings import HELLO, START_NS, batch, frame, record
 
 
@@ -44,12 +45,12 @@ def test_what_is_recorded_is_read_back_exactly(tmp_path: Path) -> None:
     assert [f.t_robot_ns for f in frames] == [START_NS + n * 50_000_000 for n in range(20)]
     assert [f.encoded for f in frames] == [frame(n).jpeg for n in range(20)]
     assert frames[3].exposure_ns == 7 and frames[3].grey().shape == (48, 64)
-    imu = dataset.require_imu()
+    imu = imu_of(dataset)
     expected = [s for n in range(20) for s in batch(10 * n).samples]
     assert imu.t_robot_ns.tolist() == [s.t_robot_ns for s in expected]
     assert imu.gyro_imu.tolist() == [list(s.gyro_imu) for s in expected]
     assert imu.accel_imu.tolist() == [list(s.accel_imu) for s in expected]
-    assert [d.linear_m_s for d in dataset.drive()] == [0.0, 0.1, 0.2, pytest.approx(0.3)]
+    assert [d.linear_m_s for d in dataset.drive] == [0.0, 0.1, 0.2, pytest.approx(0.3)]
 
 
 def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -59,7 +60,7 @@ def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplo
     broken = ImuSample(good[3].t_robot_ns, (0.0, math.nan, 0.0), good[3].accel_imu)
     recorder.on_imu(ImuBatch(first_sequence=0, samples=(*good[:3], broken, *good[4:])))
     recorder.close()
-    imu = open_dataset(tmp_path / "d.mcap").require_imu()
+    imu = imu_of(open_dataset(tmp_path / "d.mcap"))
     assert imu.t_robot_ns.tolist() == [s.t_robot_ns for s in (*good[:3], *good[4:])]
     assert np.isfinite(imu.gyro_imu).all() and "1 IMU samples are no numbers" in caplog.text
 
@@ -233,7 +234,7 @@ def test_another_run_of_the_robot_ends_what_is_read(tmp_path: Path, caplog: pyte
     recorder.on_imu(batch(1000))
     recorder.close()
     dataset = open_dataset(tmp_path / "d.mcap")
-    assert len(dataset.require_imu()) == 20
+    assert len(imu_of(dataset)) == 20
     assert "restarted" in caplog.text
     assert not dataset.has_images
 

@@ -29,6 +29,7 @@ from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
 from station.recordings.topics import LIBRARY, register_channels
 from station.recordings.writer_lock import hold, is_being_written
+from tests.support.datasets import imu_of
 from tests.support.recordings import HELLO, batch, finish, frame, messages_in, record, recorded_in_small_chunks
 
 Told = tuple[str, int, int, bytes]
@@ -84,7 +85,7 @@ def test_one_flipped_bit_costs_no_sound_chunk(
     assert Counter(messages_in(path)) >= sound
     assert check_recording(path).damage == ""
     if recovery is not None and recovery.inside:
-        assert recovery.kept is not None and recovery.kept.read_bytes() == damaged
+        assert recovery.original is not None and recovery.original.read_bytes() == damaged
 
 
 def in_the_middle(index: ChunkIndex) -> int:
@@ -116,14 +117,14 @@ def test_a_hole_is_passed_over_and_the_file_as_it_was_is_kept(
     pictures = {frame(n).t_robot_ns: frame(n).jpeg for n in range(40)}
     frames = list(dataset.frames())
     assert all(pictures[f.t_robot_ns] == f.encoded for f in frames) and frames[-1].encoded == frame(39).jpeg
-    assert dataset.require_imu().t_robot_ns.max() == batch(390).samples[-1].t_robot_ns
+    assert imu_of(dataset).t_robot_ns.max() == batch(390).samples[-1].t_robot_ns
     # Damaged again: what was kept stays
     again = bytearray(whole)
     again[70_000:90_000] = bytes(20_000)
     path.write_bytes(again)
     recovery = recover_recording(path)
-    assert recovery is not None and recovery.kept == tmp_path / "d.mcap.damaged.2"
-    assert kept.read_bytes() == damaged and recovery.kept.read_bytes() == again
+    assert recovery is not None and recovery.original == tmp_path / "d.mcap.damaged.2"
+    assert kept.read_bytes() == damaged and recovery.original.read_bytes() == again
     assert sorted(p.name for p in tmp_path.iterdir()) == ["d.mcap", "d.mcap.damaged", "d.mcap.damaged.2"]
 
 
@@ -158,7 +159,7 @@ def test_only_a_record_that_the_files_end_cuts_off_is_called_cut(
         damaged[index.chunk_start_offset + index.chunk_length + 6] ^= 1  # the length of what follows a chunk
     path.write_bytes(damaged)
     recovery = recover_recording(path)
-    assert recovery is not None and recovery.inside and recovery.kept is not None
+    assert recovery is not None and recovery.inside and recovery.original is not None
 
 
 @pytest.mark.parametrize("from_end", [1, 37])  # of the last mark; the kind of the last record
@@ -213,7 +214,7 @@ def test_a_chunk_whose_kind_is_damaged_is_missed_and_found(
     total = sum(len(held) for _, held in chunks)
     assert f"{total - len(chunks[9][1])} of {total} messages are found" in check_recording(path).damage
     recovery = recover_recording(path)
-    assert recovery is not None and recovery.kept is None and recovery.inside == ""
+    assert recovery is not None and recovery.original is None and recovery.inside == ""
     assert messages_in(path) == [told for _, held in chunks for told in held]
 
 
@@ -227,7 +228,7 @@ def test_a_damaged_index_is_found_and_made_anew(whole: bytes, tmp_path: Path) ->
     path.write_bytes(damaged)
     assert check_recording(path).damage == "its index is damaged"
     recovery = recover_recording(path)
-    assert recovery is not None and recovery.kept is None
+    assert recovery is not None and recovery.original is None
     sound = tmp_path / "sound.mcap"
     sound.write_bytes(whole)
     assert messages_in(path) == messages_in(sound) and check_recording(path).damage == ""
@@ -261,7 +262,7 @@ def test_what_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
     recorder.on_imu(batch(10))
     report = recorder.close()
     assert report.error == "" and path.stat().st_ino == inode
-    assert len(open_dataset(path).require_imu()) == 20
+    assert len(imu_of(open_dataset(path))) == 20
     assert str(check_recording(path)).startswith(f"{path}: whole")
     assert recover_recording(path) is None
     record(path, frames=3)  # whoever ended holds nothing any more
@@ -334,7 +335,7 @@ def test_messages_outside_of_chunks_are_not_passed_over_in_silence(whole: bytes,
     writer.add_message(writer.register_channel("/a", "json", 0), 1, b"{}", 1)
     path.write_bytes(whole[:39] + stream.getvalue()[39:] + whole[39 : len(whole) // 2])
     recovery = recover_recording(path)
-    assert recovery is not None and recovery.kept is not None
+    assert recovery is not None and recovery.original is not None
 
 
 def foreign(path: Path, compression: CompressionType, *, has_summary: bool = True) -> Path:
@@ -394,7 +395,7 @@ def test_what_recovery_kept_goes_with_the_recording(tmp_path: Path) -> None:
     library = NavigationLibrary(tmp_path)
     library.open()
     for name in ("nav-1", "nav-2"):
-        library.keep(NavigationRecord(name, "n", "ready", 1.0, "sfm"))
+        library.store(NavigationRecord(name, "n", "ready", 1.0, "sfm"))
     path = library.recording("nav-1")
     path.write_bytes(bytes(10))
     path.with_name("recording.mcap.damaged.2").write_bytes(bytes(20))

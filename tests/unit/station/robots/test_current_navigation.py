@@ -22,8 +22,8 @@ from station.library.navigations import Navigations
 from station.robots.current_navigation import CANCELLED, CurrentNavigation
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.slam import MAX_DEATHS, SlamWorker
-from station.workers.request import WorkerDied
-from station.workers.slam_requests import AddFrame, FinishNavigation
+from station.workers.request import Limit, WorkerDied
+from station.workers.slam_requests import AddFrame, AddImu, FinishNavigation
 from tests.support.link import Notes, hello, until
 
 
@@ -33,7 +33,8 @@ class FakeWorker:
     made: list[FakeWorker]
     may_start: asyncio.Event
 
-    def __init__(self, name: str, program: object, *, on_death: Any, on_failure: Any, **_: Any) -> None:
+    def __init__(self, name: str, program: object, *, limits: Any, on_death: Any, on_failure: Any, **_: Any) -> None:
+        self.limits: dict[type, Limit] = limits
         self.on_death: Callable[[str], None] = on_death
         self.on_failure: Callable[[str], None] = on_failure
         self.dropped: dict[type, int] = {}
@@ -147,6 +148,15 @@ async def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator
     yield made
     made.library.may_write.set()
     await made.navigations.close()
+
+
+@pytest.mark.parametrize(("backend", "frames"), [("ukf", Limit(20, 5.0)), ("sfm", Limit(900, 30.0))])
+async def test_a_live_backend_may_be_less_behind_than_one_that_answers_at_the_end(
+    room: Room, backend: str, frames: Limit
+) -> None:
+    slam = SlamWorker("SLAM", SlamConfig(backend), REFERENCE_ROBOT, room.events, lambda _: None, lambda _: None)
+    assert FakeWorker.made[0].limits == {AddFrame: frames, AddImu: Limit(30_000)}
+    await slam.close()
 
 
 async def test_a_drive_that_cannot_be_recorded_never_was(room: Room, tmp_path: Path) -> None:
