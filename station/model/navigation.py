@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, transform
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +64,27 @@ class Landmarks:
         np.minimum.at(first, self.observed_landmark, self.observed_keyframe)
         first[first == np.iinfo(np.int64).max] = -1
         return first
+
+    def moved(self, T: FloatArray) -> Landmarks:
+        """Carried into another frame by a similarity T (4, 4)."""
+        A = T[:3, :3]
+        return replace(self, p_world=transform(T, self.p_world), cov_world=A @ self.cov_world @ A.T)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Landmarks], num_keyframes: Sequence[int]) -> Landmarks:
+        """All parts in one table, for the keyframes of all parts (`num_keyframes` of each) one after the other."""
+        before = np.cumsum([0, *(len(part) for part in parts[:-1])])
+        keyframes_before = np.cumsum([0, *num_keyframes[:-1]])
+        return cls(
+            p_world=np.concatenate([part.p_world for part in parts]),
+            rgb=np.concatenate([part.rgb for part in parts]),
+            cov_world=np.concatenate([part.cov_world for part in parts]),
+            observed_landmark=np.concatenate([p.observed_landmark + n for p, n in zip(parts, before, strict=True)]),
+            observed_keyframe=np.concatenate(
+                [p.observed_keyframe + n for p, n in zip(parts, keyframes_before, strict=True)]
+            ),
+            observed_uv_px=np.concatenate([part.observed_uv_px for part in parts]),
+        )
 
     def observations_by_keyframe(self, num_keyframes: int) -> list[IntArray]:
         """For each keyframe the rows of its observations, in the order in which they are stored."""

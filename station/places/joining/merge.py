@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from shared.errors import EstimationError
-from shared.geometry import FloatArray, IntArray, carry_poses, transform
+from shared.geometry import FloatArray, IntArray, carry_poses
 from station.model.navigation import Keyframes, Landmarks, Navigation, Trajectory
 from station.places.joining.align import align_navigation
 from station.places.making.build import build_map
@@ -58,16 +58,7 @@ def append_navigation(first: Navigation, second: Navigation, T_first_second: Flo
         _joined(first.trajectory.t_robot_ns, second.trajectory.t_robot_ns + shift_ns),
         np.concatenate([first.trajectory.T_world_body, carry_poses(T_first_second, second.trajectory.T_world_body)]),
     )
-    p, q = first.landmarks, second.landmarks
-    A = T_first_second[:3, :3]
-    landmarks = Landmarks(
-        p_world=np.concatenate([p.p_world, transform(T_first_second, q.p_world)]),
-        rgb=np.concatenate([p.rgb, q.rgb]),
-        cov_world=np.concatenate([p.cov_world, A @ q.cov_world @ A.T]),
-        observed_landmark=_joined(p.observed_landmark, q.observed_landmark + len(p)),
-        observed_keyframe=_joined(p.observed_keyframe, q.observed_keyframe + len(a)),
-        observed_uv_px=np.concatenate([p.observed_uv_px, q.observed_uv_px]),
-    )
+    landmarks = Landmarks.joined([first.landmarks, second.landmarks.moved(T_first_second)], [len(a), len(b)])
     report = replace(
         first.report,
         frames=first.report.frames + second.report.frames,

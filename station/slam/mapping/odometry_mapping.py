@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, IntArray, homogeneous, inverse
+from shared.geometry import FloatArray, IntArray, homogeneous
 from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.bundle_state import BundleState, Observations
 from station.slam.mapping.config import MappingConfig
@@ -201,7 +201,7 @@ def gather(tracks: Tracks, rays: Sequence[FloatArray]) -> FloatArray:
 def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration) -> Observations:
     """Tracks as the bundle adjustment wants them."""
     focal = 0.5 * (camera.fx + camera.fy)
-    return Observations(tracks.keyframe, tracks.point, gather(tracks, rays), inverse(camera.T_body_cam_matrix), focal)
+    return Observations(tracks.keyframe, tracks.point, gather(tracks, rays), camera.T_cam_body_matrix, focal)
 
 
 def _with_points(state: BundleState, points: FloatArray) -> BundleState:

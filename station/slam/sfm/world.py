@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, IntArray, inverse, se3, transform, upright
+from shared.geometry import FloatArray, IntArray, se3, sim3, upright
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Landmarks, Trajectory
 from station.motion.inertial_track import InertialTrack
@@ -61,7 +61,7 @@ def place_in_world(
 ) -> Placed:
     """Scale, turn and move a reconstruction into the world, and give every frame a pose."""
     facts = _measure(model, calibration, imu, drive)
-    T_body_cam = model.camera.T_body_cam_matrix
+    T_cam_body = model.camera.T_cam_body_matrix
     scale = fuse_scales(facts.scales)
     is_metric = scale is not None and scale.sigma_relative <= METRIC_SIGMA
     messages = []
@@ -71,26 +71,18 @@ def place_in_world(
 
     T_model_cam = model.keyframes.T_world_cam.copy()
     T_model_cam[:, :3, 3] *= factor
-    T_model_body = T_model_cam @ inverse(T_body_cam)
+    T_model_body = T_model_cam @ T_cam_body
     up = -facts.down if facts.down is not None else _guess_up(T_model_cam)
     T_world_model = _first_pose_is_origin(up, T_model_body[0])
-    landmarks = model.landmarks
     T_world_cam = T_world_model @ T_model_cam
     shift_ns = round(model.camera.time_shift_s * 1e9)  # the body is the IMU: its poses are stamped by the IMU's time
     numbers = facts.numbers | {"scale_factor_sigma": None if scale is None else scale.sigma_relative}
     return Placed(
         T_world_cam=T_world_cam,
-        landmarks=Landmarks(
-            p_world=transform(T_world_model, factor * landmarks.p_world),
-            rgb=landmarks.rgb,
-            cov_world=landmarks.cov_world,
-            observed_landmark=landmarks.observed_landmark,
-            observed_keyframe=landmarks.observed_keyframe,
-            observed_uv_px=landmarks.observed_uv_px,
-        ),
+        landmarks=model.landmarks.moved(sim3(factor, np.eye(3), np.zeros(3))).moved(T_world_model),
         trajectory=all_frames(
             model.keyframes.t_robot_ns + shift_ns,
-            T_world_cam @ inverse(T_body_cam),
+            T_world_cam @ T_cam_body,
             t_frames_ns + shift_ns,
             facts.track,
         ),

@@ -7,12 +7,12 @@ motion; the machinery is the same (station/slam/mapping/odometry_mapping.py).
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from shared.calibration import CameraCalibration, ImuNoise
-from shared.geometry import FloatArray, inverse, se3, so3_log, transform, upright
+from shared.geometry import FloatArray, inverse, se3, so3_log, upright
 from station.model.navigation import Keyframes, Landmarks
 from station.slam.mapping.assemble import Reconstructed, read_odometry_map
 from station.slam.mapping.odometry import Drift, RelativeMotions
@@ -77,7 +77,7 @@ def map_views(
     if not parts or sum(len(part.landmarks) for part, _, _ in parts) < MIN_LANDMARKS_PER_VIEW * num_views:
         return None
     for part, items, T_filter in parts:
-        T_new = part.keyframes.T_world_cam @ inverse(calibration.T_body_cam_matrix)
+        T_new = part.keyframes.T_world_cam @ calibration.T_cam_body_matrix
         poses.follow([v.frame_index for v in items], T_filter, T_new, items[0].segment)
     return ViewMap(*_join(parts), loops, float(np.mean(errors)))
 
@@ -119,44 +119,23 @@ def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibrat
 
     The first view's position and yaw stay.
     """
-    T_cam_body = inverse(calibration.T_body_cam_matrix)
-    T = part.keyframes.T_world_cam @ T_cam_body
+    T = part.keyframes.T_world_cam @ calibration.T_cam_body_matrix
     up_body = T_filter[:, 2, :3]  # the world's z axis in each body frame, by the filter
     up = np.median(np.einsum("nij,nj->ni", T[:, :3, :3], up_body), axis=0)
     R = upright(up)
     turn = se3(R, T[0, :3, 3] - R @ T[0, :3, 3])
-    k, m = part.keyframes, part.landmarks
-    return Reconstructed(
-        Keyframes(k.frame_index, k.t_robot_ns, turn @ k.T_world_cam, k.encoded, k.segment),
-        Landmarks(
-            transform(turn, m.p_world),
-            m.rgb,
-            R @ m.cov_world @ R.T,
-            m.observed_landmark,
-            m.observed_keyframe,
-            m.observed_uv_px,
-        ),
-        part.camera,
-    )
+    keyframes = replace(part.keyframes, T_world_cam=turn @ part.keyframes.T_world_cam)
+    return replace(part, keyframes=keyframes, landmarks=part.landmarks.moved(turn))
 
 
 def _join(parts: list[tuple[Reconstructed, list[View], FloatArray]]) -> tuple[Keyframes, Landmarks]:
     """Segments one after the other."""
     k = [part.keyframes for part, _, _ in parts]
-    m = [part.landmarks for part, _, _ in parts]
-    first_keyframe = np.cumsum([0, *(len(x) for x in k)])
-    first_landmark = np.cumsum([0, *(len(x) for x in m)])
-    return Keyframes(
+    keyframes = Keyframes(
         frame_index=np.concatenate([x.frame_index for x in k]),
         t_robot_ns=np.concatenate([x.t_robot_ns for x in k]),
         T_world_cam=np.concatenate([x.T_world_cam for x in k]),
         encoded=tuple(file for x in k for file in x.encoded),
         segment=np.array([v.segment for _, items, _ in parts for v in items], dtype=np.int64),
-    ), Landmarks(
-        p_world=np.concatenate([x.p_world for x in m]),
-        rgb=np.concatenate([x.rgb for x in m]),
-        cov_world=np.concatenate([x.cov_world for x in m]),
-        observed_landmark=np.concatenate([x.observed_landmark + n for x, n in zip(m, first_landmark, strict=False)]),
-        observed_keyframe=np.concatenate([x.observed_keyframe + n for x, n in zip(m, first_keyframe, strict=False)]),
-        observed_uv_px=np.concatenate([x.observed_uv_px for x in m]),
     )
+    return keyframes, Landmarks.joined([part.landmarks for part, _, _ in parts], [len(x) for x in k])
