@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
-from shared.geometry import FloatArray, rotation_of, scale_of, so3_log, transform
+from shared.geometry import FloatArray, scale_of
 from station.places.registration.gicp import align_gicp
 from station.places.registration.kiss import kiss_is_available, match_features
 from station.places.registration.register import register_clouds
-from tests.support.registration_clouds import CloudPair, make_pair
+from tests.support.registration_clouds import CloudPair, errors, make_pair
 
 SETS: dict[str, dict[str, Any]] = {
     "known": {"overlap": (0.5, 1.0)},
@@ -53,14 +53,9 @@ UNIT_ERRORS = (0.02, 0.035, 0.05)  # what is reported by itself: up to the secon
 FIRST_SEED = {"train": 0, "test": 10_000}
 
 
-def errors(T: FloatArray, pair: CloudPair) -> tuple[float, float, float]:
+def errors_of(T: FloatArray, pair: CloudPair) -> tuple[float, float, float]:
     """Degrees, metres at the source's middle, relative scale."""
-    T_true = pair.T_target_source
-    assert T_true is not None
-    turn = so3_log(rotation_of(T) @ rotation_of(T_true).T)
-    shift = transform(T - T_true, np.median(pair.source, axis=0))
-    growth = abs(scale_of(T) / scale_of(T_true) - 1)
-    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), growth
+    return errors(T, pair.T_target_source, np.median(pair.source, axis=0))
 
 
 def is_right(e: tuple[float, float, float]) -> bool:
@@ -75,7 +70,7 @@ def run_pair(name: str, seed: int, points: tuple[int, int]) -> dict[str, Any]:
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
     e = None
     if pair.T_target_source is not None and result.T_target_source is not None:
-        e = errors(result.T_target_source, pair)
+        e = errors_of(result.T_target_source, pair)
     unit_error = None
     if "unit_error" in SETS[name] and pair.T_target_source is not None:
         unit_error = 1 / scale_of(pair.T_target_source) - 1
@@ -237,7 +232,7 @@ def _run_baseline(
         start = time.process_time()
         T = method(pair)
         cpu.append(time.process_time() - start)
-        if T is not None and is_right(errors(T, pair)):
+        if T is not None and is_right(errors_of(T, pair)):
             found.append(seed)
     return {
         "method": name,

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.linear_model import LogisticRegression
 
-from benchmarks.bench_registration import FIRST_SEED, SETS, errors, is_right
+from benchmarks.bench_registration import FIRST_SEED, SETS, errors_of, is_right
 from shared.geometry import FloatArray
 from station.places.registration.register import register_clouds
 from station.places.registration.verify import WEIGHTS
@@ -35,7 +35,7 @@ def measure(name: str, seed: int) -> dict[str, Any]:
     found = register_clouds(pair.target, pair.source, scale="free" if "scale_range" in SETS[name] else "known")
     e = None
     if pair.T_target_source is not None and found.T_target_source is not None:
-        e = errors(found.T_target_source, pair)
+        e = errors_of(found.T_target_source, pair)
     return {
         "set": name,
         "seed": seed,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, se3, yaw_rotation
+from shared.geometry import FloatArray, rotation_of, scale_of, se3, so3_log, transform, yaw_rotation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,3 +228,12 @@ def make_pair(
         T_target_source=T_target_source if same_flat else None,
         overlap=wanted if same_flat else 0.0,
     )
+
+
+def errors(T: FloatArray | None, T_true: FloatArray | None, at: FloatArray) -> tuple[float, float, float]:
+    """How far a registration is off: degrees, distance where a source point (3,) lands, relative scale."""
+    assert T is not None and T_true is not None
+    turn = so3_log(rotation_of(T) @ rotation_of(T_true).T)
+    shift = transform(T - T_true, at)
+    growth = abs(scale_of(T) / scale_of(T_true) - 1)
+    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), growth

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.geometry import FloatArray, inverse, rotation_of, scale_of, se3, so3_exp, so3_log, transform, yaw_rotation
+from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, transform, yaw_rotation
 from station.places.registration import register, verify
 from station.places.registration.free_space import Rays, watched_points
 from station.places.registration.kiss import kiss_is_available, match_features
 from station.places.registration.register import register_clouds
 from station.places.registration.verify import MIN_WATCHED
-from tests.support.registration_clouds import CloudPair, make_pair
+from tests.support.registration_clouds import CloudPair, errors, make_pair
 
 TUMBLED = se3(so3_exp(np.array([1.1, -0.7, 1.9])), np.array([2.0, -1.0, 0.5]))  # upside down, nearly
 needs_kiss = pytest.mark.skipif(not kiss_is_available(), reason="KISS-Matcher has no wheel here")
@@ -20,15 +20,6 @@ needs_kiss = pytest.mark.skipif(not kiss_is_available(), reason="KISS-Matcher ha
 @pytest.fixture(scope="module")
 def pair() -> CloudPair:
     return make_pair(9003, overlap=(0.9, 1.0), points=(3000, 4000))
-
-
-def errors(T: FloatArray | None, T_true: FloatArray, at: FloatArray) -> tuple[float, float, float]:
-    """Rotation (degrees), distance where the source's middle lands, relative scale."""
-    assert T is not None
-    turn = so3_log(rotation_of(T) @ rotation_of(T_true).T)
-    shift = transform(T - T_true, at)
-    growth = abs(scale_of(T) / scale_of(T_true) - 1)
-    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), growth
 
 
 @pytest.mark.parametrize("start", ["own", pytest.param("KISS-Matcher", marks=needs_kiss)])

@@ -6,21 +6,13 @@ import numpy as np
 import pytest
 
 from shared.errors import DataError
-from shared.geometry import FloatArray, rotation_of, scale_of, se3, so3_log, transform, yaw_rotation
+from shared.geometry import FloatArray, scale_of, se3, yaw_rotation
 from station.places.registration.beside import alignments_beside, best_fits, surface_fit
 from station.places.registration.cloud import prepare_cloud
 from station.places.registration.problem import make_problem
 from station.places.registration.register import register_clouds
 from station.places.registration.yaw_search import make_searches
-from tests.support.registration_clouds import make_pair
-
-
-def errors(T: FloatArray, T_true: FloatArray, at: FloatArray) -> tuple[float, float, float]:
-    """Rotation (degrees), translation at the source's middle, relative scale."""
-    turn = so3_log(rotation_of(T) @ rotation_of(T_true).T)
-    shift = transform(T - T_true, at)
-    growth = abs(scale_of(T) / scale_of(T_true) - 1)
-    return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(shift)), growth
+from tests.support.registration_clouds import errors, make_pair
 
 
 @pytest.mark.parametrize("seed", [9001, 9002])
