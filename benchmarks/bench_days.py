@@ -39,6 +39,7 @@ from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.library_jobs import LibraryJobs
 from tests.support.days import Drive, made_up_days
+from tests.support.store import rename_place
 
 ROUTES = ("mapping", "second", "mapping")  # of the three days
 NAMES_KEPT_PERCENT, DUPLICATES_PERCENT = 95.0, 5.0  # asked
@@ -123,7 +124,7 @@ def name_all(store: MapStore, place_map: PlaceMap, count: int) -> PlaceMap:
     """A person names what has no name yet."""
     for number, place in enumerate(place_map.places):
         if not place.name.startswith("Corner"):
-            place_map = store.rename_place(place_map.id, place.id, f"Corner {count}.{number}")
+            place_map = rename_place(store, place_map.id, place.id, f"Corner {count}.{number}")
     return place_map
 
 

@@ -126,18 +126,15 @@ class Navigations:
 
     def reserve(self, navigation_id: str) -> None:
         """A job works on this navigation's files until `release`. Raises Conflict when one does already."""
-        self._refuse_reserved(navigation_id)
-        self._reserved.add(navigation_id)
-
-    def release(self, navigation_id: str) -> None:
-        self._reserved.discard(navigation_id)
-
-    def _refuse_reserved(self, navigation_id: str) -> None:
         if navigation_id in self._reserved:
             name = self.library.get(navigation_id).name
             raise Conflict(
                 f"SLAM runs over {name} just now, or it goes into the bin; wait for the job or cancel it (GET /jobs)"
             )
+        self._reserved.add(navigation_id)
+
+    def release(self, navigation_id: str) -> None:
+        self._reserved.discard(navigation_id)
 
     async def reprocessed(self, navigation_id: str, report: NavigationReport) -> NavigationRecord:
         """SLAM ran over a navigation's recording again and left its navigation."""
