@@ -73,11 +73,8 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
     """Three drives through one flat; each is made once and kept in the folder."""
     drives = []
     for day, route in enumerate(ROUTES):
-        settings = replace(
-            SimulationConfig(camera_rate_hz=fps),
-            moved_chairs_seed=1000 * seed + day if day else None,
-            light_seed=1000 * seed + day if day else None,
-        )
+        visit = 1000 * seed + day if day else None
+        settings = SimulationConfig(camera_rate_hz=fps, moved_chairs_seed=visit, light_seed=visit)
         dataset, navigation = folder / f"day-{day}", folder / f"day-{day}-{backend}"
         if not dataset.is_dir():
             flat = make_world(world, seed, settings)

@@ -107,7 +107,6 @@ class Gate:
         return self.book.live(token_id, self._now_s()) is not None
 
     def refresh(self) -> bool:
-        """Look whether the book was changed."""
         return self.book.refresh()
 
     @property

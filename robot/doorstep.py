@@ -41,14 +41,12 @@ class Doorstep:
         return {"ssl": self._gate.context, "ssl_handshake_timeout": HANDSHAKE_WITHIN_S}
 
     def receive(self, client: StationClient) -> None:
-        """A new connection."""
         if self._gate is None:
             client.role = Role.ADMIN
         else:
             client.challenge = new_challenge()
 
     def introduce(self, client: StationClient, message: Prove | PairRequest | PairProof) -> None:
-        """It says who it is."""
         gate = self._gate
         if gate is None:
             if not isinstance(message, Prove):

@@ -47,8 +47,6 @@ class _Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", gc=F
 
 
 class Capabilities(msgspec.Struct, frozen=True, kw_only=True):
-    """What this robot can do."""
-
     camera: bool
     imu: bool
     drive: bool

@@ -149,7 +149,6 @@ class TokenBook:
         return token
 
     def add_for(self, parent: TokenRecord, kind: Literal["session", "link"], now_s: float, lifetime_s: float) -> Token:
-        """A session or a link of a token."""
         owner = parent.parent or parent.id
         token = Token.new()
         with self._changing():

@@ -237,7 +237,7 @@ class Station:
                 seed, executor = self.config.slam.seed, self.config.executor
                 report = await worker.call(Reprocess(recording, chosen, seed, navigation_id, folder, executor))
                 navigation = await self.navigations.reprocessed(navigation_id, report)
-                await self._robot_of(navigation).current_navigation.show(navigation_id)
+                await self._robot_of(navigation).current_navigation.view(navigation_id)
             finally:
                 self.navigations.release(navigation_id)
             return {"navigation": navigation_id, "landmarks": report.landmarks}

@@ -64,8 +64,6 @@ def read_states(path: Path) -> StateTable:
 
 @dataclass(frozen=True, slots=True)
 class AlongRequest:
-    """What to render."""
-
     states: Path  # CSV of true states
     camera: Path  # sensor.yaml; a data.csv beside it gives the stamps
     imu: Path | None  # folder with data.csv and sensor.yaml to copy; None: synthesise

@@ -86,7 +86,6 @@ class Body:
 
     @property
     def is_carried(self) -> bool:
-        """Whether somebody holds the robot."""
         return self._carry is not None or self._grabbed is not None
 
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> float:
@@ -126,7 +125,6 @@ class Body:
         return self.state()
 
     def state(self) -> MotionState:
-        """The motion now."""
         p = self._plane
         c, s = math.cos(p.yaw), math.sin(p.yaw)
         icr = self._parameters.icr_offset_m if self._parameters.slip else 0.0

@@ -42,8 +42,6 @@ def covering(texture: TextureSpec, width_m: float, height_m: float) -> TextureSp
 
 @dataclass(slots=True)
 class Builder:
-    """Collects the parts of a world."""
-
     surfaces: list[Surface] = field(default_factory=list)
     obstacles: list[Obstacle] = field(default_factory=list)
 

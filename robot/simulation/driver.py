@@ -20,8 +20,6 @@ PIVOT_RAD = 1.2  # turn in place first when the route points further aside than 
 
 @dataclass(frozen=True, slots=True)
 class DriveCommand:
-    """What to tell the motors."""
-
     linear_m_s: float
     angular_rad_s: float
 

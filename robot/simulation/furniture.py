@@ -13,8 +13,6 @@ from robot.simulation.textures import TextureSpec
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One kind of furniture: its footprint and how to build it."""
-
     name: str
     width_m: tuple[float, float]
     depth_m: float
@@ -23,8 +21,6 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where and with what to build one piece."""
-
     builder: Builder
     pick: TexturePicker
     rng: np.random.Generator

@@ -29,8 +29,6 @@ START_NS = 1_000_000_000_000  # robot clock at the first sample; all stamps of a
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a recording holds."""
-
     frames: int
     duration_s: float
     path_m: float

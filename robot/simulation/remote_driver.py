@@ -74,7 +74,6 @@ class StationHttp:
         return self._post("/drive", body)
 
     def stop(self) -> str:
-        """Motors off."""
         return self._post("/stop", {})
 
     def close(self) -> None:
@@ -104,8 +103,6 @@ def _reason(status: int, text: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class DriveReport:
-    """How a scripted drive went."""
-
     duration_s: float
     length_m: float
     refused: int

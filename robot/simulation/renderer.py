@@ -7,7 +7,6 @@ region it can cover; the nearest one wins per pixel. One lookup in the atlas the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,17 +66,6 @@ def undistort(camera: CameraCalibration, xy_distorted: FloatArray) -> FloatArray
         dy = k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y
         x, y = (xd - dx) / radial, (yd - dy) / radial
     return np.stack([x, y], axis=-1)
-
-
-def project_points(camera: CameraCalibration, p_cam: FloatArray) -> FloatArray:
-    """Pixels (N, 2) of points (N, 3) m in camera coordinates, all in front of the camera."""
-    zero = np.zeros(3)
-    coefficients = np.array(camera.distortion)
-    if camera.model == "equidistant":
-        uv, _ = cv2.fisheye.projectPoints(p_cam[:, None, :], zero, zero, camera.K, coefficients)
-    else:
-        uv, _ = cv2.projectPoints(p_cam[:, None, :], zero, zero, camera.K, coefficients)
-    return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
 
 
 class Renderer:
@@ -282,14 +270,3 @@ def _clip(polygon: list[FloatArray], plane: FloatArray, limit: float) -> list[Fl
         if value >= 0:
             kept.append(p)
     return kept
-
-
-def look_at_pose(camera_position: Sequence[float], yaw_rad: float, pitch_rad: float = 0.0) -> FloatArray:
-    """T_world_cam (4, 4) of a level camera that looks along yaw, tilted up by pitch."""
-    c, s, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
-    forward = np.array([c * cp, s * cp, sp])
-    right = np.array([s, -c, 0.0])
-    T = np.eye(4)
-    T[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    T[:3, 3] = camera_position
-    return T

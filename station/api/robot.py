@@ -77,7 +77,7 @@ async def release(robot: RobotDep, driver: DriverDep) -> DriverModel:
 def _driver_model(robot: RobotSession, caller: str) -> DriverModel:
     driving = robot.driving
     now = driving.driver
-    keeps_s = 0.0 if now is None else round(driving.keeps_wheel_s, 1)
+    keeps_s = 0.0 if now is None else round(driving.lease_left_s, 1)
     return DriverModel(driver=now, you_drive=now == caller, keeps_s=keeps_s)
 
 

@@ -91,7 +91,7 @@ def summary(nav: Navigation, out: Path) -> str:
     scale = "metres" if nav.is_metric else "arbitrary scale"
     lines = [
         f"{report.landmarks} landmarks, {len(nav.trajectory)} poses, {len(nav.keyframes)} keyframes ({scale}, "
-        f"{'gravity-aligned' if nav.is_gravity_aligned else 'upright only as the camera was'})",
+        f"{'gravity-aligned' if nav.is_gravity_aligned else 'gravity unknown'})",
         f"{report.duration_s:.1f} s of driving in {report.wall_s:.1f} s",
         *report.messages,
         f"written to {out}",

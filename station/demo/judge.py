@@ -12,7 +12,7 @@ from station.demo.simulator_client import TruthLog
 from station.experiments.alignment import align_points
 from station.model.navigation import Trajectory
 
-TIE = 1.10  # a place is right when no other is nearer by more than this factor (issue of two places at equal distance)
+TIE = 1.10  # a place is right when no other is nearer by more than this factor: of two at equal distance both are
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def is_right(place: str, centroids_true: dict[str, FloatArray], position_true: F
 def judge_sample(
     sample: Sample, position_true: FloatArray, centroids_true: dict[str, FloatArray], T_world_map: FloatArray
 ) -> JudgedSample:
-    """One answer beside the truth."""
+    """Whether an answer names the place that is nearest in truth, and how far its position is off."""
     nearest = min(centroids_true, key=lambda name: float(np.linalg.norm(centroids_true[name] - position_true)))
     right = is_right(sample.place_id or "", centroids_true, position_true) if sample.state == "known" else None
     error_m = None

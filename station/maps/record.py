@@ -174,7 +174,7 @@ def encode_place(place: Place) -> dict[str, Any]:
 
 
 def decode_place(values: dict[str, Any]) -> Place:
-    """The reverse. Raises KeyError, TypeError or ValueError."""
+    """The place that `encode_place` wrote. Raises KeyError, TypeError or ValueError."""
     return Place(
         id=values["id"],
         name=values["name"],

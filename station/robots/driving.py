@@ -72,7 +72,7 @@ class Driving:
         return self._lease.driver(self._now_ns())
 
     @property
-    def keeps_wheel_s(self) -> float:
+    def lease_left_s(self) -> float:
         """For how long the driver keeps the wheel without another word."""
         return self._lease.left_ns(self._now_ns()) * 1e-9
 

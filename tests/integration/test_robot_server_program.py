@@ -161,5 +161,5 @@ async def test_a_real_flight_streams_whole_and_its_recording_is_the_flight_again
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "robot.devices.recorded", raising=False)
     monkeypatch.setitem(sys.modules, "robot.devices.recorded.recording", None)  # as if it could not be imported
-    with pytest.raises(DeviceUnavailable, match=r"--devices recorded needs .*sentinel-robot\[simulation\]"):
+    with pytest.raises(DeviceUnavailable, match=r"--devices recorded needs .*\[simulation\]"):
         open_devices("recorded", RobotConfig(recorded=RecordedConfig(dataset="x")))

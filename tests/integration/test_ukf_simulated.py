@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ COVERED_S = (4.5, 7.0)
 HIJACK_S = 10.5
 END_S = 16.0
 FRAME_S = 1 / 12
-CONFIG = replace(SimulationConfig(), camera_rate_hz=1 / FRAME_S)
+CONFIG = SimulationConfig(camera_rate_hz=1 / FRAME_S)
 CALIBRATION = simulated_calibration(CONFIG)
 
 

@@ -92,7 +92,9 @@ def absolute_trajectory_error(estimate: Poses, truth: Poses, kind: AlignmentKind
     T_est = estimate.T_world_body[kept]
     alignment = align_points(T_truth[:, :3, 3], T_est[:, :3, 3], kind)
     errors = np.linalg.norm(T_truth[:, :3, 3] - transform(alignment.T_target_source, T_est[:, :3, 3]), axis=1)
-    angles = _angles(np.swapaxes(T_truth[:, :3, :3], 1, 2) @ alignment.R_target_source @ T_est[:, :3, :3])
+    angles = np.linalg.norm(
+        so3_log(np.swapaxes(T_truth[:, :3, :3], 1, 2) @ alignment.R_target_source @ T_est[:, :3, :3]), axis=1
+    )
     return TrajectoryError(
         rmse_m=_rms(errors),
         mean_m=float(errors.mean()),
@@ -130,7 +132,7 @@ def relative_pose_error(estimate: Poses, truth: Poses, delta_s: float, scale: fl
     return RelativeError(
         delta_s=delta_s,
         translation_rmse_m=_rms(np.linalg.norm(error[:, :3, 3], axis=1)),
-        rotation_rmse_rad=_rms(_angles(error[:, :3, :3])),
+        rotation_rmse_rad=_rms(np.linalg.norm(so3_log(error[:, :3, :3]), axis=1)),
         num_pairs=len(begin),
     )
 
@@ -138,10 +140,6 @@ def relative_pose_error(estimate: Poses, truth: Poses, delta_s: float, scale: fl
 def path_length(poses: Poses) -> float:
     """Length (m) of the line through all positions."""
     return float(np.linalg.norm(np.diff(poses.T_world_body[:, :3, 3], axis=0), axis=1).sum())
-
-
-def _angles(R: FloatArray) -> FloatArray:
-    return np.array([float(np.linalg.norm(so3_log(one))) for one in R])
 
 
 def _rms(values: FloatArray) -> float:

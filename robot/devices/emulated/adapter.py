@@ -48,7 +48,6 @@ class Feeder:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread."""
         if self._task is not None:
             self._loop.call_soon_threadsafe(self._task.cancel)
         self._thread.join(timeout=2.0)

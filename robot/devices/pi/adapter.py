@@ -59,7 +59,6 @@ def uses_mega(config: PiConfig) -> bool:
 
 
 def geometry_of(config: PiConfig) -> DriveGeometry:
-    """How this robot turns duty into motion."""
     return DriveGeometry(
         config.full_speed_m_s, config.track_m, config.deadband, config.invert_left, config.invert_right
     )
@@ -81,7 +80,6 @@ def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
 
 
 def open_mega(config: PiConfig) -> Mega:
-    """The Mega at its serial port."""
     return Mega(lambda: open_line(config.serial_port), *mega_settings(config))
 
 
@@ -140,7 +138,6 @@ def _open_motion(
 
 
 def open_camera(config: PiConfig) -> Camera:
-    """The Pi's camera."""
     from robot.devices.pi.camera import CameraSettings, PiCamera
 
     return PiCamera(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from robot.devices.mailbox import Mailbox
 from robot.devices.pi.exposure import Exposure, ExposureControl
 from robot.devices.ports import CapturedFrame
 from shared.errors import DeviceLost, DeviceUnavailable
@@ -42,9 +43,7 @@ class PiCamera:
 
     def __init__(self, settings: CameraSettings) -> None:
         self._settings = settings
-        self._lock = threading.Lock()
-        self._frame: CapturedFrame | None = None
-        self._waiter: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
+        self._frames: Mailbox[CapturedFrame] = Mailbox(1)
         self._failure = ""
         self._dark = False
         self._closed = threading.Event()
@@ -56,18 +55,11 @@ class PiCamera:
         """The next frame. Raises DeviceLost on silence and while the picture is black."""
         if not self._thread.is_alive():
             await asyncio.to_thread(self._reopen)  # a camera stack that hangs must not hold the server up
-        event = asyncio.Event()
-        self._waiter = (asyncio.get_running_loop(), event)
         try:
-            while (frame := self._take()) is None:
-                async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
-                    await event.wait()
-                event.clear()
+            async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
+                return (await self._frames.get())[0]
         except TimeoutError:
             raise DeviceLost(self._why_silent()) from None
-        finally:
-            self._waiter = None
-        return frame
 
     async def close(self) -> None:
         """Release the camera; one that hangs is left to the process' end. Safe to call twice."""
@@ -81,11 +73,6 @@ class PiCamera:
         if self._dark:
             return "the camera sees only black; take the lens cap off or switch a light on"
         return self._failure or f"the camera gave no frame for {SILENCE_S:.0f} s; check its ribbon cable"
-
-    def _take(self) -> CapturedFrame | None:
-        with self._lock:
-            frame, self._frame = self._frame, None
-        return frame
 
     def _open(self) -> Any:
         try:
@@ -173,21 +160,9 @@ class PiCamera:
         exposure_ns = int(metadata["ExposureTime"]) * 1000
         # SensorTimestamp: the first row's end of exposure, on CLOCK_BOOTTIME as libcamera has it.
         t_end_ns = int(metadata["SensorTimestamp"]) + boot_to_monotonic_ns()
-        frame = CapturedFrame(
-            t_robot_ns=t_end_ns - exposure_ns // 2,
-            exposure_ns=exposure_ns,
-            width=image.shape[1],
-            height=image.shape[0],
-            jpeg=simplejpeg.encode_jpeg(image, quality=self._settings.jpeg_quality, colorspace="BGR"),
-        )
-        with self._lock:
-            self._frame = frame
-        waiter = self._waiter
-        if waiter is not None:
-            try:
-                waiter[0].call_soon_threadsafe(waiter[1].set)
-            except RuntimeError:
-                logger.debug("frame after the event loop's end")
+        height, width = image.shape[:2]
+        jpeg = simplejpeg.encode_jpeg(image, quality=self._settings.jpeg_quality, colorspace="BGR")
+        self._frames.put(CapturedFrame(t_end_ns - exposure_ns // 2, exposure_ns, width, height, jpeg))
 
 
 class _Errand:

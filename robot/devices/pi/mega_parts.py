@@ -13,7 +13,7 @@ from shared.serial_protocol import Drive, Flag, Servo, Stop
 
 logger = logging.getLogger(__name__)
 
-# What the firmware lets a motor run without another command. The server repeats commands at least four times a second
+# What the firmware lets a motor run without another command. The station repeats commands at least four times a second
 # and stops by itself after 250 ms; this is for its own death.
 FIRMWARE_TTL_MS = 300
 # Ten reports a second: a longer silence is a line that stands still, and what is written to it now would move the robot
@@ -22,8 +22,6 @@ SILENT_NS = 500_000_000
 
 
 class MegaImu:
-    """Every sample of the Mega's IMU."""
-
     def __init__(self, mega: Mega) -> None:
         self._mega = mega
 

@@ -38,8 +38,6 @@ class CameraJob:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameRequest:
-    """One picture to take."""
-
     t_s: float
     states: list[MotionState]  # the motion around the exposure
     faults: Faults
@@ -49,8 +47,6 @@ class FrameRequest:
 
 @dataclass(frozen=True, slots=True)
 class FrameAnswer:
-    """The picture."""
-
     jpeg: bytes
     exposure_s: float
 
@@ -82,7 +78,6 @@ class CameraProcess:
         return cast(FrameAnswer, self._receive(RENDER_TIMEOUT_S))
 
     def close(self) -> None:
-        """End the process."""
         with contextlib.suppress(OSError):
             self._connection.close()
         self._process.join(timeout=2.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import math
 import threading
@@ -13,18 +12,18 @@ from typing import Protocol
 
 import numpy as np
 
+from robot.devices.mailbox import Mailbox
 from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
-from robot.devices.simulated.mailbox import Mailbox
 from robot.devices.simulated.rendering import CameraJob, CameraProcess, FrameRequest
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
-from robot.simulation.config import Faults, SimulationConfig, config_from_table
+from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.routes import FreeSpace, Route, plan_route
 from robot.simulation.sensors import ImuModel
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.world import World
 from robot.simulation.worlds import make_world
-from shared.errors import ConfigError, HardwareError
+from shared.errors import HardwareError
 from shared.geometry import FloatArray
 
 logger = logging.getLogger(__name__)
@@ -42,8 +41,6 @@ MAX_PAN_RAD, MAX_TILT_RAD, HEAD_SPEED_RAD_S = math.radians(80), math.radians(40)
 
 
 class Closable(Protocol):
-    """Something that ends with the robot."""
-
     def close(self) -> None: ...
 
 
@@ -83,7 +80,6 @@ class SimulatedRobot:
         self._threads: list[threading.Thread] = []
 
     def start(self, *controls: Closable | None) -> None:
-        """Begin to live."""
         self._controls = [c for c in controls if c is not None]
         self._epoch_ns = time.monotonic_ns()
         self._threads = [
@@ -106,7 +102,6 @@ class SimulatedRobot:
     # --- what the devices need ------------------------------------------------------------------------------------
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Tell the motors."""
         with self._lock:
             self._body.command(linear_m_s, angular_rad_s)
 
@@ -142,7 +137,6 @@ class SimulatedRobot:
 
     @property
     def is_carried(self) -> bool:
-        """Whether somebody holds the robot."""
         return self._body.is_carried
 
     def truth(self) -> tuple[int, MotionState]:
@@ -259,14 +253,6 @@ class SimulatedRobot:
                     jpeg=answer.jpeg,
                 )
             )
-
-
-def parse_faults(current: Faults, changes: dict[str, object]) -> Faults:
-    """Faults with some values changed. Raises ConfigError for unknown names and wrong types."""
-    changed = config_from_table(current, changes, "faults.")
-    if not isinstance(changed, Faults) or not (0.0 <= changed.imu_dropout <= 1.0 and 0.0 <= changed.light <= 10.0):
-        raise ConfigError("faults.imu_dropout must lie in 0..1 and faults.light in 0..10")
-    return dataclasses.replace(changed)
 
 
 class _Head:

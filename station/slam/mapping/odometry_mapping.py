@@ -74,7 +74,7 @@ def map_with_motions(
     camera: CameraCalibration,
     config: MappingConfig,
 ) -> OdometryMap:
-    """The same for relative motions from anywhere.
+    """Map keyframes whose relative motions are given, whoever measured them.
 
     Args:
         rays: (n, 2) of each keyframe: its features' normalised coordinates as if all rows had been exposed at once, at

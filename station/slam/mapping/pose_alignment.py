@@ -47,7 +47,7 @@ def gyro_bias_from_rotations(
         step = track.increments(t_ns)
         seen = np.swapaxes(R_world_body[:-1], 1, 2) @ R_world_body[1:]
         error = np.swapaxes(step.R, 1, 2) @ seen
-        residual = np.array([so3_log(R) for R in error])
+        residual = so3_log(error)
         residual[~usable] = np.nan
         if not usable.any():
             break

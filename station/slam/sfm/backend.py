@@ -140,7 +140,7 @@ class SfmBackend:
         return self._encoded
 
     def keyframe_features(self, number: int) -> None:
-        """Its own are other ones."""
+        """None: the features it matches are not those that localisation uses."""
 
     def finish(self) -> Navigation:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, orthonormal
-from station.motion import lie
+from shared.geometry import FloatArray, orthonormal, skew, so3_log
 from station.motion.drive_commands import SPEED_EFFICIENCY
 from station.motion.error_coordinates import ErrorKind
 from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
@@ -28,9 +27,9 @@ class BodyVelocity:
         if kind is ErrorKind.RIGHT:
             by_state = state.R.T @ state.S[XI_V]
         elif kind is ErrorKind.LEFT:
-            by_state = state.S[XI_V] + lie.skew(v_now) @ state.S[PHI]
+            by_state = state.S[XI_V] + skew(v_now) @ state.S[PHI]
         else:
-            by_state = state.R.T @ (state.S[XI_V] + lie.skew(state.v) @ state.S[PHI])
+            by_state = state.R.T @ (state.S[XI_V] + skew(state.v) @ state.S[PHI])
         known = np.isfinite(self.sigma)
         r = (self.v_body - v_now)[known] / self.sigma[known]
         A = by_state[known] / self.sigma[known, None]
@@ -59,7 +58,7 @@ class SamePlace:
         phi, x = state.S[PHI], state.S[XI_X]
         R_then, x_then = state.clone_R[i], state.clone_x[i]
         turned = R_then.T @ state.R
-        r_phi = lie.so3_log(self.R_clone_now @ turned.T)
+        r_phi = so3_log(self.R_clone_now @ turned.T)
         if kind is ErrorKind.LEFT:
             by_phi = turned @ phi - phi_clone
             by_x = state.R @ x - R_then @ x_clone
@@ -67,7 +66,7 @@ class SamePlace:
             by_phi = R_then.T @ (phi - phi_clone)
             by_x = x - x_clone
             if kind is ErrorKind.RIGHT:  # x = exp(phi) x_mean + xi_x
-                by_x = by_x - lie.skew(state.x) @ phi + lie.skew(x_then) @ phi_clone
+                by_x = by_x - skew(state.x) @ phi + skew(x_then) @ phi_clone
         r = np.concatenate([r_phi / self.sigma_phi, (x_then - state.x) / self.sigma_x])
         return Measurements(r, np.vstack([by_phi / self.sigma_phi, by_x / self.sigma_x]))
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, inverse
-from station.motion import lie
+from shared.geometry import FloatArray, IntArray, inverse, so3_exp, so3_log
 
 ROWS = 4096  # by which the table grows: three minutes
 
@@ -86,7 +85,7 @@ def follow_poses(T: FloatArray, t_ns: IntArray, T_old: FloatArray, T_new: FloatA
     left = right - 1
     w = np.clip((t_ns - t_key_ns[left]) / (t_key_ns[right] - t_key_ns[left]), 0.0, 1.0)[:, None]
     a, b = correction[left] @ T, correction[right] @ T
-    between = lie.so3_log(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3])
-    a[:, :3, :3] = a[:, :3, :3] @ lie.so3_exp(w * between)
+    between = so3_log(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3])
+    a[:, :3, :3] = a[:, :3, :3] @ so3_exp(w * between)
     a[:, :3, 3] = (1.0 - w) * a[:, :3, 3] + w * b[:, :3, 3]
     return np.asarray(a)

@@ -8,19 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
-from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
+from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, transform, yaw_rotation
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
 from station.motion.dead_reckoning import bias_at_rest
 from station.motion.drive_commands import MOTOR_LAG_S
 from station.motion.imu_buffer import ImuBuffer
-from station.motion.inertial_track import InertialTrack, exp_many
+from station.motion.inertial_track import InertialTrack
 from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
 from station.slam.mapping.bundle_state import BundleState, Observations
 from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
-from station.slam.mapping.odometry_bundle import adjust, log_many, reprojection_errors
+from station.slam.mapping.odometry_bundle import adjust, reprojection_errors
 from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
 from station.slam.mapping.tracks import build_tracks, longest
 from station.slam.sfm.metric import fuse_scales, scale_from_drive
@@ -42,7 +42,7 @@ def lively_motion(seconds: float = 12.0) -> tuple[np.ndarray, FloatArray, FloatA
     R = np.empty((len(t), 3, 3))
     R[0] = so3_exp(np.array([0.1, -0.2, 0.3]))
     middle = 0.5 * (rate[1:] + rate[:-1]) / RATE_HZ
-    for k, step in enumerate(exp_many(middle)):
+    for k, step in enumerate(so3_exp(middle)):
         R[k + 1] = R[k] @ step
     accel = np.einsum("nji,nj->ni", R, a - GRAVITY)
     t_ns = np.round(t * 1e9).astype(np.int64)
@@ -222,7 +222,7 @@ def test_bundle_adjustment_corrects_poses_and_survives_outliers(
     after = align_points(truth[:, :3, 3], state.p_world_body, "sim3").rms
     assert after < 0.3 * before and after < 0.005
     assert np.median(reprojection_errors(state, seen)[~wrong]) < 0.5
-    assert np.linalg.norm(log_many(np.swapaxes(truth[:, :3, :3], 1, 2) @ state.R_world_body), axis=1).max() < 0.004
+    assert np.linalg.norm(so3_log(np.swapaxes(truth[:, :3, :3], 1, 2) @ state.R_world_body), axis=1).max() < 0.004
 
 
 def test_every_frame_between_keyframes_gets_a_pose() -> None:

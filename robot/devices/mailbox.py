@@ -1,4 +1,4 @@
-"""Hands values from a simulator thread to the one coroutine that waits for them."""
+"""Hands values from a device's thread to the one coroutine that waits for them."""
 
 from __future__ import annotations
 
