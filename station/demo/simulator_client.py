@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import json
 import socket
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from shared.errors import RobotSystemError
-from shared.geometry import FloatArray, IntArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TruthLog:
-    """Where the robot really was."""
-
-    t_robot_ns: IntArray  # (N,)
-    T_world_body: FloatArray  # (N, 4, 4) simulator's world
+from station.model.navigation import Trajectory
 
 
 class SimulatorClient:
@@ -43,7 +34,7 @@ class SimulatorClient:
             raise RobotSystemError(f"simulator: {answer['error']}")
         return answer
 
-    def truth_log(self) -> TruthLog:
-        """The whole drive so far."""
+    def truth_log(self) -> Trajectory:
+        """Where the robot really was, the whole drive so far, in the simulator's world."""
         answer = self.ask(cmd="truth_log")
-        return TruthLog(np.array(answer["t_robot_ns"], np.int64), np.array(answer["T_world_body"]).reshape(-1, 4, 4))
+        return Trajectory(np.array(answer["t_robot_ns"], np.int64), np.array(answer["T_world_body"]).reshape(-1, 4, 4))
