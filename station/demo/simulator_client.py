@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray
 from shared.simulator_link import SimulatorLink
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TruthLog:
-    """Where the robot really was."""
-
-    t_robot_ns: IntArray  # (N,)
-    T_world_body: FloatArray  # (N, 4, 4) simulator's world
+from station.model.navigation import Trajectory
 
 
 class SimulatorClient(SimulatorLink):
     """What a judge asks."""
 
-    def truth_log(self) -> TruthLog:
-        """The whole drive so far."""
+    def truth_log(self) -> Trajectory:
+        """Where the robot really was, the whole drive so far, in the simulator's world."""
         answer = self.ask(cmd="truth_log")
-        return TruthLog(np.array(answer["t_robot_ns"], np.int64), np.array(answer["T_world_body"]).reshape(-1, 4, 4))
+        return Trajectory(np.array(answer["t_robot_ns"], np.int64), np.array(answer["T_world_body"]).reshape(-1, 4, 4))
