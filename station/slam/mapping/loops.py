@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray, so3_log
-from station.slam.mapping.bundle_state import BundleState
 from station.slam.mapping.config import MatchConfig
-from station.slam.mapping.features import Features
-from station.slam.mapping.matching import match_descriptors
+from station.slam.mapping.matching import Features, match_descriptors
 from station.slam.mapping.odometry import Drift
+from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.tracks import Pairs, Tracks
 
 MIN_APART = 8  # keyframes nearer in time have been matched already

@@ -1,16 +1,32 @@
-"""Which keyframes see the same, feature by feature."""
+"""Features of keyframes, whoever finds them (sfm/colmap.py, ukf/map/views.py), and which keyframes see the same."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.geometry import IntArray
+from shared.geometry import FloatArray, IntArray
 from station.slam.mapping.config import MatchConfig
-from station.slam.mapping.features import Features
 
 Descriptors = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    uv_px: FloatArray  # (N, 2) as seen: distorted pixels
+    sift: npt.NDArray[np.uint8]  # (N, 128) RootSIFT of any length: a quarter of what unit vectors take
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+    @property
+    def descriptors(self) -> Descriptors:
+        """(N, 128) of length 1; made anew each time."""
+        found = self.sift.astype(np.float32)
+        return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
 
 
 def match_descriptors(a: Descriptors, b: Descriptors, max_ratio: float) -> IntArray:

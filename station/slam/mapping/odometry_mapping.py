@@ -15,13 +15,20 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, inverse
+from station.model.frames import ImageFrame
 from station.motion.inertial_track import InertialTrack
-from station.slam.mapping.bundle_state import BundleState, Observations
+from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.features import Features
 from station.slam.mapping.loops import find_loops
+from station.slam.mapping.matching import Features
 from station.slam.mapping.odometry import Odometry, RelativeMotions
-from station.slam.mapping.odometry_bundle import adjust, landmark_covariances, reprojection_errors
+from station.slam.mapping.odometry_bundle import (
+    BundleState,
+    Observations,
+    adjust,
+    landmark_covariances,
+    reprojection_errors,
+)
 from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
 from station.vision.lens import Lens
@@ -206,3 +213,24 @@ def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalib
 
 def _with_points(state: BundleState, points: FloatArray) -> BundleState:
     return BundleState(state.R_world_body, state.p_world_body, points, state.drive_scale, state.bias_change)
+
+
+def read_odometry_map(
+    made: OdometryMap,
+    frames: Sequence[ImageFrame],
+    features: Sequence[Features],
+    camera: CameraCalibration,
+    config: MappingConfig,
+) -> Reconstructed:
+    """The map as plain arrays; every keyframe has a pose there."""
+    T_world_body = np.zeros((len(frames), 4, 4))
+    T_world_body[:, :3, :3] = made.state.R_world_body
+    T_world_body[:, :3, 3] = made.state.p_world_body
+    T_world_body[:, 3, 3] = 1.0
+    keyframes = make_keyframes(frames, T_world_body @ camera.T_body_cam_matrix)
+    tracks = made.tracks
+    uv = gather(tracks, [f.uv_px for f in features])
+    centres = keyframes.T_world_cam[:, :3, 3]
+    keep = good_landmarks(made.state.points, tracks.point, tracks.keyframe, centres, config)
+    landmarks = make_landmarks(keyframes, keep, made.state.points, made.cov_world, tracks.point, tracks.keyframe, uv)
+    return Reconstructed(keyframes, landmarks, camera, is_drive_metric=True)

@@ -19,18 +19,23 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Keyframes, Navigation, NavigationReport
 from station.model.slam_update import SlamUpdate
 from station.motion.inertial_track import concatenate_imu
-from station.slam.mapping.assemble import Reconstructed, read_odometry_map
+from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.matching import Shortlist, match_descriptors
 from station.slam.mapping.odometry import dead_reckon
-from station.slam.mapping.odometry_mapping import map_with_odometry
+from station.slam.mapping.odometry_mapping import map_with_odometry, read_odometry_map
 from station.slam.mapping.tracks import Pairs
-from station.slam.sfm.colmap import pycolmap
-from station.slam.sfm.colmap_model import read_model
+from station.slam.sfm.colmap import (
+    VERSION,
+    Match,
+    PinholeFeatures,
+    SiftExtractor,
+    colmap_camera,
+    map_incrementally,
+    read_model,
+    verify,
+)
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.sfm.sift import PinholeFeatures, SiftExtractor
-from station.slam.sfm.two_view import Match, verify
-from station.slam.sfm.visual import colmap_camera, map_incrementally
 from station.slam.sfm.world import place_in_world
 from station.vision.lens import Lens
 
@@ -47,7 +52,6 @@ class SfmBackend:
     ) -> None:
         if calibration.camera is None:
             raise ConfigError("structure from motion needs a camera, and the calibration has none; give one")
-        pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, 2)
         self._calibration = calibration
         self._camera = calibration.camera
         self._config = config or SfmConfig()
@@ -209,7 +213,7 @@ class SfmBackend:
             gravity_aligned=placed.is_gravity_aligned,
             seed=self._config.seed,
             versions={
-                "pycolmap": pycolmap.__version__,
+                "pycolmap": VERSION,
                 "opencv": cv2.__version__,
                 "numpy": np.__version__,
                 "scipy": scipy.__version__,

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.features import Features
-from station.slam.mapping.matching import match_descriptors
+from station.slam.mapping.matching import Features, match_descriptors
 from station.slam.mapping.tracks import Pairs
 from station.slam.ukf.map.keyframes import Keyframe
 from station.vision import features as local
