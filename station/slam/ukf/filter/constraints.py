@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, orthonormal, skew, so3_log
+from shared.geometry import FloatArray, homogeneous, orthonormal, skew, so3_log
 from station.motion.drive_commands import SPEED_EFFICIENCY
 from station.motion.error_coordinates import ErrorKind
 from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
@@ -79,8 +79,8 @@ def turn_between(xy_then: FloatArray, xy_now: FloatArray, R_body_cam: FloatArray
     """
     if len(xy_then) < 8:
         return None
-    then = np.column_stack([xy_then, np.ones(len(xy_then))])
-    now = np.column_stack([xy_now, np.ones(len(xy_now))])
+    then = homogeneous(xy_then)
+    now = homogeneous(xy_now)
     then /= np.linalg.norm(then, axis=1, keepdims=True)
     now /= np.linalg.norm(now, axis=1, keepdims=True)
     keep = np.ones(len(then), dtype=bool)
