@@ -125,18 +125,9 @@ def _open_motion(
 
 
 def open_camera(config: PiConfig) -> Camera:
-    from robot.devices.pi.camera import CameraSettings, PiCamera
+    from robot.devices.pi.camera import PiCamera
 
-    return PiCamera(
-        CameraSettings(
-            width=config.width,
-            height=config.height,
-            rate_hz=config.rate_hz,
-            jpeg_quality=config.jpeg_quality,
-            max_exposure_us=round(1000 * config.max_exposure_ms),
-            max_gain=config.max_gain,
-        )
-    )
+    return PiCamera(config)
 
 
 def _open_battery(config: PiConfig, mega: Mega | None) -> Battery | None:

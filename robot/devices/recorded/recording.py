@@ -65,14 +65,11 @@ class Recording:
         return min(times[0] for times in self._times() if times)
 
     @property
-    def last_ns(self) -> int:
-        return max(times[-1] for times in self._times() if times)
-
-    @property
     def period_ns(self) -> int:
         """After which the recording may begin anew: its length and one step of its slower sensor."""
         steps = [(times[-1] - times[0]) // (len(times) - 1) for times in self._times() if len(times) > 1]
-        return self.last_ns - self.first_ns + max(steps, default=33_000_000)
+        last_ns = max(times[-1] for times in self._times() if times)
+        return last_ns - self.first_ns + max(steps, default=33_000_000)
 
     def _times(self) -> tuple[list[int], list[int]]:
         return [f.t_robot_ns for f in self.frames], [s.t_robot_ns for s in self.samples]
