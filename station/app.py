@@ -177,7 +177,7 @@ class Station:
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             built = await worker.call(BuildMap(folders, self.maps.address, name or title, mode, self.config.executor))
-            self.maps.changed()
+            self.events.changed("map")
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
                 await worker.call(IndexMap(folders, self.maps.address))
             if activate:
