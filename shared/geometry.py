@@ -40,6 +40,11 @@ def transform(T_a_b: FloatArray, p_b: FloatArray) -> FloatArray:
     return p_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
+def homogeneous(xy: FloatArray) -> FloatArray:
+    """Points (..., 3) at depth 1, or rays, through normalised image coordinates (..., 2)."""
+    return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+
+
 def sim3(scale: float, R: FloatArray, t: FloatArray) -> FloatArray:
     """The similarity (4, 4) p -> scale * R p + t."""
     return se3(scale * R, t)
@@ -154,6 +159,12 @@ def _log_near_pi(R: FloatArray, vee: FloatArray, theta: FloatArray) -> FloatArra
     axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
     sign = np.where(np.einsum("...i,...i->...", axis, vee) < 0.0, -1.0, 1.0)
     return (sign * theta)[..., None] * axis
+
+
+def slerp(R_a: FloatArray, R_b: FloatArray, fraction: float | FloatArray) -> FloatArray:
+    """Rotations (..., 3, 3) at a fraction (...), 0 to 1, of the shortest way from R_a to R_b."""
+    turn = so3_log(np.swapaxes(R_a, -1, -2) @ R_b)
+    return R_a @ so3_exp(np.asarray(fraction)[..., None] * turn)
 
 
 def quat_from_rotation(R: FloatArray) -> FloatArray:

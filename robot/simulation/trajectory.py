@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 
 from robot.simulation.body import MotionState
-from shared.geometry import FloatArray, se3, so3_exp, so3_log
+from shared.geometry import FloatArray, se3, slerp
 
 
 class MotionHistory:
@@ -65,7 +65,7 @@ def interpolate(a: MotionState, b: MotionState, t_s: float) -> FloatArray:
         + (3 * f2 - 2 * f3) * b.p_world
         + (f3 - f2) * h * b.v_world
     )
-    R = a.R_world_body @ so3_exp(f * so3_log(a.R_world_body.T @ b.R_world_body))
+    R = slerp(a.R_world_body, b.R_world_body, f)
     return se3(R, p)
 
 

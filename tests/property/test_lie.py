@@ -8,7 +8,7 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.geometry import FloatArray, gammas, skew, so3_exp, so3_log
+from shared.geometry import FloatArray, gammas, skew, slerp, so3_exp, so3_log
 from station.motion import lie
 
 ANGLES = [0.0, 1e-12, 1e-7, 9e-5, 1.1e-4, 5e-3, 0.011, 0.09, 0.11, 1.0, 2.9, 3.05, np.pi - 1e-4, np.pi - 1e-9, np.pi]
@@ -87,3 +87,13 @@ def test_batches_agree_with_single_elements() -> None:
     for i, (p, x) in enumerate(elements):
         assert np.allclose(R[i], lie.exp(p, x)[0]) and np.allclose(X[i], lie.exp(p, x)[1])
         assert np.allclose(so3_log(R)[i], so3_log(R[i]))
+
+
+@given(angle=st.floats(0.0, 3.0), fraction=st.floats(0.0, 1.0), seed=seeds)
+def test_slerp_goes_the_shortest_way_at_an_even_pace(angle: float, fraction: float, seed: int) -> None:
+    R_a, turn = so3_exp(element(1.0, seed + 1)[0]), element(angle, seed)[0]
+    R_b = R_a @ so3_exp(turn)
+    assert np.allclose(slerp(R_a, R_b, 0.0), R_a, atol=1e-9) and np.allclose(slerp(R_a, R_b, 1.0), R_b, atol=1e-9)
+    assert np.allclose(so3_log(R_a.T @ slerp(R_a, R_b, fraction)), fraction * turn, atol=1e-7)
+    several = slerp(np.stack([R_a, R_b]), np.stack([R_b, R_a]), np.array([fraction, 1.0 - fraction]))
+    assert np.allclose(several[0], several[1], atol=1e-7)

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, IntArray, inverse, se3, so3_exp, so3_log, transform
+from shared.geometry import FloatArray, IntArray, inverse, se3, slerp, so3_log, transform
 from station.experiments.alignment import Alignment, AlignmentKind, align_points
 
 MAX_GAP_NS = 100_000_000  # truth further apart than this is not interpolated
@@ -75,7 +75,7 @@ def interpolate_poses(poses: Poses, t_ns: IntArray, max_gap_ns: int = MAX_GAP_NS
 
 def between(T_a: FloatArray, T_b: FloatArray, fraction: float) -> FloatArray:
     """The pose at a fraction (0..1) of the way from a to b."""
-    R = T_a[:3, :3] @ so3_exp(fraction * so3_log(T_a[:3, :3].T @ T_b[:3, :3]))
+    R = slerp(T_a[:3, :3], T_b[:3, :3], fraction)
     return se3(R, (1.0 - fraction) * T_a[:3, 3] + fraction * T_b[:3, 3])
 
 

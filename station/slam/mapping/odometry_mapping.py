@@ -14,16 +14,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, IntArray, inverse
+from shared.geometry import FloatArray, IntArray, homogeneous, inverse
+from station.model.frames import ImageFrame
 from station.motion.inertial_track import InertialTrack
-from station.slam.mapping.bundle_state import BundleState, Observations
+from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.features import Features
 from station.slam.mapping.loops import find_loops
 from station.slam.mapping.odometry import Odometry, RelativeMotions
-from station.slam.mapping.odometry_bundle import adjust, landmark_covariances, reprojection_errors
+from station.slam.mapping.odometry_bundle import (
+    BundleState,
+    Observations,
+    adjust,
+    landmark_covariances,
+    reprojection_errors,
+)
 from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
+from station.vision.features import Features
 from station.vision.lens import Lens
 from station.vision.triangulation import intersect_rays
 from station.vision.two_view import epipolar_inliers
@@ -171,7 +178,7 @@ def triangulate_tracks(
     points = np.empty((0, 3))
     for _ in range(3):
         xy = gather(current, rays)
-        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], np.column_stack([xy, np.ones(len(xy))]))
+        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], homogeneous(xy))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
         error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
@@ -206,3 +213,24 @@ def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalib
 
 def _with_points(state: BundleState, points: FloatArray) -> BundleState:
     return BundleState(state.R_world_body, state.p_world_body, points, state.drive_scale, state.bias_change)
+
+
+def read_odometry_map(
+    made: OdometryMap,
+    frames: Sequence[ImageFrame],
+    features: Sequence[Features],
+    camera: CameraCalibration,
+    config: MappingConfig,
+) -> Reconstructed:
+    """The map as plain arrays; every keyframe has a pose there."""
+    T_world_body = np.zeros((len(frames), 4, 4))
+    T_world_body[:, :3, :3] = made.state.R_world_body
+    T_world_body[:, :3, 3] = made.state.p_world_body
+    T_world_body[:, 3, 3] = 1.0
+    keyframes = make_keyframes(frames, T_world_body @ camera.T_body_cam_matrix)
+    tracks = made.tracks
+    uv = gather(tracks, [f.uv_px for f in features])
+    centres = keyframes.T_world_cam[:, :3, 3]
+    keep = good_landmarks(made.state.points, tracks.point, tracks.keyframe, centres, config)
+    landmarks = make_landmarks(keyframes, keep, made.state.points, made.cov_world, tracks.point, tracks.keyframe, uv)
+    return Reconstructed(keyframes, landmarks, camera, is_drive_metric=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, so3_exp
+from shared.geometry import FloatArray, homogeneous, so3_exp
 
 
 def observation_pose(
@@ -31,5 +31,5 @@ def turned_back(xy: FloatArray, delay_s: FloatArray, omega_cam: FloatArray) -> F
         omega_cam: (3,) rad/s in the camera frame. What the camera moves meanwhile (a few mm) is left out.
     """
     turn = so3_exp(delay_s[:, None] * omega_cam)
-    rays = np.einsum("nij,nj->ni", turn, np.column_stack([xy, np.ones(len(xy))]))
+    rays = np.einsum("nij,nj->ni", turn, homogeneous(xy))
     return np.asarray(rays[:, :2] / rays[:, 2:])

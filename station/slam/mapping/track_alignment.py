@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, skew, so3_exp
+from shared.geometry import FloatArray, homogeneous, skew, so3_exp
 from station.motion.preintegration import Preintegration
 from station.slam.mapping.inertial_bundle import (
     WindowTracks,
@@ -23,7 +23,7 @@ def gyro_bias_from_tracks(links: list[Preintegration], tracks: WindowTracks, R_b
 
     Gauss-Newton on t . n over the bias and one direction t per pair; the directions are projected out.
     """
-    rays = np.concatenate([tracks.xy, np.ones((*tracks.xy.shape[:2], 1))], axis=2)
+    rays = homogeneous(tracks.xy)
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     rays = rays @ R_body_cam.T  # body frame
     K = tracks.seen.shape[1]
@@ -73,7 +73,7 @@ def solve_velocity_and_gravity(
     (v0, g) follow from linear least squares under |g| = gravity.
     """
     F, K = tracks.seen.shape
-    rays = np.concatenate([tracks.xy, np.ones((F, K, 1))], axis=2)
+    rays = homogeneous(tracks.xy)
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     rays = np.einsum("kij,fkj->fki", R @ camera.R_body_cam, rays)
     P = (np.eye(3) - rays[..., :, None] * rays[..., None, :]) * tracks.seen[..., None, None]

@@ -19,20 +19,27 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Keyframes, Navigation, NavigationReport
 from station.model.slam_update import SlamUpdate
 from station.motion.inertial_track import concatenate_imu
-from station.slam.mapping.assemble import Reconstructed, read_odometry_map
-from station.slam.mapping.matching import Shortlist, match_descriptors
+from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.odometry import dead_reckon
-from station.slam.mapping.odometry_mapping import map_with_odometry
+from station.slam.mapping.odometry_mapping import map_with_odometry, read_odometry_map
 from station.slam.mapping.tracks import Pairs
-from station.slam.sfm.colmap import pycolmap
-from station.slam.sfm.colmap_model import read_model
+from station.slam.sfm.colmap import (
+    VERSION,
+    Match,
+    PinholeFeatures,
+    SiftExtractor,
+    colmap_camera,
+    map_incrementally,
+    read_model,
+    verify,
+)
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.sfm.sift import PinholeFeatures, SiftExtractor
-from station.slam.sfm.two_view import Match, verify
-from station.slam.sfm.visual import colmap_camera, map_incrementally
+from station.slam.sfm.shortlist import Shortlist
 from station.slam.sfm.world import place_in_world
+from station.vision.features import similarities
 from station.vision.lens import Lens
+from station.vision.matching import match_both_ways
 
 logger = logging.getLogger(__name__)
 MIN_KEYFRAMES = 3
@@ -47,7 +54,6 @@ class SfmBackend:
     ) -> None:
         if calibration.camera is None:
             raise ConfigError("structure from motion needs a camera, and the calibration has none; give one")
-        pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, 2)
         self._calibration = calibration
         self._camera = calibration.camera
         self._config = config or SfmConfig()
@@ -117,9 +123,11 @@ class SfmBackend:
         self._frames.append(replace(frame, encoded=b""))
         self._encoded.append(frame.encoded)
         put = self._spill.put
-        self._features.append(PinholeFeatures(put(features.uv_px), put(features.sift), put(features.uv_ideal_px)))
+        self._features.append(
+            PinholeFeatures(put(features.uv_px), put(features.descriptors), put(features.uv_ideal_px))
+        )
         for a in older:
-            pairs = match_descriptors(self._features[a].descriptors, features.descriptors, config.max_ratio)
+            pairs = match_both_ways(similarities(self._features[a], features), config.max_ratio)
             self._pairs.append((a, b, put(pairs)))
             if self._calibration.imu is None:  # no odometry can come any more: do the work now
                 self._verify_pairs()
@@ -209,7 +217,7 @@ class SfmBackend:
             gravity_aligned=placed.is_gravity_aligned,
             seed=self._config.seed,
             versions={
-                "pycolmap": pycolmap.__version__,
+                "pycolmap": VERSION,
                 "opencv": cv2.__version__,
                 "numpy": np.__version__,
                 "scipy": scipy.__version__,

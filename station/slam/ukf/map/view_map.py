@@ -14,9 +14,9 @@ import numpy as np
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_log, transform, upright
 from station.model.navigation import Keyframes, Landmarks
-from station.slam.mapping.assemble import Reconstructed, read_odometry_map
+from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.odometry import Drift, RelativeMotions
-from station.slam.mapping.odometry_mapping import map_with_motions
+from station.slam.mapping.odometry_mapping import map_with_motions, read_odometry_map
 from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View

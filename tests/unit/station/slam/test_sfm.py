@@ -17,10 +17,8 @@ from station.motion.imu_buffer import ImuBuffer
 from station.motion.inertial_track import InertialTrack
 from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
-from station.slam.mapping.bundle_state import BundleState, Observations
-from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
-from station.slam.mapping.odometry_bundle import adjust, reprojection_errors
+from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, reprojection_errors
 from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
 from station.slam.mapping.tracks import build_tracks, longest
 from station.slam.sfm.metric import fuse_scales, scale_from_drive
@@ -145,18 +143,6 @@ def test_tracks_join_matches_and_refuse_contradictions() -> None:
     assert (1, 1) not in seen and (1, 4) not in seen and (0, 0) in seen and (2, 0) in seen
     assert longest(tracks, 1).any()
     assert build_tracks([3, 3], []).num_points == 0
-
-
-def test_mutual_nearest_descriptors_with_ratio() -> None:
-    rng = np.random.default_rng(0)
-    a = rng.normal(size=(20, 128)).astype(np.float32)
-    a /= np.linalg.norm(a, axis=1, keepdims=True)
-    order = rng.permutation(20)
-    pairs = match_descriptors(a, a[order], 0.8)
-    assert len(pairs) == 20 and (order[pairs[:, 1]] == pairs[:, 0]).all()
-    doubled = np.vstack([a, a[:1]])  # two equal candidates: nobody knows which
-    assert 0 not in match_descriptors(a, doubled, 0.8)[:, 0]
-    assert len(match_descriptors(a[:1], a, 0.8)) == 0
 
 
 @settings(deadline=None, max_examples=30)
