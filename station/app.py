@@ -170,7 +170,7 @@ class Station:
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             address, executor = self.maps.address, self.config.executor
             built = await worker.call(LibraryProgram.build_map, folders, address, name or title, mode, executor)
-            self.maps.changed()
+            self.events.changed("map")
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
                 await worker.call(LibraryProgram.index_map, folders, address)
             if activate:

@@ -7,12 +7,12 @@ import asyncio
 from fastapi import APIRouter, Response
 
 from station.api.deps import StationDep
-from station.api.images import image_response
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.schema.base import NewName
 from station.api.schema.jobs import JobModel
 from station.api.schema.maps import MapChoice, MapModel, MapOrder, map_model
+from station.api.streams import image_response
 from station.errors import Unknown
 from station.library.place_images import keyframe_image
 from station.model.points import pack_points
