@@ -15,6 +15,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.model.frames import ImuBatch
+from station.motion import lie
 
 MAX_GAP_S = 0.1  # samples further apart: what happened between is unknown
 
@@ -119,9 +120,7 @@ def exp_many(phi: FloatArray) -> FloatArray:
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1.0, np.sin(safe) / safe)
     b = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
-    S = np.zeros((len(phi), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -phi[:, 2], phi[:, 1], -phi[:, 0]
-    S -= np.swapaxes(S, 1, 2)
+    S = lie.skew(phi)
     return np.eye(3) + a[:, None, None] * S + b[:, None, None] * (S @ S)
 
 

@@ -17,7 +17,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from shared.geometry import FloatArray, IntArray, so3_log, transform
+from shared.geometry import FloatArray, IntArray, transform
+from station.motion import lie
 from station.motion.inertial_track import exp_many
 from station.slam.mapping.odometry import RelativeMotions
 
@@ -148,22 +149,10 @@ def _odometry_residual(state: BundleState, odometry: RelativeMotions) -> tuple[F
     p_rel = np.einsum("nji,nj->ni", R_a, np.diff(state.p_world_body, axis=0))
     error = np.swapaxes(odometry.R, 1, 2) @ R_rel
     J_bias = np.swapaxes(odometry.R, 1, 2) @ odometry.R_sum
-    turn = log_many(error) + J_bias @ state.bias_change
+    turn = lie.so3_log(error) + J_bias @ state.bias_change
     slip = p_rel - state.drive_scale * odometry.p
     weighted = np.hstack([turn / odometry.sigma_rotation[:, None], slip / odometry.sigma_position])
     return weighted, R_rel, p_rel
-
-
-def log_many(R: FloatArray) -> FloatArray:
-    """Rotation vectors (M, 3) of rotations (M, 3, 3); small angles by the antisymmetric part."""
-    axis = 0.5 * np.column_stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]])
-    cosine = 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0)
-    sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, cosine)
-    out = axis * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)[:, None]
-    for i in np.flatnonzero(cosine < -0.99):
-        out[i] = so3_log(R[i])
-    return out
 
 
 def _linearise(
@@ -175,7 +164,7 @@ def _linearise(
     J_body = J_proj @ seen.T_cam_body[:3, :3]
     R_t = np.swapaxes(state.R_world_body[seen.keyframe], 1, 2)
     J_point = J_body @ R_t
-    J_pose = np.concatenate([J_body @ skew_many(p_body), -J_point], axis=2)
+    J_pose = np.concatenate([J_body @ lie.skew(p_body), -J_point], axis=2)
     weight = np.sqrt(1.0 / (1.0 + (residual**2).sum(axis=1) / cauchy_px**2))
     weight[depth <= 0.02] = 0.0
     r = residual * weight[:, None]
@@ -200,13 +189,6 @@ def _linearise(
     )
 
 
-def skew_many(v: FloatArray) -> FloatArray:
-    """Cross-product matrices (M, 3, 3) of vectors (M, 3)."""
-    S = np.zeros((len(v), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return S - np.swapaxes(S, 1, 2)
-
-
 def _sum_by(index: IntArray, values: FloatArray, size: int) -> FloatArray:
     """Sums of rows that share a (sorted) index."""
     out = np.zeros((size, *values.shape[1:]))
@@ -226,7 +208,7 @@ def _odometry_normal(state: BundleState, odometry: RelativeMotions) -> tuple[csc
     R_a_t = np.swapaxes(state.R_world_body[:-1], 1, 2)
     J[:, :3, 0:3] = -np.swapaxes(R_rel, 1, 2)
     J[:, :3, 6:9] = np.eye(3)
-    J[:, 3:, 0:3] = skew_many(p_rel)
+    J[:, 3:, 0:3] = lie.skew(p_rel)
     J[:, 3:, 3:6] = -R_a_t
     J[:, 3:, 9:12] = R_a_t
     J[:, 3:, 12] = -odometry.p

@@ -11,6 +11,7 @@ from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
+from station.motion import lie
 from station.motion.dead_reckoning import bias_at_rest
 from station.motion.drive_commands import MOTOR_LAG_S
 from station.motion.imu_buffer import ImuBuffer
@@ -19,7 +20,7 @@ from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
 from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
-from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, log_many, reprojection_errors
+from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, reprojection_errors
 from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
 from station.slam.mapping.tracks import build_tracks, longest
 from station.slam.sfm.metric import fuse_scales, scale_from_drive
@@ -221,7 +222,7 @@ def test_bundle_adjustment_corrects_poses_and_survives_outliers(
     after = align_points(truth[:, :3, 3], state.p_world_body, "sim3").rms
     assert after < 0.3 * before and after < 0.005
     assert np.median(reprojection_errors(state, seen)[~wrong]) < 0.5
-    assert np.linalg.norm(log_many(np.swapaxes(truth[:, :3, :3], 1, 2) @ state.R_world_body), axis=1).max() < 0.004
+    assert np.linalg.norm(lie.so3_log(np.swapaxes(truth[:, :3, :3], 1, 2) @ state.R_world_body), axis=1).max() < 0.004
 
 
 def test_every_frame_between_keyframes_gets_a_pose() -> None:
