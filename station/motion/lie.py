@@ -119,10 +119,8 @@ def log(R: FloatArray, X: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def compose(R_a: FloatArray, X_a: FloatArray, R_b: FloatArray, X_b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Product of two elements."""
     return R_a @ R_b, X_b @ np.swapaxes(R_a, -1, -2) + X_a
 
 
 def inverse(R: FloatArray, X: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverse element."""
     return np.swapaxes(R, -1, -2), -(X @ R)

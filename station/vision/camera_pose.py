@@ -17,8 +17,6 @@ REFINE_ROUNDS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraPose:
-    """A pose and what supports it."""
-
     T_map_cam: FloatArray  # (4, 4)
     inlier: npt.NDArray[np.bool_]  # (n,) of the matches given
     cov_pose: FloatArray  # (6, 6) rotation (rad), translation (map units), both in the camera frame

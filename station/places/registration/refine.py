@@ -33,8 +33,6 @@ class Refined:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """Source points against the target's local planes."""
-
     target_index: IntArray  # (m,) nearest target point
     distance: FloatArray  # (m,) to it, inf beyond the search radius
     along_normal: FloatArray  # (m,) signed distance from its plane

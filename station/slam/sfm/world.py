@@ -30,8 +30,6 @@ ARBITRARY_MEDIAN_DEPTH = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """A reconstruction in its final world."""
-
     T_world_cam: FloatArray  # (F, 4, 4)
     landmarks: Landmarks
     trajectory: Trajectory

@@ -15,8 +15,6 @@ from station.vision.klt import TrackerConfig
 
 @dataclass(frozen=True, slots=True)
 class UkfConfig:
-    """Everything of the backend."""
-
     filter: FilterConfig = field(default_factory=FilterConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     start: StartConfig = field(default_factory=StartConfig)
@@ -46,7 +44,6 @@ class UkfConfig:
     sigma_px_wheels: float = 1.5
 
     def for_robot(self, has_wheels: bool) -> UkfConfig:
-        """The settings for a robot that has wheels, or none."""
         if not has_wheels:
             return self
         calmer = replace(self.filter, sigma_px=max(self.filter.sigma_px, self.sigma_px_wheels))

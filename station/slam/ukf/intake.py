@@ -9,8 +9,6 @@ from station.slam.backend import check_size
 
 
 class FrameIntake:
-    """Checks every image on its way in."""
-
     def __init__(self, camera: CameraCalibration) -> None:
         self._camera = camera
         self.first_t_ns = 0

@@ -26,14 +26,11 @@ COVERING_FRAMES = 12
 
 
 class TrackingMonitor:
-    """Watches state and measurements of every frame."""
-
     def __init__(self, config: UkfConfig) -> None:
         self._config = config
         self.reset()
 
     def reset(self) -> None:
-        """Tracking begins."""
         self.outage_since: int | None = None  # IMU time since when the image shows too little
         self._lost: deque[tuple[int, int]] = deque(maxlen=COVERING_FRAMES)  # features lost, and vanished, per frame
         self._disagreements = 0

@@ -28,8 +28,6 @@ from station.vision.klt import TrackedFrame
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """What one frame did to the filter."""
-
     frame_index: int
     nis: float  # sum of normalised innovations squared of all landmark and window measurements tried
     nis_dof: int
@@ -253,7 +251,6 @@ class VioFilter:
         return state, ids[good]
 
     def _retire(self, state: FilterState, leaving: int | None) -> tuple[FilterState, tuple[RetiredClone, ...]]:
-        """Take the leaving clone out of the window."""
         if leaving is None:
             return state, ()
         retired = RetiredClone(

@@ -48,7 +48,6 @@ def stack(parts: list[Measurements]) -> Measurements:
 
 
 def update(state: FilterState, kind: ErrorKind, measurements: Measurements) -> FilterState:
-    """The state after these measurements."""
     r, A = measurements.r, measurements.A
     if len(r) == 0:
         return state
