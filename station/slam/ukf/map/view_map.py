@@ -32,8 +32,8 @@ SIGMA_FLOOR_M = 0.002
 SIGMA_BIAS_RAD_S = 5e-4
 SIGMA_TURN_SHARE = 0.001
 SIGMA_FLOOR_RAD = 2e-4
-# Drives of 20 m are followed within some 0.05 m. With the wheels' 0.3 m and 5 % of the way, chairs that look alike
-# closed loops 0.85 m off (five of 58; the others corrected by 0.25 m at most) and bent the map by 0.2 m.
+# Drives of 20 m are followed within some 0.05 m; with what dead reckoning may be off by, chairs that look alike closed
+# loops (docs/studies/ukf-map.md).
 DRIFT = Drift(position_m=0.15, position_per_way=0.02, rotation_rad=0.09)
 
 
