@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -69,6 +70,27 @@ class Landmarks:
         order = np.argsort(self.observed_keyframe, kind="stable")
         begin = np.searchsorted(self.observed_keyframe[order], np.arange(num_keyframes + 1))
         return [order[a:b] for a, b in itertools.pairwise(begin)]
+
+
+def join_maps(parts: Sequence[tuple[Keyframes, Landmarks]]) -> tuple[Keyframes, Landmarks]:
+    """All keyframes and landmarks of several parts, in their order; what observes what stays."""
+    keyframes, landmarks = [k for k, _ in parts], [m for _, m in parts]
+    first_keyframe = np.cumsum([0, *map(len, keyframes)]).tolist()
+    first_landmark = np.cumsum([0, *map(len, landmarks)]).tolist()
+    return Keyframes(
+        frame_index=np.concatenate([k.frame_index for k in keyframes]),
+        t_robot_ns=np.concatenate([k.t_robot_ns for k in keyframes]),
+        T_world_cam=np.concatenate([k.T_world_cam for k in keyframes]),
+        encoded=tuple(file for k in keyframes for file in k.encoded),
+        segment=np.concatenate([k.segment for k in keyframes]),
+    ), Landmarks(
+        p_world=np.concatenate([m.p_world for m in landmarks]),
+        rgb=np.concatenate([m.rgb for m in landmarks]),
+        cov_world=np.concatenate([m.cov_world for m in landmarks]),
+        observed_landmark=np.concatenate([m.observed_landmark + first_landmark[i] for i, m in enumerate(landmarks)]),
+        observed_keyframe=np.concatenate([m.observed_keyframe + first_keyframe[i] for i, m in enumerate(landmarks)]),
+        observed_uv_px=np.concatenate([m.observed_uv_px for m in landmarks]),
+    )
 
 
 @dataclass(frozen=True, slots=True)

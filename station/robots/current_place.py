@@ -201,7 +201,6 @@ class CurrentPlace(IgnoringListener):
         return self._queries.get(t_robot_ns)
 
     async def run(self) -> None:
-        """Until cancelled."""
         while True:
             map_ids, generation = self._map_ids, self._generation
             if not map_ids:

@@ -92,7 +92,6 @@ class Driving:
 
     @property
     def driver(self) -> str | None:
-        """Who drives now."""
         return self._lease.driver(self._now_ns())
 
     @property

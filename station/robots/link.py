@@ -96,7 +96,6 @@ class RobotLink:
 
     @property
     def state(self) -> LinkState:
-        """What is known of the link now."""
         frame_rate_hz, imu_rate_hz, bytes_per_s = self._rates.rates()
         return LinkState(
             host=self._host,

@@ -39,7 +39,6 @@ class DueMessages:
         self._fresh.set()
 
     def discard(self, kind: type[StationMessage]) -> None:
-        """Do not send one of this kind."""
         self._due.pop(kind, None)
 
     def clear(self) -> None:
@@ -134,7 +133,6 @@ class LinkCommands:
                 self._answer = None
 
     def beat(self) -> None:
-        """A heartbeat."""
         self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
 
     def receive_beat(self, seq: int) -> None:

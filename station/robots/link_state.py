@@ -85,7 +85,6 @@ class LinkClock:
         self.rtt_ns: int | None = None
 
     def add_reply(self, reply: HeartbeatReply, now_ns: int) -> None:
-        """A heartbeat came back."""
         inside_robot_ns = reply.t_robot_sent_ns - reply.t_robot_received_ns
         self.rtt_ns = now_ns - reply.t_station_ns - inside_robot_ns
         self._round_trips_ns.append(self.rtt_ns)
@@ -119,7 +118,6 @@ class RateMeter:
         self._totals: deque[tuple[int, int, int, int]] = deque()  # (t_ns, frames, samples, bytes)
 
     def sample(self, now_ns: int, frames: int, samples: int, num_bytes: int) -> None:
-        """Note the totals so far."""
         self._totals.append((now_ns, frames, samples, num_bytes))
         while now_ns - self._totals[0][0] > RATE_WINDOW_NS:
             self._totals.popleft()

@@ -72,7 +72,6 @@ class RunningNavigation(IgnoringListener):
         self.slam.post(SlamProgram.add_drive, DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
 
     def counted(self) -> NavigationRecord:
-        """The record with the counts of now."""
         first_ns = self._first_frame_ns
         return replace(
             self.record,

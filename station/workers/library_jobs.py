@@ -70,7 +70,7 @@ class LibraryJobs(LibraryProgram):
         if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded):
             self._emit(Progress(0.85, "indexing what its pictures look like"))
             waiting = Progress(0.85, "another map is indexed; this one is next")
-            index_of(address.root, self._built, _nothing, lambda: self._emit(waiting), pictures)
+            index_of(address.root, self._built, lambda: None, lambda: self._emit(waiting), pictures)
 
     def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:
         self._emit(Progress(0.1, "reading the map"))
@@ -138,10 +138,6 @@ class LibraryJobs(LibraryProgram):
         self._emit(Progress(0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report
-
-
-def _nothing() -> None:
-    """Nobody is told."""
 
 
 def _count(number: int, word: str) -> str:

@@ -59,7 +59,6 @@ class PlaceFinder(PlaceProgram):
         return maps
 
     def _index_of(self, store: StoreAddress, maps: Sequence[PlaceMap], number: int) -> MapIndex:
-        """Of one of the maps that are read."""
         place_map, sizes = maps[number], [len(one.navigation.keyframes) for one in maps]
         total, all_total, before = sizes[number], sum(sizes), sum(sizes[:number])
         which = "the map" if len(maps) == 1 else place_map.name

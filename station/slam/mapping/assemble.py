@@ -26,6 +26,7 @@ class Reconstructed:
 
 
 def make_keyframes(frames: Sequence[ImageFrame], T_world_cam: FloatArray) -> Keyframes:
+    """Keyframes of one segment."""
     return Keyframes(
         frame_index=np.array([frame.index for frame in frames], dtype=np.int64),
         t_robot_ns=np.array([frame.t_robot_ns for frame in frames], dtype=np.int64),

@@ -31,8 +31,6 @@ MAX_DENSE_KEYFRAMES = 700
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleState:
-    """What is estimated."""
-
     R_world_body: FloatArray  # (N, 3, 3)
     p_world_body: FloatArray  # (N, 3) m
     points: FloatArray  # (M, 3) m

@@ -9,7 +9,7 @@ refined again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -162,9 +162,9 @@ def refine(
         kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scale)
         used = longest(kept, OBSERVATIONS_PER_KEYFRAME)
         few = kept.only(used[kept.point])
-        state = adjust(_with_points(state, points[used]), observations(few, rays, camera), odometry, scale)
+        state = adjust(replace(state, points=points[used]), observations(few, rays, camera), odometry, scale)
     kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scales[-1])
-    return _with_points(state, points), kept
+    return replace(state, points=points), kept
 
 
 def triangulate_tracks(
@@ -181,7 +181,7 @@ def triangulate_tracks(
         directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], homogeneous(xy))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
-        error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
+        error = reprojection_errors(replace(state, points=points), observations(current, rays, camera))
         good = defined[current.point] & (error < gate_px)
         if good.all():
             break
@@ -193,7 +193,7 @@ def triangulate_tracks(
         drop = is_worst | ~defined[current.point]
         points = points[current.alive(~drop)]
         current = current.only(~drop)
-    error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
+    error = reprojection_errors(replace(state, points=points), observations(current, rays, camera))
     good = error < gate_px
     points = points[current.alive(good)]
     return current.only(good), points
@@ -209,10 +209,6 @@ def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalib
     """Tracks as the bundle adjustment wants them."""
     focal = 0.5 * (camera.fx + camera.fy)
     return Observations(tracks.keyframe, tracks.point, gather(tracks, rays), inverse(camera.T_body_cam_matrix), focal)
-
-
-def _with_points(state: BundleState, points: FloatArray) -> BundleState:
-    return BundleState(state.R_world_body, state.p_world_body, points, state.drive_scale, state.bias_change)
 
 
 def read_odometry_map(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,15 +24,12 @@ from station.slam.sfm.metric import DRIVE_SYSTEMATIC, fuse_scales, scale_from_dr
 from station.slam.sfm.trajectory import all_frames
 
 METRIC_SIGMA = 0.10  # a scale less certain than 10 % is not called metric
-ARBITRARY_MEDIAN_DEPTH = (
-    2.0  # an unknown scale is set so that the median landmark is this far from where it was first seen
-)
+# An unknown scale is set so that the median landmark is this far from where it was first seen.
+ARBITRARY_MEDIAN_DEPTH = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """A reconstruction in its final world."""
-
     T_world_cam: FloatArray  # (F, 4, 4)
     landmarks: Landmarks
     trajectory: Trajectory
@@ -80,14 +77,7 @@ def place_in_world(
     numbers = facts.numbers | {"scale_factor_sigma": None if scale is None else scale.sigma_relative}
     return Placed(
         T_world_cam=T_world_cam,
-        landmarks=Landmarks(
-            p_world=transform(T_world_model, factor * landmarks.p_world),
-            rgb=landmarks.rgb,
-            cov_world=landmarks.cov_world,
-            observed_landmark=landmarks.observed_landmark,
-            observed_keyframe=landmarks.observed_keyframe,
-            observed_uv_px=landmarks.observed_uv_px,
-        ),
+        landmarks=replace(landmarks, p_world=transform(T_world_model, factor * landmarks.p_world)),
         trajectory=all_frames(
             model.keyframes.t_robot_ns + shift_ns,
             T_world_cam @ inverse(T_body_cam),

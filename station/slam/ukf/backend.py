@@ -43,8 +43,6 @@ IMU_REACH_S = 0.05  # the IMU may end that long before the frame: its last readi
 
 
 class UkfBackend:
-    """A SlamBackend."""
-
     def __init__(
         self,
         calibration: Calibration,

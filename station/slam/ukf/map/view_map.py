@@ -7,13 +7,13 @@ motion; the machinery is the same (station/slam/mapping/odometry_mapping.py).
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_log, transform, upright
-from station.model.navigation import Keyframes, Landmarks
+from station.model.navigation import Keyframes, Landmarks, join_maps
 from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import map_with_motions, read_odometry_map
@@ -31,8 +31,8 @@ SIGMA_FLOOR_M = 0.002
 SIGMA_BIAS_RAD_S = 5e-4
 SIGMA_TURN_SHARE = 0.001
 SIGMA_FLOOR_RAD = 2e-4
-# Drives of 20 m are followed within some 0.05 m. With the wheels' 0.3 m and 5 % of the way, chairs that look alike
-# closed loops 0.85 m off (five of 58; the others corrected by 0.25 m at most) and bent the map by 0.2 m.
+# Drives of 20 m are followed within some 0.05 m; with what dead reckoning may be off by, chairs that look alike closed
+# loops (docs/studies/ukf-map.md).
 DRIFT = Drift(position_m=0.15, position_per_way=0.02, rotation_rad=0.09)
 
 
@@ -127,36 +127,14 @@ def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibrat
     turn = se3(R, T[0, :3, 3] - R @ T[0, :3, 3])
     k, m = part.keyframes, part.landmarks
     return Reconstructed(
-        Keyframes(k.frame_index, k.t_robot_ns, turn @ k.T_world_cam, k.encoded, k.segment),
-        Landmarks(
-            transform(turn, m.p_world),
-            m.rgb,
-            R @ m.cov_world @ R.T,
-            m.observed_landmark,
-            m.observed_keyframe,
-            m.observed_uv_px,
-        ),
+        replace(k, T_world_cam=turn @ k.T_world_cam),
+        replace(m, p_world=transform(turn, m.p_world), cov_world=R @ m.cov_world @ R.T),
         part.camera,
     )
 
 
 def _join(parts: list[tuple[Reconstructed, list[View], FloatArray]]) -> tuple[Keyframes, Landmarks]:
     """Segments one after the other."""
-    k = [part.keyframes for part, _, _ in parts]
-    m = [part.landmarks for part, _, _ in parts]
-    first_keyframe = np.cumsum([0, *(len(x) for x in k)])
-    first_landmark = np.cumsum([0, *(len(x) for x in m)])
-    return Keyframes(
-        frame_index=np.concatenate([x.frame_index for x in k]),
-        t_robot_ns=np.concatenate([x.t_robot_ns for x in k]),
-        T_world_cam=np.concatenate([x.T_world_cam for x in k]),
-        encoded=tuple(file for x in k for file in x.encoded),
-        segment=np.array([v.segment for _, items, _ in parts for v in items], dtype=np.int64),
-    ), Landmarks(
-        p_world=np.concatenate([x.p_world for x in m]),
-        rgb=np.concatenate([x.rgb for x in m]),
-        cov_world=np.concatenate([x.cov_world for x in m]),
-        observed_landmark=np.concatenate([x.observed_landmark + n for x, n in zip(m, first_landmark, strict=False)]),
-        observed_keyframe=np.concatenate([x.observed_keyframe + n for x, n in zip(m, first_keyframe, strict=False)]),
-        observed_uv_px=np.concatenate([x.observed_uv_px for x in m]),
-    )
+    keyframes, landmarks = join_maps([(part.keyframes, part.landmarks) for part, _, _ in parts])
+    segment = np.array([v.segment for _, items, _ in parts for v in items], dtype=np.int64)
+    return replace(keyframes, segment=segment), landmarks
