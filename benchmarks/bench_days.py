@@ -34,7 +34,7 @@ from station.files.navigation_folder import load_navigation, save_navigation
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
-from station.places.making.extent import half_extent
+from station.places.making.scale import half_extent
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.library_jobs import LibraryJobs

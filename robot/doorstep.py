@@ -76,7 +76,7 @@ class Doorstep:
         self._looks += 1
         if self._looks % FLUSH_AFTER_LOOKS == 0:
             self._start(self._flush(gate))
-        gate.refresh()
+        gate.book.refresh()
         # All are asked every time: whether the book has changed, somebody's proof may have found out before.
         for client in clients:
             if client.token_id and not gate.is_live(client.token_id):

@@ -85,6 +85,14 @@ def skew(v: FloatArray) -> FloatArray:
     return S
 
 
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products of rows (N, 3); NumPy's own takes several times as long."""
+    out = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
+    return out
+
+
 def orthonormal(M: FloatArray) -> FloatArray:
     """The rotation (3, 3) nearest to M in the Frobenius norm. Source: Umeyama, IEEE TPAMI 13(4), 1991, lemma."""
     U, _, Vt = np.linalg.svd(M)

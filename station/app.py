@@ -33,15 +33,7 @@ from station.recordings.recorder import Recorder
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.session import RobotSession, Shared
 from station.workers.jobs import Job, Jobs, JobWorker
-from station.workers.library_requests import (
-    LIBRARY,
-    BuildMap,
-    CompareNavigations,
-    IndexMap,
-    LibraryProgram,
-    MeasurePlaces,
-    Reprocess,
-)
+from station.workers.library_requests import LIBRARY, LibraryProgram
 from station.workers.place_requests import PLACES, PlaceEvent, PlaceProgram
 from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
@@ -171,15 +163,16 @@ class Station:
 
     def build_map(self, navigation_ids: list[str], name: str, mode: PlacesMode | None, activate: bool) -> Job:
         """Places from finished navigations, in the background. Raises Unknown, Conflict."""
-        navigations = [self._ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
+        navigations = [self.navigations.ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
         folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in navigations]
         title = f"map of {', '.join(navigation.name for navigation in navigations)}"
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
-            built = await worker.call(BuildMap(folders, self.maps.address, name or title, mode, self.config.executor))
-            self.maps.changed()
+            address, executor = self.maps.address, self.config.executor
+            built = await worker.call(LibraryProgram.build_map, folders, address, name or title, mode, executor)
+            self.events.changed("map")
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
-                await worker.call(IndexMap(folders, self.maps.address))
+                await worker.call(LibraryProgram.index_map, folders, address)
             if activate:
                 await self.use_maps(built.map_id)
             return {"map": built.map_id, "places": built.places}
@@ -191,13 +184,13 @@ class Station:
         place_map = self.maps.active.require_first().place_map
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
-            return await worker.call(MeasurePlaces(self.maps.address, place_map.id))
+            return await worker.call(LibraryProgram.measure_places, self.maps.address, place_map.id)
 
         return self.jobs.start("measure places", f"repeatability of the places of {place_map.name}", work)
 
     def compare(self, first_id: str, second_id: str) -> Job:
         """Find the places of one navigation in another, in the background. Raises Unknown, Conflict."""
-        first, second = self._ready(first_id), self._ready(second_id)
+        first, second = self.navigations.ready(first_id), self.navigations.ready(second_id)
         if first.id == second.id:
             raise Conflict("two different navigations are needed to compare them; GET /navigations lists them")
         title = f"{second.name} compared with {first.name}"
@@ -210,8 +203,8 @@ class Station:
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             comparison_id, scratch = await asyncio.to_thread(self.comparisons.prepare)
             try:
-                compare = CompareNavigations(folder(first.id), folder(second.id), scratch, title, setting)
-                results = await worker.call(compare)
+                navigations = folder(first.id), folder(second.id)
+                results = await worker.call(LibraryProgram.compare, *navigations, scratch, title, setting)
                 made = summarise(comparison_id, title, (first.id, second.id), results)
                 await asyncio.to_thread(self.comparisons.store, made, scratch)
             finally:
@@ -235,7 +228,9 @@ class Station:
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             try:
                 seed, executor = self.config.slam.seed, self.config.executor
-                report = await worker.call(Reprocess(recording, chosen, seed, navigation_id, folder, executor))
+                report = await worker.call(
+                    LibraryProgram.reprocess, recording, chosen, seed, navigation_id, folder, executor
+                )
                 navigation = await self.navigations.reprocessed(navigation_id, report)
                 await self._robot_of(navigation).current_navigation.view(navigation_id)
             finally:
@@ -251,12 +246,6 @@ class Station:
     def _robot_of(self, navigation: NavigationRecord) -> RobotSession:
         """The robot that drove it, if it is one of ours."""
         return self.robots.get(navigation.robot, self.first)
-
-    def _ready(self, navigation_id: str) -> NavigationRecord:
-        navigation = self.navigations.library.get(navigation_id)
-        if navigation.state != "ready":
-            raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
-        return navigation
 
     async def use_maps(self, *map_ids: str) -> None:
         """Look for the current place in these maps; the places of the first are shown. Raises as `Maps.activate`."""

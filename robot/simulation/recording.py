@@ -71,7 +71,7 @@ def record_drive(
     camera = SimulatedCamera(
         Renderer(world, camera_calibration, cache_dir), camera_calibration, config.camera, drive_seed
     )
-    driver, history = RouteDriver(route), MotionHistory()
+    driver, history = RouteDriver(route), MotionHistory(keep_s=2.0)
     readout_s = camera_calibration.line_delay_s * camera_calibration.height
     frame_period = 1.0 / config.camera_rate_hz
     next_frame_s, ticks, path_m, blocked, done_at = 0.1, 0, 0.0, 0, float("inf")

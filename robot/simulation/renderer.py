@@ -23,9 +23,8 @@ from shared.geometry import FloatArray
 Float32Array = npt.NDArray[np.float32]
 NEAR_M = 0.02
 ANISOTROPY = 0.75  # 0: a texel per lateral footprint (aliases far away), 1: per depth footprint (blurs sideways)
-LEVEL_BIAS = (
-    0.25  # corners of a checkerboard then lie within 0.05 px of their place; at -0.35 aliasing moves them 0.2 px
-)
+# Corners of a checkerboard then lie within 0.05 px of their place; at -0.35 aliasing moves them 0.2 px.
+LEVEL_BIAS = 0.25
 NO_SURFACE = 0xFFFF
 
 
@@ -83,13 +82,8 @@ class Renderer:
         self._surface = np.empty(shape, np.uint16)
         self._scratch = [np.empty(shape, np.float32) for _ in range(4)]
         self._id_scratch = np.empty(shape, np.uint16)
-        self._cache_dir = cache_dir
-        self.set_world(world)
-
-    def set_world(self, world: World) -> None:
-        """Bake a world's textures and tables."""
         surfaces = world.surfaces
-        atlas = bake_atlas([s.texture for s in surfaces], self._cache_dir)
+        atlas = bake_atlas([s.texture for s in surfaces], cache_dir)
         self.world = world
         self._atlas_image = atlas.image
         self._corners = np.stack([s.corners() for s in surfaces])  # (N, 4, 3)

@@ -111,13 +111,12 @@ async def add(order: TokenOrder, station: StationDep) -> NewTokenModel:
 
 
 @router.delete("/access/tokens/{token_id}", summary="Revoke a token", status_code=204, responses=responses(404, 409))
-async def revoke(token_id: str, station: StationDep) -> Response:
+async def revoke(token_id: str, station: StationDep) -> None:
     """What it has open is closed at once."""
     door = station.access.door
     if not await asyncio.to_thread(door.book.revoke, token_id, door.now_s()):
         raise Unknown(f"there is no token {token_id!r} that may; GET /access/tokens lists them")
     door.look()
-    return Response(status_code=204)
 
 
 @itself.post("/pair", summary="Pair with a robot", responses=responses(409))

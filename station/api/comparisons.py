@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Literal
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter
 from fastapi.responses import FileResponse
 
 from station.api.deps import StationDep
@@ -41,10 +41,9 @@ async def comparison(comparison_id: str, station: StationDep) -> ComparisonModel
 
 
 @router.delete("/comparisons/{comparison_id}", summary="Delete a comparison", status_code=204, responses=responses(404))
-async def delete(comparison_id: str, station: StationDep) -> Response:
+async def delete(comparison_id: str, station: StationDep) -> None:
     """For good: the drives are still there, and can be compared again."""
     await asyncio.to_thread(station.comparisons.delete, comparison_id)
-    return Response(status_code=204)
 
 
 @router.get(

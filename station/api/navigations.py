@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Response
+from fastapi import APIRouter, Body
 from fastapi.responses import FileResponse
 
 from station.api.deps import RobotDep, StationDep
@@ -60,10 +60,9 @@ async def cancel_finishing(navigation_id: str, station: StationDep) -> Navigatio
     status_code=204,
     responses=responses(404, 409),
 )
-async def delete(navigation_id: str, station: StationDep) -> Response:
+async def delete(navigation_id: str, station: StationDep) -> None:
     """It goes into the bin: POST /navigations/{id}/restore brings it back for seven days."""
     await station.delete_navigation(navigation_id)
-    return Response(status_code=204)
 
 
 @router.post(
@@ -80,9 +79,8 @@ async def deleted(station: StationDep) -> list[BinModel]:
 
 
 @router.delete("/bin", summary="Delete for good", status_code=204, tags=["bin"], responses=responses(409))
-async def empty_bin(station: StationDep) -> Response:
+async def empty_bin(station: StationDep) -> None:
     await station.empty_bin(everything=True)
-    return Response(status_code=204)
 
 
 @router.get(

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep, StationDep
-from station.api.images import image_response
 from station.api.problems import responses
 from station.api.schema.jobs import JobModel
 from station.api.schema.places import (
@@ -27,6 +26,7 @@ from station.api.schema.places import (
     route_model,
     visit_model,
 )
+from station.api.streams import image_response
 from station.errors import Conflict, Unknown
 from station.library.place_changes import PlacesChange
 from station.library.place_images import deviation_image, keyframe_image, mean_image

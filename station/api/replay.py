@@ -134,7 +134,5 @@ def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
 
 
 async def _load(station: Station, navigation_id: str) -> Navigation:
-    navigation = station.navigations.library.get(navigation_id)
-    if navigation.state != "ready":
-        raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+    station.navigations.ready(navigation_id)
     return await asyncio.to_thread(load_navigation, station.navigations.library.navigation_folder(navigation_id))

@@ -31,8 +31,7 @@ from station.api.schema.fleet import RobotEntry, robot_entry
 from station.api.schema.robot import DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel, robot_model
 from station.errors import NoRobot
 from station.events import Event, MessageReader
-from station.robots.driving import MAX_DRIVER_NAME
-from station.robots.late_commands import LateCommands
+from station.robots.driving import MAX_DRIVER_NAME, LateCommands
 from station.robots.session import RobotSession
 
 router = APIRouter(tags=["robot"])

@@ -1,4 +1,4 @@
-"""Video to a viewer: the head of a picture, and a stream that gives its seat back."""
+"""Pictures to a viewer: one, one after the other by a socket, or a stream that gives its seat back."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 import struct
 from collections.abc import AsyncIterator
 
-from fastapi import WebSocket
+from fastapi import Response, WebSocket
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
@@ -16,6 +16,12 @@ from station.api.limits import MAX_STREAMS, Seats, receive_text
 HEADER = struct.Struct("<IHHqdII")
 BOUNDARY = b"sentinel-frame"
 STREAM = {"content": {"multipart/x-mixed-replace": {}}, "description": "JPEGs, one after the other"}
+
+
+def image_response(encoded: bytes) -> Response:
+    """A JPEG or PNG that never changes."""
+    kind = "image/png" if encoded.startswith(b"\x89PNG") else "image/jpeg"
+    return Response(encoded, media_type=kind, headers={"Cache-Control": "private, max-age=3600"})
 
 
 class AcknowledgedPictures:

@@ -12,7 +12,6 @@ from typing import Annotated, Literal
 import typer
 
 from station.commands.progress import working
-from station.commands.verdict import verdict
 
 
 def register(app: typer.Typer) -> None:
@@ -40,9 +39,8 @@ def register_files(
         result = register_clouds(p_target, p_source, scale=scale, gravity=gravity, backend=backend, seed=seed)
     seconds = time.perf_counter() - start
     uncertainty = uncertainty_of(result)
-    said = verdict(result.accepted, result.reasons)
     if not as_json:
-        print(said)
+        print(result)
         if result.T_target_source is not None:
             for row in result.T_target_source.tolist():
                 print("  " + " ".join(f"{value: .6f}" for value in row))
@@ -52,7 +50,7 @@ def register_files(
                 loose = f", {uncertainty.scale:.2%} of scale" if scale == "free" else ""
                 print(f"one standard deviation: {turn:.3f} degrees, {uncertainty.position:.4f}{loose}")
     else:
-        print(said, file=sys.stderr)
+        print(result, file=sys.stderr)
         print(
             json.dumps(
                 {

@@ -49,12 +49,6 @@ class Dataset:
     def has_images(self) -> bool:
         return self.read_frames is not None
 
-    def frames(self) -> Iterator[ImageFrame]:
-        """Images in time order, still encoded. Raises DataError where there are none or a file cannot be read."""
-        if self.read_frames is None:
-            raise DataError(f"{self.path} holds no camera images; choose a dataset with images for this command")
-        return self.read_frames()
-
     def events(self) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
         """Everything in sensor-time order, as a SlamBackend wants it: IMU and drive up to a frame come before it."""
         pending = _InertialEvents(self.imu, self.drive)

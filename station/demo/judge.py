@@ -8,7 +8,6 @@ import numpy as np
 
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, transform
-from station.demo.simulator_client import TruthLog
 from station.experiments.alignment import align_points
 from station.model.navigation import Trajectory
 
@@ -69,7 +68,7 @@ class Verdict:
         return f"the last answer is {'wrong' if self.answers[-1].right is False else 'not known'}"
 
 
-def positions_at(log: TruthLog, t_robot_ns: FloatArray) -> FloatArray:
+def positions_at(log: Trajectory, t_robot_ns: FloatArray) -> FloatArray:
     """True body positions (N, 3) at the given robot times, linear in between."""
     t0 = log.t_robot_ns[0]
     t = (log.t_robot_ns - t0).astype(np.float64)
@@ -102,7 +101,7 @@ def judge_sample(
 def judge(
     map_trajectory: Trajectory,
     centroids_map: dict[str, FloatArray],
-    log: TruthLog,
+    log: Trajectory,
     samples: list[Sample],
     start_ns: int,
 ) -> Verdict:

@@ -17,7 +17,7 @@ from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
 from station.places.joining.match_result import MatchResult, PlaceMatch
 from station.places.making.clusters import MIN_LANDMARKS
-from station.places.making.extent import half_extent
+from station.places.making.scale import half_extent
 
 MAX_GAP_NS = 60_000_000  # a true pose farther in time than this does not belong to a keyframe
 SHARED_SHARE = 0.15  # of a place's half extent: landmarks closer than this are of one surface

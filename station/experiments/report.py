@@ -73,7 +73,7 @@ def _content(experiment: Experiment, figures: Mapping[str, Path]) -> dict[str, A
         "story": experiment.story,
         "results": results,
         "verdict": _verdict(results),
-        "navigations": [_navigation_row("Navigation1", first), _navigation_row("Navigation2", second)],
+        "navigations": {"Navigation1": first, "Navigation2": second},
         "figures": [
             {"title": title, "caption": caption, "image": _data_uri(figures[name])}
             for name, title, caption in FIGURES
@@ -111,21 +111,6 @@ def _verdict(results: Mapping[str, Any]) -> tuple[str, str]:
     right = sum(bool(match["correct"]) for match in results["matches"])
     kind = "good" if right == n else "bad"
     return kind, f"{right} of {n} matches are right by the recorded poses."
-
-
-def _navigation_row(name: str, navigation: Any) -> dict[str, Any]:
-    report = navigation.report
-    return {
-        "name": name,
-        "id": navigation.id,
-        "backend": report.backend,
-        "frames": report.frames,
-        "keyframes": len(navigation.keyframes),
-        "landmarks": len(navigation.landmarks),
-        "scale": report.scale,
-        "gravity": "known" if report.gravity_aligned else "unknown",
-        "lost": report.tracking_lost_s,
-    }
 
 
 def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> list[tuple[str, str, str]]:

@@ -218,10 +218,6 @@ class Maps:
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._events.notify, "map", sentence, "warning")
 
-    def changed(self) -> None:
-        """A map was added to the store."""
-        self._events.changed("map")
-
     async def load(self, map_id: str) -> ActiveMap:
         """Any map, for looking at. Raises Unknown or DataError."""
         if (active := self.active.find(map_id)) is not None:

@@ -42,6 +42,13 @@ class Navigations:
         counted = self._running.get(navigation_id)
         return self.library.get(navigation_id) if counted is None else counted()
 
+    def ready(self, navigation_id: str) -> NavigationRecord:
+        """One whose SLAM is done. Raises Unknown, Conflict."""
+        navigation = self.library.get(navigation_id)
+        if navigation.state != "ready":
+            raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+        return navigation
+
     def begin(self, navigation_id: str, counted: Callable[[], NavigationRecord]) -> None:
         """A navigation is being recorded until `end`; `counted` gives its record."""
         self._running[navigation_id] = counted

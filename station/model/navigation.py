@@ -70,27 +70,32 @@ class Landmarks:
         A = T[:3, :3]
         return replace(self, p_world=transform(T, self.p_world), cov_world=A @ self.cov_world @ A.T)
 
-    @classmethod
-    def joined(cls, parts: Sequence[Landmarks], num_keyframes: Sequence[int]) -> Landmarks:
-        """All parts in one table, for the keyframes of all parts (`num_keyframes` of each) one after the other."""
-        before = np.cumsum([0, *(len(part) for part in parts[:-1])])
-        keyframes_before = np.cumsum([0, *num_keyframes[:-1]])
-        return cls(
-            p_world=np.concatenate([part.p_world for part in parts]),
-            rgb=np.concatenate([part.rgb for part in parts]),
-            cov_world=np.concatenate([part.cov_world for part in parts]),
-            observed_landmark=np.concatenate([p.observed_landmark + n for p, n in zip(parts, before, strict=True)]),
-            observed_keyframe=np.concatenate(
-                [p.observed_keyframe + n for p, n in zip(parts, keyframes_before, strict=True)]
-            ),
-            observed_uv_px=np.concatenate([part.observed_uv_px for part in parts]),
-        )
-
     def observations_by_keyframe(self, num_keyframes: int) -> list[IntArray]:
         """For each keyframe the rows of its observations, in the order in which they are stored."""
         order = np.argsort(self.observed_keyframe, kind="stable")
         begin = np.searchsorted(self.observed_keyframe[order], np.arange(num_keyframes + 1))
         return [order[a:b] for a, b in itertools.pairwise(begin)]
+
+
+def join_maps(parts: Sequence[tuple[Keyframes, Landmarks]]) -> tuple[Keyframes, Landmarks]:
+    """All keyframes and landmarks of several parts, in their order; what observes what stays."""
+    keyframes, landmarks = [k for k, _ in parts], [m for _, m in parts]
+    first_keyframe = np.cumsum([0, *map(len, keyframes)]).tolist()
+    first_landmark = np.cumsum([0, *map(len, landmarks)]).tolist()
+    return Keyframes(
+        frame_index=np.concatenate([k.frame_index for k in keyframes]),
+        t_robot_ns=np.concatenate([k.t_robot_ns for k in keyframes]),
+        T_world_cam=np.concatenate([k.T_world_cam for k in keyframes]),
+        encoded=tuple(file for k in keyframes for file in k.encoded),
+        segment=np.concatenate([k.segment for k in keyframes]),
+    ), Landmarks(
+        p_world=np.concatenate([m.p_world for m in landmarks]),
+        rgb=np.concatenate([m.rgb for m in landmarks]),
+        cov_world=np.concatenate([m.cov_world for m in landmarks]),
+        observed_landmark=np.concatenate([m.observed_landmark + first_landmark[i] for i, m in enumerate(landmarks)]),
+        observed_keyframe=np.concatenate([m.observed_keyframe + first_keyframe[i] for i, m in enumerate(landmarks)]),
+        observed_uv_px=np.concatenate([m.observed_uv_px for m in landmarks]),
+    )
 
 
 @dataclass(frozen=True, slots=True)

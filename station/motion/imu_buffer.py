@@ -29,8 +29,6 @@ class ImuCounts:
 
 
 class ImuBuffer:
-    """Recent inertial samples, in time order."""
-
     def __init__(self, noise: ImuNoise, keep_s: float = 4.0) -> None:
         self._noise = noise
         self._keep_ns = int(keep_s * 1e9)

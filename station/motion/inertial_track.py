@@ -48,11 +48,9 @@ class InertialTrack:
         self._R_sum_sum = _integrate(self._R_sum, dt)
 
     def with_bias(self, gyro_bias: FloatArray) -> InertialTrack:
-        """The same samples under another gyroscope bias."""
         return InertialTrack(self._imu, gyro_bias)
 
     def covers(self, t_ns: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Whether each time lies within the samples."""
         return (t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])
 
     def has_gap(self, t_begin_ns: int, t_end_ns: int) -> bool:

@@ -85,7 +85,6 @@ class CurrentNavigation(LinkListeners):
 
     @property
     def running(self) -> NavigationRecord | None:
-        """The navigation being recorded."""
         return None if self._running is None else self._running.record
 
     @property
@@ -238,12 +237,10 @@ class CurrentNavigation(LinkListeners):
             recorder.on_command(driver, linear, angular, ttl_ms)
 
     def on_answer(self, report: PlaceReport) -> None:
-        """The current place is another one, or was confirmed."""
         if (recorder := self._recorder) is not None:
             recorder.on_answer(report)
 
     def on_log(self, line: LogLine) -> None:
-        """Something happened, in words."""
         if (recorder := self._recorder) is not None:
             recorder.on_log(line)
 
@@ -315,7 +312,6 @@ class CurrentNavigation(LinkListeners):
 
     @property
     def _recorder(self) -> NavigationRecorder | None:
-        """The open one."""
         return None if self._running is None else self._running.recorder
 
 
@@ -325,6 +321,5 @@ def _joined(*sentences: str) -> str:
 
 
 def _view_of(folder: Path) -> LiveSlam:
-    """What a finished navigation shows."""
     navigation = load_navigation(folder)
     return LiveSlam.of_finished(navigation, f"finished: {len(navigation.landmarks)} landmarks")

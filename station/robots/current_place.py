@@ -8,6 +8,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Concatenate
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
@@ -21,25 +22,19 @@ from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, Pla
 from station.model.place_map import Place, PlaceEdge
 from station.robots.link_events import IgnoringListener
 from station.robots.visits import Visits
-from station.workers.place_requests import (
-    PLACES,
-    AddDrive,
-    AddImu,
-    AddPose,
-    LoadMaps,
-    LocatePicture,
-    PlaceEvent,
-    PlaceProgram,
-    RegroupPlaces,
-    UseCalibration,
-)
-from station.workers.request import ProgramName, Request, WorkerDied
+from station.workers.place_requests import PLACES, PlaceEvent, PlaceProgram
+from station.workers.request import ArgumentsP, Limit, Method, ProgramName, WorkerDied
 from station.workers.scheduling import ComputeSlots
 from station.workers.worker import Worker
 
 logger = logging.getLogger(__name__)
 MAX_QUERY_IMAGES = 32
 RESTART_S = 1.0
+BACKLOG: dict[Method, Limit] = {
+    PlaceProgram.add_imu: Limit(30_000),  # batches: two minutes if each is one sample
+    PlaceProgram.add_drive: Limit(2400),  # two minutes
+    PlaceProgram.add_pose: Limit(300),
+}
 OLD_AFTER_S = 15.0  # an answer about a picture of so long ago says nothing of now; a busy machine needs seconds for one
 OLD_AFTER_PICTURES = 3  # or about one so many pictures ago, where few are asked for
 
@@ -81,7 +76,9 @@ class CurrentPlace(IgnoringListener):
         self._is_ready = False
         self._generation = 0  # counts the calls of use_maps(): a worker that was killed for another map did not die
         self._lost = 0  # inertial samples
-        self._groups: Latest[RegroupPlaces] = Latest()
+        self._groups: Latest[tuple[str, tuple[Place, ...], tuple[PlaceEdge, ...]]] = (
+            Latest()
+        )  # as `regroup` was given them
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self._report: PlaceReport | None = None
         self._report_s = 0.0  # when it came
@@ -133,7 +130,7 @@ class CurrentPlace(IgnoringListener):
 
         It may be busy: its next answer counts, nobody waits for it.
         """
-        self._groups.put(RegroupPlaces(map_id, places, edges))
+        self._groups.put((map_id, places, edges))
         self._events.changed("place")
 
     def on_connected(self, hello: Hello) -> None:
@@ -144,7 +141,7 @@ class CurrentPlace(IgnoringListener):
             self._robot_run, self._calibration = run, hello.calibration
             self._runs += 1
             self._forget()
-            self._post(UseCalibration(hello.calibration))
+            self._post(PlaceProgram.calibrate, hello.calibration)
             self._events.changed("place")
 
     def on_disconnected(self, reason: str) -> None:
@@ -172,35 +169,38 @@ class CurrentPlace(IgnoringListener):
 
     def receive_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation; when they come too quickly the oldest is left out."""
-        self._post(AddPose(t_robot_ns, T_nav_body, segment))
+        self._post(PlaceProgram.add_pose, t_robot_ns, T_nav_body, segment)
 
     def on_imu(self, batch: ImuBatch) -> None:
         s = batch.samples
-        self._post(AddImu([x.t_robot_ns for x in s], [x.gyro_imu for x in s], [x.accel_imu for x in s]))
+        gyro, accel = [x.gyro_imu for x in s], [x.accel_imu for x in s]
+        if not self._post(PlaceProgram.add_imu, [x.t_robot_ns for x in s], gyro, accel):
+            self._lost += 1
+            if self._lost == 1:
+                self._events.notify("place", "localisation is too slow: inertial samples are lost to it", "warning")
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        self._post(AddDrive(DriveSample(applied.t_robot_ns, applied.linear, applied.angular)))
+        self._post(PlaceProgram.add_drive, DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:  # noqa: ARG002
         """The worker gets the newest picture when it is free."""
         if self._map_ids and self._looks_ahead():
             self._frames.put((self._runs, frame))
 
-    def _post(self, request: Request[PlaceProgram, None]) -> None:
-        """To the worker, once it knows the map and the robot."""
-        if self._worker is None or not self._is_ready or self._worker.post(request):
-            return
-        if isinstance(request, AddImu):
-            self._lost += 1
-            if self._lost == 1:
-                self._events.notify("place", "localisation is too slow: inertial samples are lost to it", "warning")
+    def _post(
+        self,
+        method: Callable[Concatenate[PlaceProgram, ArgumentsP], None],
+        *args: ArgumentsP.args,
+        **kwargs: ArgumentsP.kwargs,
+    ) -> bool:
+        """To the worker, once it knows the map and the robot. False when older ones were dropped for it."""
+        return self._worker is None or not self._is_ready or self._worker.post(method, *args, **kwargs)
 
     def query_image(self, t_robot_ns: int) -> bytes | None:
         """The picture of an earlier answer, while it is kept."""
         return self._queries.get(t_robot_ns)
 
     async def run(self) -> None:
-        """Until cancelled."""
         while True:
             map_ids, generation = self._map_ids, self._generation
             if not map_ids:
@@ -229,17 +229,18 @@ class CurrentPlace(IgnoringListener):
         worker = Worker(
             "localisation",
             self._program,
+            limits=BACKLOG,
             on_event=lambda event: self._on_event(event) if self._generation == generation else None,
         )
         self._worker = worker
         self._num_hijacks = 0
         try:
             await worker.start()
-            await worker.call(LoadMaps(self._store, map_ids))
+            await worker.call(PlaceProgram.load, self._store, map_ids)
             self._set_status("waiting for a picture of the robot", None)
             await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
-                await worker.call(UseCalibration(self._calibration))
+                await worker.call(PlaceProgram.calibrate, self._calibration)
             self._is_ready = True
             self._set_status("looking at the first picture", None)
             self._events.notify("place", "localisation is ready")
@@ -251,7 +252,7 @@ class CurrentPlace(IgnoringListener):
                     if self._frames.is_fresh:  # it came while others computed
                         run, frame = await self._frames.get()
                     if self._groups.is_fresh:
-                        await worker.call(await self._groups.get())
+                        await worker.call(PlaceProgram.regroup, *await self._groups.get())
                     report = await self._answer(worker, frame)
                 is_of_now = self._generation == generation and self._runs == run
                 # The answer to a picture from before a hijack may be read after the notice of it.
@@ -267,7 +268,7 @@ class CurrentPlace(IgnoringListener):
         """None when this picture could not be looked at; the next one may be better. Raises WorkerDied."""
         try:
             image = ImageFrame(frame.seq, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
-            report = await worker.call(LocatePicture(image))
+            report = await worker.call(PlaceProgram.answer, image)
         except WorkerDied:
             raise
         except RobotSystemError as exc:

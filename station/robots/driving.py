@@ -14,11 +14,35 @@ from shared.lease import DriverLease
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.config import DriveConfig
 from station.errors import Conflict, NoRobot, NotCapable, NotDriver, OutOfRange
-from station.robots.camera_head import AHEAD, CameraHead
 
 MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 250 ms at most (station/api/robot.py)
 MAX_DRIVER_NAME = 64
 TAKE_OVER_S = 5.0  # until the first command: time to reach for the joystick, or to type the next line
+TURN_NS = 1_000_000_000  # servos need half a second from one end to the other; the picture is a little late
+AHEAD = (0.0, 0.0)  # pan, tilt: as the calibration has the camera
+LATE_FOR_NS = 500_000_000  # a link late for that long is too slow, and not at a standstill for a moment
+
+
+class CameraHead:
+    """The last command to a pan-tilt head. Time is an argument."""
+
+    def __init__(self) -> None:
+        self._pan_tilt = AHEAD
+        self._rests_ns = 0  # when it looks there
+
+    @property
+    def is_centred(self) -> bool:
+        """Whether the head was told to look straight ahead."""
+        return self._pan_tilt == AHEAD
+
+    def looks_ahead(self, now_ns: int) -> bool:
+        """Whether it has also had the time to get there: only then is the camera where the calibration says."""
+        return self.is_centred and now_ns >= self._rests_ns
+
+    def turn(self, pan: float, tilt: float, now_ns: int) -> None:
+        """The head was told to look there (rad)."""
+        if (pan, tilt) != self._pan_tilt:
+            self._pan_tilt, self._rests_ns = (pan, tilt), now_ns + TURN_NS
 
 
 class DriveLink(Protocol):
@@ -68,7 +92,6 @@ class Driving:
 
     @property
     def driver(self) -> str | None:
-        """Who drives now."""
         return self._lease.driver(self._now_ns())
 
     @property
@@ -88,7 +111,7 @@ class Driving:
 
     @property
     def looks_ahead(self) -> bool:
-        """It was, and had the time to get there: its pictures are what the calibration says."""
+        """Whether it has also had the time to get there: only then is the camera where the calibration says."""
         return self._head.looks_ahead(self._now_ns())
 
     def centre_head(self) -> None:
@@ -237,3 +260,29 @@ def _named(driver: str) -> str:
 def _check(name: str, value: float, limit: float, unit: str) -> None:
     if not math.isfinite(value) or abs(value) > limit + 1e-9:
         raise OutOfRange(f"{name} {value} is outside -{limit:g}..{limit:g} {unit}")
+
+
+class LateCommands:
+    """Notes which drive commands of one link come in time. Time is an argument.
+
+    Commands that arrive older than they may hold move nothing. After a standstill they come in one burst and fresh
+    ones follow; where they keep coming one by one, whoever holds the joystick must hear why nothing moves.
+    """
+
+    def __init__(self) -> None:
+        self._since_ns: int | None = None
+        self._last_ns = 0
+
+    def note_fresh(self) -> None:
+        """A command came in time."""
+        self._since_ns = None
+
+    def note_late(self, now_ns: int) -> bool:
+        """A command came too late. True when they have done so, and nothing else, for LATE_FOR_NS, and again after."""
+        if self._since_ns is None or now_ns - self._last_ns > LATE_FOR_NS:
+            self._since_ns = now_ns
+        self._last_ns = now_ns
+        if now_ns - self._since_ns < LATE_FOR_NS:
+            return False
+        self._since_ns = None
+        return True

@@ -35,11 +35,9 @@ from station.access.connecting import (
     in_words,
 )
 from station.access.paired_robots import PairedRobots
-from station.robots.link_commands import LinkCommands
+from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
-from station.robots.link_hearing import Hearing
-from station.robots.link_sending import DueMessages
-from station.robots.link_state import Arrivals, LinkClock, LinkState, RateMeter
+from station.robots.link_state import Arrivals, Hearing, LinkClock, LinkState, RateMeter
 
 logger = logging.getLogger(__name__)
 
@@ -98,7 +96,6 @@ class RobotLink:
 
     @property
     def state(self) -> LinkState:
-        """What is known of the link now."""
         frame_rate_hz, imu_rate_hz, bytes_per_s = self._rates.rates()
         return LinkState(
             host=self._host,

@@ -13,14 +13,46 @@ from shared.messages import (
     ErrorNotice,
     Heartbeat,
     Hijack,
+    Join,
     PanTilt,
+    Prove,
+    Received,
     StationMessage,
     Stop,
 )
 from station.errors import NoRobot
-from station.robots.link_sending import DueMessages
 
 ANSWER_WITHIN_S = 2.0
+# Little is about to be sent at a time, and the most urgent first.
+SENDING_ORDER: tuple[type[StationMessage], ...] = (Prove, Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
+
+
+class DueMessages:
+    """Room for one message of each kind: the newest wins. One reader."""
+
+    def __init__(self) -> None:
+        self._due: dict[type[StationMessage], StationMessage] = {}
+        self._fresh = asyncio.Event()
+
+    def put(self, message: StationMessage) -> None:
+        self._due[type(message)] = message
+        self._fresh.set()
+
+    def discard(self, kind: type[StationMessage]) -> None:
+        self._due.pop(kind, None)
+
+    def clear(self) -> None:
+        self._due.clear()
+
+    async def wait(self) -> None:
+        """Until something was put since the last time."""
+        await self._fresh.wait()
+        self._fresh.clear()
+
+    def pop(self) -> StationMessage | None:
+        """The most urgent message; None when nothing is due."""
+        kind = next((kind for kind in SENDING_ORDER if kind in self._due), None)
+        return None if kind is None else self._due.pop(kind)
 
 
 class LinkCommands:
@@ -101,7 +133,6 @@ class LinkCommands:
                 self._answer = None
 
     def beat(self) -> None:
-        """A heartbeat."""
         self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
 
     def receive_beat(self, seq: int) -> None:

@@ -1,4 +1,4 @@
-"""What is known of a link to a robot: counts, rates, round trip, clocks."""
+"""What is known of a link to a robot: counts, rates, round trip, clocks, whether it hears us. Time is an argument."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from shared.messages import CameraFrame, ErrorNotice, HeartbeatReply, Hello, Imu
 
 RATE_WINDOW_NS = 2_000_000_000
 KEPT_ROUND_TRIPS = 600  # a minute of heartbeats
+# Heartbeats are answered before anything else is sent. So late an answer, and the robot spoke on for so long with so
+# many messages: it does not hear us. After a stall of the network all comes at once, and the answers right behind.
+UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +85,6 @@ class LinkClock:
         self.rtt_ns: int | None = None
 
     def add_reply(self, reply: HeartbeatReply, now_ns: int) -> None:
-        """A heartbeat came back."""
         inside_robot_ns = reply.t_robot_sent_ns - reply.t_robot_received_ns
         self.rtt_ns = now_ns - reply.t_station_ns - inside_robot_ns
         self._round_trips_ns.append(self.rtt_ns)
@@ -116,7 +118,6 @@ class RateMeter:
         self._totals: deque[tuple[int, int, int, int]] = deque()  # (t_ns, frames, samples, bytes)
 
     def sample(self, now_ns: int, frames: int, samples: int, num_bytes: int) -> None:
-        """Note the totals so far."""
         self._totals.append((now_ns, frames, samples, num_bytes))
         while now_ns - self._totals[0][0] > RATE_WINDOW_NS:
             self._totals.popleft()
@@ -128,3 +129,28 @@ class RateMeter:
         first, last = self._totals[0], self._totals[-1]
         seconds = (last[0] - first[0]) * 1e-9
         return (last[1] - first[1]) / seconds, (last[2] - first[2]) / seconds, (last[3] - first[3]) / seconds
+
+
+class Hearing:
+    """Whether a robot that speaks to us hears us too: compares what it says with how late it answers heartbeats."""
+
+    def __init__(self) -> None:
+        self._answered_ns = 0  # when the last heartbeat was answered
+        self._unanswered = 0  # messages that came when an answer was late already
+        self._unanswered_since_ns = 0  # when the first of them came
+
+    def note_answer(self, now_ns: int) -> None:
+        """The robot heard us: it let us in, or answered a heartbeat."""
+        self._answered_ns, self._unanswered = now_ns, 0
+
+    def note_message(self, now_ns: int) -> None:
+        """The robot said something, whatever it was."""
+        if now_ns - self._answered_ns >= UNHEARD_AFTER_NS:
+            if self._unanswered == 0:
+                self._unanswered_since_ns = now_ns
+            self._unanswered += 1
+
+    def is_lost(self, now_ns: int) -> bool:
+        """It speaks and does not answer: what we say is lost, or its end waits for the rest of something."""
+        speaks_on = now_ns - self._unanswered_since_ns >= UNHEARD_FOR_NS
+        return speaks_on and self._unanswered >= UNHEARD_MESSAGES

@@ -45,8 +45,6 @@ class PointBuffer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LivePose:
-    """One pose of the running navigation."""
-
     t_robot_ns: int
     T_world_body: FloatArray  # (4, 4)
     segment: int
@@ -76,7 +74,6 @@ class LiveSlam:
 
     @property
     def pose(self) -> LivePose | None:
-        """The newest pose."""
         return self.poses[-1] if self.poses else None
 
     def set_message(self, message: str) -> None:
@@ -97,7 +94,6 @@ class LiveSlam:
 
     @classmethod
     def of_finished(cls, navigation: Navigation, message: str) -> LiveSlam:
-        """The view of a navigation that is complete."""
         live = cls(navigation.id)
         live.source = f"{navigation.id}/finished"
         live.state, live.message = None, message

@@ -13,7 +13,7 @@ from station.robots.link_events import IgnoringListener, LinkListener
 from station.robots.live_slam import LiveSlam
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.slam import SlamWorker
-from station.workers.slam_requests import AddDrive, AddFrame, AddImu
+from station.workers.slam_requests import SlamProgram
 
 
 class RunningNavigation(IgnoringListener):
@@ -53,12 +53,13 @@ class RunningNavigation(IgnoringListener):
         self._last_frame_ns = frame.t_robot_ns
         image = ImageFrame(self._frames, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
         self._frames += 1
-        self.slam.post(AddFrame(image))
+        self.slam.post(SlamProgram.add_frame, image)
 
     def on_imu(self, batch: ImuBatch) -> None:
         s = batch.samples
         self._imu_samples += len(s)
-        is_kept = self.slam.post(AddImu([x.t_robot_ns for x in s], [x.gyro_imu for x in s], [x.accel_imu for x in s]))
+        gyro, accel = [x.gyro_imu for x in s], [x.accel_imu for x in s]
+        is_kept = self.slam.post(SlamProgram.add_imu, [x.t_robot_ns for x in s], gyro, accel)
         if not is_kept and not self._is_slow:
             self._is_slow = True
             text = "SLAM is too slow: inertial samples wait too long and are lost to it"
@@ -68,10 +69,9 @@ class RunningNavigation(IgnoringListener):
         self._imu_lost += num_samples
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        self.slam.post(AddDrive(DriveSample(applied.t_robot_ns, applied.linear, applied.angular)))
+        self.slam.post(SlamProgram.add_drive, DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
 
     def counted(self) -> NavigationRecord:
-        """The record with the counts of now."""
         first_ns = self._first_frame_ns
         return replace(
             self.record,

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from pathlib import Path
+from typing import Concatenate
 
 from shared.calibration import Calibration
 from shared.errors import RobotSystemError
@@ -15,11 +16,12 @@ from station.config import SlamConfig, choose_backend
 from station.events import Notifier
 from station.model.navigation import NavigationReport
 from station.model.slam_update import SlamUpdate
-from station.workers.request import Limit, Request, WorkerDied
-from station.workers.slam_requests import SLAM, AddFrame, AddImu, BeginNavigation, FinishNavigation, SlamProgram
+from station.workers.request import ArgumentsP, Limit, WorkerDied
+from station.workers.slam_requests import SLAM, SlamProgram
 from station.workers.worker import Worker
 
 LIVE_BACKENDS = ("ukf",)
+DRIVE_BACKLOG = Limit(6000)  # 20 a second: five minutes
 MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
 QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes
 HEAD_START_S = 10.0  # somebody waits for its first update
@@ -70,29 +72,29 @@ class SlamWorker:
         return self._worker.pid
 
     @property
-    def imu_dropped(self) -> int:
-        """Batches that found a full queue."""
-        return self._dropped[AddImu] + self._worker.dropped.get(AddImu, 0)
-
-    @property
     def frames_dropped(self) -> int:
         """Frames that found a full queue."""
-        return self._dropped[AddFrame] + self._worker.dropped.get(AddFrame, 0)
+        return self._dropped[SlamProgram.add_frame] + self._worker.dropped.get(SlamProgram.add_frame, 0)
 
     @property
     def frames_waiting(self) -> int:
         """Frames that SLAM has not looked at yet."""
-        return self._worker.waiting(AddFrame)
+        return self._worker.waiting(SlamProgram.add_frame)
 
-    def post(self, request: Request[SlamProgram, None]) -> bool:
+    def post(
+        self,
+        method: Callable[Concatenate[SlamProgram, ArgumentsP], None],
+        *args: ArgumentsP.args,
+        **kwargs: ArgumentsP.kwargs,
+    ) -> bool:
         """Hand on sensor data. False when older ones were dropped for them, and not only because SLAM is lost."""
-        return self._worker.post(request) or bool(self.trouble)
+        return self._worker.post(method, *args, **kwargs) or bool(self.trouble)
 
     async def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         """End the navigation. Raises what the backend raises, or WorkerDied."""
         self._ended = True  # a process that dies now has nothing to come back for
         await asyncio.wait({self._starting})
-        self._report = self._worker.ask(FinishNavigation(navigation_id, folder))
+        self._report = self._worker.ask(SlamProgram.finish, navigation_id, folder)
         return await self._report
 
     def give_up(self) -> bool:
@@ -120,14 +122,18 @@ class SlamWorker:
         worker = Worker(
             self._name,
             SLAM,
-            limits={AddFrame: frames, AddImu: Limit(config.imu_backlog)},
+            limits={
+                SlamProgram.add_frame: frames,
+                SlamProgram.add_imu: Limit(config.imu_backlog),
+                SlamProgram.add_drive: DRIVE_BACKLOG,
+            },
             head_start_s=HEAD_START_S,
             on_event=self._receive,
             on_death=self._on_death,
             on_failure=self._on_failure,
         )
         # Asked before the first frame can come; what arrives until SLAM is up waits behind it.
-        begun = worker.ask(BeginNavigation(self.backend, self._calibration, config.seed))
+        begun = worker.ask(SlamProgram.begin, self.backend, self._calibration, config.seed)
         return worker, asyncio.create_task(self._start(worker, begun), name=f"start {self._name}")
 
     async def _start(self, worker: Worker[SlamProgram, SlamUpdate], begun: asyncio.Future[None]) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from shared.calibration import CameraCalibration
+from shared.errors import ConfigError
+from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.vision.features import Features
@@ -35,3 +37,12 @@ class SlamBackend(Protocol):
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         ...
+
+
+def check_size(frame: ImageFrame, pixels: ImageArray, camera: CameraCalibration) -> None:
+    """Raises ConfigError when the image (H, W) has another size than the calibration's."""
+    if pixels.shape[:2] != (camera.height, camera.width):
+        raise ConfigError(
+            f"image {frame.name or frame.index} is {pixels.shape[1]}x{pixels.shape[0]}, the calibration is for "
+            f"{camera.width}x{camera.height}; give the calibration of these images"
+        )

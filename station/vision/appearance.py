@@ -35,7 +35,6 @@ class Vocabulary:
 
     @classmethod
     def of(cls, coarse: Float32Array, fine: Float32Array, first: IntArray) -> Vocabulary:
-        """From its centres."""
         return cls(coarse, fine, first, _half_norm(fine))
 
     @property

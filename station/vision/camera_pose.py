@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shared.geometry import FloatArray, inverse, se3, skew, so3_exp, transform
+from shared.geometry import FloatArray, IntArray, inverse, se3, skew, so3_exp, transform
 
 RANSAC_ITERATIONS = 400
 RANSAC_CONFIDENCE = 0.999
@@ -17,8 +17,6 @@ REFINE_ROUNDS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraPose:
-    """A pose and what supports it."""
-
     T_map_cam: FloatArray  # (4, 4)
     inlier: npt.NDArray[np.bool_]  # (n,) of the matches given
     cov_pose: FloatArray  # (6, 6) rotation (rad), translation (map units), both in the camera frame
@@ -41,28 +39,34 @@ def solve_pose(p_map: FloatArray, rays: FloatArray, tolerance: float) -> CameraP
         p_map: (n, 3) map points.
         rays: (n, 2) normalised coordinates they were seen at.
         tolerance: of a match that agrees, normalised coordinates (pixels over focal length).
+    """
+    found = pose_by_ransac(p_map, rays, tolerance, RANSAC_ITERATIONS, seed=1) if len(p_map) >= 6 else None
+    return None if found is None else solve_pose_from(found[0], p_map, rays, tolerance)
+
+
+def pose_by_ransac(
+    p_map: FloatArray, rays: FloatArray, tolerance: float, iterations: int, seed: int
+) -> tuple[FloatArray, IntArray] | None:
+    """T_map_cam (4, 4) that most matches agree on, as `solve_pose` has them, and which do; None without such a pose.
+
     Source: AP3P (Ke and Roumeliotis, CVPR 2017) in RANSAC, by OpenCV; its random numbers are seeded per call.
     """
-    if len(p_map) < 6:
-        return None
-    cv2.setRNGSeed(1)
-    found, rotation, translation, _ = cv2.solvePnPRansac(
+    cv2.setRNGSeed(seed)
+    found, rotation, translation, inliers = cv2.solvePnPRansac(
         np.ascontiguousarray(p_map),
         np.ascontiguousarray(rays),
         np.eye(3),
         np.zeros(4),
-        iterationsCount=RANSAC_ITERATIONS,
+        iterationsCount=iterations,
         reprojectionError=tolerance,
         confidence=RANSAC_CONFIDENCE,
         flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found:
+    if not found or inliers is None:
         return None
     R = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
     T_cam_map = se3(R, np.asarray(translation, dtype=np.float64).ravel())
-    if not np.isfinite(T_cam_map).all():
-        return None
-    return solve_pose_from(inverse(T_cam_map), p_map, rays, tolerance)
+    return (inverse(T_cam_map), np.asarray(inliers, dtype=np.int64).ravel()) if np.isfinite(T_cam_map).all() else None
 
 
 def solve_pose_from(T_map_cam: FloatArray, p_map: FloatArray, rays: FloatArray, tolerance: float) -> CameraPose | None:

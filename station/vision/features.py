@@ -66,7 +66,6 @@ class DetailExtractor:
         self._sift = _detector(2 * MAX_DETAILS, DETAIL_CONTRAST)  # some are found twice
 
     def extract(self, grey: ImageArray) -> Details:
-        """Of an image (H, W)."""
         found, response = _find(self._sift, grey)
         count = int(np.count_nonzero(response * np.float32(LAYERS) >= np.float32(CONTRAST)))
         if count > MAX_FEATURES:  # as OpenCV has it: those as strong as the last one are taken, too

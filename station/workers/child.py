@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from shared.errors import RobotSystemError
-from station.workers.request import Program, ProgramName, Request, WorkerFailed
+from station.workers.request import Program, ProgramName, WorkerFailed
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +28,9 @@ class Asked(NamedTuple):
     """A request as it travels."""
 
     call: int | None  # its number where somebody waits for the answer
-    request: Request[Any, Any] | None  # None: end
+    method: str  # of the program; empty: end
+    args: tuple[Any, ...]
+    kwargs: dict[str, Any]
 
 
 class Reply(NamedTuple):
@@ -108,14 +110,14 @@ def run_worker(socket: socket.socket, name: str, head_start_s: float, program_na
     while True:
         can_catch_up = can_catch_up and _catch_up(pipe, program)
         try:
-            call, request = pipe.receive()
+            asked = pipe.receive()
         except (EOFError, OSError):
             return
-        if request is None:
+        if not asked.method:
             return
         importance.settle()
-        reply = _run(program, call, request)
-        if call is not None or not reply.is_ok:
+        reply = _run(program, asked)
+        if asked.call is not None or not reply.is_ok:
             try:
                 pipe.send(reply)
             except OSError:
@@ -133,12 +135,12 @@ def _catch_up(pipe: Pipe, program: Program) -> bool:
     return True
 
 
-def _run(program: Program, call: int | None, request: Request[Any, Any]) -> Reply:
+def _run(program: Program, asked: Asked) -> Reply:
     try:
-        return Reply(call, True, request.run(program))
+        # `Worker.ask` was given the method itself, of the interface that this program fills in.
+        return Reply(asked.call, True, getattr(program, asked.method)(*asked.args, **asked.kwargs))
     except RobotSystemError as exc:
-        return Reply(call, False, exc)
+        return Reply(asked.call, False, exc)
     except Exception as exc:  # the one broad catch: a bug in one request must reach its caller, not end the worker
-        name = type(request).__name__
-        logger.exception("%s failed", name)
-        return Reply(call, False, WorkerFailed(f"{name} failed: {type(exc).__name__}: {exc}"))
+        logger.exception("%s failed", asked.method)
+        return Reply(asked.call, False, WorkerFailed(f"{asked.method} failed: {type(exc).__name__}: {exc}"))

@@ -85,7 +85,6 @@ class Jobs(Generic[ProgramT]):
         return job
 
     async def close(self) -> None:
-        """Cancel everything."""
         for job_id in list(self._running):
             await self._end(job_id)
 

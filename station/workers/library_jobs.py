@@ -40,7 +40,6 @@ class LibraryJobs(LibraryProgram):
     def build_map(
         self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
     ) -> BuiltMap:
-        """Navigation folders -> a map in the store. Places of an earlier map of the first one stay."""
         store = MapStore(address)
         store.require_writable()  # before the work
         self._emit(Progress(0.05, "reading the navigation"))
@@ -71,10 +70,9 @@ class LibraryJobs(LibraryProgram):
         if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded):
             self._emit(Progress(0.85, "indexing what its pictures look like"))
             waiting = Progress(0.85, "another map is indexed; this one is next")
-            index_of(address.root, self._built, _nothing, lambda: self._emit(waiting), pictures)
+            index_of(address.root, self._built, lambda: None, lambda: self._emit(waiting), pictures)
 
     def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:
-        """The repeatability of each place of a map, by its id."""
         self._emit(Progress(0.1, "reading the map"))
         place_map = MapStore(address).load(map_id)
         self._emit(Progress(0.3, f"grouping {_count(len(place_map.navigation.landmarks), 'landmark')} anew"))
@@ -90,7 +88,6 @@ class LibraryJobs(LibraryProgram):
         return build_map(navigation, config=config, name=name)
 
     def compare(self, first: Path, second: Path, out: Path, title: str, setting: str) -> dict[str, Any]:
-        """Two navigation folders -> the experiment's report in `out`, which says `setting`; returns results.json."""
         # Drawing loads matplotlib, which no other job needs.
         from station.experiments.experiment import Story, results_dict, run_experiment
         from station.experiments.report import write_experiment
@@ -111,7 +108,6 @@ class LibraryJobs(LibraryProgram):
     def reprocess(
         self, recording: Path, backend: str, seed: int, navigation_id: str, folder: Path, executor: str = ""
     ) -> NavigationReport:
-        """A recording -> its navigation folder, by running SLAM over it again."""
         if (reason := why_unwritable(folder.parent)) is not None:  # before the work
             raise cannot_write(folder, reason)
         if executor:
@@ -142,10 +138,6 @@ class LibraryJobs(LibraryProgram):
         self._emit(Progress(0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report
-
-
-def _nothing() -> None:
-    """Nobody is told."""
 
 
 def _count(number: int, word: str) -> str:

@@ -52,7 +52,6 @@ class Outbox(Generic[T]):
         return None
 
     def waiting(self, kind: Hashable) -> int:
-        """How many items of a kind wait."""
         return len(self._queues[kind])
 
     def close(self) -> None:

@@ -40,10 +40,7 @@ class PlaceFinder(PlaceProgram):
         self._num_hijacks = 0
 
     def load(self, store: StoreAddress, map_ids: tuple[str, ...]) -> None:
-        """Read maps and their indexes; where no worker of this station has made one yet, make it.
-
-        Raises DataError when none of them can be read.
-        """
+        """Also makes an index where no worker of this station has made it yet."""
         maps = self._read(MapStore(store), map_ids)
         self.use(maps, [self._index_of(store, maps, number) for number in range(len(maps))])
 
@@ -62,7 +59,6 @@ class PlaceFinder(PlaceProgram):
         return maps
 
     def _index_of(self, store: StoreAddress, maps: Sequence[PlaceMap], number: int) -> MapIndex:
-        """Of one of the maps that are read."""
         place_map, sizes = maps[number], [len(one.navigation.keyframes) for one in maps]
         total, all_total, before = sizes[number], sum(sizes), sum(sizes[:number])
         which = "the map" if len(maps) == 1 else place_map.name
@@ -86,13 +82,11 @@ class PlaceFinder(PlaceProgram):
         self._localizer = Localizer(self._maps, index=indexes)
 
     def calibrate(self, calibration: Calibration) -> None:
-        """The robot that drives now; what was known of another one's position is forgotten."""
         if not self._maps:
             raise EstimationError("no map was given to the localisation worker; activate one")
         self._tracker = PlaceTracker(self._maps, calibration, self._localizer)
 
     def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
-        """A map's places are others, or have other names; what is known of the robot's pose stays."""
         if not self._maps:
             raise EstimationError("no map was given to the localisation worker; activate one")
         self._maps = tuple(
@@ -102,7 +96,6 @@ class PlaceFinder(PlaceProgram):
             self._tracker.estimator.regroup(self._maps)
 
     def add_imu(self, t_robot_ns: Sequence[int], gyro: Vectors, accel: Vectors) -> None:
-        """Inertial samples, times and (N, 3) values."""
         if self._tracker is not None:
             self._tracker.on_imu(
                 ImuBatch(np.array(t_robot_ns, np.int64), np.array(gyro, np.float64), np.array(accel, np.float64))
@@ -110,17 +103,14 @@ class PlaceFinder(PlaceProgram):
             self._notify_hijacks(None)
 
     def add_drive(self, sample: DriveSample) -> None:
-        """What the motors were told."""
         if self._tracker is not None:
             self._tracker.on_drive(sample)
 
     def add_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
-        """A pose of the running navigation: carries the estimate between pictures."""
         if self._tracker is not None:
             self._tracker.on_odometry(t_robot_ns, T_nav_body, segment)
 
     def answer(self, frame: ImageFrame) -> PlaceReport:
-        """Where this picture was taken, and the current place at its time."""
         if self._tracker is None:
             raise EstimationError("no map was given to the localisation worker; activate one")
         try:

@@ -35,8 +35,6 @@ Say = Callable[[str], None]  # given what is done next
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """What a replay may be told."""
-
     backend: str = "sfm"
     seed: int = 1
     threads: int = 1  # of image processing; any number gives the same result
@@ -49,8 +47,6 @@ class ReplayOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """What came out."""
-
     navigation: Navigation
     place_map: PlaceMap  # made from it
     answers: tuple[PlaceAnswer, ...]  # in the map given, else in the one just made

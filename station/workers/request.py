@@ -1,17 +1,16 @@
 """What a worker runs and what it can be asked, as types alone: who talks to a worker imports nothing that computes.
 
-A worker runs a *program*, an object that lives in its process. A *request* is a small value whose `run` says what the
-program shall do: its class is what the type checker knows of program and answer.
+A worker runs a *program*, an object that lives in its process. A *request* names a method of the program's interface,
+an abstract class that both ends import: what the type checker knows of arguments and answer.
 """
 
 from __future__ import annotations
 
 import importlib
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Generic, Self, TypeVar
+from typing import Generic, ParamSpec, Self, TypeVar
 
 from shared.errors import RobotSystemError
 
@@ -19,8 +18,8 @@ MAX_WAITING = 10_000
 
 EventT = TypeVar("EventT")
 ProgramT = TypeVar("ProgramT", bound="Program")
-ProgramT_contra = TypeVar("ProgramT_contra", bound="Program", contravariant=True)
-AnswerT_co = TypeVar("AnswerT_co", covariant=True)
+ArgumentsP = ParamSpec("ArgumentsP")
+Method = Callable[..., object]  # of a program's interface
 
 
 class WorkerDied(RobotSystemError):
@@ -45,17 +44,6 @@ class Program:
     def catch_up(self) -> bool:
         """Do a piece of the work that can wait, while there are no requests; False when none is left."""
         return False
-
-
-class Request(ABC, Generic[ProgramT_contra, AnswerT_co]):
-    """One thing to ask of a program. Subclasses are frozen dataclasses of data that can be pickled."""
-
-    __slots__ = ()
-    limit: ClassVar[Limit] = Limit()  # of requests of this class that nobody waits for
-
-    @abstractmethod
-    def run(self, program: ProgramT_contra) -> AnswerT_co:
-        """In the worker's process. What it raises is raised at whoever waits for the answer."""
 
 
 @dataclass(frozen=True, slots=True)

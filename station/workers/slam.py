@@ -39,7 +39,6 @@ class NavigationSlam(SlamProgram):
     def begin(
         self, backend: str, calibration: Calibration, seed: int, threads: int = -1, intrinsics_known: bool = True
     ) -> None:
-        """Start a navigation with a backend by name, or by "package.module:factory"."""
         camera = calibration.camera
         self._backend = make_backend(backend, calibration, seed, threads, intrinsics_known)
         shift_s = camera.middle_row_shift_s if camera else 0.0
@@ -59,7 +58,6 @@ class NavigationSlam(SlamProgram):
         self._advance()
 
     def catch_up(self) -> bool:
-        """Do a piece of the work that can wait; the worker asks while no request does."""
         return self._backend is not None and (self._backend.catch_up() or self._describe_next(self._backend))
 
     def _describe_next(self, backend: SlamBackend) -> bool:
@@ -91,7 +89,6 @@ class NavigationSlam(SlamProgram):
                 self._pictures.store(pictures[number], features)
 
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
-        """End the navigation and write it. Raises EstimationError with the reason when nothing came out."""
         navigation = self.complete(navigation_id)
         save_navigation(navigation, folder)
         self._store_features()

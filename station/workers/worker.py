@@ -13,11 +13,20 @@ import pickle
 import socket
 from collections.abc import Callable, Hashable, Mapping
 from multiprocessing import forkserver
-from typing import Any, Generic, TypeVar
+from typing import Any, Concatenate, Generic, TypeVar
 
 from station.workers.child import LENGTH, Asked, Reply, run_worker
 from station.workers.outbox import Outbox
-from station.workers.request import EventT, Limit, ProgramName, ProgramT, Request, WorkerDied, WorkerFailed
+from station.workers.request import (
+    ArgumentsP,
+    EventT,
+    Limit,
+    Method,
+    ProgramName,
+    ProgramT,
+    WorkerDied,
+    WorkerFailed,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -43,13 +52,13 @@ class Worker(Generic[ProgramT, EventT]):
         name: str,
         program: ProgramName[ProgramT, EventT],
         *,
-        limits: Mapping[type[Request[ProgramT, Any]], Limit] | None = None,
+        limits: Mapping[Method, Limit] | None = None,
         head_start_s: float = 0.0,
         on_event: Callable[[EventT], None] | None = None,
         on_death: Callable[[str], None] | None = None,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        """`limits` are for requests whose limit is not always that of their class.
+        """`limits` are for requests, by their method, that nobody waits for.
 
         Until its first event, at most for `head_start_s`, it runs as important as the station itself: a dead worker is
         soon replaced, however busy the others are.
@@ -77,12 +86,12 @@ class Worker(Generic[ProgramT, EventT]):
 
     @property
     def dropped(self) -> Mapping[Hashable, int]:
-        """How many posted requests found the outbox full, by their class."""
+        """How many posted requests found the outbox full, by their method."""
         return self._outbox.dropped
 
-    def waiting(self, kind: type[Request[ProgramT, Any]]) -> int:
-        """How many posted requests of a class wait to be sent."""
-        return self._outbox.waiting(kind)
+    def waiting(self, method: Method) -> int:
+        """How many posted requests wait to be sent."""
+        return self._outbox.waiting(method)
 
     async def start(self) -> None:
         """Start the process; requests may be posted from now on, it answers when it is up."""
@@ -101,18 +110,33 @@ class Worker(Generic[ProgramT, EventT]):
             asyncio.create_task(self._read(reader, writer), name=f"{self.name} answers"),
         )
 
-    def post(self, request: Request[ProgramT, object]) -> bool:
-        """Ask without waiting for an answer. False when an older request of this class was dropped for it."""
+    def post(
+        self,
+        method: Callable[Concatenate[ProgramT, ArgumentsP], object],
+        *args: ArgumentsP.args,
+        **kwargs: ArgumentsP.kwargs,
+    ) -> bool:
+        """Ask without waiting for an answer. False when an older request for this method was dropped for it."""
         if self._dead or self._closing:
             return False
-        kind = type(request)
-        return self._outbox.put(kind, Asked(None, request), self._limits.get(kind, kind.limit))
+        asked = Asked(None, method.__name__, args, kwargs)
+        return self._outbox.put(method, asked, self._limits.get(method, Limit()))
 
-    async def call(self, request: Request[ProgramT, AnswerT]) -> AnswerT:
+    async def call(
+        self,
+        method: Callable[Concatenate[ProgramT, ArgumentsP], AnswerT],
+        *args: ArgumentsP.args,
+        **kwargs: ArgumentsP.kwargs,
+    ) -> AnswerT:
         """Ask, and wait for the answer. Raises what the program raised, or WorkerDied."""
-        return await self.ask(request)
+        return await self.ask(method, *args, **kwargs)
 
-    def ask(self, request: Request[ProgramT, AnswerT]) -> asyncio.Future[AnswerT]:
+    def ask(
+        self,
+        method: Callable[Concatenate[ProgramT, ArgumentsP], AnswerT],
+        *args: ArgumentsP.args,
+        **kwargs: ArgumentsP.kwargs,
+    ) -> asyncio.Future[AnswerT]:
         """As `call`, and the request stands in line already when this returns: what is posted later comes later."""
         future: asyncio.Future[AnswerT] = asyncio.get_running_loop().create_future()
         if self._dead or self._closing:
@@ -125,7 +149,7 @@ class Worker(Generic[ProgramT, EventT]):
         number = self._next_call
         self._calls[number] = future
         future.add_done_callback(lambda _: self._calls.pop(number, None))
-        self._outbox.put("call", Asked(number, request), Limit())
+        self._outbox.put("call", Asked(number, method.__name__, args, kwargs), Limit())
         return future
 
     def kill(self) -> None:
@@ -140,7 +164,7 @@ class Worker(Generic[ProgramT, EventT]):
         """Let the process end after its present request; kill it when that takes long."""
         if not self._closing and not self._dead:
             # No SIGTERM: libraries in there install handlers that print stack traces.
-            self._outbox.put("end", Asked(None, None), Limit())
+            self._outbox.put("end", Asked(None, "", (), {}), Limit())
         self._closing = True
         if self._spawning is not None:
             await asyncio.wait({self._spawning})
@@ -173,8 +197,7 @@ class Worker(Generic[ProgramT, EventT]):
             try:
                 data = pickle.dumps(asked, pickle.HIGHEST_PROTOCOL)
             except Exception as exc:  # pickling runs the code of what it is given
-                name = type(asked.request).__name__
-                self._receive(Reply(asked.call, False, WorkerFailed(f"{name} cannot be sent: {exc}")))
+                self._receive(Reply(asked.call, False, WorkerFailed(f"{asked.method} cannot be sent: {exc}")))
                 continue
             try:
                 writer.write(LENGTH.pack(len(data)) + data)  # some Pythons' `writelines` never make `drain` wait

@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -18,7 +17,7 @@ from station.events import Events
 from station.workers.executors.opening import open_executor
 from station.workers.jobs import Job, Jobs, JobWorker
 from station.workers.library_requests import Progress
-from station.workers.request import Program, ProgramName, Request
+from station.workers.request import Program, ProgramName
 
 STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports
 
@@ -33,17 +32,11 @@ class Porter(Program):
     def __init__(self, emit: Callable[[Progress], None]) -> None:
         self.emit = emit
 
-
-@dataclass(frozen=True)
-class Wait(Request[Porter, None]):
-    def run(self, program: Porter) -> None:
-        program.emit(Progress(0.5, str(os.getpid())))
+    def wait(self) -> None:
+        self.emit(Progress(0.5, str(os.getpid())))
         time.sleep(600)
 
-
-@dataclass(frozen=True)
-class Double(Request[Porter, list[int]]):
-    def run(self, program: Porter) -> list[int]:
+    def double(self) -> list[int]:
         with open_executor("processes") as machines:
             return machines.map(double, [1, 2, 3])
 
@@ -68,7 +61,7 @@ async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next(
     jobs = Jobs(events, ProgramName.of(Porter))
 
     async def waiting(worker: JobWorker[Porter]) -> dict[str, Any]:
-        await worker.call(Wait())
+        await worker.call(Porter.wait)
         return {}
 
     async def failing(worker: JobWorker[Porter]) -> dict[str, Any]:
@@ -78,7 +71,7 @@ async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next(
         raise OSError(28, "No space left on device")
 
     async def doubling(worker: JobWorker[Porter]) -> dict[str, Any]:
-        return {"doubled": await worker.call(Double())}
+        return {"doubled": await worker.call(Porter.double)}
 
     try:
         killed = jobs.start("test", "a test", waiting)
@@ -108,7 +101,7 @@ async def test_a_job_that_was_done_before_it_could_be_cancelled_is_not_called_ca
     may_write = asyncio.Event()
 
     async def writing(worker: JobWorker[Porter]) -> dict[str, Any]:
-        doubled = await worker.call(Double())
+        doubled = await worker.call(Porter.double)
         answered.set()
         await may_write.wait()
         return {"doubled": doubled}

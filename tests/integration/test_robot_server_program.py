@@ -22,7 +22,7 @@ from shared.errors import DeviceUnavailable
 from station.datasets import open_dataset
 from station.recordings.recorder import Recorder
 from station.robots.link import RobotLink
-from tests.support.datasets import imu_of
+from tests.support.datasets import frames_of, imu_of
 from tests.support.link import linked, until
 from tests.support.paths import ROOT
 
@@ -152,8 +152,8 @@ async def test_a_real_flight_streams_whole_and_its_recording_is_the_flight_again
     assert recorded.calibration == flight.calibration
     if not state.frames_skipped:  # a busy machine may skip some; what came is whole
         assert recorded.frame_times_ns.tolist() == flight.frame_times_ns.tolist()
-    first = next(iter(recorded.frames()))
-    original = {int(f.t_robot_ns): f for f in flight.frames()}[first.t_robot_ns]
+    first = next(iter(frames_of(recorded)))
+    original = {int(f.t_robot_ns): f for f in frames_of(flight)}[first.t_robot_ns]
     difference = first.grey().astype(int) - original.grey().astype(int)
     assert np.abs(difference).mean() < 2.0  # JPEG at quality 95
 

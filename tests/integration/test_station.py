@@ -16,7 +16,7 @@ import websockets
 from shared.listening import bind
 from station.model.map_store import StoreAddress
 from station.workers.jobs import JobWorker
-from station.workers.library_requests import LibraryProgram, MeasurePlaces
+from station.workers.library_requests import LibraryProgram
 from tests.support.link import until
 from tests.support.paths import ROOT
 from tests.support.station import running_station, store_map
@@ -315,7 +315,7 @@ async def test_a_running_job_can_be_cancelled(tmp_path: Path) -> None:
     async with running_station(1, tmp_path) as desk:
         # Cancelled while its process starts: it would fail later, without a map to measure.
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, float]:
-            return await worker.call(MeasurePlaces(StoreAddress(tmp_path), "none"))
+            return await worker.call(LibraryProgram.measure_places, StoreAddress(tmp_path), "none")
 
         job = desk.station.jobs.start("test", "places of nothing", work)
         cancelled = (await desk.http.delete(f"/jobs/{job.id}")).json()

@@ -9,13 +9,12 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from station.workers.child import NICE
-from station.workers.request import Limit, Program, ProgramName, Request, WorkerDied, WorkerFailed
+from station.workers.request import Limit, Program, ProgramName, WorkerDied, WorkerFailed
 from station.workers.worker import Worker
 
 
@@ -23,60 +22,33 @@ class Puppet(Program):
     """What runs in the process: it does what the requests want."""
 
     def __init__(self, emit: Callable[[Any], None]) -> None:
-        self.emit = emit
+        self._emit = emit
 
-
-PUPPET = ProgramName.of(Puppet)
-
-
-@dataclass(frozen=True)
-class Niceness(Request[Puppet, int]):
-    def run(self, program: Puppet) -> int:
+    def niceness(self) -> int:
         return os.nice(0)
 
+    def emit(self, event: object) -> None:
+        self._emit(event)
 
-@dataclass(frozen=True)
-class Emit(Request[Puppet, None]):
-    event: object
+    def reverse(self, data: bytes) -> bytes:
+        return data[::-1]
 
-    def run(self, program: Puppet) -> None:
-        program.emit(self.event)
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
 
-
-@dataclass(frozen=True)
-class Reverse(Request[Puppet, bytes]):
-    data: bytes
-
-    def run(self, program: Puppet) -> bytes:
-        return self.data[::-1]
-
-
-@dataclass(frozen=True)
-class Sleep(Request[Puppet, None]):
-    seconds: float
-
-    def run(self, program: Puppet) -> None:
-        time.sleep(self.seconds)
-
-
-@dataclass(frozen=True)
-class LeaveChild(Request[Puppet, int]):
-    """Its copy of the pipe keeps that open."""
-
-    seconds: float
-
-    def run(self, program: Puppet) -> int:
+    def leave_child(self, seconds: float) -> int:
+        """Its copy of the pipe keeps that open."""
         child = os.fork()
         if not child:
-            time.sleep(self.seconds)
+            time.sleep(seconds)
             os._exit(0)
         return child
 
-
-@dataclass(frozen=True)
-class Stumble(Request[Puppet, None]):
-    def run(self, program: Puppet) -> None:
+    def stumble(self) -> None:
         raise ZeroDivisionError("a bug")
+
+
+PUPPET = ProgramName.of(Puppet)
 
 
 @asynccontextmanager
@@ -98,31 +70,31 @@ async def until(condition: Callable[[], bool]) -> None:
 async def test_large_requests_and_answers_come_whole() -> None:
     data = os.urandom(16 * 2**20)
     async with started() as worker:
-        assert await worker.call(Reverse(data)) == data[::-1]
+        assert await worker.call(Puppet.reverse, data) == data[::-1]
 
 
 async def test_no_thread_moves_the_bytes() -> None:
     async with started() as worker:
-        await worker.call(Reverse(b""))
+        await worker.call(Puppet.reverse, b"")
         assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("test")]
 
 
 async def test_a_worker_is_as_important_as_the_station_until_its_first_event() -> None:
     base = os.nice(0)
     async with started(head_start_s=1000.0) as worker:
-        assert await worker.call(Niceness()) == base
-        await worker.call(Emit("here I am"))
-        assert await worker.call(Niceness()) == base + NICE
+        assert await worker.call(Puppet.niceness) == base
+        await worker.call(Puppet.emit, "here I am")
+        assert await worker.call(Puppet.niceness) == base + NICE
     async with started() as worker:
-        assert await worker.call(Niceness()) == base + NICE
+        assert await worker.call(Puppet.niceness) == base + NICE
 
 
 async def test_events_come_in_order_before_the_answer() -> None:
     heard: list[int] = []
     async with started(on_event=heard.append) as worker:
         for n in range(500):
-            worker.post(Emit(n))
-        await worker.call(Niceness())
+            worker.post(Puppet.emit, n)
+        await worker.call(Puppet.niceness)
         assert heard == list(range(500))
 
 
@@ -136,43 +108,43 @@ async def test_an_event_that_cannot_be_delivered_does_not_cost_the_worker() -> N
 
     async with started(on_event=receive) as worker:
         for event in range(3):
-            worker.post(Emit(event))
-        assert await worker.call(Reverse(b"ab")) == b"ba"
+            worker.post(Puppet.emit, event)
+        assert await worker.call(Puppet.reverse, b"ab") == b"ba"
         assert heard == [0, 1, 2]
 
 
 async def test_what_a_busy_worker_has_not_taken_may_still_be_dropped() -> None:
-    async with started(limits={Reverse: Limit(5)}) as worker:
-        worker.post(Sleep(1.0))
-        kept = [worker.post(Reverse(bytes(200_000))) for _ in range(50)]
+    async with started(limits={Puppet.reverse: Limit(5)}) as worker:
+        worker.post(Puppet.sleep, 1.0)
+        kept = [worker.post(Puppet.reverse, bytes(200_000)) for _ in range(50)]
         assert kept.count(False) >= 40  # the rest is in the system's buffers
-        await worker.call(Niceness())
-        assert worker.dropped[Reverse] == kept.count(False) and worker.waiting(Reverse) == 0
+        await worker.call(Puppet.niceness)
+        assert worker.dropped[Puppet.reverse] == kept.count(False) and worker.waiting(Puppet.reverse) == 0
 
 
 async def test_what_cannot_be_sent_is_told_to_who_asks_and_the_next_is_sent() -> None:
     async with started() as worker:
         with pytest.raises(WorkerFailed, match="cannot be sent"):
-            await worker.call(Emit(lambda: None))
-        assert await worker.call(Reverse(b"ab")) == b"ba"
+            await worker.call(Puppet.emit, lambda: None)
+        assert await worker.call(Puppet.reverse, b"ab") == b"ba"
 
 
 async def test_a_bug_is_raised_at_who_asks_and_said_of_what_was_posted() -> None:
     failures: list[str] = []
     async with started(on_failure=failures.append) as worker:
-        with pytest.raises(WorkerFailed, match="Stumble failed: ZeroDivisionError: a bug"):
-            await worker.call(Stumble())
-        worker.post(Stumble())
-        await worker.call(Niceness())
-    assert failures == ["Stumble failed: ZeroDivisionError: a bug"]
+        with pytest.raises(WorkerFailed, match="stumble failed: ZeroDivisionError: a bug"):
+            await worker.call(Puppet.stumble)
+        worker.post(Puppet.stumble)
+        await worker.call(Puppet.niceness)
+    assert failures == ["stumble failed: ZeroDivisionError: a bug"]
 
 
 async def test_calls_beyond_what_can_wait_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("station.workers.worker.MAX_CALLS", 1)
     worker = Worker("test", PUPPET)
-    waiting = worker.ask(Niceness())
+    waiting = worker.ask(Puppet.niceness)
     with pytest.raises(WorkerFailed, match="1 calls wait"):
-        await worker.call(Niceness())
+        await worker.call(Puppet.niceness)
     await worker.close()  # never started: nothing to wait for
     with pytest.raises(WorkerDied):
         await waiting
@@ -181,18 +153,18 @@ async def test_calls_beyond_what_can_wait_are_refused(monkeypatch: pytest.Monkey
 async def test_a_killed_worker_fails_who_waits_and_is_told_once() -> None:
     deaths: list[str] = []
     async with started(on_death=deaths.append) as worker:
-        waiting = worker.ask(Sleep(100.0))
+        waiting = worker.ask(Puppet.sleep, 100.0)
         assert worker.pid is not None
         os.kill(worker.pid, signal.SIGKILL)
         with pytest.raises(WorkerDied, match="exit code -9"):
             await waiting
         assert len(deaths) == 1 and "ended unexpectedly" in deaths[0]
-        assert not worker.post(Niceness())
+        assert not worker.post(Puppet.niceness)
 
 
 async def test_closing_does_not_wait_for_what_the_worker_left_behind() -> None:
     async with started() as worker:
-        child = await worker.call(LeaveChild(100.0))
+        child = await worker.call(Puppet.leave_child, 100.0)
     os.kill(child, signal.SIGKILL)  # it is there still
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.geometry import FloatArray, sim3, so3_exp, transform
-from station.model.navigation import Landmarks
+from station.model.navigation import Keyframes, Landmarks, join_maps
 
 VECTOR = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 SIMILARITY = st.builds(sim3, st.floats(0.1, 10.0), VECTOR.map(so3_exp), VECTOR)
@@ -47,24 +47,24 @@ def test_uncertainty_is_carried_along_with_the_points(T: FloatArray, seed: int) 
     np.testing.assert_allclose(root @ np.swapaxes(root, 1, 2), after.cov_world, rtol=1e-6, atol=1e-6)
 
 
-@given(
-    parts=st.lists(
-        st.tuples(st.integers(0, 1000), st.lists(st.integers(0, 3), max_size=6), st.integers(1, 3)),
-        min_size=1,
-        max_size=3,
-    )
+PARTS = st.lists(
+    st.tuples(st.integers(0, 1000), st.lists(st.integers(0, 3), max_size=6), st.integers(1, 3)), min_size=1, max_size=3
 )
+
+
+@given(parts=PARTS)
 def test_joined_landmarks_are_seen_from_their_own_keyframes(parts: list[tuple[int, list[int], int]]) -> None:
     tables = [landmarks(seed, keyframe, count) for seed, keyframe, count in parts]
-    joined = Landmarks.joined(tables, [4] * len(tables))
+    numbers = np.arange(4)
+    keyframes = Keyframes(numbers, numbers, np.tile(np.eye(4), (4, 1, 1)), (b"",) * 4, np.zeros(4, dtype=np.int64))
+    _, joined = join_maps([(keyframes, table) for table in tables])
     assert len(joined) == sum(len(table) for table in tables)
     seen = iter(range(len(joined.observed_landmark)))
     for number, table in enumerate(tables):
         for row in range(len(table.observed_landmark)):
             k = next(seen)
             assert joined.observed_keyframe[k] == table.observed_keyframe[row] + 4 * number
-            assert np.array_equal(
-                joined.p_world[joined.observed_landmark[k]], table.p_world[table.observed_landmark[row]]
-            )
+            p = table.p_world[table.observed_landmark[row]]
+            assert np.array_equal(joined.p_world[joined.observed_landmark[k]], p)
             assert np.array_equal(joined.observed_uv_px[k], table.observed_uv_px[row])
     assert next(seen, None) is None

@@ -7,11 +7,11 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from robot.config import PiConfig
 from robot.devices.mailbox import Mailbox
 from robot.devices.pi.exposure import Exposure, ExposureControl
 from robot.devices.ports import CapturedFrame
@@ -23,26 +23,15 @@ SILENCE_S = 2.0
 EXPOSURE_PERIOD_FRAMES = 6  # a change takes the sensor three frames to show
 WHITE_BALANCE_FRAMES = 45  # let it find the light of the room, then hold it
 BRIGHTNESS_STEP = 8  # every 8th pixel is enough
-
-
-@dataclass(frozen=True, slots=True)
-class CameraSettings:
-    """What SLAM wants of a picture: short exposure, nothing that changes by itself."""
-
-    width: int = 640
-    height: int = 480
-    rate_hz: float = 30.0
-    jpeg_quality: int = 80
-    max_exposure_us: int = 10_000  # 10 ms: at 1 rad/s a pixel smears over 11 px at most
-    max_gain: float = 8.0
-    lens_position: float = 0.5  # dioptres, for cameras with a focus motor; the reference camera is turned by hand
+LENS_POSITION = 0.5  # dioptres, for cameras with a focus motor; the reference camera is turned by hand
 
 
 class PiCamera:
     """Frames with sensor time stamps. A thread of its own captures and compresses; the newest frame wins."""
 
-    def __init__(self, settings: CameraSettings) -> None:
+    def __init__(self, settings: PiConfig) -> None:
         self._settings = settings
+        self._max_exposure_us = round(1000 * settings.max_exposure_ms)
         self._frames: Mailbox[CapturedFrame] = Mailbox(1)
         self._failure = ""
         self._dark = False
@@ -86,9 +75,9 @@ class PiCamera:
             camera = Picamera2()
             period_us = round(1e6 / s.rate_hz)
             controls: dict[str, Any] = {"FrameDurationLimits": (period_us, period_us), "AeEnable": False}
-            controls |= {"ExposureTime": s.max_exposure_us, "AnalogueGain": 2.0}
+            controls |= {"ExposureTime": self._max_exposure_us, "AnalogueGain": 2.0}
             if "LensPosition" in camera.camera_controls:
-                controls |= {"AfMode": 0, "LensPosition": s.lens_position}  # 0: manual
+                controls |= {"AfMode": 0, "LensPosition": LENS_POSITION}  # 0: manual
             # "RGB888" is blue first in memory, as OpenCV has it.
             camera.configure(
                 camera.create_video_configuration(
@@ -130,7 +119,7 @@ class PiCamera:
         self._camera = self._open()
 
     def _run(self) -> None:
-        control = ExposureControl(self._settings.max_exposure_us, self._settings.max_gain)
+        control = ExposureControl(self._max_exposure_us, self._settings.max_gain)
         count = 0
         try:
             while not self._closed.is_set():

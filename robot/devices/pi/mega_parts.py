@@ -64,15 +64,11 @@ class MegaPanTilt:
 
     US_PER_RAD = 2000.0 / math.pi  # 90 degrees are 1000 us
 
-    def __init__(self, mega: Mega, invert_pan: bool = False, invert_tilt: bool = False) -> None:
+    def __init__(self, mega: Mega) -> None:
         self._mega = mega
-        self._signs = (-1.0 if invert_pan else 1.0, -1.0 if invert_tilt else 1.0)
 
     def point(self, pan_rad: float, tilt_rad: float) -> None:
-        pan, tilt = (
-            round(min(2500.0, max(500.0, 1500.0 + sign * angle * self.US_PER_RAD)))
-            for sign, angle in zip(self._signs, (pan_rad, tilt_rad), strict=True)
-        )
+        pan, tilt = (round(min(2500.0, max(500.0, 1500.0 + a * self.US_PER_RAD))) for a in (pan_rad, tilt_rad))
         self._mega.send(Servo(pan, tilt))
 
     def close(self) -> None:

@@ -117,7 +117,7 @@ class ControlDesk:
         if "x" in question:
             x, y, yaw = (float(question[k]) for k in ("x", "y", "yaw"))
         else:
-            x, y, yaw = self._robot.random_spot(int(question.get("seed", 0)), question.get("room"))
+            x, y, yaw = self._robot.space.random_spot(int(question.get("seed", 0)), question.get("room"))
         duration_s = self._robot.hijack(x, y, yaw)
         t_ns, _ = self._robot.truth()
         return {
@@ -144,5 +144,5 @@ class ControlDesk:
     def _faults(self, question: dict[str, Any]) -> dict[str, Any]:
         changes = {k: v for k, v in question.items() if k != "cmd"}
         if changes:
-            self._robot.set_faults(convert(structs.asdict(self._robot.faults) | changes, Faults, "faults"))
+            self._robot.faults = convert(structs.asdict(self._robot.faults) | changes, Faults, "faults")
         return structs.asdict(self._robot.faults)

@@ -85,8 +85,6 @@ def _check_by_geometry(found: AppearanceAlignment, clouds: _Clouds, seed: int) -
 
 
 class _Clouds:
-    """Both clouds, ready to be registered."""
-
     def __init__(self, target: Navigation, source: Navigation, units: tuple[float, float]) -> None:
         self._target, self._target_rays = _cloud(target, units[0])
         self._source, self._source_rays = _cloud(source, units[1])

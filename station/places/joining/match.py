@@ -15,7 +15,7 @@ from station.places.joining.territory import Territory
 from station.places.making.build import describe_clusters
 from station.places.making.clusters import MIN_LANDMARKS, NOISE, Clusters, Lengths, cluster_landmarks
 from station.places.making.config import PlacesConfig
-from station.places.making.extent import half_extent
+from station.places.making.scale import half_extent
 from station.places.registration.result import Registration
 
 MAX_DISTANCE_SHARE = 0.8  # of the place's half extent: a farther centroid is another place, or a part of this one

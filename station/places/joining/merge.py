@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from shared.errors import EstimationError
-from shared.geometry import FloatArray, IntArray, carry_poses
-from station.model.navigation import Keyframes, Landmarks, Navigation, Trajectory
+from shared.geometry import FloatArray, carry_poses
+from station.model.navigation import Keyframes, Navigation, Trajectory, join_maps
 from station.places.joining.align import align_navigation
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
@@ -42,23 +42,22 @@ def append_navigation(first: Navigation, second: Navigation, T_first_second: Flo
     Times and frame numbers of the second are moved behind the first's: each navigation counts its own.
     """
     last = [int(t.max(initial=0)) for t in (first.trajectory.t_robot_ns, first.keyframes.t_robot_ns)]
-    start = [
-        int(t.min()) for t in (second.trajectory.t_robot_ns, second.keyframes.t_robot_ns) if len(t)
-    ]  # fmt: skip
+    times = second.trajectory.t_robot_ns, second.keyframes.t_robot_ns
+    start = [int(t.min()) for t in times if len(t)]
     shift_ns = max(last) + PAUSE_NS - min(start, default=0)
     a, b = first.keyframes, second.keyframes
-    keyframes = Keyframes(
-        frame_index=_joined(a.frame_index, b.frame_index + a.frame_index.max(initial=-1) + 1),
-        t_robot_ns=_joined(a.t_robot_ns, b.t_robot_ns + shift_ns),
-        T_world_cam=np.concatenate([a.T_world_cam, carry_poses(T_first_second, b.T_world_cam)]),
-        encoded=a.encoded + b.encoded,
-        segment=_joined(a.segment, b.segment + a.segment.max(initial=-1) + 1),
+    carried = Keyframes(
+        frame_index=b.frame_index + a.frame_index.max(initial=-1) + 1,
+        t_robot_ns=b.t_robot_ns + shift_ns,
+        T_world_cam=carry_poses(T_first_second, b.T_world_cam),
+        encoded=b.encoded,
+        segment=b.segment + a.segment.max(initial=-1) + 1,
     )
+    keyframes, landmarks = join_maps([(a, first.landmarks), (carried, second.landmarks.moved(T_first_second))])
     trajectory = Trajectory(
-        _joined(first.trajectory.t_robot_ns, second.trajectory.t_robot_ns + shift_ns),
+        np.concatenate([first.trajectory.t_robot_ns, second.trajectory.t_robot_ns + shift_ns]),
         np.concatenate([first.trajectory.T_world_body, carry_poses(T_first_second, second.trajectory.T_world_body)]),
     )
-    landmarks = Landmarks.joined([first.landmarks, second.landmarks.moved(T_first_second)], [len(a), len(b)])
     report = replace(
         first.report,
         frames=first.report.frames + second.report.frames,
@@ -68,7 +67,3 @@ def append_navigation(first: Navigation, second: Navigation, T_first_second: Flo
         messages=(*first.report.messages, f"joined with {second.id}"),
     )
     return Navigation(f"{first.id}+{second.id}", first.calibration, trajectory, keyframes, landmarks, report)
-
-
-def _joined(a: IntArray, b: IntArray) -> IntArray:
-    return np.concatenate([a, b]).astype(np.int64)

@@ -29,7 +29,6 @@ class MapIndex:
 
     @classmethod
     def of_keyframes(cls, described: Sequence[KeyframeFeatures]) -> MapIndex:
-        """Index what was described."""
         return cls(tuple(described), AppearanceIndex([keyframe.all_descriptors for keyframe in described]))
 
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:

@@ -20,8 +20,6 @@ MIN_SHARE = 0.5  # of the keyframe that sees most of a place's landmarks; below 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceImages:
-    """What one place looks like."""
-
     keyframe_index: IntArray  # (k,) the keyframes it was made of
     representative_keyframe: int  # the image nearest to the mean image; -1 without a readable image
     mean_bgr: npt.NDArray[np.uint8]  # (H, W, 3); (0, 0, 3) without images

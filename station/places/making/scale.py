@@ -7,6 +7,7 @@ import numpy as np
 from shared.geometry import FloatArray, median_radius, upright
 from station.model.navigation import Navigation
 
+WITHIN = 90.0  # per cent of the landmarks: single stragglers do not make a place larger
 UP_PRIOR = 0.02  # weight of the cameras' mean up against their lack of roll
 
 
@@ -58,3 +59,8 @@ def ground_rotation(navigation: Navigation) -> FloatArray:
     M = right.T @ right / len(T) - UP_PRIOR * np.outer(mean_up, mean_up)
     z = np.linalg.eigh(M)[1][:, 0]
     return upright(z if z @ mean_up >= 0 else -z, np.eye(3))
+
+
+def half_extent(p: FloatArray) -> float:
+    """Radius about the centroid of points (n, 3) that holds 90 % of them: half the place's extent."""
+    return float(np.percentile(np.linalg.norm(p - p.mean(axis=0), axis=1), WITHIN)) if len(p) else 0.0

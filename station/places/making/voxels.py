@@ -11,8 +11,6 @@ from shared.geometry import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """Occupied cells of a grid."""
-
     p: FloatArray  # (C, 3) mean of the points in each cell
     count: IntArray  # (C,) points in each cell
     cell_of_point: IntArray  # (M,) index into the cells

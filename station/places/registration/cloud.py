@@ -17,8 +17,6 @@ MAX_POINTS = 20_000  # larger clouds are thinned: more points add time, not cert
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedCloud:
-    """Points with what registration asks of them."""
-
     points: FloatArray  # (N, 3) thinned to at most MAX_POINTS
     normals: FloatArray  # (N, 3) unit, sign arbitrary
     flatness: FloatArray  # (N,) 0 (ball or line) .. 1 (plane)

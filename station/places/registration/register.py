@@ -10,12 +10,11 @@ import numpy as np
 from shared.errors import DegenerateGeometry, EstimationError
 from shared.geometry import FloatArray, IntArray, scale_of
 from station.places.registration.axes import upright_rotations
-from station.places.registration.beside import alignments_beside
+from station.places.registration.beside import alignments_beside, nudge
 from station.places.registration.cloud import clean_points, thin
 from station.places.registration.free_space import Rays
 from station.places.registration.gicp import align_gicp, require_backend
 from station.places.registration.kiss import kiss_is_available, match_features
-from station.places.registration.nudge import nudge
 from station.places.registration.parts import parts_apart
 from station.places.registration.problem import RegistrationProblem, make_problem
 from station.places.registration.refine import Refined, measure_residuals, refine
@@ -81,7 +80,6 @@ def register_clouds(
     """
     require_backend(backend)
     try:
-        p_target, p_source = clean_points(target, "target"), clean_points(source, "source")
         p_target, p_source = clean_points(target, "target"), clean_points(source, "source")
         scales = scale_range_of(p_target, p_source, scale, scale_range, search=search)
     except DegenerateGeometry as exc:

@@ -43,6 +43,11 @@ class Registration:
     score: float  # what candidates are ranked by: share of points that fit here and not beside it
     alternatives: tuple[Alternative, ...]
 
+    def __str__(self) -> str:
+        """For a person: a reason per line where there are several."""
+        word = "accepted" if self.accepted else "refused"
+        return f"{word}: {self.reasons[0]}" if len(self.reasons) == 1 else "\n  ".join([f"{word}:", *self.reasons])
+
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:

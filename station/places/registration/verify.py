@@ -89,8 +89,6 @@ class Findings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """Accepted or not, why, and how certain."""
-
     accepted: bool
     confidence: float  # probability 0..1 that the alignment is right, before the checks that can only refuse
     reasons: tuple[str, ...]

@@ -38,8 +38,6 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class SearchConfig:
-    """How finely to look."""
-
     cells: int = 44  # voxels along the target's larger horizontal extent: 20 cm in a flat of 9 m
     coarse_cells: int = 20  # of the first look
     promising: float = 1 / 6  # share of the first look that is looked at again: the right one is far in front
@@ -80,7 +78,6 @@ class _Search:
     wrap: int
 
     def turns(self) -> list[_Turn]:
-        """Every yaw, evenly."""
         yaws = np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / self.step)), endpoint=False)
         return [_Turn(float(yaw), self.scale, self.step) for yaw in yaws]
 

@@ -14,8 +14,6 @@ from station.places.tracking.coverage import Coverage
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapView:
-    """A map, prepared once."""
-
     place_map: PlaceMap
     centroids: FloatArray  # (P, 3)
     tree: cKDTree | None  # of the centroids; None without places
@@ -25,7 +23,6 @@ class MapView:
 
     @classmethod
     def of(cls, place_map: PlaceMap) -> MapView:
-        """Prepare a map."""
         unit = _units_per_metre(place_map)
         positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
         size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])

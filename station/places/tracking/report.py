@@ -50,7 +50,6 @@ class Reporter:
         self._draws = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
 
     def regroup(self, maps: Sequence[MapView]) -> None:
-        """The same maps with other places or names."""
         self._maps = maps
 
     def probabilities(self, belief: Belief, T_nav_body: FloatArray) -> PlaceProbabilities:

@@ -13,8 +13,6 @@ from shared.geometry import FloatArray, IntArray
 from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Landmarks
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.odometry_mapping import OdometryMap
-from station.vision.features import Features
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,29 +25,8 @@ class Reconstructed:
     is_drive_metric: bool = False  # its unit is the metre of the drive commands
 
 
-def read_odometry_map(
-    made: OdometryMap,
-    frames: Sequence[ImageFrame],
-    features: Sequence[Features],
-    camera: CameraCalibration,
-    config: MappingConfig,
-) -> Reconstructed:
-    """Of a map made with odometry: every keyframe has a pose there."""
-    T_world_body = np.zeros((len(frames), 4, 4))
-    T_world_body[:, :3, :3] = made.state.R_world_body
-    T_world_body[:, :3, 3] = made.state.p_world_body
-    T_world_body[:, 3, 3] = 1.0
-    keyframes = make_keyframes(frames, T_world_body @ camera.T_body_cam_matrix)
-    tracks = made.tracks
-    offset = np.concatenate([[0], np.cumsum([len(f) for f in features])])
-    uv = np.vstack([f.uv_px for f in features])[offset[tracks.keyframe] + tracks.feature]
-    centres = keyframes.T_world_cam[:, :3, 3]
-    keep = good_landmarks(made.state.points, tracks.point, tracks.keyframe, centres, config)
-    landmarks = make_landmarks(keyframes, keep, made.state.points, made.cov_world, tracks.point, tracks.keyframe, uv)
-    return Reconstructed(keyframes, landmarks, camera, is_drive_metric=True)
-
-
 def make_keyframes(frames: Sequence[ImageFrame], T_world_cam: FloatArray) -> Keyframes:
+    """Keyframes of one segment."""
     return Keyframes(
         frame_index=np.array([frame.index for frame in frames], dtype=np.int64),
         t_robot_ns=np.array([frame.t_robot_ns for frame in frames], dtype=np.int64),

@@ -52,8 +52,6 @@ def collect_tracks(frames: list[TrackedFrame], min_views: int) -> WindowTracks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowStates:
-    """K poses with velocities and biases."""
-
     R: FloatArray  # (K, 3, 3)
     v: FloatArray  # (K, 3)
     x: FloatArray  # (K, 3)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, so3_log
-from station.slam.mapping.bundle_state import BundleState
+from shared.geometry import FloatArray, so3_log
 from station.slam.mapping.config import MatchConfig
 from station.slam.mapping.odometry import Drift
+from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.tracks import Pairs, Tracks
+from station.vision.camera_pose import pose_by_ransac
 from station.vision.features import Features, similarities
 from station.vision.matching import match_both_ways
 
 MIN_APART = 8  # keyframes nearer in time have been matched already
 MAX_ANGLE_RAD = 0.5  # between viewing directions: beyond it SIFT and a narrow view share nothing
 MAX_DISTANCE_M = 2.0
-PNP_ERROR_PX = 5.0
+PNP_ERROR_PX, PNP_ITERATIONS = 5.0, 200
 
 
 def find_loops(
@@ -46,12 +46,14 @@ def find_loops(
         if len(pairs) < config.min_loop_inliers:
             continue
         points = state.points[landmark_of[a][pairs[:, 0]]]
-        found = _pose_from_landmarks(points, rays[b][pairs[:, 1]], focal_px, config.seed_of_pnp)
+        found = pose_by_ransac(
+            points, rays[b][pairs[:, 1]], PNP_ERROR_PX / focal_px, PNP_ITERATIONS, config.seed_of_pnp
+        )
         if found is None:
             continue
-        R_world_cam, t_world_cam, inliers = found
-        turned = float(np.linalg.norm(so3_log(R_cam[b].T @ R_world_cam)))
-        moved = float(np.linalg.norm(t_world_cam - centre[b]))
+        T_world_cam, inliers = found
+        turned = float(np.linalg.norm(so3_log(R_cam[b].T @ T_world_cam[:3, :3])))
+        moved = float(np.linalg.norm(T_world_cam[:3, 3] - centre[b]))
         is_explained = drift.explains(moved, turned, float(abs(way[b] - way[a])))
         if is_explained and len(inliers) >= config.min_loop_inliers:
             out.append((a, b, pairs[inliers]))
@@ -75,25 +77,3 @@ def candidates(R_world_cam: FloatArray, centre: FloatArray, per_keyframe: int) -
                 chosen.append(a)
         out.extend((a, b) for a in chosen)
     return out
-
-
-def _pose_from_landmarks(
-    p_world: FloatArray, xy: FloatArray, focal_px: float, seed: int
-) -> tuple[FloatArray, FloatArray, IntArray] | None:
-    """R_world_cam, t_world_cam and the inliers (rows); None where no pose explains enough."""
-    cv2.setRNGSeed(seed)
-    ok, rotation, translation, inliers = cv2.solvePnPRansac(
-        p_world.reshape(-1, 1, 3),
-        xy.reshape(-1, 1, 2),
-        np.eye(3),
-        np.zeros(4),
-        iterationsCount=200,
-        reprojectionError=PNP_ERROR_PX / focal_px,
-        confidence=0.999,
-        flags=cv2.SOLVEPNP_AP3P,
-    )
-    if not ok or inliers is None:
-        return None
-    R_cam_world, _ = cv2.Rodrigues(rotation)
-    R = np.asarray(R_cam_world, dtype=np.float64).T
-    return R, -R @ np.asarray(translation, dtype=np.float64).ravel(), np.asarray(inliers, dtype=np.int64).ravel()

@@ -18,7 +18,6 @@ from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from shared.geometry import FloatArray, IntArray, skew, so3_exp, so3_log, transform
-from station.slam.mapping.bundle_state import BundleState, Observations
 from station.slam.mapping.odometry import RelativeMotions
 
 NUM_SHARED = 4  # drive scale, gyroscope bias (3)
@@ -28,6 +27,26 @@ GYRO_BIAS_SIGMA = 2e-3  # rad/s, around the bias the odometry was made with
 FIRST_POSE_SIGMA = 1e-4
 SLIP_CAUCHY = 3.0  # sigmas: wheels that spin against a chair are outliers, not noise
 MAX_DENSE_KEYFRAMES = 700
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleState:
+    R_world_body: FloatArray  # (N, 3, 3)
+    p_world_body: FloatArray  # (N, 3) m
+    points: FloatArray  # (M, 3) m
+    drive_scale: float  # real way per commanded way
+    bias_change: FloatArray  # (3,) rad/s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Sorted by keyframe, then point."""
+
+    keyframe: IntArray  # (K,)
+    point: IntArray  # (K,)
+    xy: FloatArray  # (K, 2) normalised image coordinates
+    T_cam_body: FloatArray  # (4, 4)
+    focal_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,18 +9,25 @@ refined again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, homogeneous
+from station.model.frames import ImageFrame
 from station.motion.inertial_track import InertialTrack
-from station.slam.mapping.bundle_state import BundleState, Observations
+from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
 from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.loops import find_loops
 from station.slam.mapping.odometry import Odometry, RelativeMotions
-from station.slam.mapping.odometry_bundle import adjust, landmark_covariances, reprojection_errors
+from station.slam.mapping.odometry_bundle import (
+    BundleState,
+    Observations,
+    adjust,
+    landmark_covariances,
+    reprojection_errors,
+)
 from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
 from station.vision.features import Features
@@ -155,9 +162,9 @@ def refine(
         kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scale)
         used = longest(kept, OBSERVATIONS_PER_KEYFRAME)
         few = kept.only(used[kept.point])
-        state = adjust(_with_points(state, points[used]), observations(few, rays, camera), odometry, scale)
+        state = adjust(replace(state, points=points[used]), observations(few, rays, camera), odometry, scale)
     kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scales[-1])
-    return _with_points(state, points), kept
+    return replace(state, points=points), kept
 
 
 def triangulate_tracks(
@@ -174,7 +181,7 @@ def triangulate_tracks(
         directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], homogeneous(xy))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
-        error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
+        error = reprojection_errors(replace(state, points=points), observations(current, rays, camera))
         good = defined[current.point] & (error < gate_px)
         if good.all():
             break
@@ -186,7 +193,7 @@ def triangulate_tracks(
         drop = is_worst | ~defined[current.point]
         points = points[current.alive(~drop)]
         current = current.only(~drop)
-    error = reprojection_errors(_with_points(state, points), observations(current, rays, camera))
+    error = reprojection_errors(replace(state, points=points), observations(current, rays, camera))
     good = error < gate_px
     points = points[current.alive(good)]
     return current.only(good), points
@@ -204,5 +211,22 @@ def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalib
     return Observations(tracks.keyframe, tracks.point, gather(tracks, rays), camera.T_cam_body_matrix, focal)
 
 
-def _with_points(state: BundleState, points: FloatArray) -> BundleState:
-    return BundleState(state.R_world_body, state.p_world_body, points, state.drive_scale, state.bias_change)
+def read_odometry_map(
+    made: OdometryMap,
+    frames: Sequence[ImageFrame],
+    features: Sequence[Features],
+    camera: CameraCalibration,
+    config: MappingConfig,
+) -> Reconstructed:
+    """The map as plain arrays; every keyframe has a pose there."""
+    T_world_body = np.zeros((len(frames), 4, 4))
+    T_world_body[:, :3, :3] = made.state.R_world_body
+    T_world_body[:, :3, 3] = made.state.p_world_body
+    T_world_body[:, 3, 3] = 1.0
+    keyframes = make_keyframes(frames, T_world_body @ camera.T_body_cam_matrix)
+    tracks = made.tracks
+    uv = gather(tracks, [f.uv_px for f in features])
+    centres = keyframes.T_world_cam[:, :3, 3]
+    keep = good_landmarks(made.state.points, tracks.point, tracks.keyframe, centres, config)
+    landmarks = make_landmarks(keyframes, keep, made.state.points, made.cov_world, tracks.point, tracks.keyframe, uv)
+    return Reconstructed(keyframes, landmarks, camera, is_drive_metric=True)

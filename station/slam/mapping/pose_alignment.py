@@ -76,8 +76,6 @@ class ScaleEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialAlignment:
-    """What the IMU says of a reconstruction."""
-
     scale: ScaleEstimate
     gravity_world: FloatArray  # (3,) m/s^2, pointing down, in the reconstruction's world
     accel_bias: FloatArray  # (3,) m/s^2

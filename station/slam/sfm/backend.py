@@ -16,21 +16,27 @@ from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
 from station.files.spill import Spill, SpilledFiles
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from station.model.navigation import Keyframes, Navigation, NavigationReport
+from station.model.navigation import Navigation, NavigationReport
 from station.model.slam_update import SlamUpdate
 from station.motion.inertial_track import concatenate_imu
-from station.slam.mapping.assemble import Reconstructed, read_odometry_map
+from station.slam.backend import check_size
+from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.odometry import dead_reckon
-from station.slam.mapping.odometry_mapping import map_with_odometry
+from station.slam.mapping.odometry_mapping import map_with_odometry, read_odometry_map
 from station.slam.mapping.tracks import Pairs
-from station.slam.sfm.colmap import pycolmap
-from station.slam.sfm.colmap_model import read_model
+from station.slam.sfm.colmap import (
+    VERSION,
+    Match,
+    PinholeFeatures,
+    SiftExtractor,
+    colmap_camera,
+    map_incrementally,
+    read_model,
+    verify,
+)
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.keyframes import KeyframeSelector
 from station.slam.sfm.shortlist import Shortlist
-from station.slam.sfm.sift import PinholeFeatures, SiftExtractor
-from station.slam.sfm.two_view import Match, verify
-from station.slam.sfm.visual import colmap_camera, map_incrementally
 from station.slam.sfm.world import place_in_world
 from station.vision.features import similarities
 from station.vision.lens import Lens
@@ -49,7 +55,6 @@ class SfmBackend:
     ) -> None:
         if calibration.camera is None:
             raise ConfigError("structure from motion needs a camera, and the calibration has none; give one")
-        pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, 2)
         self._calibration = calibration
         self._camera = calibration.camera
         self._config = config or SfmConfig()
@@ -82,7 +87,7 @@ class SfmBackend:
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
         """Take one frame in. Raises DataError when the image cannot be decoded or has another size."""
         grey = frame.grey()
-        self._check_size(frame, grey.shape)
+        check_size(frame, grey, self._camera)
         self._frame_times.append(frame.t_robot_ns)
         is_keyframe = self._selector.is_keyframe(grey, frame.t_robot_ns, self._has_odometry)
         if is_keyframe:
@@ -95,13 +100,6 @@ class SfmBackend:
             num_landmarks=0,
             is_keyframe=is_keyframe,
         )
-
-    def _check_size(self, frame: ImageFrame, shape: tuple[int, ...]) -> None:
-        if shape[:2] != (self._camera.height, self._camera.width):
-            raise ConfigError(
-                f"image {frame.name or frame.index} is {shape[1]}x{shape[0]}, the calibration is for "
-                f"{self._camera.width}x{self._camera.height}; give the calibration of these images"
-            )
 
     @property
     def _has_odometry(self) -> bool:
@@ -213,7 +211,7 @@ class SfmBackend:
             gravity_aligned=placed.is_gravity_aligned,
             seed=self._config.seed,
             versions={
-                "pycolmap": pycolmap.__version__,
+                "pycolmap": VERSION,
                 "opencv": cv2.__version__,
                 "numpy": np.__version__,
                 "scipy": scipy.__version__,
@@ -221,13 +219,7 @@ class SfmBackend:
             config=asdict(self._config) | {"refine_intrinsics": self._refine, **facts, **placed.facts},
             messages=tuple(messages),
         )
-        keyframes = Keyframes(
-            frame_index=model.keyframes.frame_index,
-            t_robot_ns=model.keyframes.t_robot_ns,
-            T_world_cam=placed.T_world_cam,
-            encoded=model.keyframes.encoded,
-            segment=model.keyframes.segment,
-        )
+        keyframes = replace(model.keyframes, T_world_cam=placed.T_world_cam)
         identity = f"sfm-{self._frame_times[0]}"
         return Navigation(identity, calibration, placed.trajectory, keyframes, placed.landmarks, report)
 

@@ -44,5 +44,4 @@ class SfmConfig:
 
     @property
     def mapping(self) -> MappingConfig:
-        """What mapping must know of them."""
         return MappingConfig(self.seed, self.matching, self.min_track_length, self.min_triangulation_angle_deg)

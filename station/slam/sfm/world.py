@@ -24,15 +24,12 @@ from station.slam.sfm.metric import DRIVE_SYSTEMATIC, fuse_scales, scale_from_dr
 from station.slam.sfm.trajectory import all_frames
 
 METRIC_SIGMA = 0.10  # a scale less certain than 10 % is not called metric
-ARBITRARY_MEDIAN_DEPTH = (
-    2.0  # an unknown scale is set so that the median landmark is this far from where it was first seen
-)
+# An unknown scale is set so that the median landmark is this far from where it was first seen.
+ARBITRARY_MEDIAN_DEPTH = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """A reconstruction in its final world."""
-
     T_world_cam: FloatArray  # (F, 4, 4)
     landmarks: Landmarks
     trajectory: Trajectory

@@ -22,9 +22,8 @@ from station.motion.drive_commands import WheelSpeed, commands_motion
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, wheel_velocity
+from station.slam.ukf.filter.constraints import BodyVelocity, Standstill, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
-from station.slam.ukf.filter.standstill import Standstill
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
@@ -44,8 +43,6 @@ IMU_REACH_S = 0.05  # the IMU may end that long before the frame: its last readi
 
 
 class UkfBackend:
-    """A SlamBackend."""
-
     def __init__(
         self,
         calibration: Calibration,

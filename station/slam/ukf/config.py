@@ -15,8 +15,6 @@ from station.vision.klt import TrackerConfig
 
 @dataclass(frozen=True, slots=True)
 class UkfConfig:
-    """Everything of the backend."""
-
     filter: FilterConfig = field(default_factory=FilterConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     start: StartConfig = field(default_factory=StartConfig)
@@ -27,8 +25,8 @@ class UkfConfig:
     # auto: views for a robot with wheels, which comes back to where it was; tracks else.
     map: Literal["auto", "tracks", "views"] = "auto"
     views: ViewConfig = field(default_factory=ViewConfig)
-    # Visual-inertial least squares over the keyframes when the drive ends. Not on wheels, where the filter knows more:
-    # simulated drives 101, 103 and 106 had 0.04 m of ATE before and 0.08, 0.12 and 0.22 m after it.
+    # Visual-inertial least squares over the keyframes when the drive ends. Not on wheels, where the filter knows more
+    # (docs/studies/ukf.md).
     refine: bool = True
     max_keyframes: int = 500
     max_outage_s: float = 0.6  # without features for longer, tracking is lost
@@ -41,12 +39,10 @@ class UkfConfig:
     max_disagreements: int = 5  # consecutive frames in which most landmarks fail their gate
     max_imu_gap_s: float = 0.5  # without IMU for longer, tracking is lost
     # The camera of a small robot (rolling shutter, blur in turns, JPEG) makes tracks drift that a global-shutter camera
-    # holds. Simulated drives, worlds 103 and 104: at 1.0 px the filter was so sure of its velocity that a turn on the
-    # spot contradicted it and it gave up; at 1.5 px it follows all of 101 to 106. EuRoC's flight is best at 1.0.
+    # holds (docs/studies/ukf.md).
     sigma_px_wheels: float = 1.5
 
     def for_robot(self, has_wheels: bool) -> UkfConfig:
-        """The settings for a robot that has wheels, or none."""
         if not has_wheels:
             return self
         calmer = replace(self.filter, sigma_px=max(self.filter.sigma_px, self.sigma_px_wheels))

@@ -15,6 +15,7 @@ from shared.calibration import Calibration
 from shared.geometry import se3
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
+from station.slam.mapping.assemble import make_keyframes
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.map.keyframes import Keyframe
@@ -72,13 +73,9 @@ def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Cal
     is_thesis = config.landmarks == "thesis"
     messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
     items = memory.keyframes.items
-    keyframes = Keyframes(
-        frame_index=np.array([k.image.index for k in items], dtype=np.int64),
-        t_robot_ns=np.array([k.image.t_robot_ns for k in items], dtype=np.int64),
-        T_world_cam=np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam),
-        encoded=tuple(k.image.encoded for k in items),
-        segment=np.array([k.segment for k in items], dtype=np.int64),
-    )
+    T_world_cam = np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam)
+    segment = np.array([k.segment for k in items], dtype=np.int64)
+    keyframes = replace(make_keyframes([k.image for k in items], T_world_cam), segment=segment)
     if is_thesis:
         landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from shared.calibration import CameraCalibration
-from shared.errors import ConfigError, DataError
+from shared.errors import DataError
 from station.model.frames import ImageArray, ImageFrame
+from station.slam.backend import check_size
 
 
 class FrameIntake:
-    """Checks every image on its way in."""
-
     def __init__(self, camera: CameraCalibration) -> None:
         self._camera = camera
         self.first_t_ns = 0
@@ -34,12 +33,7 @@ class FrameIntake:
         except DataError as exc:
             self.undecodable += 1
             return str(exc)
-        camera = self._camera
-        if grey.shape[:2] != (camera.height, camera.width):
-            raise ConfigError(
-                f"image {frame.name or frame.index} is {grey.shape[1]}x{grey.shape[0]}, the calibration is for "
-                f"{camera.width}x{camera.height}; give the calibration of these images"
-            )
+        check_size(frame, grey, self._camera)
         if not self.used:
             self.first_t_ns = frame.t_robot_ns
         self.last_t_ns = frame.t_robot_ns

@@ -17,8 +17,7 @@ from station.slam.ukf.filter.filter import RetiredClone, VioFilter
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.map.keyframes import Keyframe, KeyframeStore, sample_colours
-from station.slam.ukf.map.landmark_map import LandmarkQuality
-from station.slam.ukf.map.live_map import LiveMap
+from station.slam.ukf.map.landmark_map import LandmarkQuality, LiveMap
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews
 from station.vision.camera_model import CameraModel

@@ -19,21 +19,18 @@ MEMORY = 0.95  # per frame: about a second of measurements
 MIN_REMEMBERED = 25  # landmarks and tracks
 LIFTED = "the robot is being lifted"
 LIFTED_FRAMES = 3  # consecutive
-# Before a blank wall features leave over the picture's border, under a hand they vanish within it: of those lost in the
-# last frames 0.07 against 0.26 to 0.68 vanished (simulated walls, and a cover drawn over simulated drives in 0.3 s).
+# Before a blank wall features leave over the picture's border, under a hand they vanish within it; docs/studies/ukf.md
+# has the shares.
 COVERED = 0.15
 COVERING_FRAMES = 12
 
 
 class TrackingMonitor:
-    """Watches state and measurements of every frame."""
-
     def __init__(self, config: UkfConfig) -> None:
         self._config = config
         self.reset()
 
     def reset(self) -> None:
-        """Tracking begins."""
         self.outage_since: int | None = None  # IMU time since when the image shows too little
         self._lost: deque[tuple[int, int]] = deque(maxlen=COVERING_FRAMES)  # features lost, and vanished, per frame
         self._disagreements = 0

@@ -154,7 +154,7 @@ def rename_on(folder: Path, child: Child) -> None:
     store = MapStore(address(folder))
     for number in range(1, 10_000):
         place = MAP.places[number % 2]
-        rename = functools.partial(store.rename_place, MAP.id, place.id, f"name {number}")
+        rename = functools.partial(rename_place, store, MAP.id, place.id, f"name {number}")
         child.do(rename)
         child.promise(number)
 
@@ -218,7 +218,7 @@ def station_on(folder: Path, child: Child, number: int) -> None:
     store = MapStore(address(folder, author))
     for count in range(10_000):
         name = f"{author} {count}"
-        child.do(functools.partial(store.rename_place, MAP.id, MAP.places[number].id, name))
+        child.do(functools.partial(rename_place, store, MAP.id, MAP.places[number].id, name))
         child.promise(name)
 
 

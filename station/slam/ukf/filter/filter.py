@@ -28,8 +28,6 @@ from station.vision.klt import TrackedFrame
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """What one frame did to the filter."""
-
     frame_index: int
     nis: float  # sum of normalised innovations squared of all landmark and window measurements tried
     nis_dof: int
@@ -207,7 +205,7 @@ class VioFilter:
         chosen = np.flatnonzero(due | coming)
         chosen = chosen[np.argsort(-(count[chosen] + 100 * coming[chosen]), kind="stable")][: config.max_window_tracks]
         if not len(chosen):
-            self._forget(tracks.ids[~is_live])
+            tracks.keep_rows(is_live)
             return WindowMeasurement.none(state)
 
         uv, xy, seen = tracks.uv_px[chosen], tracks.xy[chosen], tracks.seen[chosen]
@@ -220,7 +218,7 @@ class VioFilter:
         good &= is_landmark | due[chosen]  # a track that is neither waits for more views
         chosen, is_landmark, points = chosen[good], is_landmark[good], points.take(good)
         if not len(chosen):
-            self._forget(tracks.ids[~is_live])
+            tracks.keep_rows(is_live)
             return WindowMeasurement.none(state, misfits)
         rows = window_rows(self.camera, config.error, state, uv[good], xy[good], seen[good], points.p)
         measured, passed, distance2 = gated_window_rows(rows, self._window_gate, config.window_gate_slack)
@@ -235,12 +233,8 @@ class VioFilter:
         )
         self._coming = ids[is_landmark & passed]
         used_up = np.isin(tracks.ids, ids) & ~np.isin(tracks.ids, self._coming)
-        tracks.forget(used_up, keep_last=False)
-        self._forget(tracks.ids[~tracks.seen[:, -1]])
+        tracks.keep_rows(tracks.seen[:, -1] & ~used_up)
         return result
-
-    def _forget(self, ids: IntArray) -> None:
-        self.tracks.keep_rows(~np.isin(self.tracks.ids, ids))
 
     def _promote(self, state: FilterState) -> tuple[FilterState, IntArray]:
         """Let the chosen tracks enter the state as landmarks, from the updated poses."""
@@ -253,11 +247,10 @@ class VioFilter:
         good = points.is_good
         rows = window_rows(self.camera, self.config.error, state, uv[good], xy[good], seen[good], points.p[good])
         state = add_landmarks(self.config.error, state, ids[good], points.p[good], rows)
-        self._forget(ids)
+        self.tracks.keep_rows(~np.isin(self.tracks.ids, ids))
         return state, ids[good]
 
     def _retire(self, state: FilterState, leaving: int | None) -> tuple[FilterState, tuple[RetiredClone, ...]]:
-        """Take the leaving clone out of the window."""
         if leaving is None:
             return state, ()
         retired = RetiredClone(

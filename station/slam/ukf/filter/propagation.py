@@ -132,14 +132,10 @@ def _linear_maps(
     B = _transition(left_s, gravity) @ B
     density = np.concatenate([np.full(3, noise.gyro_density), np.full(3, noise.accel_density)])
     scaled = B * (density * np.sqrt(dt)[:, None] * np.repeat(imu.noise_scale, 3, axis=1))[:, None, :]
-    noise_map = triangular(np.swapaxes(scaled, 0, 1).reshape(9, -1)) if N > 1 else _square(scaled[0])
+    by_step = np.swapaxes(scaled, 0, 1).reshape(9, -1)
+    noise_map = triangular(by_step) if N > 1 else np.hstack([by_step, np.zeros((9, 3))])
     bias_map = -np.einsum("nij,n->ij", B, dt)
     return noise_map, bias_map, _transition(np.array([dt.sum()]), gravity)[0]
-
-
-def _square(columns: FloatArray) -> FloatArray:
-    """(9, 6) padded to (9, 9) with zeros."""
-    return np.concatenate([columns, np.zeros((9, 3))], axis=1)
 
 
 def _transition(t_s: FloatArray, gravity: float) -> FloatArray:

@@ -27,11 +27,8 @@ class TrackTable:
         all_ids = np.concatenate([self.ids, new])  # new ids are larger than any known one, unless restarted
         by_id = np.argsort(all_ids, kind="stable")
         rows, columns = len(all_ids), self.seen.shape[1]
-        uv, xy, seen = (
-            np.zeros((rows, columns + 1, 2)),
-            np.zeros((rows, columns + 1, 2)),
-            np.zeros((rows, columns + 1), bool),
-        )
+        uv, xy = np.zeros((2, rows, columns + 1, 2))
+        seen = np.zeros((rows, columns + 1), bool)
         old = len(self.ids)
         uv[:old, :columns], xy[:old, :columns], seen[:old, :columns] = self.uv_px, self.xy, self.seen
         self.ids, uv, xy, seen = all_ids[by_id], uv[by_id], xy[by_id], seen[by_id]
@@ -50,11 +47,3 @@ class TrackTable:
     def drop_all_rows(self) -> None:
         """Forget all tracks; the columns stay."""
         self.keep_rows(np.zeros(len(self.ids), dtype=bool))
-
-    def forget(self, rows: BoolArray, keep_last: bool) -> None:
-        """Drop the observations of these rows (used up); keep_last leaves the newest for a fresh start of the track."""
-        last = self.seen[:, -1].copy()
-        self.seen[rows] = False
-        if keep_last:
-            self.seen[rows, -1] = last[rows]
-        self.keep_rows(np.asarray(self.seen.any(axis=1)))

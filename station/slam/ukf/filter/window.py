@@ -14,7 +14,7 @@ from shared.geometry import FloatArray
 from station.motion.error_coordinates import ErrorKind, pose_jacobian
 from station.slam.mapping.rolling_shutter import observation_pose
 from station.slam.ukf.filter.state import CORE, FilterState
-from station.slam.ukf.filter.update import Gate, Measurements
+from station.slam.ukf.filter.update import Gate, Measurements, mahalanobis, select
 from station.vision.camera_model import CameraModel, project_points
 from station.vision.lens import BoolArray
 from station.vision.triangulation import Triangulation, triangulate
@@ -87,11 +87,8 @@ def gated_window_rows(rows: WindowRows, gate: Gate, slack: float) -> tuple[Measu
     The projected residual lies in the projector's range, on which A A^T + I keeps its meaning.
     """
     r, A = without_points(rows)
-    innovation = A @ np.swapaxes(A, 1, 2)
-    size = r.shape[1]
-    innovation[:, np.arange(size), np.arange(size)] += 1.0
-    distance2 = np.einsum("fk,fk->f", r, np.linalg.solve(innovation, r[..., None])[..., 0])
+    distance2 = mahalanobis(r, A)
     passed = distance2 < slack * gate.limit(rows.dof)
-    kept_r, kept_A = r[passed].ravel(), A[passed].reshape(-1, A.shape[2])
-    used = np.abs(kept_A).max(axis=1, initial=0.0) > 0.0  # rows of clones that did not see the track
-    return Measurements(kept_r[used], kept_A[used]), passed, distance2
+    kept = select(r, A, passed)
+    used = np.abs(kept.A).max(axis=1, initial=0.0) > 0.0  # else rows of clones that did not see the track
+    return Measurements(kept.r[used], kept.A[used]), passed, distance2

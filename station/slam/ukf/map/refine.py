@@ -22,9 +22,8 @@ from station.vision.camera_model import CameraModel
 
 WINDOW = 24
 STEP = 12
-# Keyframes nearer to each other move along with their neighbours. In fast turns they come 0.05 s apart: windows of a
-# second know little of tilt and scale, and V1_02 rendered with hall 2 from a given start had 0.158 m of error in the
-# end, 0.049 m so; halls 2 and 100 from both starts had 0.076 m on average, 0.041 m so.
+# Keyframes nearer to each other move along with their neighbours. In fast turns they come 0.05 s apart, and windows of
+# a second know little of tilt and scale (docs/studies/ukf.md).
 SPACING_S = 0.149
 MAX_TRACKS = 150
 MIN_KEYFRAMES = 4

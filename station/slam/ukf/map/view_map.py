@@ -13,10 +13,10 @@ import numpy as np
 
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_log, upright
-from station.model.navigation import Keyframes, Landmarks
-from station.slam.mapping.assemble import Reconstructed, read_odometry_map
+from station.model.navigation import Keyframes, Landmarks, join_maps
+from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.odometry import Drift, RelativeMotions
-from station.slam.mapping.odometry_mapping import map_with_motions
+from station.slam.mapping.odometry_mapping import map_with_motions, read_odometry_map
 from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
@@ -31,8 +31,8 @@ SIGMA_FLOOR_M = 0.002
 SIGMA_BIAS_RAD_S = 5e-4
 SIGMA_TURN_SHARE = 0.001
 SIGMA_FLOOR_RAD = 2e-4
-# Drives of 20 m are followed within some 0.05 m. With the wheels' 0.3 m and 5 % of the way, chairs that look alike
-# closed loops 0.85 m off (five of 58; the others corrected by 0.25 m at most) and bent the map by 0.2 m.
+# Drives of 20 m are followed within some 0.05 m; with what dead reckoning may be off by, chairs that look alike closed
+# loops (docs/studies/ukf-map.md).
 DRIFT = Drift(position_m=0.15, position_per_way=0.02, rotation_rad=0.09)
 
 
@@ -130,12 +130,6 @@ def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibrat
 
 def _join(parts: list[tuple[Reconstructed, list[View], FloatArray]]) -> tuple[Keyframes, Landmarks]:
     """Segments one after the other."""
-    k = [part.keyframes for part, _, _ in parts]
-    keyframes = Keyframes(
-        frame_index=np.concatenate([x.frame_index for x in k]),
-        t_robot_ns=np.concatenate([x.t_robot_ns for x in k]),
-        T_world_cam=np.concatenate([x.T_world_cam for x in k]),
-        encoded=tuple(file for x in k for file in x.encoded),
-        segment=np.array([v.segment for _, items, _ in parts for v in items], dtype=np.int64),
-    )
-    return keyframes, Landmarks.joined([part.landmarks for part, _, _ in parts], [len(x) for x in k])
+    keyframes, landmarks = join_maps([(part.keyframes, part.landmarks) for part, _, _ in parts])
+    segment = np.array([v.segment for _, items, _ in parts for v in items], dtype=np.int64)
+    return replace(keyframes, segment=segment), landmarks

@@ -21,8 +21,6 @@ from station.vision.matching import match_both_ways
 
 @dataclass(frozen=True, slots=True)
 class ViewConfig:
-    """Which keyframes become views."""
-
     min_flow: float = 0.1  # median motion of common features since the last view, as a fraction of the image width
     min_common: float = 0.6  # or fewer than that share of the last view's features are left
     max_interval_s: float = 2.0

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from shared.messages import MAX_DRIVE_TTL_MS
 from station.api.messages import DriveCommand
 from station.api.robot import UNDATED_MS, life_left_ms
-from station.robots.late_commands import LATE_FOR_NS, LateCommands
+from station.robots.driving import LATE_FOR_NS, LateCommands
 
 
 def order(ttl_ms: int, heard_ms: int | None) -> DriveCommand:

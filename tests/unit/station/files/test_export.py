@@ -17,6 +17,7 @@ from station.files.navigation_folder import parse_tum, save_navigation
 from station.files.ply import read_rows
 from station.main import app
 from station.model.navigation import Navigation
+from tests.support.datasets import frames_of
 from tests.support.navigations import small_navigation
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
@@ -45,8 +46,8 @@ def test_tum_and_ply_come_back(folder: Path, tmp_path: Path) -> None:
 
 def test_euroc_folder_opens_as_a_dataset(folder: Path, tmp_path: Path) -> None:
     data = open_dataset(export(folder, "euroc", tmp_path / "asl"))
-    assert [frame.t_robot_ns for frame in data.frames()] == nav.keyframes.t_robot_ns.tolist()
-    assert [frame.encoded for frame in data.frames()] == list(nav.keyframes.encoded)
+    assert [frame.t_robot_ns for frame in frames_of(data)] == nav.keyframes.t_robot_ns.tolist()
+    assert [frame.encoded for frame in frames_of(data)] == list(nav.keyframes.encoded)
     assert data.calibration.camera is not None
     assert data.calibration.camera.fx == nav.calibration.camera.fx  # type: ignore[union-attr]
 

@@ -31,7 +31,7 @@ from station.events import LogLine
 from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
-from tests.support.datasets import imu_of
+from tests.support.datasets import frames_of, imu_of
 from tests.support.recordings import HELLO, START_NS, batch, frame, record
 
 
@@ -41,7 +41,7 @@ def test_what_is_recorded_is_read_back_exactly(tmp_path: Path) -> None:
     assert report.bytes == report.path.stat().st_size
     dataset = open_dataset(report.path)
     assert dataset.kind == "mcap" and dataset.calibration == REFERENCE_ROBOT
-    frames = list(dataset.frames())
+    frames = list(frames_of(dataset))
     assert [f.t_robot_ns for f in frames] == [START_NS + n * 50_000_000 for n in range(20)]
     assert [f.encoded for f in frames] == [frame(n).jpeg for n in range(20)]
     assert frames[3].exposure_ns == 7 and frames[3].grey().shape == (48, 64)
@@ -68,8 +68,8 @@ def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplo
 def test_a_range_of_frames_can_be_chosen(tmp_path: Path) -> None:
     record(tmp_path / "d.mcap")
     dataset = open_dataset(tmp_path / "d.mcap", first=4, last=10, step=3)
-    assert [f.encoded[-1] for f in dataset.frames()] == [4, 7, 10]
-    assert [f.index for f in dataset.frames()] == [0, 1, 2]
+    assert [f.encoded[-1] for f in frames_of(dataset)] == [4, 7, 10]
+    assert [f.index for f in frames_of(dataset)] == [0, 1, 2]
 
 
 def test_foxglove_finds_schemas_and_index(tmp_path: Path) -> None:

@@ -22,8 +22,8 @@ from station.library.navigations import Navigations
 from station.robots.current_navigation import CANCELLED, CurrentNavigation
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.slam import MAX_DEATHS, SlamWorker
-from station.workers.request import Limit, WorkerDied
-from station.workers.slam_requests import AddFrame, AddImu, FinishNavigation
+from station.workers.request import Limit, Method, WorkerDied
+from station.workers.slam_requests import SlamProgram
 from tests.support.link import Notes, hello, until
 
 
@@ -34,11 +34,11 @@ class FakeWorker:
     may_start: asyncio.Event
 
     def __init__(self, name: str, program: object, *, limits: Any, on_death: Any, on_failure: Any, **_: Any) -> None:
-        self.limits: dict[type, Limit] = limits
+        self.limits: dict[Method, Limit] = limits
         self.on_death: Callable[[str], None] = on_death
         self.on_failure: Callable[[str], None] = on_failure
-        self.dropped: dict[type, int] = {}
-        self.posted: list[type] = []
+        self.dropped: dict[Method, int] = {}
+        self.posted: list[Method] = []
         self.num_waiting = 0
         self.may_finish = asyncio.Event()
         self.may_finish.set()
@@ -46,8 +46,8 @@ class FakeWorker:
         self._begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.made.append(self)
 
-    def ask(self, request: object) -> asyncio.Future[Any]:
-        return asyncio.ensure_future(self.call(request)) if isinstance(request, FinishNavigation) else self._begun
+    def ask(self, method: Method, *_: object) -> asyncio.Future[Any]:
+        return asyncio.ensure_future(self.finish()) if method is SlamProgram.finish else self._begun
 
     async def start(self) -> None:
         await self.may_start.wait()
@@ -55,18 +55,18 @@ class FakeWorker:
         if not self._begun.done():
             self._begun.set_result(None)
 
-    def post(self, request: object) -> bool:
-        self.posted.append(type(request))
+    def post(self, method: Method, *_: object) -> bool:
+        self.posted.append(method)
         return not self.is_dead
 
-    def waiting(self, kind: type) -> int:
+    def waiting(self, method: Method) -> int:
         return self.num_waiting
 
     def kill(self) -> None:
         self.is_closed = True
         self.may_finish.set()
 
-    async def call(self, request: object) -> Any:
+    async def finish(self) -> Any:
         await self.may_finish.wait()
         if self.is_dead or self.is_closed:
             raise WorkerDied("dead")
@@ -155,7 +155,11 @@ async def test_a_live_backend_may_be_less_behind_than_one_that_answers_at_the_en
     room: Room, backend: str, frames: Limit
 ) -> None:
     slam = SlamWorker("SLAM", SlamConfig(backend), REFERENCE_ROBOT, room.events, lambda _: None, lambda _: None)
-    assert FakeWorker.made[0].limits == {AddFrame: frames, AddImu: Limit(30_000)}
+    assert FakeWorker.made[0].limits == {
+        SlamProgram.add_frame: frames,
+        SlamProgram.add_imu: Limit(30_000),
+        SlamProgram.add_drive: Limit(6000),
+    }
     await slam.close()
 
 
@@ -236,7 +240,7 @@ async def test_every_death_of_slam_is_answered_by_another_process_up_to_a_limit(
         FakeWorker.made[-1].die()
         assert len(FakeWorker.made) == deaths + 1
     room.current.on_frame(CameraFrame(seq=1, t_robot_ns=1, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b""), 1)
-    assert FakeWorker.made[-1].posted == [AddFrame]
+    assert FakeWorker.made[-1].posted == [SlamProgram.add_frame]
     FakeWorker.made[-1].die()
     assert len(FakeWorker.made) == MAX_DEATHS and room.said("goes on without it") == 1
     assert room.current.running is not None and not room.recorder.is_closed

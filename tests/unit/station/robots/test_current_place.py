@@ -20,8 +20,8 @@ from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.robots.current_place import CurrentPlace
-from station.workers.place_requests import LocatePicture, UseCalibration
-from station.workers.request import WorkerFailed
+from station.workers.place_requests import PlaceProgram
+from station.workers.request import Limit, Method, WorkerFailed
 from tests.support.link import hello, until
 
 
@@ -32,9 +32,10 @@ class FakeWorker:
     error: Exception | None = None
     answers: asyncio.Event
 
-    def __init__(self, *_: object, on_event: Callable[[object], None], **__: object) -> None:
+    def __init__(self, *_: object, limits: dict[Method, Limit], on_event: Callable[[object], None]) -> None:
+        self.limits = limits
         self.tell = on_event
-        self.calls: list[type] = []
+        self.calls: list[Method] = []
         self.made.append(self)
 
     async def start(self) -> None: ...
@@ -43,18 +44,18 @@ class FakeWorker:
 
     def kill(self) -> None: ...
 
-    def post(self, request: object) -> bool:
-        self.calls.append(type(request))
+    def post(self, method: Method, *_: object) -> bool:
+        self.calls.append(method)
         return True
 
-    async def call(self, request: object) -> PlaceReport | None:
-        self.calls.append(type(request))
-        if not isinstance(request, LocatePicture):
+    async def call(self, method: Method, *args: Any) -> PlaceReport | None:
+        self.calls.append(method)
+        if method is not PlaceProgram.answer:
             return None
         await self.answers.wait()
         if self.error is not None:
             raise self.error
-        return kitchen(request.frame)
+        return kitchen(*args)
 
 
 def kitchen(frame: ImageFrame) -> PlaceReport:
@@ -110,6 +111,12 @@ async def until_known(place: CurrentPlace, t_robot_ns: int) -> None:
     await looking(place, t_robot_ns, lambda: state_of(place) == "known")
 
 
+async def test_what_a_busy_worker_is_asked_may_wait_for_minutes_at_most(place: CurrentPlace) -> None:
+    await until(lambda: bool(FakeWorker.made))
+    backlog = {PlaceProgram.add_imu: 30_000, PlaceProgram.add_drive: 2400, PlaceProgram.add_pose: 300}
+    assert FakeWorker.made[0].limits == {method: Limit(count) for method, count in backlog.items()}
+
+
 async def test_without_a_robot_the_place_is_lost_and_says_why(place: CurrentPlace) -> None:
     place.on_disconnected("no map, no answer, nothing to lose")
     assert state_of(place) == "none"
@@ -129,8 +136,8 @@ async def test_without_a_robot_the_place_is_lost_and_says_why(place: CurrentPlac
 async def test_an_answer_that_comes_after_the_robot_went_is_no_answer(place: CurrentPlace) -> None:
     await until_known(place, 7)
     FakeWorker.answers.clear()
-    asked = FakeWorker.made[-1].calls.count(LocatePicture)
-    await looking(place, 8, lambda: FakeWorker.made[-1].calls.count(LocatePicture) > asked)
+    asked = FakeWorker.made[-1].calls.count(PlaceProgram.answer)
+    await looking(place, 8, lambda: FakeWorker.made[-1].calls.count(PlaceProgram.answer) > asked)
     place.on_disconnected("the cable came off")
     answers = place.answers
     FakeWorker.answers.set()
@@ -159,12 +166,12 @@ async def test_the_answer_to_a_picture_from_before_a_hijack_does_not_bring_the_o
     await until_known(place, 7)
     FakeWorker.answers.clear()
     worker = FakeWorker.made[-1]
-    asked = worker.calls.count(LocatePicture)
-    await looking(place, 8, lambda: worker.calls.count(LocatePicture) > asked)
+    asked = worker.calls.count(PlaceProgram.answer)
+    await looking(place, 8, lambda: worker.calls.count(PlaceProgram.answer) > asked)
     FakeWorker.answers.set()  # the answer is there, and in the same moment the notice
     worker.tell(lifted(9))
     asked += 1
-    await looking(place, 10, lambda: worker.calls.count(LocatePicture) > asked)
+    await looking(place, 10, lambda: worker.calls.count(PlaceProgram.answer) > asked)
     assert state_of(place) == "lost"
 
 
@@ -185,11 +192,11 @@ async def test_another_robot_or_run_begins_from_nothing(place: CurrentPlace, oth
     FakeWorker.answers.clear()
     place.on_frame(picture(8), 0)
     worker = FakeWorker.made[-1]
-    asked = worker.calls.count(LocatePicture)
-    await looking(place, 8, lambda: worker.calls.count(LocatePicture) > asked)
+    asked = worker.calls.count(PlaceProgram.answer)
+    await looking(place, 8, lambda: worker.calls.count(PlaceProgram.answer) > asked)
     place.on_connected(other)
     assert state_of(place) == "none" and place.query_image(7) is None
-    assert worker.calls[-1] is UseCalibration
+    assert worker.calls[-1] is PlaceProgram.calibrate
     FakeWorker.answers.set()  # the answer about the old run's picture
     answers = place.answers
     await until_known(place, 9)
@@ -211,7 +218,7 @@ async def test_a_picture_that_cannot_be_looked_at_does_not_end_localisation(
 
 
 async def test_a_map_that_cannot_be_read_is_given_up(place: CurrentPlace, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def broken(self: FakeWorker, request: object) -> None:
+    async def broken(self: FakeWorker, *_: object) -> None:
         raise DataError("the map is broken")
 
     monkeypatch.setattr(FakeWorker, "call", broken)

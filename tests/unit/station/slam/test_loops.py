@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, se3
-from station.slam.mapping.bundle_state import BundleState
 from station.slam.mapping.config import MatchConfig
 from station.slam.mapping.loops import MIN_APART, find_loops
 from station.slam.mapping.odometry import DEAD_RECKONED, Drift
+from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.tracks import Tracks
 from station.vision.features import Features
 

@@ -17,9 +17,8 @@ from station.motion.imu_buffer import ImuBuffer
 from station.motion.inertial_track import InertialTrack
 from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
-from station.slam.mapping.bundle_state import BundleState, Observations
 from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
-from station.slam.mapping.odometry_bundle import adjust, reprojection_errors
+from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, reprojection_errors
 from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
 from station.slam.mapping.tracks import build_tracks, longest
 from station.slam.sfm.metric import fuse_scales, scale_from_drive

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from station.robots.link_hearing import UNHEARD_AFTER_NS, UNHEARD_FOR_NS, Hearing
+from station.robots.link_state import UNHEARD_AFTER_NS, UNHEARD_FOR_NS, Hearing
 
 SECOND = 1_000_000_000
 

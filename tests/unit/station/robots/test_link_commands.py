@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from shared.messages import Drive, Heartbeat, PanTilt, Stop
-from station.robots.link_sending import DueMessages
+from station.robots.link_commands import DueMessages
 
 
 def drive(seq: int) -> Drive:
