@@ -9,9 +9,8 @@ from itertools import count
 
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
-HOLD_BACK_NS = (
-    60_000_000  # drive reports come every 50 ms and IMU batches every 20: later ones than this are lost anyway
-)
+# Drive reports come every 50 ms and IMU batches every 20: later ones than this are lost anyway.
+HOLD_BACK_NS = 60_000_000
 MAX_HELD_FRAMES = 60  # frames that wait for an IMU that has gone silent: two seconds, then they go without it
 
 
