@@ -73,7 +73,7 @@ class Robot:
         self.body = Body(world, self._config.body, (*self.route.points[0], self.route.start_yaw_rad), seed)
         self._imu = ImuModel(calibration.imu, self._config.imu, calibration.gravity, seed)
         self._camera = SimulatedCamera(renderer, calibration.camera, self._config.camera, seed)
-        self.history = MotionHistory()
+        self.history = MotionHistory(keep_s=2.0)
 
     def sense(
         self,

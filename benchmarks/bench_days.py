@@ -39,6 +39,7 @@ from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.library_jobs import LibraryJobs
 from tests.support.days import Drive, made_up_days
+from tests.support.store import rename_place
 
 ROUTES = ("mapping", "second", "mapping")  # of the three days
 NAMES_KEPT_PERCENT, DUPLICATES_PERCENT = 95.0, 5.0  # asked
@@ -72,11 +73,8 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
     """Three drives through one flat; each is made once and kept in the folder."""
     drives = []
     for day, route in enumerate(ROUTES):
-        settings = replace(
-            SimulationConfig(camera_rate_hz=fps),
-            moved_chairs_seed=1000 * seed + day if day else None,
-            light_seed=1000 * seed + day if day else None,
-        )
+        visit = 1000 * seed + day if day else None
+        settings = SimulationConfig(camera_rate_hz=fps, moved_chairs_seed=visit, light_seed=visit)
         dataset, navigation = folder / f"day-{day}", folder / f"day-{day}-{backend}"
         if not dataset.is_dir():
             flat = make_world(world, seed, settings)
@@ -89,7 +87,7 @@ def simulated_days(world: str, seed: int, backend: str, fps: float, folder: Path
         if not navigation.is_dir():
             slam = make_backend(backend, data.calibration, 1)
             save_navigation(replace(run_backend(slam, data.events()), id=f"flat-{seed}-day-{day}"), navigation)
-        truth = data.truth()
+        truth = data.truth
         assert truth is not None
         drives.append(Drive(navigation, true_landmarks(load_navigation(navigation), truth)))
     return drives
@@ -123,7 +121,7 @@ def name_all(store: MapStore, place_map: PlaceMap, count: int) -> PlaceMap:
     """A person names what has no name yet."""
     for number, place in enumerate(place_map.places):
         if not place.name.startswith("Corner"):
-            place_map = store.rename_place(place_map.id, place.id, f"Corner {count}.{number}")
+            place_map = rename_place(store, place_map.id, place.id, f"Corner {count}.{number}")
     return place_map
 
 

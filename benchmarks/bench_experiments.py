@@ -37,8 +37,8 @@ from station.commands.experiment import reconstruct
 from station.datasets import Dataset, Truth
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
-from station.experiments.output import write_experiment
 from station.experiments.presets import PRESETS, Preset, find_preset, make_dataset
+from station.experiments.report import write_experiment
 from station.files.navigation_folder import load_navigation, save_navigation
 from station.model.frames import ImageFrame
 from station.model.navigation import Navigation

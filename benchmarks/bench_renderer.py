@@ -23,11 +23,11 @@ from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
 from robot.simulation.routes import plan_route
-from robot.simulation.trajectory import RecordedPath
+from robot.simulation.trajectory import MotionHistory
 from robot.simulation.worlds import make_world
 
 
-def drive(world_name: str, seed: int) -> tuple[RecordedPath, float]:
+def drive(world_name: str, seed: int) -> tuple[MotionHistory, float]:
     """The true path of a mapping drive and its duration in s."""
     world = make_world(world_name, seed)
     route = plan_route(world, "mapping")
@@ -38,7 +38,7 @@ def drive(world_name: str, seed: int) -> tuple[RecordedPath, float]:
             command = driver.command(*body.pose, float(states[-1].omega_body[2]))
             body.command(command.linear_m_s, command.angular_rad_s)
         states.append(body.step())
-    return RecordedPath(states), states[-1].t_s
+    return MotionHistory(states), states[-1].t_s
 
 
 def main() -> None:

@@ -23,9 +23,9 @@ from benchmarks.bench_mapping import parse_seeds, render
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
 from station.datasets import open_dataset
-from station.experiments.trajectory import absolute_trajectory_error, path_length
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from tests.support.trajectory import absolute_trajectory_error, path_length
 
 
 def judge(path: Path, first: int | None, last: int | None, backend_name: str, threads: int) -> dict[str, object]:
@@ -54,7 +54,7 @@ def judge(path: Path, first: int | None, last: int | None, backend_name: str, th
         "scales": nav.report.config["scale_and_gravity"],
         "messages": nav.report.messages,
     }
-    truth = data.truth()
+    truth = data.truth
     if truth is not None:
         free = absolute_trajectory_error(nav.trajectory, truth, "sim3")
         row |= {

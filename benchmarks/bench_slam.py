@@ -33,7 +33,6 @@ from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.commands.slam import given_state
 from station.datasets import open_dataset
-from station.experiments.trajectory import absolute_trajectory_error, path_length, relative_pose_error
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.motion.error_coordinates import ErrorKind, difference_group
@@ -46,7 +45,9 @@ from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.state import PHI, XI_X, initial_state, retract
 from station.slam.ukf.start.starter import ORIGIN, GivenState, Starter, WaitingFrame, state_from_given
 from station.vision.camera_model import CameraModel
+from tests.support.datasets import imu_of
 from tests.support.synthetic_run import TruePath, observe, room_points, sine_path
+from tests.support.trajectory import absolute_trajectory_error, path_length, relative_pose_error
 
 VARIANTS = {
     "right Lie UKF": FilterConfig(),
@@ -109,7 +110,7 @@ def run_dataset(path: Path, label: str, config: UkfConfig, start: str, seed: int
         "data_s_per_cpu_s": round(nav.report.duration_s / cpu, 2),
         "messages": nav.report.messages,
     }
-    truth = data.truth()
+    truth = data.truth
     if truth is not None:
         true_path = Trajectory(truth.t_robot_ns, truth.T_world_body)
         for name, path_found in (("live", Trajectory(np.array(live_t), np.array(live_T))), ("final", nav.trajectory)):
@@ -173,9 +174,9 @@ def points_run(
 ) -> dict[str, object]:
     """A recorded IMU with points projected along the true path: own start or given, no images involved."""
     data = open_dataset(path, None, None, 1)
-    truth, noise, camera = data.truth(), data.calibration.imu, data.calibration.camera
+    truth, noise, camera = data.truth, data.calibration.imu, data.calibration.camera
     assert truth is not None and noise is not None and camera is not None
-    imu = data.require_imu()
+    imu = imu_of(data)
     t = data.frame_times_ns
     t = t[(t > truth.t_robot_ns[0]) & (t < truth.t_robot_ns[-1]) & (t > imu.t_robot_ns[0]) & (t < imu.t_robot_ns[-1])]
     at = np.clip(np.searchsorted(truth.t_robot_ns, t), 0, len(truth) - 1)

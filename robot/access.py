@@ -87,11 +87,11 @@ class Gate:
         self.context: ssl.SSLContext = identity.server_context()
         self.desk = PairingDesk(folder, self.book, identity.fingerprint)
         self._guesses = GuessLimit()
-        self._now_s = now_s
+        self.now_s = now_s
 
     def admit(self, prove: Prove, challenge: bytes, address: str) -> TokenRecord | str:
         """Who answered the challenge, or the sentence why nobody did."""
-        now_s = self._now_s()
+        now_s = self.now_s()
         self.book.refresh()
         record = self.book.find_proof(prove.token_id, prove.proof, challenge, self.fingerprint, now_s)
         if record is None:
@@ -104,19 +104,12 @@ class Gate:
 
     def is_live(self, token_id: str) -> bool:
         """Whether a token that was admitted still may; after `refresh`."""
-        return self.book.live(token_id, self._now_s()) is not None
-
-    def refresh(self) -> bool:
-        """Look whether the book was changed."""
-        return self.book.refresh()
+        return self.book.live(token_id, self.now_s()) is not None
 
     @property
     def is_unpaired(self) -> bool:
         """First use: nobody may yet."""
-        return not self.book.has_live_token(self._now_s())
-
-    def now_s(self) -> float:
-        return self._now_s()
+        return not self.book.has_live_token(self.now_s())
 
 
 def open_gate(config: RobotConfig, bound: str = "") -> Gate | None:

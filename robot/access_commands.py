@@ -6,9 +6,8 @@ import datetime
 import json
 import socket
 import time
-from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -32,13 +31,6 @@ Config = Annotated[Path | None, typer.Option(help="robot-server's TOML file, for
 Json = Annotated[bool, typer.Option("--json", help="One JSON object as the last line.")]
 
 
-class RobotRole(str, Enum):  # noqa: UP042  # typer shows the values of a str enum
-    """What a station may do. There is nothing to administer over the link."""
-
-    watch = "watch"
-    drive = "drive"
-
-
 @access.command()
 def init(
     folder: Folder = None,
@@ -59,12 +51,12 @@ def init(
 def pair(
     folder: Folder = None,
     config: Config = None,
-    role: Annotated[RobotRole, typer.Option(help="What the station that pairs may do.")] = RobotRole.drive,
+    role: Annotated[Literal["watch", "drive"], typer.Option(help="What the station that pairs may do.")] = "drive",
     as_json: Json = False,
 ) -> None:
     """Show a code that one station can pair with, for ten minutes; robot-server may run meanwhile."""
     gate = Gate(_folder(folder, config))
-    code = gate.desk.open_code(Role(role.value), time.time())
+    code = gate.desk.open_code(Role(role), time.time())
     if as_json:
         print(json.dumps({"code": show_code(code), "seconds": CODE_LIFE_S, "fingerprint": gate.fingerprint.hex()}))
         return

@@ -31,12 +31,8 @@ logger = logging.getLogger(__name__)
 DeviceKind = Literal["simulated", "recorded", "pi"]
 # What a page calls a robot that nobody named; one of flesh and wire goes by its host's name.
 UNNAMED = {"simulated": "Simulated robot", "recorded": "Recorded robot"}
-EXTRA = {
-    "simulated": "simulation",
-    "emulated": "robot",
-    "recorded": "simulation",
-    "pi": "robot",
-}  # where packages come from
+# Where packages come from.
+EXTRA = {"simulated": "simulation", "emulated": "robot", "recorded": "simulation", "pi": "robot"}
 
 
 def run(kind: DeviceKind, config: RobotConfig) -> None:

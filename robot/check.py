@@ -7,9 +7,12 @@ import math
 import sys
 from collections.abc import Awaitable, Callable
 from itertools import pairwise
+from typing import TypeVar
+
+import msgspec
 
 from robot.config import PiConfig
-from robot.devices.ports import Battery, Camera, DeviceSet, Imu, ImuReading, PanTilt
+from robot.devices.ports import Battery, Camera, DeviceSet, Imu, ImuReading, Motors, PanTilt
 from shared.errors import HardwareError, RobotSystemError
 
 FRAMES, READINGS = 30, 450
@@ -17,17 +20,14 @@ LEAST_RATE = 0.9  # of the rate a part should have
 GRAVITY_M_S2 = (9.3, 10.3)  # a resting accelerometer, its bias included
 
 
+Part = TypeVar("Part")
+
+
 class CheckFailed(Exception):
     """A part answers, but not as it should."""
 
 
-def say(part: str, works: bool, sentence: str) -> None:
-    """One line per part."""
-    print(f"{'ok  ' if works else 'FAIL'}  {part}: {sentence}", flush=True)
-
-
 async def check_camera(camera: Camera, expected_hz: float | None = None) -> str:
-    """Rate and picture."""
     frames = [await asyncio.wait_for(camera.capture(), 10.0) for _ in range(FRAMES)]
     span_s = (frames[-1].t_robot_ns - frames[0].t_robot_ns) * 1e-9
     if span_s <= 0:
@@ -71,7 +71,6 @@ async def check_imu(imu: Imu, expected_hz: float | None = None) -> str:
 
 
 async def check_battery(battery: Battery) -> str:
-    """Voltage."""
     for _ in range(20):  # the first report may still be on its way
         try:
             state = battery.read()
@@ -85,18 +84,20 @@ async def check_battery(battery: Battery) -> str:
     return f"{state.voltage_v:.2f} V, {100 * state.fraction:.0f} %"
 
 
-async def run_check(part: str, check: Callable[[], Awaitable[str]]) -> bool:
-    """One part; its failure is a sentence."""
+async def run_check(name: str, part: Part | None, check: Callable[[Part], Awaitable[str]]) -> bool:
+    """One part, where the robot has it; prints one line. Its failure is a sentence."""
+    if part is None:
+        return True
+    works = False
     try:
-        sentence = await check()
+        sentence = await check(part)
+        works = True
     except (CheckFailed, RobotSystemError) as exc:
-        say(part, False, str(exc))
-        return False
+        sentence = str(exc)
     except TimeoutError:
-        say(part, False, "no answer within 10 s")
-        return False
-    say(part, True, sentence)
-    return True
+        sentence = "no answer within 10 s"
+    print(f"{'ok  ' if works else 'FAIL'}  {name}: {sentence}", flush=True)
+    return works
 
 
 async def check_health(problems: Callable[[], dict[str, str]]) -> str:
@@ -108,33 +109,17 @@ async def check_health(problems: Callable[[], dict[str, str]]) -> str:
 
 async def check_devices(devices: DeviceSet, track_m: float = PiConfig().track_m) -> bool:
     """Every part of an open robot; closes it. `track_m` is the distance between its left and right wheels."""
-    works = True
+    works, noise = True, devices.calibration.imu
     try:
-        if devices.camera is not None:
-            camera = devices.camera
-            works &= await run_check("camera", lambda: check_camera(camera))
-        if devices.imu is not None:
-            imu, noise = devices.imu, devices.calibration.imu
-            expected_hz = None if noise is None else noise.rate_hz
-            works &= await run_check("imu", lambda: check_imu(imu, expected_hz))
-        if devices.battery is not None:
-            battery = devices.battery
-            works &= await run_check("battery", lambda: check_battery(battery))
-        if devices.motors is not None:
-            motors = devices.motors
-            works &= await run_check("motors", lambda: check_motors(motors.drive, motors.stop, track_m))
-        if devices.pan_tilt is not None:
-            pan_tilt = devices.pan_tilt
-            works &= await run_check("pan-tilt", lambda: check_pan_tilt(pan_tilt))
+        works &= await run_check("camera", devices.camera, check_camera)
+        works &= await run_check("imu", devices.imu, lambda imu: check_imu(imu, noise.rate_hz if noise else None))
+        works &= await run_check("battery", devices.battery, check_battery)
+        works &= await run_check("motors", devices.motors, lambda motors: check_motors(motors, track_m))
+        works &= await run_check("pan-tilt", devices.pan_tilt, check_pan_tilt)
         # Last: what went wrong while all the others were tested.
-        works &= await run_check("health", lambda: check_health(devices.problems))
+        works &= await run_check("health", devices.problems, check_health)
     finally:
-        for moving in (devices.motors, devices.pan_tilt):
-            if moving is not None:
-                moving.close()
-        for part in (devices.camera, devices.imu):
-            if part is not None:
-                await part.close()
+        await devices.close()
     return works
 
 
@@ -143,7 +128,7 @@ async def _ask(question: str) -> bool:
     return answer.strip().lower() == "yes"
 
 
-async def check_motors(drive: Callable[[float, float], None], stop: Callable[[], None], track_m: float) -> str:
+async def check_motors(motors: Motors, track_m: float) -> str:
     """Each side forward for half a second, only after somebody at the keyboard says that the wheels hang free."""
     if not sys.stdin.isatty():
         return "NOT TESTED: run the check at a terminal, somebody must watch the wheels"
@@ -154,10 +139,10 @@ async def check_motors(drive: Callable[[float, float], None], stop: Callable[[],
         try:
             for _ in range(5):
                 # The other side rests exactly: its part of the turn is taken back by going forward.
-                drive(abs(angular) * track_m / 2, angular)
+                motors.drive(abs(angular) * track_m / 2, angular)
                 await asyncio.sleep(0.1)
         finally:
-            stop()
+            motors.stop()
         await asyncio.sleep(0.5)
     if not await _ask("Did first only the left, then only the right wheels turn forward?"):
         raise CheckFailed("swap a side's two motor wires, or set pi.invert_left, pi.invert_right")
@@ -183,11 +168,9 @@ def check_pi(config: PiConfig) -> bool:
     async def parts() -> bool:
         works = True
         if config.camera:
-            works &= await run_check("camera", lambda: _camera_alone(config))
+            works &= await run_check("camera", config, _camera_alone)
         if adapter.uses_mega(config) or "gpio" in (config.motors, config.pan_tilt) or config.battery != "none":
-            import msgspec
-
-            works &= await run_check("board", lambda: _set_alone(msgspec.structs.replace(config, camera=False)))
+            works &= await run_check("board", msgspec.structs.replace(config, camera=False), _set_alone)
         return works
 
     return asyncio.run(parts())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -20,18 +20,19 @@ Positive = Annotated[float, Meta(gt=0)]
 ShortText = Annotated[str, Meta(max_length=MAX_NAME_LENGTH)]
 
 
-class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+Settings = TypeVar("Settings")
+
+
+class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of the TOML file."""
 
 
-class IdentityConfig(_Section, frozen=True, kw_only=True):
-    """Who this robot is."""
-
+class IdentityConfig(Section, frozen=True, kw_only=True):
     id: ShortText = ""  # empty: the host's name
     name: ShortText = ""  # for people; empty: the id, and "Simulated robot" for a simulated one without id
 
 
-class ServerConfig(_Section, frozen=True, kw_only=True):
+class ServerConfig(Section, frozen=True, kw_only=True):
     """Where stations connect, and how much is kept for them."""
 
     host: str = "127.0.0.1"  # beyond loopback only with access control (docs/access.md)
@@ -43,23 +44,21 @@ class ServerConfig(_Section, frozen=True, kw_only=True):
     imu_batch_interval_ms: Annotated[int, Meta(ge=0, le=100)] = 10  # one packet per sample would cost the Pi a core
 
 
-class AccessConfig(_Section, frozen=True, kw_only=True):
+class AccessConfig(Section, frozen=True, kw_only=True):
     """Who may connect (docs/access.md). On loopback without a folder: everybody on this machine."""
 
     folder: str = ""  # of key, certificate and tokens; empty: ~/.local/state/sentinel/robot-access beyond loopback
     insecure: bool = False  # no access control: whoever reaches the port can watch and drive
 
 
-class DriveConfig(_Section, frozen=True, kw_only=True):
+class DriveConfig(Section, frozen=True, kw_only=True):
     """What commands the motors get. Faster ones are refused."""
 
     max_linear_m_s: Annotated[float, Meta(gt=0, le=MAX_LINEAR_M_S)] = 0.5
     max_angular_rad_s: Annotated[float, Meta(gt=0, le=MAX_ANGULAR_RAD_S)] = 2.5
 
 
-class SimulatedConfig(_Section, frozen=True, kw_only=True):
-    """The simulated robot's world."""
-
+class SimulatedConfig(Section, frozen=True, kw_only=True):
     world: str = "home"
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
     # emulated: IMU and motors go through the real firmware in an emulated Mega (docs/firmware.md)
@@ -67,7 +66,7 @@ class SimulatedConfig(_Section, frozen=True, kw_only=True):
     sim_port: Annotated[int, Meta(ge=0, le=65535)] | None = None  # where tests and the demo ask for the truth
 
 
-class RecordedConfig(_Section, frozen=True, kw_only=True):
+class RecordedConfig(Section, frozen=True, kw_only=True):
     """The recording that is played instead of a robot."""
 
     dataset: str = ""
@@ -75,7 +74,7 @@ class RecordedConfig(_Section, frozen=True, kw_only=True):
     at_end: Literal["stop", "loop"] = "stop"  # loop: again, with times that go on
 
 
-class PiConfig(_Section, frozen=True, kw_only=True):
+class PiConfig(Section, frozen=True, kw_only=True):
     """Parts and wiring of the real robot (docs/robot.md)."""
 
     serial_port: str = "/dev/sentinel-mega"  # the Arduino Mega; robot/install.sh gives it this name
@@ -90,7 +89,7 @@ class PiConfig(_Section, frozen=True, kw_only=True):
     height: Annotated[int, Meta(ge=64, le=4096)] = 480
     rate_hz: Annotated[float, Meta(ge=1, le=120)] = 30.0
     jpeg_quality: Annotated[int, Meta(ge=10, le=100)] = 80
-    max_exposure_ms: Annotated[float, Meta(ge=0.1, le=100)] = 10.0  # longer smears while turning
+    max_exposure_ms: Annotated[float, Meta(ge=0.1, le=100)] = 10.0  # at 1 rad/s a pixel then smears over 11 px at most
     max_gain: Annotated[float, Meta(ge=1, le=64)] = 8.0
 
     gyro_range_deg_s: Literal[250, 500, 1000, 2000] = 500
@@ -112,9 +111,7 @@ class PiConfig(_Section, frozen=True, kw_only=True):
     gpio_pins: tuple[int, int, int, int, int, int] = (17, 27, 23, 24, 12, 13)
 
 
-class RobotConfig(_Section, frozen=True, kw_only=True):
-    """The whole file."""
-
+class RobotConfig(Section, frozen=True, kw_only=True):
     identity: IdentityConfig = IdentityConfig()
     server: ServerConfig = ServerConfig()
     access: AccessConfig = AccessConfig()
@@ -133,28 +130,29 @@ def load_config(path: Path | None, overrides: dict[str, dict[str, Any]]) -> Robo
     Raises:
         ConfigError: names the file, the key and what is allowed.
     """
-    content: dict[str, Any] = {}
-    if path is not None:
-        try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as exc:
-            raise ConfigError(
-                f"{path} cannot be read ({exc.strerror}); give an existing TOML file to --config"
-            ) from exc
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
-            raise ConfigError(f"{path} is not valid TOML: {exc}") from exc
-    source = str(path) if path is not None else "the command line"
-    _convert(content, source)  # the file must be right by itself: its mistakes are reported in its name
+    content = {} if path is None else read_toml(path)
+    convert(content, RobotConfig, str(path))  # the file must be right by itself: its mistakes are reported in its name
     for section, values in overrides.items():
         given = {key: value for key, value in values.items() if value is not None}
         if given:
             content[section] = {**content.get(section, {}), **given}
-    return _convert(content, "the command line")
+    return convert(content, RobotConfig, "the command line")
 
 
-def _convert(content: dict[str, Any], source: str) -> RobotConfig:
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file's content. Raises ConfigError."""
     try:
-        return msgspec.convert(content, RobotConfig)
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as exc:
+        raise ConfigError(f"{path} cannot be read ({exc.strerror}); give an existing TOML file to --config") from exc
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
+        raise ConfigError(f"{path} is not valid TOML: {exc}") from exc
+
+
+def convert(content: dict[str, Any], kind: type[Settings], source: str) -> Settings:
+    """Settings of a kind from plain values. Raises ConfigError that names the source, the key and what is allowed."""
+    try:
+        return msgspec.convert(content, kind)
     except msgspec.ValidationError as exc:
         # msgspec says `... - at `$.server.port``; people know keys without the `$.`.
         raise ConfigError(f"{source}: {exc}".replace("$.", "")) from exc

@@ -41,14 +41,12 @@ class Doorstep:
         return {"ssl": self._gate.context, "ssl_handshake_timeout": HANDSHAKE_WITHIN_S}
 
     def receive(self, client: StationClient) -> None:
-        """A new connection."""
         if self._gate is None:
             client.role = Role.ADMIN
         else:
             client.challenge = new_challenge()
 
     def introduce(self, client: StationClient, message: Prove | PairRequest | PairProof) -> None:
-        """It says who it is."""
         gate = self._gate
         if gate is None:
             if not isinstance(message, Prove):
@@ -78,7 +76,7 @@ class Doorstep:
         self._looks += 1
         if self._looks % FLUSH_AFTER_LOOKS == 0:
             self._start(self._flush(gate))
-        gate.refresh()
+        gate.book.refresh()
         # All are asked every time: whether the book has changed, somebody's proof may have found out before.
         for client in clients:
             if client.token_id and not gate.is_live(client.token_id):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 import sys
-from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -15,40 +14,23 @@ from shared.command_line import run_program
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-class Devices(str, Enum):  # noqa: UP042  # typer shows the values of a str enum
-    """Where sensors and motors come from."""
-
-    simulated = "simulated"
-    recorded = "recorded"
-    pi = "pi"
-
-
-class ImuKind(str, Enum):  # noqa: UP042
-    """Where a simulated robot's IMU and motors are."""
-
-    simulated = "simulated"
-    emulated = "emulated"
-
-
-class AtEnd(str, Enum):  # noqa: UP042
-    """What happens when a recording is over."""
-
-    stop = "stop"
-    loop = "loop"
-
-
 @cli.command()
 def serve(
-    devices: Annotated[Devices, typer.Option(help="Real, simulated or recorded hardware; chosen, never guessed.")],
+    devices: Annotated[
+        Literal["simulated", "recorded", "pi"],
+        typer.Option(help="Real, simulated or recorded hardware; chosen, never guessed."),
+    ],
     world: Annotated[str | None, typer.Option(help="Simulated world.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the simulated world.")] = None,
     sim_port: Annotated[int | None, typer.Option(help="Port of the simulator's truth, for tests and the demo.")] = None,
-    imu: Annotated[ImuKind | None, typer.Option(help="emulated: the real firmware in an emulated Mega.")] = None,
+    imu: Annotated[
+        Literal["simulated", "emulated"] | None, typer.Option(help="emulated: the real firmware in an emulated Mega.")
+    ] = None,
     dataset: Annotated[
         Path | None, typer.Option(help="Recorded drive: ASL folder, folder of images, video or MCAP file.")
     ] = None,
     speed: Annotated[float | None, typer.Option(help="Play a recording so many times as fast.")] = None,
-    at_end: Annotated[AtEnd | None, typer.Option(help="When the recording is over.")] = None,
+    at_end: Annotated[Literal["stop", "loop"] | None, typer.Option(help="When the recording is over.")] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 lets the network in.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.")] = None,
@@ -73,17 +55,13 @@ def serve(
         {
             "server": {"host": host, "port": port},
             "access": {"insecure": insecure or None},
-            "simulated": {"world": world, "seed": seed, "sim_port": sim_port, "imu": imu.value if imu else None},
-            "recorded": {
-                "dataset": None if dataset is None else str(dataset),
-                "speed": speed,
-                "at_end": None if at_end is None else at_end.value,
-            },
+            "simulated": {"world": world, "seed": seed, "sim_port": sim_port, "imu": imu},
+            "recorded": {"dataset": dataset and str(dataset), "speed": speed, "at_end": at_end},
         },
     )
     if check:
-        raise typer.Exit(0 if app.check(devices.value, settings) else 1)
-    app.run(devices.value, settings)
+        raise typer.Exit(0 if app.check(devices, settings) else 1)
+    app.run(devices, settings)
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
@@ -47,14 +48,7 @@ class ImuBacklog:
 
     def position_of(self, sequence: int) -> int:
         """Position of the first kept sample numbered `sequence` or higher."""
-        low, high = self.begin, self.end
-        while low < high:
-            middle = (low + high) // 2
-            if self._at(middle)[0] < sequence:
-                low = middle + 1
-            else:
-                high = middle
-        return low
+        return self.begin + bisect_left(range(self.begin, self.end), sequence, key=self.sequence_at)
 
     def sequence_at(self, position: int) -> int:
         """Number of the sample at a kept position."""

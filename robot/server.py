@@ -113,13 +113,7 @@ class RobotServer:
         finally:
             self.stop_motors()
             self._loop = None
-            # What moves first: the IMU's end is the end of the line it shares with motors and servos.
-            for part in (self._devices.motors, self._devices.pan_tilt):
-                if part is not None:
-                    part.close()
-            for device in (self._devices.imu, self._devices.camera):
-                if device is not None:
-                    await device.close()
+            await self._devices.close()
 
     def stop_motors(self) -> None:
         """Motors off for good: the first thing every way out does."""

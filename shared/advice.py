@@ -16,9 +16,8 @@ def install(*extras: str) -> str:
     names = f"[{','.join(extras)}]"
     if (PROJECT / "pyproject.toml").is_file():
         return f"{python()} -m pip install -e {shlex.quote(f'{PROJECT}{names}')}"
-    return (
-        f"{python()} -m pip install {shlex.quote(f'.{names}')} in Sentinel's folder"  # we are a copy, as on the robot
-    )
+    # We are a copy, as on the robot.
+    return f"{python()} -m pip install {shlex.quote(f'.{names}')} in Sentinel's folder"
 
 
 def python() -> str:

@@ -39,11 +39,6 @@ class FrameDecoder:
         """Add bytes as they came from the peer."""
         self._buffer += data
 
-    @property
-    def is_between_payloads(self) -> bool:
-        """False while part of a payload is held: a stream that ends now was cut."""
-        return not self._buffer
-
     def next_payload(self) -> bytes | None:
         """Return the next whole payload, or None until more bytes arrive.
 

@@ -13,7 +13,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 MIN_LEVEL = 0.31  # an axis whose horizontal part is shorter, 18 degrees from the vertical, has no yaw to speak of
-SMALL_ANGLE_RAD = 1e-6  # below it the series of Rodrigues' formula is exact to double precision
+SMALL_ANGLE_RAD = 1e-4  # below it series with terms up to angle^4 are exact to double precision
+DIAGONAL = np.arange(3)
 
 
 def se3(R: FloatArray, t: FloatArray) -> FloatArray:
@@ -37,6 +38,11 @@ def inverse(T: FloatArray) -> FloatArray:
 def transform(T_a_b: FloatArray, p_b: FloatArray) -> FloatArray:
     """Points (..., 3) of frame b in frame a; T may be a similarity."""
     return p_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def homogeneous(xy: FloatArray) -> FloatArray:
+    """Points (..., 3) at depth 1, or rays, through normalised image coordinates (..., 2)."""
+    return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
 
 def sim3(scale: float, R: FloatArray, t: FloatArray) -> FloatArray:
@@ -71,8 +77,12 @@ def carry_poses(T_a_b: FloatArray, T_b_c: FloatArray) -> FloatArray:
 
 
 def skew(v: FloatArray) -> FloatArray:
-    """Cross-product matrix (3, 3) of v (3,): `skew(v) @ w == cross(v, w)`. Thesis eq. B.1."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    """Cross-product matrices (..., 3, 3) of v (..., 3). Thesis eq. B.1."""
+    S = np.zeros((*v.shape, 3))
+    S[..., 0, 1], S[..., 0, 2] = -v[..., 2], v[..., 1]
+    S[..., 1, 0], S[..., 1, 2] = v[..., 2], -v[..., 0]
+    S[..., 2, 0], S[..., 2, 1] = -v[..., 1], v[..., 0]
+    return S
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -94,23 +104,75 @@ def rotation_angle(R: FloatArray) -> FloatArray:
     return np.asarray(np.arccos(np.clip((np.trace(R, axis1=-2, axis2=-1) - 1.0) / 2.0, -1.0, 1.0)))
 
 
-def so3_exp(phi: FloatArray) -> FloatArray:
-    """Rotation (3, 3) of the rotation vector phi (3,) rad. Thesis eq. B.2 (Rodrigues)."""
-    angle = float(np.linalg.norm(phi))
+def gammas(phi: FloatArray, orders: tuple[int, ...]) -> list[FloatArray]:
+    """Gamma_m(phi) = sum_n [phi]x^n / (n + m)! for m of 0, 1, 2: the exponential and its m-fold integrals over time.
+
+    Source: Bloesch et al., RSS 2012, appendix.
+    """
+    theta2 = np.einsum("...i,...i->...", phi, phi)
+    theta = np.sqrt(theta2)
+    near = theta < SMALL_ANGLE_RAD
+    t = np.where(near, 1.0, theta)
+    t2 = t * t
+    sin, cos = np.sin(t), np.cos(t)
     S = skew(phi)
-    if angle < SMALL_ANGLE_RAD:
-        return np.eye(3) + S + 0.5 * S @ S
-    return np.eye(3) + (np.sin(angle) / angle) * S + ((1.0 - np.cos(angle)) / angle**2) * S @ S
+    SS = S @ S
+    result = []
+    for order in orders:
+        if order == 0:
+            a = np.where(near, 1.0 - theta2 / 6.0, sin / t)
+            b = np.where(near, 0.5 - theta2 / 24.0, (1.0 - cos) / t2)
+        elif order == 1:
+            a = np.where(near, 0.5 - theta2 / 24.0, (1.0 - cos) / t2)
+            b = np.where(near, 1.0 / 6.0 - theta2 / 120.0, (t - sin) / (t2 * t))
+        else:
+            a = np.where(near, 1.0 / 6.0 - theta2 / 120.0, (t - sin) / (t2 * t))
+            # 0.5 t^2 + cos - 1 loses all digits below about 0.1 rad: series to t^4 there
+            series = 1.0 / 24.0 - theta2 / 720.0 + theta2 * theta2 / 40320.0
+            b = np.where(theta < 0.1, series, (0.5 * t2 + cos - 1.0) / (t2 * t2))
+        gamma = a[..., None, None] * S + b[..., None, None] * SS
+        gamma[..., DIAGONAL, DIAGONAL] += 0.5 if order == 2 else 1.0
+        result.append(gamma)
+    return result
+
+
+def so3_exp(phi: FloatArray) -> FloatArray:
+    """Rotations (..., 3, 3) of rotation vectors (..., 3) rad. Thesis eq. B.2 (Rodrigues)."""
+    return gammas(phi, (0,))[0]
 
 
 def so3_log(R: FloatArray) -> FloatArray:
-    """Rotation vector (3,) rad, length at most pi, of the rotation (3, 3). Thesis eq. B.4, by quaternion near pi."""
-    q = quat_from_rotation(R)
-    w, v = q[0], q[1:]
-    sin_half = float(np.linalg.norm(v))
-    if sin_half < SMALL_ANGLE_RAD:
-        return 2.0 * v
-    return v * (2.0 * np.arctan2(sin_half, w) / sin_half)
+    """Rotation vectors (..., 3) rad, length at most pi, of rotations (..., 3, 3). Thesis eq. B.4 away from pi."""
+    vee = 0.5 * np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
+    )
+    sin = np.linalg.norm(vee, axis=-1)
+    cos = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    theta = np.arctan2(sin, cos)
+    factor = np.where(sin < 1e-8, 1.0 + theta * theta / 6.0, theta / np.where(sin < 1e-8, 1.0, sin))
+    out = factor[..., None] * vee
+    far = cos < -0.99
+    if np.any(far):
+        out = np.where(far[..., None], _log_near_pi(R, vee, theta), out)
+    return out
+
+
+def _log_near_pi(R: FloatArray, vee: FloatArray, theta: FloatArray) -> FloatArray:
+    """Near pi the antisymmetric part vanishes: the axis comes from R + R^T = 2 cos I + 2 (1 - cos) a a^T."""
+    symmetric = 0.5 * (R + np.swapaxes(R, -1, -2))
+    cos = np.cos(theta)[..., None, None]
+    outer = (symmetric - cos * np.eye(3)) / np.maximum(1.0 - cos, 0.5)
+    column = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    axis = np.take_along_axis(outer, column[..., None, None], axis=-1)[..., 0]
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
+    sign = np.where(np.einsum("...i,...i->...", axis, vee) < 0.0, -1.0, 1.0)
+    return (sign * theta)[..., None] * axis
+
+
+def slerp(R_a: FloatArray, R_b: FloatArray, fraction: float | FloatArray) -> FloatArray:
+    """Rotations (..., 3, 3) at a fraction (...), 0 to 1, of the shortest way from R_a to R_b."""
+    turn = so3_log(np.swapaxes(R_a, -1, -2) @ R_b)
+    return R_a @ so3_exp(np.asarray(fraction)[..., None] * turn)
 
 
 def quat_from_rotation(R: FloatArray) -> FloatArray:

@@ -25,7 +25,6 @@ class DriverLease(Generic[Driver]):
         self._stopped: Driver | None = None  # who was stopped by somebody else and has not let go since
 
     def driver(self, now_ns: int) -> Driver | None:
-        """Who drives now."""
         return self._driver if self._driver is not None and now_ns < self._free_ns else None
 
     @property

@@ -10,7 +10,7 @@ import base64
 import logging
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -181,25 +181,6 @@ def _json(data: bytes, path: Path) -> dict[str, Any]:
 def _time(content: dict[str, Any]) -> int:
     stamp = content["timestamp"]
     return int(stamp["sec"]) * NANO + int(stamp["nsec"])
-
-
-class InOrder:
-    """Images by number from a source that only gives them in order: cheap where numbers rise."""
-
-    def __init__(self, begin: Callable[[], Iterator[bytes]]) -> None:
-        self._begin = begin
-        self._images = begin()
-        self._next = 0
-
-    def read(self, number: int) -> bytes:
-        """The image of this number, from 0. Raises DataError where the source ends before it."""
-        if number < self._next:
-            self._images, self._next = self._begin(), 0
-        for encoded in self._images:
-            self._next += 1
-            if self._next > number:
-                return encoded
-        raise DataError(f"image {number} is missing at the recording's end; record again")
 
 
 def decode_image(message: bytes) -> bytes:

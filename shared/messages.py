@@ -47,8 +47,6 @@ class _Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", gc=F
 
 
 class Capabilities(msgspec.Struct, frozen=True, kw_only=True):
-    """What this robot can do."""
-
     camera: bool
     imu: bool
     drive: bool
@@ -235,9 +233,8 @@ class Hijack(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="hijac
     x: float  # m, the simulated world's frame
     y: float  # m
     yaw: float  # rad
-    anywhere: bool = (
-        False  # to a free spot of the robot's choice, in another room where there is one: x, y, yaw are idle
-    )
+    # To a free spot of the robot's choice, in another room where there is one: x, y, yaw are idle.
+    anywhere: bool = False
 
     def __post_init__(self) -> None:
         _require("x", self.x, MAX_POSITION_M)

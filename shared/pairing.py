@@ -12,13 +12,10 @@ from typing import Any, Literal
 from shared.errors import ConfigError, RemoteProtocolError
 
 CODE_DIGITS = 6
-PAKE_BYTES = 33
-MAC_BYTES = 32
 _STATION, _ROBOT = b"sentinel station", b"sentinel robot"
 
 
 def new_code() -> str:
-    """Six random digits."""
     return f"{secrets.randbelow(10**CODE_DIGITS):0{CODE_DIGITS}d}"
 
 

@@ -45,11 +45,6 @@ class Reception(Generic[P]):
         self._until_in = until_in
         self._waiting: dict[asyncio.Task[None], str] = {}  # strangers and from where, the oldest first
 
-    @property
-    def num_waiting(self) -> int:
-        """Strangers, who may be shaking hands."""
-        return len(self._waiting)
-
     async def run(self) -> None:
         """Accept until cancelled; closes the listener."""
         loop = asyncio.get_running_loop()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,23 @@ def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCali
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc
+
+
+def read_bare_camera(path: Path) -> CameraCalibration:
+    """A camera that is itself the body, as without an IMU: a mounting in the file is passed over."""
+    return read_camera(path, {k: v for k, v in read_yaml(path).items() if k not in ("T_BS", "T_body_cam")})
+
+
+def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) -> CameraCalibration:
+    """The camera of a folder of images: its `camera.yaml`, or `camera-intrinsics.txt` and the size of an image."""
+    yaml_path, text_path = folder / "camera.yaml", folder / "camera-intrinsics.txt"
+    if yaml_path.is_file():
+        return read_bare_camera(yaml_path)
+    if not text_path.is_file():
+        raise DataError(f"{folder} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
+    K = read_intrinsics_text(text_path)
+    width, height = image_size()  # and 30 images a second, as 7-Scenes has them
+    return CameraCalibration(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=30.0)
 
 
 def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:

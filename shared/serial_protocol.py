@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 import struct
 from binascii import crc_hqx
-from dataclasses import astuple, dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar
+from typing import ClassVar, get_args
+
+import msgspec
+from msgspec.structs import astuple
 
 from shared.errors import LocalProtocolError
 
@@ -52,12 +54,8 @@ class Flag(IntFlag):
     TTL_STOP = 1 << 6
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(msgspec.Struct, frozen=True):
     """Who the firmware is; sent at its start and when asked."""
-
-    LAYOUT: ClassVar = struct.Struct("<11BH")
-    TYPE: ClassVar = Type.HELLO
 
     version: int
     firmware_major: int
@@ -78,22 +76,17 @@ class Hello:
 GYRO_RANGES_DEG_S = (250.0, 500.0, 1000.0, 2000.0)
 ACCEL_RANGES_G = (2.0, 4.0, 8.0, 16.0)
 STANDARD_GRAVITY = 9.80665  # m/s^2, what the accelerometer's g means
-MAG_UT_PER_COUNT = 0.15  # AK09916 datasheet, table 5
 
 
-@dataclass(frozen=True, slots=True)
-class ImuPacket:
+class ImuPacket(msgspec.Struct, frozen=True):
     """One burst of the ICM-20948 as it lay in its registers."""
 
-    LAYOUT: ClassVar = struct.Struct("<IIB23s")
-    TYPE: ClassVar = Type.IMU
     BURST: ClassVar = struct.Struct(">7h")  # accel, gyro, temperature; big-endian
-    MAG: ClassVar = struct.Struct("<BhhhBB")  # ST1, x, y, z, reserved, ST2; little-endian
 
     sequence: int  # counts data-ready interrupts
     t_us: int  # Mega's clock, wraps at 2^32
     scales: int  # gyro_scale | accel_scale << 4
-    burst: bytes
+    burst: bytes  # and behind BURST the magnetometer's ST1, x, y, z, reserved, ST2: "<BhhhBB"
 
     def raw(self) -> tuple[int, ...]:
         """Accel x y z, gyro x y z, temperature: counts."""
@@ -111,27 +104,9 @@ class ImuPacket:
         x, y, z = self.raw()[3:6]
         return x * unit, y * unit, z * unit
 
-    def temperature_c(self) -> float:
-        """Chip temperature, deg C (DS-000189, section 8.33)."""
-        return self.raw()[6] / 333.87 + 21.0
 
-    def mag_imu(self) -> tuple[float, float, float] | None:
-        """Field in uT in the IMU's axes; None where the magnetometer had nothing new or was saturated.
-
-        The AK09916 inside the chip has its y and z against those of accelerometer and gyro (DS-000189, figure 12).
-        """
-        st1, x, y, z, _, st2 = self.MAG.unpack_from(self.burst, 14)
-        if not st1 & 1 or st2 & 8:
-            return None
-        return x * MAG_UT_PER_COUNT, -y * MAG_UT_PER_COUNT, -z * MAG_UT_PER_COUNT
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(msgspec.Struct, frozen=True):
     """Health of the Mega, ten times a second."""
-
-    LAYOUT: ClassVar = struct.Struct("<IHII9HhhHH")
-    TYPE: ClassVar = Type.STATUS
 
     uptime_ms: int
     flags: int
@@ -152,76 +127,45 @@ class Status:
     stack_free: int
 
 
-@dataclass(frozen=True, slots=True)
-class Ack:
+class Ack(msgspec.Struct, frozen=True):
     """Answer to a configuration or servo command."""
-
-    LAYOUT: ClassVar = struct.Struct("<BB")
-    TYPE: ClassVar = Type.ACK
 
     asked: int
     result: int  # 0 done, 1 bad length, 2 bad value, 3 unknown type
 
 
-@dataclass(frozen=True, slots=True)
-class MegaTime:
+class MegaTime(msgspec.Struct, frozen=True):
     """Answer to `AskTime`: the Mega's clock."""
-
-    LAYOUT: ClassVar = struct.Struct("<II")
-    TYPE: ClassVar = Type.TIME
 
     token: int
     t_us: int
 
 
-FirmwareMessage = Hello | ImuPacket | Status | Ack | MegaTime
-_FIRMWARE_MESSAGES: dict[int, type[FirmwareMessage]] = {m.TYPE: m for m in (Hello, ImuPacket, Status, Ack, MegaTime)}
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(msgspec.Struct, frozen=True):
     """Speeds in permille of full duty, and how long they may last without another command."""
 
     left: int
     right: int
     ttl_ms: int
 
-    def pack(self) -> bytes:
-        """Payload; the numbers repeated inverted, since a CRC-16 lets one damaged frame in 65536 pass."""
+    def __post_init__(self) -> None:
         if not (abs(self.left) <= 1000 and abs(self.right) <= 1000 and 0 <= self.ttl_ms <= 65535):
             raise LocalProtocolError(f"{self} is outside -1000..1000 permille, 0..65535 ms")
-        body = struct.pack("<hhH", self.left, self.right, self.ttl_ms)
-        return bytes([Type.DRIVE]) + body + bytes(b ^ 0xFF for b in body)
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
+class Stop(msgspec.Struct, frozen=True):
     """Both motors off now."""
 
-    def pack(self) -> bytes:
-        return bytes([Type.STOP])
 
-
-@dataclass(frozen=True, slots=True)
-class AskTime:
-    """Asks for the Mega's clock."""
-
+class AskTime(msgspec.Struct, frozen=True):
     token: int
 
-    def pack(self) -> bytes:
-        return struct.pack("<BI", Type.ASK_TIME, self.token & 0xFFFFFFFF)
 
-
-@dataclass(frozen=True, slots=True)
-class AskHello:
+class AskHello(msgspec.Struct, frozen=True):
     """Asks for a hello."""
 
-    def pack(self) -> bytes:
-        return bytes([Type.ASK_HELLO])
 
-
-@dataclass(frozen=True, slots=True)
-class ConfigImu:
+class ConfigImu(msgspec.Struct, frozen=True):
     """Full scales 0..3 (250..2000 deg/s, 2..16 g), low-pass filters 0..7 (DLPFCFG), rate 1125 / (1 + divider) Hz."""
 
     gyro_scale: int = 1
@@ -230,12 +174,8 @@ class ConfigImu:
     accel_filter: int = 3
     divider: int = 4
 
-    def pack(self) -> bytes:
-        return struct.pack("<6B", Type.CONFIG_IMU, *astuple(self))
 
-
-@dataclass(frozen=True, slots=True)
-class ConfigMotors:
+class ConfigMotors(msgspec.Struct, frozen=True):
     """Decay, ramps (permille per ms) and battery cut-off (0: no battery sensed)."""
 
     slow_decay: bool = True
@@ -243,22 +183,34 @@ class ConfigMotors:
     ramp_down: int = 10
     cutoff_mv: int = 0
 
-    def pack(self) -> bytes:
-        return struct.pack("<BBBBH", Type.CONFIG_MOTORS, *astuple(self))
 
-
-@dataclass(frozen=True, slots=True)
-class Servo:
+class Servo(msgspec.Struct, frozen=True):
     """Pulse widths, 500..2500 us; 0 lets a servo go."""
 
     pan_us: int
     tilt_us: int
 
-    def pack(self) -> bytes:
-        return struct.pack("<BHH", Type.SERVO, self.pan_us, self.tilt_us)
 
-
+FirmwareMessage = Hello | ImuPacket | Status | Ack | MegaTime
 Command = Drive | Stop | AskTime | AskHello | ConfigImu | ConfigMotors | Servo
+
+_BODIES: dict[type[FirmwareMessage | Command], tuple[Type, struct.Struct]] = {
+    Hello: (Type.HELLO, struct.Struct("<11BH")),
+    ImuPacket: (Type.IMU, struct.Struct("<IIB23s")),
+    Status: (Type.STATUS, struct.Struct("<IHII9HhhHH")),
+    Ack: (Type.ACK, struct.Struct("<BB")),
+    MegaTime: (Type.TIME, struct.Struct("<II")),
+    Drive: (Type.DRIVE, struct.Struct("<hhH")),
+    Stop: (Type.STOP, struct.Struct("")),
+    AskTime: (Type.ASK_TIME, struct.Struct("<I")),
+    AskHello: (Type.ASK_HELLO, struct.Struct("")),
+    ConfigImu: (Type.CONFIG_IMU, struct.Struct("<5B")),
+    ConfigMotors: (Type.CONFIG_MOTORS, struct.Struct("<BBBH")),
+    Servo: (Type.SERVO, struct.Struct("<HH")),
+}
+_FIRMWARE_MESSAGES: dict[int, type[FirmwareMessage]] = {
+    _BODIES[message][0]: message for message in get_args(FirmwareMessage)
+}
 
 
 def crc16(data: bytes) -> int:
@@ -295,20 +247,22 @@ def encode_frame(payload: bytes) -> bytes:
 
 def encode(command: Command) -> bytes:
     """A command's frame."""
-    return encode_frame(command.pack())
+    return encode_frame(pack(command))
 
 
-def pack(message: FirmwareMessage) -> bytes:
-    """Payload of a firmware message: what the Mega sends, for tests and stand-ins."""
-    return bytes([message.TYPE]) + message.LAYOUT.pack(*astuple(message))
+def pack(message: FirmwareMessage | Command) -> bytes:
+    """Payload of a message. A drive command repeats its body inverted: a CRC-16 lets one damage in 65536 pass."""
+    kind, layout = _BODIES[type(message)]
+    body = layout.pack(*astuple(message))
+    return bytes([kind]) + body + (bytes(b ^ 0xFF for b in body) if isinstance(message, Drive) else b"")
 
 
 def parse(payload: bytes) -> FirmwareMessage | None:
     """Firmware message of a checked payload; None where type or length are not known to this version."""
-    kind = _FIRMWARE_MESSAGES.get(payload[0])
-    if kind is None or len(payload) != 1 + kind.LAYOUT.size:
+    message = _FIRMWARE_MESSAGES.get(payload[0])
+    if message is None or len(payload) != 1 + _BODIES[message][1].size:
         return None
-    return kind(*kind.LAYOUT.unpack_from(payload, 1))
+    return message(*_BODIES[message][1].unpack_from(payload, 1))
 
 
 class SerialDecoder:
@@ -322,12 +276,8 @@ class SerialDecoder:
 
     def receive(self, data: bytes) -> list[bytes]:
         """Payloads completed by these bytes. Never raises; damage is counted in `bad`."""
-        payloads: list[bytes] = []
         *ended, rest = data.split(b"\0")
-        for piece in ended:
-            payload = self._end_frame(piece)
-            if payload is not None:
-                payloads.append(payload)
+        payloads = [payload for piece in ended if (payload := self._end_frame(piece)) is not None]
         self._collect(rest)
         return payloads
 

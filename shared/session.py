@@ -234,14 +234,3 @@ def reply_to(heartbeat: Heartbeat, received_ns: int, sent_ns: int) -> HeartbeatR
         t_robot_received_ns=received_ns,
         t_robot_sent_ns=sent_ns,
     )
-
-
-def diagram(rules: dict[State, dict[Event, State]]) -> str:
-    """A Mermaid state diagram of one side's rules."""
-    lines = ["stateDiagram-v2", "    [*] --> opening"]
-    for state, moves in rules.items():
-        reached: dict[State, list[str]] = {}
-        for event, following in moves.items():
-            reached.setdefault(following, []).append(event.value)
-        lines += [f"    {state.value} --> {goal.value}: {', '.join(events)}" for goal, events in reached.items()]
-    return "\n".join([*lines, "    closed --> [*]"])

@@ -144,12 +144,11 @@ class TokenBook:
         with self._changing():
             if any(r.kind == "token" and r.name == name and r.is_live(now_s) for r in self._records.values()):
                 raise ConfigError(f"there is a token named {name!r} already; revoke it first or choose another name")
-            self._put(token, name=name, role=role, now_s=now_s, lifetime_s=lifetime_s)
+            self._put(token, name, role, now_s, lifetime_s)
             self._write(now_s)
         return token
 
     def add_for(self, parent: TokenRecord, kind: Literal["session", "link"], now_s: float, lifetime_s: float) -> Token:
-        """A session or a link of a token."""
         owner = parent.parent or parent.id
         token = Token.new()
         with self._changing():
@@ -158,9 +157,7 @@ class TokenBook:
             same = [r.id for r in self._records.values() if r.parent == owner and r.kind == kind]
             oldest = set(same[: max(0, len(same) - MAX_SESSIONS + 1)])
             self._records = {token_id: r for token_id, r in self._records.items() if token_id not in oldest}
-            self._put(
-                token, name=parent.name, role=parent.role, now_s=now_s, lifetime_s=lifetime_s, kind=kind, parent=owner
-            )
+            self._put(token, parent.name, parent.role, now_s, lifetime_s, kind, owner)
             self._write(now_s)
         return token
 
@@ -204,7 +201,6 @@ class TokenBook:
     def _put(
         self,
         token: Token,
-        *,
         name: str,
         role: Role,
         now_s: float,

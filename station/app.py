@@ -163,14 +163,14 @@ class Station:
 
     def build_map(self, navigation_ids: list[str], name: str, mode: PlacesMode | None, activate: bool) -> Job:
         """Places from finished navigations, in the background. Raises Unknown, Conflict."""
-        navigations = [self._ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
+        navigations = [self.navigations.ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
         folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in navigations]
         title = f"map of {', '.join(navigation.name for navigation in navigations)}"
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             address, executor = self.maps.address, self.config.executor
             built = await worker.call(LibraryProgram.build_map, folders, address, name or title, mode, executor)
-            self.maps.changed()
+            self.events.changed("map")
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
                 await worker.call(LibraryProgram.index_map, folders, address)
             if activate:
@@ -190,7 +190,7 @@ class Station:
 
     def compare(self, first_id: str, second_id: str) -> Job:
         """Find the places of one navigation in another, in the background. Raises Unknown, Conflict."""
-        first, second = self._ready(first_id), self._ready(second_id)
+        first, second = self.navigations.ready(first_id), self.navigations.ready(second_id)
         if first.id == second.id:
             raise Conflict("two different navigations are needed to compare them; GET /navigations lists them")
         title = f"{second.name} compared with {first.name}"
@@ -232,7 +232,7 @@ class Station:
                     LibraryProgram.reprocess, recording, chosen, seed, navigation_id, folder, executor
                 )
                 navigation = await self.navigations.reprocessed(navigation_id, report)
-                await self._robot_of(navigation).current_navigation.show(navigation_id)
+                await self._robot_of(navigation).current_navigation.view(navigation_id)
             finally:
                 self.navigations.release(navigation_id)
             return {"navigation": navigation_id, "landmarks": report.landmarks}
@@ -246,12 +246,6 @@ class Station:
     def _robot_of(self, navigation: NavigationRecord) -> RobotSession:
         """The robot that drove it, if it is one of ours."""
         return self.robots.get(navigation.robot, self.first)
-
-    def _ready(self, navigation_id: str) -> NavigationRecord:
-        navigation = self.navigations.library.get(navigation_id)
-        if navigation.state != "ready":
-            raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
-        return navigation
 
     async def use_maps(self, *map_ids: str) -> None:
         """Look for the current place in these maps; the places of the first are shown. Raises as `Maps.activate`."""

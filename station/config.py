@@ -20,8 +20,17 @@ from shared.messages import MAX_DRIVE_TTL_MS
 
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes
+MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept
+BACKENDS = ("sfm", "ukf")
+AUTO = "auto"  # what suits the robot
+DASK, PROCESSES = "dask://", "processes"
 NAME_RULE = "a robot's name has 1 to 40 letters, digits, - and _, and begins with a letter"
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+
+
+def _check_range(key: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise ConfigError(f"{key} = {value} is outside {least}..{most}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +67,8 @@ class DriveConfig:
     repeat_ms: int = 100  # a command with a longer life than the protocol's is repeated to the robot this often
 
     def __post_init__(self) -> None:
-        if not 0.2 <= self.lease_s <= 30:
-            raise ConfigError(f"drive.lease_s = {self.lease_s} is outside 0.2..30")
-        if not 20 <= self.repeat_ms < MAX_DRIVE_TTL_MS:
-            raise ConfigError(f"drive.repeat_ms = {self.repeat_ms} is outside 20..{MAX_DRIVE_TTL_MS - 1}")
+        _check_range("drive.lease_s", self.lease_s, 0.2, 30)
+        _check_range("drive.repeat_ms", self.repeat_ms, 20, MAX_DRIVE_TTL_MS - 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +92,7 @@ class LocalizationConfig:
     rate_hz: float = 4.0
 
     def __post_init__(self) -> None:
-        if not 0.1 <= self.rate_hz <= 30:
-            raise ConfigError(f"localization.rate_hz = {self.rate_hz} is outside 0.1..30")
+        _check_range("localization.rate_hz", self.rate_hz, 0.1, 30)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +135,10 @@ class StationConfig:
     recordings: RecordingConfig = field(default_factory=RecordingConfig)
 
     def __post_init__(self) -> None:
-        ports = [("robot.port", self.robot.port, 1), ("api.port", self.api.port, 0)]
-        ports += [(f"robots[{number}].port", robot.port, 1) for number, robot in enumerate(self.robots)]
-        for key, port, least in ports:
-            if not least <= port <= 65535:
-                raise ConfigError(f"{key} = {port} is outside {least}..65535")
+        _check_range("robot.port", self.robot.port, 1, 65535)
+        _check_range("api.port", self.api.port, 0, 65535)
+        for number, robot in enumerate(self.robots):
+            _check_range(f"robots[{number}].port", robot.port, 1, 65535)
         _check_fleet(self.fleet)
         check_executor(self.executor)
 
@@ -214,27 +219,12 @@ def _decode(kind: type[Any], value: Any) -> Any:
     raise NotImplementedError
 
 
-DASK = "dask://"
-
-
-PROCESSES = "processes"
-
-
 def check_executor(address: str) -> None:
     """Raises ConfigError when it is no address of an executor."""
     host, colon, port = address.removeprefix(DASK).rpartition(":")
     if address in ("", PROCESSES) or (address.startswith(DASK) and colon and host and port.isdecimal()):
         return
     raise ConfigError(f"executor {address!r} is none; give {PROCESSES} or dask://HOST:PORT of a Dask scheduler")
-
-
-MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept
-
-
-BACKENDS = ("sfm", "ukf")
-
-
-AUTO = "auto"  # what suits the robot
 
 
 def choose_backend(name: str, calibration: Calibration) -> str:

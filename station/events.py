@@ -44,7 +44,7 @@ class Notifier(Protocol):
         ...
 
     def forget(self, kind: EventKind, key: str) -> None:
-        """It does not exist any more."""
+        """What has this key does not exist any more."""
         ...
 
     def notify(self, topic: str, text: str, level: Level = "info") -> None:

@@ -36,8 +36,6 @@ class ImuReading:
 
 @dataclass(frozen=True, slots=True)
 class BatteryState:
-    """Supply of the motors."""
-
     voltage_v: float
     fraction: float  # 0..1
 
@@ -85,8 +83,6 @@ class PanTilt(Protocol):
 
 
 class Battery(Protocol):
-    """Voltage source of the motors."""
-
     def read(self) -> BatteryState: ...
 
 
@@ -115,3 +111,12 @@ class DeviceSet:
     hijack: Hijackable | None = None
     problems: Callable[[], dict[str, str]] = dict  # what goes wrong although all answers: name -> sentence
     clock: Callable[[], int] = time.monotonic_ns  # the clock of all t_robot_ns; a recording or simulation has its own
+
+    async def close(self) -> None:
+        """What moves first: the IMU's end is the end of the line it may share with motors and servos."""
+        for moving in (self.motors, self.pan_tilt):
+            if moving is not None:
+                moving.close()
+        for sensor in (self.imu, self.camera):
+            if sensor is not None:
+                await sensor.close()

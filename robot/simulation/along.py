@@ -15,7 +15,7 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
 from robot.simulation.sensors import ImuMeasurement, ImuModel
-from robot.simulation.trajectory import RecordedPath
+from robot.simulation.trajectory import MotionHistory
 from robot.simulation.world import World
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError
@@ -33,7 +33,7 @@ class StateTable:
     t_ns: IntArray  # (N,)
     values: FloatArray  # (N, 16)
 
-    def path(self) -> RecordedPath:
+    def path(self) -> MotionHistory:
         """The states as a function of seconds since the first one."""
         t_s = (self.t_ns - self.t_ns[0]) * 1e-9
         R = np.stack([rotation_from_quat(q) for q in self.values[:, 3:7]])
@@ -42,7 +42,7 @@ class StateTable:
         for i in range(len(R)):
             low, high = max(i - 1, 0), min(i + 1, len(R) - 1)
             omega[i] = so3_log(R[low].T @ R[high]) / (t_s[high] - t_s[low])
-        return RecordedPath(
+        return MotionHistory(
             [MotionState(float(t_s[i]), self.values[i, :3], R[i], v[i], a[i], omega[i]) for i in range(len(R))]
         )
 
@@ -64,8 +64,6 @@ def read_states(path: Path) -> StateTable:
 
 @dataclass(frozen=True, slots=True)
 class AlongRequest:
-    """What to render."""
-
     states: Path  # CSV of true states
     camera: Path  # sensor.yaml; a data.csv beside it gives the stamps
     imu: Path | None  # folder with data.csv and sensor.yaml to copy; None: synthesise
@@ -145,7 +143,7 @@ def _copy_imu(writer: AslWriter, path: Path, low: int, high: int) -> None:
 
 
 def _synthesise_imu(
-    writer: AslWriter, table: StateTable, path: RecordedPath, model: ImuModel, low: int, high: int
+    writer: AslWriter, table: StateTable, path: MotionHistory, model: ImuModel, low: int, high: int
 ) -> None:
     for t_ns, state in zip(table.t_ns, path.states, strict=True):
         if low <= t_ns <= high:

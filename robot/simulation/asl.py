@@ -15,6 +15,16 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError
 from shared.geometry import FloatArray, quat_from_rotation
 
+TRUTH = "state_groundtruth_estimate0"
+_COLUMNS = {
+    "cam0": "#timestamp [ns],filename,exposure [ns]",
+    "imu0": "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]",
+    TRUTH: "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
+    "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],"
+    "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]",
+    "drive0": "#timestamp [ns],linear [m s^-1],angular [rad s^-1]",
+}
 _DISTORTION_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"}
 
 
@@ -29,31 +39,17 @@ class AslWriter:
             if out.exists() and any(out.iterdir() if out.is_dir() else [out]):
                 raise DataError(f"{out} already exists and is not empty; choose another --out or remove it")
             shutil.rmtree(self._partial, ignore_errors=True)
-            for folder in ("cam0/data", "imu0", "state_groundtruth_estimate0", "drive0"):
-                (mav / folder).mkdir(parents=True)
+            for folder in ("cam0/data", *_COLUMNS):
+                (mav / folder).mkdir(parents=True, exist_ok=True)
         except OSError as exc:
             raise DataError(f"{out} cannot be written: {exc.strerror}; choose another --out") from exc
         if calibration.camera:
             (mav / "cam0/sensor.yaml").write_text(camera_yaml(calibration.camera))
         if calibration.imu:
             (mav / "imu0/sensor.yaml").write_text(imu_yaml(calibration.imu))
-        self._files = {
-            "cam0": (mav / "cam0/data.csv").open("w"),
-            "imu0": (mav / "imu0/data.csv").open("w"),
-            "truth": (mav / "state_groundtruth_estimate0/data.csv").open("w"),
-            "drive0": (mav / "drive0/data.csv").open("w"),
-        }
-        self._files["cam0"].write("#timestamp [ns],filename,exposure [ns]\n")
-        self._files["imu0"].write(
-            "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
-            "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
-        )
-        self._files["truth"].write(
-            "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
-            "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],"
-            "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]\n"
-        )
-        self._files["drive0"].write("#timestamp [ns],linear [m s^-1],angular [rad s^-1]\n")
+        self._files = {name: (mav / name / "data.csv").open("w") for name in _COLUMNS}
+        for name, columns in _COLUMNS.items():
+            self._files[name].write(f"{columns}\n")
         self.num_frames = 0
 
     def __enter__(self) -> AslWriter:
@@ -88,7 +84,7 @@ class AslWriter:
     def add_truth(self, t_ns: int, motion: MotionState, biases: Sequence[FloatArray]) -> None:
         q = quat_from_rotation(motion.R_world_body)
         numbers = np.concatenate([motion.p_world, q, motion.v_world, *biases])
-        self._files["truth"].write(f"{t_ns}," + ",".join(f"{v:.9g}" for v in numbers) + "\n")
+        self._files[TRUTH].write(f"{t_ns}," + ",".join(f"{v:.9g}" for v in numbers) + "\n")
 
     def add_drive(self, t_ns: int, linear_m_s: float, angular_rad_s: float) -> None:
         self._files["drive0"].write(f"{t_ns},{linear_m_s:.6g},{angular_rad_s:.6g}\n")
@@ -112,9 +108,7 @@ def camera_yaml(camera: CameraCalibration) -> str:
 
 def imu_yaml(imu: ImuNoise) -> str:
     """sensor.yaml of an IMU, with the keys EuRoC lacks: gyroscope_range, accelerometer_range."""
-    identity = (
-        "1.0, 0.0, 0.0, 0.0,\n         0.0, 1.0, 0.0, 0.0,\n         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0"
-    )
+    identity = ",\n         ".join(", ".join(map(str, row)) for row in np.eye(4).tolist())
     return (
         "sensor_type: imu\ncomment: simulated\n"
         f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{identity}]\n"

@@ -86,7 +86,6 @@ class Body:
 
     @property
     def is_carried(self) -> bool:
-        """Whether somebody holds the robot."""
         return self._carry is not None or self._grabbed is not None
 
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> float:
@@ -126,7 +125,6 @@ class Body:
         return self.state()
 
     def state(self) -> MotionState:
-        """The motion now."""
         p = self._plane
         c, s = math.cos(p.yaw), math.sin(p.yaw)
         icr = self._parameters.icr_offset_m if self._parameters.slip else 0.0
@@ -268,44 +266,39 @@ def _minimum_jerk(f: float, duration: float) -> tuple[float, float, float]:
     )
 
 
+@dataclass(slots=True)
 class _Carry:
     """Lift, carry and put down along a smooth path; the hand covers the lens on the way."""
 
-    def __init__(
-        self,
-        origin: _Plane,
-        target: tuple[float, float, float],
-        duration_s: float,
-        rest: tuple[float, float, float],
-    ) -> None:
-        self.target = target
-        self._rest = rest  # height m, roll rad, pitch rad on the floor, before and after
-        self._origin, self._duration = origin, duration_s
-        self._elapsed = 0.0
-        self.yaw = origin.yaw
+    origin: _Plane
+    target: tuple[float, float, float]
+    duration_s: float
+    rest: tuple[float, float, float]  # height m, roll rad, pitch rad on the floor, before and after
+    elapsed_s: float = 0.0
+    yaw: float = 0.0  # as last asked
 
     @property
     def is_done(self) -> bool:
-        return self._elapsed >= self._duration
+        return self.elapsed_s >= self.duration_s
 
     def state(self, t_s: float) -> MotionState:
-        height_m, roll_rest, pitch_rest = self._rest
-        self._elapsed += TICK_S
-        f = self._elapsed / self._duration
-        m, m1, m2 = _minimum_jerk(f, self._duration)
+        height_m, roll_rest, pitch_rest = self.rest
+        self.elapsed_s += TICK_S
+        f = self.elapsed_s / self.duration_s
+        m, m1, m2 = _minimum_jerk(f, self.duration_s)
         up = f < 0.5
-        half = self._duration / 2
+        half = self.duration_s / 2
         h, h1, h2 = _minimum_jerk(2 * f if up else 2 * (1 - f), half)
         h1 = h1 if up else -h1
-        dx, dy = self.target[0] - self._origin.x, self.target[1] - self._origin.y
-        turn = self.target[2] - self._origin.yaw
-        self.yaw = self._origin.yaw + m * turn
+        dx, dy = self.target[0] - self.origin.x, self.target[1] - self.origin.y
+        turn = self.target[2] - self.origin.yaw
+        self.yaw = self.origin.yaw + m * turn
         # Tilts in the hand and comes back level.
         tilt = 0.35
         pitch, roll = (pitch_rest + tilt * h, tilt * h1), (roll_rest - 0.6 * tilt * h, -0.6 * tilt * h1)
         return MotionState(
             t_s=t_s,
-            p_world=np.array([self._origin.x + m * dx, self._origin.y + m * dy, height_m + CARRY_HEIGHT_M * h]),
+            p_world=np.array([self.origin.x + m * dx, self.origin.y + m * dy, height_m + CARRY_HEIGHT_M * h]),
             R_world_body=_rotation(self.yaw, pitch[0], roll[0]),
             v_world=np.array([m1 * dx, m1 * dy, CARRY_HEIGHT_M * h1]),
             a_world=np.array([m2 * dx, m2 * dy, CARRY_HEIGHT_M * h2]),

@@ -42,8 +42,6 @@ def covering(texture: TextureSpec, width_m: float, height_m: float) -> TextureSp
 
 @dataclass(slots=True)
 class Builder:
-    """Collects the parts of a world."""
-
     surfaces: list[Surface] = field(default_factory=list)
     obstacles: list[Obstacle] = field(default_factory=list)
 
@@ -77,13 +75,10 @@ class Builder:
         facing_up: bool = True,
     ) -> None:
         """A horizontal rectangle centred at a pose."""
-        c, s = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        eu = (c, s, 0.0)
-        ev = (s, -c, 0.0) if facing_up else (-s, c, 0.0)
-        sign = 1.0 if facing_up else -1.0
-        corner = pose.at(-size_m[0] / 2, sign * size_m[1] / 2)
-        texture = covering(texture, *size_m)
-        self.surfaces.append(Surface((*corner, z_m), eu, ev, size_m[0], size_m[1], texture, 0.0, 0.0, room))
+        c, s, sign = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad), 1.0 if facing_up else -1.0
+        corner = (*pose.at(-size_m[0] / 2, sign * size_m[1] / 2), z_m)
+        eu, ev = (c, s, 0.0), (sign * s, -sign * c, 0.0)
+        self.surfaces.append(Surface(corner, eu, ev, *size_m, covering(texture, *size_m), room=room))
 
     def box(
         self,
@@ -92,10 +87,10 @@ class Builder:
         z0_m: float,
         room: int,
         name: str,
-        *,
         front: TextureSpec,
         side: TextureSpec,
         top: TextureSpec,
+        *,
         has_back: bool = True,
         solid: bool = True,
     ) -> None:
@@ -122,12 +117,11 @@ class TexturePicker:
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
 
-    def new(self, kind: str, width_m: float, height_m: float, texels_per_m: float = 400.0) -> TextureSpec:
+    def new(self, kind: str, width_m: float, height_m: float, texels_per_m: float) -> TextureSpec:
         """A texture nobody else has."""
-        seed = int(self._rng.integers(0, 2**31))
-        return TextureSpec(kind, seed, round(width_m, 3), round(height_m, 3), texels_per_m)
+        return self.series(kind, int(self._rng.integers(0, 2**31)), width_m, height_m, texels_per_m)
 
     @staticmethod
-    def series(kind: str, seed: int, width_m: float, height_m: float, texels_per_m: float = 400.0) -> TextureSpec:
+    def series(kind: str, seed: int, width_m: float, height_m: float, texels_per_m: float) -> TextureSpec:
         """A texture that every piece of the same series shares."""
         return TextureSpec(kind, seed, round(width_m, 3), round(height_m, 3), texels_per_m)

@@ -60,8 +60,9 @@ def dataset(
     max_duration: Annotated[float, typer.Option(help="stop after this many seconds")] = 600.0,
 ) -> None:
     """Drive a route and write an EuRoC/ASL folder with images, IMU, truth and drive commands."""
-    import dataclasses
     import time
+
+    import msgspec
 
     from robot.simulation.atlas import default_cache_dir
     from robot.simulation.recording import record_drive
@@ -70,7 +71,7 @@ def dataset(
 
     settings = effective_config(config, no_imperfections)
     if fps is not None:
-        settings = dataclasses.replace(settings, camera_rate_hz=fps)
+        settings = msgspec.structs.replace(settings, camera_rate_hz=fps)
     flat = make_world(world, seed, settings)
     spot = None if put_down is None else FreeSpace(flat, settings.body.radius_m).random_spot(put_down)
     plan = plan_route(flat, route, drive_seed, settings.body.radius_m, start=spot[:2] if spot else None)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
-import tomllib
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from shared.errors import ConfigError
+import msgspec
+from msgspec import Meta
+
+from robot.config import Section, convert, read_toml
 
 
-@dataclass(frozen=True, slots=True)
-class CameraImperfections:
+class CameraImperfections(Section, frozen=True, kw_only=True):
     """What a small camera does to an ideal image."""
 
     rolling_shutter: bool = True  # rows are exposed one after the other (CameraCalibration.line_delay_s)
@@ -26,8 +25,7 @@ class CameraImperfections:
     jpeg_quality: int = 90
 
 
-@dataclass(frozen=True, slots=True)
-class ImuImperfections:
+class ImuImperfections(Section, frozen=True, kw_only=True):
     """What a MEMS IMU does to true rates and forces; densities and ranges are in the calibration."""
 
     noise: bool = True
@@ -41,10 +39,7 @@ class ImuImperfections:
     accel_vibration_m_s2: float = 0.3
 
 
-@dataclass(frozen=True, slots=True)
-class BodyParameters:
-    """The skid-steer platform."""
-
+class BodyParameters(Section, frozen=True, kw_only=True):
     radius_m: float = 0.21  # around the IMU; the camera's front is inside
     imu_height_m: float = 0.25
     max_linear_m_s: float = 0.6
@@ -60,25 +55,23 @@ class BodyParameters:
     heave_mm: float = 0.4
 
 
-@dataclass(frozen=True, slots=True)
-class Faults:
+class Faults(Section, frozen=True, kw_only=True):
     """Things that go wrong; can be changed while the robot runs."""
 
     covered_lens: bool = False
-    light: float = 1.0  # brightness of all lamps
+    light: Annotated[float, Meta(ge=0, le=10)] = 1.0  # brightness of all lamps
     person: bool = False  # somebody walks through the picture
     frozen_camera: bool = False
-    imu_dropout: float = 0.0  # share of IMU samples that never arrive
+    imu_dropout: Annotated[float, Meta(ge=0, le=1)] = 0.0  # share of IMU samples that never arrive
 
 
-@dataclass(frozen=True, slots=True)
-class SimulationConfig:
+class SimulationConfig(Section, frozen=True, kw_only=True):
     """Everything about a simulated robot except the world it lives in."""
 
-    camera: CameraImperfections = field(default_factory=CameraImperfections)
-    imu: ImuImperfections = field(default_factory=ImuImperfections)
-    body: BodyParameters = field(default_factory=BodyParameters)
-    faults: Faults = field(default_factory=Faults)
+    camera: CameraImperfections = CameraImperfections()
+    imu: ImuImperfections = ImuImperfections()
+    body: BodyParameters = BodyParameters()
+    faults: Faults = Faults()
     lookalike_rooms: bool = False
     moved_chairs_seed: int | None = None
     light_seed: int | None = None
@@ -88,7 +81,7 @@ class SimulationConfig:
 def without_imperfections(config: SimulationConfig | None = None) -> SimulationConfig:
     """The same robot with ideal sensors on an even floor; wheels still lag and walls still stop it."""
     config = config or SimulationConfig()
-    return dataclasses.replace(
+    return msgspec.structs.replace(
         config,
         camera=CameraImperfections(
             rolling_shutter=False,
@@ -100,38 +93,10 @@ def without_imperfections(config: SimulationConfig | None = None) -> SimulationC
             jpeg_quality=95,
         ),
         imu=ImuImperfections(noise=False, bias=False, bias_walk=False, vibration=False, saturation=False),
-        body=dataclasses.replace(config.body, slip=False, wobble=False),
+        body=msgspec.structs.replace(config.body, slip=False, wobble=False),
     )
 
 
 def load_config(path: Path) -> SimulationConfig:
     """Read a TOML file whose tables are the field names; unknown keys are refused."""
-    try:
-        table = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as exc:
-        raise ConfigError(f"{path} is not a readable TOML file: {exc}") from exc
-    return config_from_table(SimulationConfig(), table, "")
-
-
-def config_from_table(default: Any, table: dict[str, Any], prefix: str) -> Any:
-    """A copy of a configuration dataclass with the table's values. Raises ConfigError that names the key."""
-    changes: dict[str, Any] = {}
-    names = {f.name for f in dataclasses.fields(default)}
-    for key, value in table.items():
-        if key not in names:
-            raise ConfigError(f"unknown key {prefix}{key}; known here: {', '.join(sorted(names))}")
-        current = getattr(default, key)
-        if dataclasses.is_dataclass(current):
-            if not isinstance(value, dict):
-                raise ConfigError(f"{prefix}{key} must be a table")
-            changes[key] = config_from_table(current, value, f"{prefix}{key}.")
-        elif current is None:
-            if not isinstance(value, int) or isinstance(value, bool):
-                raise ConfigError(f"{prefix}{key} is {value!r}, must be a whole number")
-            changes[key] = value
-        else:
-            is_number = isinstance(current, float) and isinstance(value, int) and not isinstance(value, bool)
-            if type(value) is not type(current) and not is_number:
-                raise ConfigError(f"{prefix}{key} is {value!r}, must be of type {type(current).__name__}")
-            changes[key] = type(current)(value)
-    return dataclasses.replace(default, **changes)
+    return convert(read_toml(path), SimulationConfig, str(path))

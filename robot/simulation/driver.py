@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from robot.simulation.routes import Route
+from robot.watchdog import STANDSTILL, Velocity
 
 LOOKAHEAD_M = 0.28
 WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
@@ -16,14 +16,6 @@ MAX_COMMAND_RAD_S = 2.4  # robot-server refuses more than 2.5
 STUCK_M, STUCK_COMMANDS = 0.05, 18  # a bit more than a second without getting on
 BACKING_COMMANDS = 12
 PIVOT_RAD = 1.2  # turn in place first when the route points further aside than this
-
-
-@dataclass(frozen=True, slots=True)
-class DriveCommand:
-    """What to tell the motors."""
-
-    linear_m_s: float
-    angular_rad_s: float
 
 
 class RouteDriver:
@@ -54,7 +46,7 @@ class RouteDriver:
             self._idle, self._backing = 0, BACKING_COMMANDS
         return False
 
-    def command(self, x_m: float, y_m: float, yaw_rad: float, yaw_rate_rad_s: float) -> DriveCommand:
+    def command(self, x_m: float, y_m: float, yaw_rad: float, yaw_rate_rad_s: float) -> Velocity:
         """The command for the present pose and achieved yaw rate."""
         points = self._route.points
         window = points[self._index : self._index + WINDOW_POINTS]
@@ -64,7 +56,7 @@ class RouteDriver:
             self.is_done = True
         if self.is_done or self._index >= len(points) - 1:
             self.is_done = True
-            return DriveCommand(0.0, 0.0)
+            return STANDSTILL
         target = points[min(self._index + int(LOOKAHEAD_M / 0.05), len(points) - 1)]
         bearing = math.atan2(target[1] - y_m, target[0] - x_m) - yaw_rad
         bearing = (bearing + math.pi) % (2 * math.pi) - math.pi
@@ -81,7 +73,7 @@ class RouteDriver:
         self._last_linear = linear
         self._learn_efficiency(yaw_rate_rad_s)
         self._last_yaw_rate = float(np.clip(yaw_rate / self._efficiency, -MAX_COMMAND_RAD_S, MAX_COMMAND_RAD_S))
-        return DriveCommand(linear, self._last_yaw_rate)
+        return Velocity(linear, self._last_yaw_rate)
 
     def _learn_efficiency(self, yaw_rate_rad_s: float) -> None:
         """How much of the commanded turning the wheels achieve here, as a driver feels after a second."""

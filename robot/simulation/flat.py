@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot.simulation.building import DOOR_HEIGHT_M, Builder, Pose2, TexturePicker
-from robot.simulation.furniture import PIECES, Site
+from robot.simulation.furniture import PIECES, Piece, Site
 from robot.simulation.textures import TextureSpec
 from robot.simulation.world import WALL_HEIGHT_M, WALL_THICKNESS_M, Door, Obstacle, Room, World
 
@@ -216,7 +216,6 @@ def furnish_room(
     """Walls, floor, ceiling, rug, furniture and pictures of one room."""
     rng = np.random.default_rng([seed, 2])
     pick = TexturePicker(np.random.default_rng([seed, 4]))
-    pictures = TexturePicker(np.random.default_rng([seed, 9, index]))  # also of twins, no two pictures are the same
     width, depth = room.x1_m - room.x0_m, room.y1_m - room.y0_m
     centre = Pose2(*room.centre, 0.0)
     kind = room.name.removesuffix(" 2")
@@ -227,14 +226,16 @@ def furnish_room(
     rug = Pose2(centre.x_m + rng.uniform(-0.3, 0.3), centre.y_m + rng.uniform(-0.3, 0.3), 0.0)
     builder.level(rug, rug_size, 0.004, pick.new("rug", *rug_size, 400), index)
     style = "tiled" if kind == "kitchen" else WALL_STYLES[int(rng.integers(0, len(WALL_STYLES)))]
-    pieces = list(ROOM_KINDS[kind])
+    pictures = TexturePicker(np.random.default_rng([seed, 9, index]))  # also of twins, no two pictures are the same
+    deepest = 0.5 * min(width, depth) - 0.65 + 0.2  # m, of a piece: the robot passes between two of them
+    furnisher = _Furnisher(builder, rng, pick, pictures, index, list(ROOM_KINDS[kind]), deepest, moved_seed)
     for side, run in enumerate(_wall_runs(room, index, doors)):
         is_plain = side == featureless_side
         texture = pick.new("plain_wall" if is_plain else style, run.length_m, WALL_HEIGHT_M, 350)
         _build_wall(builder, run, texture, index)
         builder.obstacles += _wall_boxes(run, index)
         if not is_plain:
-            _furnish_wall(builder, (pick, pictures), rng, run, room, index, pieces, moved_seed)
+            furnisher.furnish(run)
 
 
 def _build_wall(builder: Builder, run: _WallRun, texture: TextureSpec, room: int) -> None:
@@ -284,73 +285,63 @@ def _build_jambs(builder: Builder, door: Door, rng: np.random.Generator) -> None
 MOVABLE = {"chair", "boxes", "basket"}
 
 
-def _furnish_wall(
-    builder: Builder,
-    pickers: tuple[TexturePicker, TexturePicker],
-    rng: np.random.Generator,
-    run: _WallRun,
-    room: Room,
-    index: int,
-    pieces: list[str],
-    moved_seed: int | None,
-) -> None:
-    """Stand pieces side by side along the free parts of a wall, and hang pictures between and above them."""
-    pick, pictures = pickers
-    corner = 0.45  # keeps the pieces of two walls apart in the corners
-    spans = []
-    s = corner
-    for low, high in [*run.openings, (run.length_m - corner, run.length_m - corner)]:
-        if low - 0.15 - s > 0.4:
-            spans.append((s, low - 0.15))
-        s = max(s, high + 0.15)
-    deepest = 0.5 * min(room.x1_m - room.x0_m, room.y1_m - room.y0_m) - 0.65
-    for low, high in spans:
-        s = low + float(rng.uniform(0.0, 0.2))
-        while True:
-            fitting = [
-                name for name in pieces if PIECES[name].width_m[0] <= high - s and PIECES[name].depth_m <= deepest + 0.2
-            ]
-            if not fitting:
-                break
-            name = fitting[int(rng.integers(0, len(fitting)))]
-            if name not in MOVABLE:
-                pieces.remove(name)
-            piece = PIECES[name]
-            width = float(min(rng.uniform(*piece.width_m), high - s))
-            position = s + width / 2
-            piece_rng = np.random.default_rng(int(rng.integers(0, 2**31)))
-            if moved_seed is not None and name in MOVABLE:
-                piece_rng = np.random.default_rng([moved_seed, int(piece_rng.integers(0, 2**31))])
-                position += float(np.clip(piece_rng.normal(0, 0.25), low + width / 2 - position, 0.1))
-            pose = Pose2(*run.at(position), run.yaw_rad)
-            piece.build(Site(builder, pick, piece_rng, pose, width, piece.depth_m, index, name))
-            s += width + float(rng.choice([rng.uniform(0.03, 0.12), rng.uniform(0.3, 0.7)], p=[0.6, 0.4]))
-        _hang_pictures(builder, pictures, rng, run, low, high, index)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Furnisher:
+    """Furnishes one room, wall by wall."""
 
+    builder: Builder
+    rng: np.random.Generator
+    pick: TexturePicker
+    pictures: TexturePicker
+    room: int
+    pieces: list[str]  # kinds that still have no place
+    deepest_m: float
+    moved_seed: int | None
 
-def _hang_pictures(
-    builder: Builder,
-    pick: TexturePicker,
-    rng: np.random.Generator,
-    run: _WallRun,
-    low: float,
-    high: float,
-    room: int,
-) -> None:
-    """Posters and pictures, low enough that a robot's camera sees some of them."""
-    s = low
-    while s < high - 0.35:
-        w, h = float(rng.uniform(0.3, min(0.8, high - s))), float(rng.uniform(0.3, 0.7))
-        z0 = float(rng.uniform(0.18, 0.5) if rng.random() < 0.6 else rng.uniform(0.9, 1.5))
-        texture = pick.new("poster", w, h, 550)
-        left, right = run.at(s), run.at(s + w)
+    def furnish(self, run: _WallRun) -> None:
+        """Stand pieces side by side along the free parts of a wall, and hang pictures between and above them."""
+        corner = 0.45  # keeps the pieces of two walls apart in the corners
+        spans = []
+        s = corner
+        for low, high in [*run.openings, (run.length_m - corner, run.length_m - corner)]:
+            if low - 0.15 - s > 0.4:
+                spans.append((s, low - 0.15))
+            s = max(s, high + 0.15)
+        for low, high in spans:
+            s = low + float(self.rng.uniform(0.0, 0.2))
+            while fitting := [name for name in self.pieces if self._fits(name, high - s)]:
+                name = fitting[int(self.rng.integers(0, len(fitting)))]
+                if name not in MOVABLE:
+                    self.pieces.remove(name)
+                s += self._stand(PIECES[name], run, low, s, high) + self._gap()
+            self._hang_pictures(run, low, high)
+
+    def _gap(self) -> float:
+        return float(self.rng.choice([self.rng.uniform(0.03, 0.12), self.rng.uniform(0.3, 0.7)], p=[0.6, 0.4]))
+
+    def _fits(self, name: str, length_m: float) -> bool:
+        return PIECES[name].width_m[0] <= length_m and PIECES[name].depth_m <= self.deepest_m
+
+    def _stand(self, piece: Piece, run: _WallRun, low: float, s: float, high: float) -> float:
+        """Stand a piece at s of the free part low..high of a wall; returns its width."""
+        width = float(min(self.rng.uniform(*piece.width_m), high - s))
+        position = s + width / 2
+        rng = np.random.default_rng(int(self.rng.integers(0, 2**31)))
+        if self.moved_seed is not None and piece.name in MOVABLE:
+            rng = np.random.default_rng([self.moved_seed, int(rng.integers(0, 2**31))])
+            position += float(np.clip(rng.normal(0, 0.25), low + width / 2 - position, 0.1))
+        pose = Pose2(*run.at(position), run.yaw_rad)
+        piece.build(Site(self.builder, self.pick, rng, pose, width, piece.depth_m, self.room, piece.name))
+        return width
+
+    def _hang_pictures(self, run: _WallRun, low: float, high: float) -> None:
+        """Posters and pictures, low enough that a robot's camera sees some of them."""
+        rng, s = self.rng, low
         off = 0.012  # the frame stands off the wall
-        nx, ny = -math.sin(run.yaw_rad), math.cos(run.yaw_rad)
-        builder.upright(
-            (left[0] + off * nx, left[1] + off * ny),
-            (right[0] + off * nx, right[1] + off * ny),
-            (z0, z0 + h),
-            texture,
-            room,
-        )
-        s += w + float(rng.uniform(0.1, 0.6))
+        out = np.array([-off * math.sin(run.yaw_rad), off * math.cos(run.yaw_rad)])
+        while s < high - 0.35:
+            w, h = float(rng.uniform(0.3, min(0.8, high - s))), float(rng.uniform(0.3, 0.7))
+            z0 = float(rng.uniform(0.18, 0.5) if rng.random() < 0.6 else rng.uniform(0.9, 1.5))
+            left, right = ((out + run.at(end)).tolist() for end in (s, s + w))
+            self.builder.upright(left, right, (z0, z0 + h), self.pictures.new("poster", w, h, 550), self.room)
+            s += w + float(rng.uniform(0.1, 0.6))

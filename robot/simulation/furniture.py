@@ -10,11 +10,11 @@ import numpy as np
 from robot.simulation.building import Builder, Pose2, TexturePicker
 from robot.simulation.textures import TextureSpec
 
+Look = tuple[str, float]  # kind of texture, texels per m
+
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One kind of furniture: its footprint and how to build it."""
-
     name: str
     width_m: tuple[float, float]
     depth_m: float
@@ -23,8 +23,6 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where and with what to build one piece."""
-
     builder: Builder
     pick: TexturePicker
     rng: np.random.Generator
@@ -44,56 +42,46 @@ class Site:
         side: TextureSpec,
         top: TextureSpec | None = None,
         *,
+        yaw_rad: float = 0.0,
         has_back: bool = False,
         solid: bool = True,
-        yaw_rad: float = 0.0,
     ) -> None:
         """A box centred at local (x, y)."""
         centre = Pose2(*self.pose.at(x_m, y_m), self.pose.yaw_rad + yaw_rad)
-        self.builder.box(
-            centre,
-            size_m,
-            z0_m,
-            self.room,
-            self.name,
-            front=front,
-            side=side,
-            top=top or side,
-            has_back=has_back,
-            solid=solid,
-        )
+        looks = (front, side, top or side)
+        self.builder.box(centre, size_m, z0_m, self.room, self.name, *looks, has_back=has_back, solid=solid)
+
+    def block(self, height_m: float, front: Look, side: Look, top: Look | None = None) -> TextureSpec:
+        """A box over the whole footprint; returns the texture of its sides."""
+        w, d = self.width_m, self.depth_m
+        before, beside = self.pick.new(front[0], w, height_m, front[1]), self.pick.new(side[0], d, height_m, side[1])
+        above = None if top is None else self.pick.new(top[0], w, d, top[1])
+        self.box(0, d / 2, (w, d, height_m), 0.0, before, beside, above)
+        return beside
 
 
-def _clutter_on(site: Site, z_m: float, count: int, depth_m: float) -> None:
+def _clutter_on(site: Site, z_m: float, count: int) -> None:
     """Small printed boxes on top of a piece."""
     for _ in range(count):
         w, d, h = site.rng.uniform(0.06, 0.2), site.rng.uniform(0.05, 0.14), site.rng.uniform(0.08, 0.3)
         x = site.rng.uniform(-site.width_m / 2 + w, site.width_m / 2 - w) if site.width_m > 2 * w else 0.0
         front, side = site.pick.new("box_print", w, h, 700), site.pick.new("box_print", d, h, 500)
         yaw = float(site.rng.uniform(-0.5, 0.5))
-        site.box(x, depth_m * 0.5, (w, d, h), z_m, front, side, side, has_back=True, solid=False, yaw_rad=yaw)
+        site.box(x, site.depth_m * 0.5, (w, d, h), z_m, front, side, side, has_back=True, solid=False, yaw_rad=yaw)
 
 
 def build_bookshelf(site: Site) -> None:
-    height = float(site.rng.uniform(1.1, 2.0))
-    front = site.pick.new("books", site.width_m, height, 600)
-    side = site.pick.new("wood", site.depth_m, height, 300)
-    site.box(0, site.depth_m / 2, (site.width_m, site.depth_m, height), 0.0, front, side)
+    site.block(float(site.rng.uniform(1.1, 2.0)), ("books", 600), ("wood", 300))
 
 
 def build_sideboard(site: Site) -> None:
     height = float(site.rng.uniform(0.6, 0.9))
-    front = site.pick.new("drawers", site.width_m, height, 450)
-    side = site.pick.new("wood", site.depth_m, height, 350)
-    top = site.pick.new("wood", site.width_m, site.depth_m, 300)
-    site.box(0, site.depth_m / 2, (site.width_m, site.depth_m, height), 0.0, front, side, top)
-    _clutter_on(site, height, int(site.rng.integers(2, 5)), site.depth_m)
+    site.block(height, ("drawers", 450), ("wood", 350), ("wood", 300))
+    _clutter_on(site, height, int(site.rng.integers(2, 5)))
 
 
 def build_wardrobe(site: Site) -> None:
-    front = site.pick.new("drawers", site.width_m, 2.0, 400)
-    side = site.pick.new("wood", site.depth_m, 2.0, 300)
-    site.box(0, site.depth_m / 2, (site.width_m, site.depth_m, 2.0), 0.0, front, side)
+    site.block(2.0, ("drawers", 400), ("wood", 300))
 
 
 def build_sofa(site: Site) -> None:
@@ -129,32 +117,25 @@ def build_desk(site: Site) -> None:
 
 
 def build_counter(site: Site) -> None:
-    w, d = site.width_m, site.depth_m
-    front, side = site.pick.new("drawers", w, 0.88, 450), site.pick.new("wood", d, 0.88, 350)
-    site.box(0, d / 2, (w, d, 0.88), 0.0, front, side, site.pick.new("wood", w, d, 300))
-    _clutter_on(site, 0.88, int(site.rng.integers(2, 6)), d)
-    upper = site.pick.new("drawers", w, 0.6, 400)
-    site.box(0, 0.16, (w, 0.32, 0.6), 1.5, upper, side)
+    side = site.block(0.88, ("drawers", 450), ("wood", 350), ("wood", 300))
+    _clutter_on(site, 0.88, int(site.rng.integers(2, 6)))
+    site.box(0, 0.16, (site.width_m, 0.32, 0.6), 1.5, site.pick.new("drawers", site.width_m, 0.6, 400), side)
 
 
 def build_fridge(site: Site) -> None:
-    height = float(site.rng.uniform(1.3, 1.9))
-    front, side = site.pick.new("appliance", site.width_m, height, 450), site.pick.new("appliance", 0.6, height, 300)
-    site.box(0, site.depth_m / 2, (site.width_m, site.depth_m, height), 0.0, front, side)
+    site.block(float(site.rng.uniform(1.3, 1.9)), ("appliance", 450), ("appliance", 300))
 
 
 def build_washer(site: Site) -> None:
-    front, side = site.pick.new("appliance", site.width_m, 0.85, 500), site.pick.new("appliance", 0.6, 0.85, 300)
-    site.box(0, site.depth_m / 2, (site.width_m, site.depth_m, 0.85), 0.0, front, side)
-    _clutter_on(site, 0.85, 3, site.depth_m)
+    site.block(0.85, ("appliance", 500), ("appliance", 300))
+    _clutter_on(site, 0.85, 3)
 
 
 def build_television(site: Site) -> None:
-    w = site.width_m
-    front, side = site.pick.new("drawers", w, 0.45, 500), site.pick.new("wood", site.depth_m, 0.45, 350)
-    site.box(0, site.depth_m / 2, (w, site.depth_m, 0.45), 0.0, front, side)
-    screen, edge = site.pick.new("screen", 0.8 * w, 0.6, 450), site.pick.new("wood", 0.1, 0.6, 300)
-    site.box(0, 0.15, (0.8 * w, 0.06, 0.6), 0.5, screen, edge, solid=False)
+    site.block(0.45, ("drawers", 500), ("wood", 350))
+    w = 0.8 * site.width_m
+    screen, edge = site.pick.new("screen", w, 0.6, 450), site.pick.new("wood", 0.1, 0.6, 300)
+    site.box(0, 0.15, (w, 0.06, 0.6), 0.5, screen, edge, solid=False)
 
 
 def build_plant(site: Site) -> None:
@@ -182,10 +163,9 @@ def build_person(site: Site) -> None:
     skin = site.pick.new("skin", 0.2, 0.25, 500)
     shoes = site.pick.new("box_print", 0.28, 0.1, 500)
     yaw = float(site.rng.uniform(-0.6, 0.6))
-    site.box(0, 0.22, (0.34, 0.3, 0.09), 0.0, shoes, shoes, shoes, has_back=True, yaw_rad=yaw)
-    site.box(0, 0.22, (0.32, 0.2, 0.75), 0.09, trousers, trousers, has_back=True, yaw_rad=yaw)
-    site.box(0, 0.22, (0.46, 0.24, 0.6), 0.84, clothes, clothes, has_back=True, yaw_rad=yaw)
-    site.box(0, 0.22, (0.18, 0.2, 0.25), 1.46, skin, skin, has_back=True, yaw_rad=yaw)
+    sizes = ((0.34, 0.3, 0.09), (0.32, 0.2, 0.75), (0.46, 0.24, 0.6), (0.18, 0.2, 0.25))
+    for size, z, look in zip(sizes, (0.0, 0.09, 0.84, 1.46), (shoes, trousers, clothes, skin), strict=True):
+        site.box(0, 0.22, size, z, look, look, has_back=True, yaw_rad=yaw)
 
 
 def build_chair(site: Site) -> None:
@@ -197,9 +177,7 @@ def build_chair(site: Site) -> None:
     site.box(0, 0.3, (0.36, 0.36, 0.4), 0.0, cloth, cloth, cloth, has_back=True, yaw_rad=yaw)
     centre = Pose2(*site.pose.at(0, 0.3), site.pose.yaw_rad + yaw)
     back = Pose2(*centre.at(0, -0.19), centre.yaw_rad)
-    site.builder.box(
-        back, (0.42, 0.04, 0.45), 0.48, site.room, site.name, front=cloth, side=wood, top=wood, solid=False
-    )
+    site.builder.box(back, (0.42, 0.04, 0.45), 0.48, site.room, site.name, cloth, wood, wood, solid=False)
 
 
 def build_basket(site: Site) -> None:

@@ -22,8 +22,6 @@ FLOW_GRID_PX = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposure:
-    """One finished image."""
-
     jpeg: bytes
     image: ImageArray  # (H, W, 3) BGR before JPEG
     exposure_s: float

@@ -29,8 +29,6 @@ START_NS = 1_000_000_000_000  # robot clock at the first sample; all stamps of a
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a recording holds."""
-
     frames: int
     duration_s: float
     path_m: float
@@ -73,7 +71,7 @@ def record_drive(
     camera = SimulatedCamera(
         Renderer(world, camera_calibration, cache_dir), camera_calibration, config.camera, drive_seed
     )
-    driver, history = RouteDriver(route), MotionHistory()
+    driver, history = RouteDriver(route), MotionHistory(keep_s=2.0)
     readout_s = camera_calibration.line_delay_s * camera_calibration.height
     frame_period = 1.0 / config.camera_rate_hz
     next_frame_s, ticks, path_m, blocked, done_at = 0.1, 0, 0.0, 0, float("inf")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import json
 import math
-import socket
 import sys
 import time
 from dataclasses import dataclass
@@ -17,44 +16,13 @@ import numpy as np
 from robot.simulation.driver import RouteDriver
 from robot.simulation.routes import Route
 from shared.errors import ConfigError, DeviceLost
+from shared.simulator_link import SimulatorLink
 
 COMMAND_PERIOD_S = 1 / 15
 COMMAND_TTL_MS = 300
 TIMEOUT_S = 10.0
 RETRIES = 20  # of refused commands in a row: the station may still be connecting to the robot
 RETRY_WAIT_S = 0.25
-
-
-class ControlLink:
-    """The simulator's control port (see robot/devices/simulated/control.py)."""
-
-    def __init__(self, port: int) -> None:
-        try:
-            self._socket = socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S)
-        except (OSError, OverflowError) as exc:
-            raise ConfigError(
-                f"no simulator answers on 127.0.0.1:{port} ({exc}); start robot-server with --sim-port {port}"
-            ) from exc
-        self._lines = self._socket.makefile("rwb")
-
-    def ask(self, **question: Any) -> dict[str, Any]:
-        """One question, one answer. Raises ConfigError with the simulator's sentence."""
-        try:
-            self._lines.write(json.dumps(question).encode() + b"\n")
-            self._lines.flush()
-            line = self._lines.readline()
-        except OSError as exc:
-            raise DeviceLost(f"the simulator stopped answering ({exc})") from exc
-        if not line:
-            raise DeviceLost("the simulator closed its control port")
-        answer: dict[str, Any] = json.loads(line)
-        if "error" in answer:
-            raise ConfigError(f"simulator: {answer['error']}")
-        return answer
-
-    def close(self) -> None:
-        self._lines.close()
-        self._socket.close()
 
 
 class StationHttp:
@@ -74,7 +42,6 @@ class StationHttp:
         return self._post("/drive", body)
 
     def stop(self) -> str:
-        """Motors off."""
         return self._post("/stop", {})
 
     def close(self) -> None:
@@ -104,8 +71,6 @@ def _reason(status: int, text: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class DriveReport:
-    """How a scripted drive went."""
-
     duration_s: float
     length_m: float
     refused: int
@@ -120,7 +85,7 @@ def drive_route(
         ConfigError: no simulator, unknown route.
         DeviceLost: the station is gone, refuses to drive for long, or the route takes too long.
     """
-    control = ControlLink(sim_port)
+    control = SimulatorLink(sim_port)
     http_link = StationHttp(station, driver_name)
     try:
         return _follow(control, http_link, _route(control.ask(cmd="route", kind=kind, seed=seed)), max_duration_s)
@@ -129,7 +94,7 @@ def drive_route(
         control.close()
 
 
-def _follow(control: ControlLink, station: StationHttp, route: Route, max_duration_s: float) -> DriveReport:
+def _follow(control: SimulatorLink, station: StationHttp, route: Route, max_duration_s: float) -> DriveReport:
     driver = RouteDriver(route)
     began = next_s = time.monotonic()
     refused = in_a_row = shown = 0

@@ -7,7 +7,6 @@ region it can cover; the nearest one wins per pixel. One lookup in the atlas the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,9 +23,8 @@ from shared.geometry import FloatArray
 Float32Array = npt.NDArray[np.float32]
 NEAR_M = 0.02
 ANISOTROPY = 0.75  # 0: a texel per lateral footprint (aliases far away), 1: per depth footprint (blurs sideways)
-LEVEL_BIAS = (
-    0.25  # corners of a checkerboard then lie within 0.05 px of their place; at -0.35 aliasing moves them 0.2 px
-)
+# Corners of a checkerboard then lie within 0.05 px of their place; at -0.35 aliasing moves them 0.2 px.
+LEVEL_BIAS = 0.25
 NO_SURFACE = 0xFFFF
 
 
@@ -69,17 +67,6 @@ def undistort(camera: CameraCalibration, xy_distorted: FloatArray) -> FloatArray
     return np.stack([x, y], axis=-1)
 
 
-def project_points(camera: CameraCalibration, p_cam: FloatArray) -> FloatArray:
-    """Pixels (N, 2) of points (N, 3) m in camera coordinates, all in front of the camera."""
-    zero = np.zeros(3)
-    coefficients = np.array(camera.distortion)
-    if camera.model == "equidistant":
-        uv, _ = cv2.fisheye.projectPoints(p_cam[:, None, :], zero, zero, camera.K, coefficients)
-    else:
-        uv, _ = cv2.projectPoints(p_cam[:, None, :], zero, zero, camera.K, coefficients)
-    return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
-
-
 class Renderer:
     """Draws one world through one camera."""
 
@@ -95,13 +82,8 @@ class Renderer:
         self._surface = np.empty(shape, np.uint16)
         self._scratch = [np.empty(shape, np.float32) for _ in range(4)]
         self._id_scratch = np.empty(shape, np.uint16)
-        self._cache_dir = cache_dir
-        self.set_world(world)
-
-    def set_world(self, world: World) -> None:
-        """Bake a world's textures and tables."""
         surfaces = world.surfaces
-        atlas = bake_atlas([s.texture for s in surfaces], self._cache_dir)
+        atlas = bake_atlas([s.texture for s in surfaces], cache_dir)
         self.world = world
         self._atlas_image = atlas.image
         self._corners = np.stack([s.corners() for s in surfaces])  # (N, 4, 3)
@@ -282,14 +264,3 @@ def _clip(polygon: list[FloatArray], plane: FloatArray, limit: float) -> list[Fl
         if value >= 0:
             kept.append(p)
     return kept
-
-
-def look_at_pose(camera_position: Sequence[float], yaw_rad: float, pitch_rad: float = 0.0) -> FloatArray:
-    """T_world_cam (4, 4) of a level camera that looks along yaw, tilted up by pitch."""
-    c, s, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
-    forward = np.array([c * cp, s * cp, sp])
-    right = np.array([s, -c, 0.0])
-    T = np.eye(4)
-    T[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    T[:3, 3] = camera_position
-    return T

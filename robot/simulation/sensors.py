@@ -38,7 +38,6 @@ class ImuModel:
         self._vibration = np.zeros(6)
 
     def measure(self, motion: MotionState) -> ImuMeasurement:
-        """The sample of one instant."""
         i, n, rng = self._imperfections, self._noise, self._rng
         gyro = motion.omega_body.copy()
         accel = motion.R_world_body.T @ (motion.a_world + self._gravity)

@@ -1,49 +1,40 @@
-"""Painters of walls, floors, rugs and ceilings: (generator, width px, height px, texels per m) to BGR pixels."""
+"""Painters of walls, floors, rugs and ceilings."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from robot.simulation.texture_strokes import (
-    ImageArray,
-    draw_grain,
-    draw_shapes,
-    fill,
-    muted_colour,
-    scaled,
-    scatter_marks,
-    speckle,
-)
+from robot.simulation.texture_strokes import Canvas, scaled
 
 
-def paint_plain_wall(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_plain_wall(canvas: Canvas) -> None:
     """Nearly featureless: white paint with the faintest roller structure."""
-    tone = int(rng.integers(196, 216))
-    image = fill(width, height, (tone - 6, tone - 2, tone))
-    return speckle(image, rng, (0.6 * texels_per_m, 0.15 * texels_per_m), 0.008)
+    tone = int(canvas.rng.integers(196, 216))
+    canvas.fill((tone - 6, tone - 2, tone))
+    canvas.speckle((0.6 * canvas.texels_per_m, 0.15 * canvas.texels_per_m), 0.008)
 
 
-def paint_wallpaper(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_wallpaper(canvas: Canvas) -> None:
     """Scattered motifs above, a skirting board below; the scatter never repeats."""
-    base = muted_colour(rng, 170, 225)
-    image = speckle(
-        fill(width, height, base), rng, (0.5 * texels_per_m, 0.08 * texels_per_m, 0.02 * texels_per_m), 0.05
-    )
+    image, rng, (width, height), m = canvas.image, canvas.rng, canvas.size_px, canvas.texels_per_m
+    base = canvas.muted_colour(170, 225)
+    canvas.fill(base)
+    canvas.speckle((0.5 * m, 0.08 * m, 0.02 * m), 0.05)
     style = rng.integers(0, 4)
     ink = scaled(base, float(rng.uniform(0.35, 0.7)))
     if style == 0:  # uneven stripes
         x = 0.0
         while x < width:
-            stripe = rng.uniform(0.02, 0.12) * texels_per_m
+            stripe = rng.uniform(0.02, 0.12) * m
             if rng.random() < 0.5:
-                cv2.rectangle(image, (int(x), 0), (int(x + stripe), height), muted_colour(rng, 140, 225), -1)
+                cv2.rectangle(image, (int(x), 0), (int(x + stripe), height), canvas.muted_colour(140, 225), -1)
             x += stripe
-    count = int(width * height / (0.06 * texels_per_m) ** 2 * rng.uniform(0.5, 0.9))
+    count = int(width * height / (0.06 * m) ** 2 * rng.uniform(0.5, 0.9))
     for _ in range(count):
         x, y = rng.uniform(0, width), rng.uniform(0, height)
-        size = texels_per_m * rng.uniform(0.006, 0.028)
-        colour = ink if rng.random() < 0.6 else muted_colour(rng, 90, 200)
+        size = m * rng.uniform(0.006, 0.028)
+        colour = ink if rng.random() < 0.6 else canvas.muted_colour(90, 200)
         if style in (0, 1):  # leaves
             axes = (max(1, int(size)), max(1, int(size * 0.4)))
             cv2.ellipse(image, (int(x), int(y)), axes, float(rng.uniform(0, 360)), 0, 360, colour, -1, cv2.LINE_AA)
@@ -54,118 +45,121 @@ def paint_wallpaper(rng: np.random.Generator, width: int, height: int, texels_pe
             for _ in range(3):
                 end = (int(x + rng.normal(0, size * 1.6)), int(y + rng.normal(0, size * 1.6)))
                 cv2.line(image, (int(x), int(y)), end, colour, max(1, int(size * 0.25)), cv2.LINE_AA)
-    scatter_marks(image, rng, texels_per_m, 260, (4, 14))
-    image = speckle(image, rng, (2.0, 0.03 * texels_per_m), 0.05)
-    return add_skirting(image, rng, texels_per_m)
+    canvas.marks(260, 4, 14)
+    canvas.speckle((2.0, 0.03 * m), 0.05)
+    add_skirting(canvas)
 
 
-def paint_plaster_wall(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_plaster_wall(canvas: Canvas) -> None:
     """Painted wall with stains, scratches, sockets and marks."""
-    base = muted_colour(rng, 175, 225)
-    image = speckle(
-        fill(width, height, base), rng, (0.9 * texels_per_m, 0.2 * texels_per_m, 0.04 * texels_per_m, 3.0), 0.07
-    )
-    scatter_marks(image, rng, texels_per_m, 420, (4, 16))
-    for _ in range(int(width * height / texels_per_m**2 * 60)):
+    image, rng, (width, height), m = canvas.image, canvas.rng, canvas.size_px, canvas.texels_per_m
+    base = canvas.muted_colour(175, 225)
+    canvas.fill(base)
+    canvas.speckle((0.9 * m, 0.2 * m, 0.04 * m, 3.0), 0.07)
+    canvas.marks(420, 4, 16)
+    for _ in range(int(canvas.area_m2 * 60)):
         x, y = int(rng.uniform(0, width)), int(rng.uniform(0.2 * height, height))
         dark = tuple(int(c * rng.uniform(0.55, 0.9)) for c in base)
         if rng.random() < 0.5:
-            size = max(1, int(texels_per_m * rng.uniform(0.003, 0.014)))
+            size = max(1, canvas.length_px(0.003, 0.014))
             cv2.ellipse(image, (x, y), (size, max(1, size // 2)), float(rng.uniform(0, 180)), 0, 360, dark, -1)
         else:
-            end = (x + int(rng.normal(0, 0.04 * texels_per_m)), y + int(rng.normal(0, 0.03 * texels_per_m)))
+            end = (x + int(rng.normal(0, 0.04 * m)), y + int(rng.normal(0, 0.03 * m)))
             cv2.line(image, (x, y), end, dark, 1, cv2.LINE_AA)
-    for _ in range(max(1, int(width / texels_per_m * 0.8))):  # sockets
-        size = int(0.08 * texels_per_m)
-        x, y = int(rng.uniform(0, max(1, width - size))), height - int(0.34 * texels_per_m)
+    for _ in range(max(1, int(width / m * 0.8))):  # sockets
+        size = int(0.08 * m)
+        x, y = int(rng.uniform(0, max(1, width - size))), height - int(0.34 * m)
         cv2.rectangle(image, (x, y), (x + size, y + size), (235, 238, 240), -1)
         cv2.rectangle(image, (x, y), (x + size, y + size), (120, 120, 120), 1)
         cv2.circle(image, (x + size // 2, y + size // 2), size // 3, (170, 172, 175), -1, cv2.LINE_AA)
         for dx in (-1, 1):
             cv2.circle(image, (x + size // 2 + dx * size // 7, y + size // 2), max(1, size // 16), (40, 40, 40), -1)
-    return add_skirting(image, rng, texels_per_m)
+    add_skirting(canvas)
 
 
-def paint_brick_wall(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_brick_wall(canvas: Canvas) -> None:
     """Bricks of uneven tone and wear."""
-    image = fill(width, height, (150, 155, 160))
-    brick_h, brick_w = 0.075 * texels_per_m, 0.24 * texels_per_m
-    hue = rng.integers(0, 3)
+    rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
+    canvas.fill((150, 155, 160))
+    brick_h, brick_w = 0.075 * m, 0.24 * m
+    base = [(70, 85, 150), (120, 140, 160), (165, 170, 175)][rng.integers(0, 3)]
     for row in range(int(height / brick_h) + 1):
         x = -rng.uniform(0, brick_w)
         while x < width:
             length = brick_w * rng.uniform(0.8, 1.15)
-            tone = float(rng.uniform(0.6, 1.15))
-            base = [(70, 85, 150), (120, 140, 160), (165, 170, 175)][hue]
-            colour = tuple(int(np.clip(c * tone, 0, 255)) for c in base)
+            colour = scaled(base, float(rng.uniform(0.6, 1.15)))
             top_left = (int(x + 1), int(row * brick_h + 1))
-            cv2.rectangle(image, top_left, (int(x + length - 3), int((row + 1) * brick_h - 3)), colour, -1)
+            cv2.rectangle(canvas.image, top_left, (int(x + length - 3), int((row + 1) * brick_h - 3)), colour, -1)
             x += length
-    scatter_marks(image, rng, texels_per_m, 420, (4, 14))
-    return add_skirting(speckle(image, rng, (2.0, 6.0, 0.05 * texels_per_m), 0.10), rng, texels_per_m)
+    canvas.marks(420, 4, 14)
+    canvas.speckle((2.0, 6.0, 0.05 * m), 0.10)
+    add_skirting(canvas)
 
 
-def paint_tiled_wall(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_tiled_wall(canvas: Canvas) -> None:
     """Kitchen tiles of varying tone, some with a printed motif."""
-    image = fill(width, height, (175, 178, 180))
-    tile = 0.15 * texels_per_m
-    base = muted_colour(rng, 185, 235)
-    accent = muted_colour(rng, 80, 170)
+    rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
+    canvas.fill((175, 178, 180))
+    tile = 0.15 * m
+    base = canvas.muted_colour(185, 235)
+    accent = canvas.muted_colour(80, 170)
     for j in range(int(height / tile) + 1):
         for i in range(int(width / tile) + 1):
             tone = float(rng.uniform(0.86, 1.08))
-            colour = tuple(int(np.clip(c * tone, 0, 255)) for c in (accent if rng.random() < 0.12 else base))
+            colour = scaled(accent if rng.random() < 0.12 else base, tone)
             x, y = int(i * tile), int(j * tile)
-            cv2.rectangle(image, (x + 1, y + 1), (int(x + tile - 2), int(y + tile - 2)), colour, -1)
+            right, bottom = int(x + tile - 2), int(y + tile - 2)
+            cv2.rectangle(canvas.image, (x + 1, y + 1), (right, bottom), colour, -1)
             if rng.random() < 0.45:
-                patch = image[y + 3 : int(y + tile - 3), x + 3 : int(x + tile - 3)]
-                if patch.size:
-                    draw_shapes(patch, rng, int(rng.integers(4, 9)), (0.006 * texels_per_m, 0.03 * texels_per_m))
-    scatter_marks(image, rng, texels_per_m, 300, (3, 10))
-    return add_skirting(speckle(image, rng, (2.0, 0.1 * texels_per_m), 0.04), rng, texels_per_m)
+                patch = canvas.part(x + 3, y + 3, right - x - 4, bottom - y - 4)
+                if patch.image.size:
+                    patch.shapes(int(rng.integers(4, 9)), 0.006 * m, 0.03 * m)
+    canvas.marks(300, 3, 10)
+    canvas.speckle((2.0, 0.1 * m), 0.04)
+    add_skirting(canvas)
 
 
-def add_skirting(image: ImageArray, rng: np.random.Generator, texels_per_m: float) -> ImageArray:
+def add_skirting(canvas: Canvas) -> None:
     """A skirting board along the foot of a wall, and the shade of floor and ceiling corners."""
-    height, width = image.shape[:2]
-    board = round(0.08 * texels_per_m)
-    light = (225, 228, 230) if rng.random() < 0.5 else (70, 95, 125)
-    strip = speckle(fill(width, board, light), rng, (2.0, 0.02 * texels_per_m), 0.08, aspect=12.0)
-    image[height - board :] = strip
-    image[height - board : height - board + 2] = (90, 92, 95)
-    return image
+    width, height = canvas.size_px
+    board = round(0.08 * canvas.texels_per_m)
+    strip = canvas.part(0, height - board, width, board)
+    strip.fill((225, 228, 230) if canvas.rng.random() < 0.5 else (70, 95, 125))
+    strip.speckle((2.0, 0.02 * canvas.texels_per_m), 0.08, aspect=12.0)
+    strip.image[:2] = (90, 92, 95)
 
 
-def paint_planks(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_planks(canvas: Canvas) -> None:
     """Parquet: planks of different tone with grain and knots."""
-    image = fill(width, height, (60, 80, 100))
-    plank_h = rng.uniform(0.09, 0.16) * texels_per_m
+    image, rng, (width, height), m = canvas.image, canvas.rng, canvas.size_px, canvas.texels_per_m
+    canvas.fill((60, 80, 100))
+    plank_h = rng.uniform(0.09, 0.16) * m
     base = np.array([[70, 115, 165], [95, 140, 185], [60, 85, 120], [120, 150, 175]][rng.integers(0, 4)], dtype=float)
     for row in range(int(height / plank_h) + 1):
-        x = -rng.uniform(0, 0.8) * texels_per_m
+        x = -rng.uniform(0, 0.8) * m
+        top, bottom = int(row * plank_h), int((row + 1) * plank_h)
         while x < width:
-            length = rng.uniform(0.4, 1.2) * texels_per_m
+            length = rng.uniform(0.4, 1.2) * m
             colour = tuple(int(c) for c in np.clip(base * rng.uniform(0.72, 1.2), 0, 255))
-            cv2.rectangle(image, (int(x), int(row * plank_h)), (int(x + length), int((row + 1) * plank_h)), colour, -1)
-            cv2.line(image, (int(x), int(row * plank_h)), (int(x), int((row + 1) * plank_h)), (30, 40, 50), 1)
+            cv2.rectangle(image, (int(x), top), (int(x + length), bottom), colour, -1)
+            cv2.line(image, (int(x), top), (int(x), bottom), (30, 40, 50), 1)
             x += length
-        cv2.line(image, (0, int(row * plank_h)), (width, int(row * plank_h)), (30, 40, 50), 1)
-    image = speckle(image, rng, (1.5, 0.012 * texels_per_m, 0.05 * texels_per_m), 0.10, aspect=9.0)
-    draw_grain(image, rng, texels_per_m, 160)
-    scatter_marks(image, rng, texels_per_m, 160, (5, 18))
-    for _ in range(int(width * height / texels_per_m**2 * 14)):  # knots
-        x, y = int(rng.uniform(0, width)), int(rng.uniform(0, height))
-        size = max(1, int(texels_per_m * rng.uniform(0.004, 0.016)))
+        cv2.line(image, (0, top), (width, top), (30, 40, 50), 1)
+    canvas.speckle((1.5, 0.012 * m, 0.05 * m), 0.10, aspect=9.0)
+    canvas.grain(160)
+    canvas.marks(160, 5, 18)
+    for _ in range(int(canvas.area_m2 * 14)):  # knots
+        at, size = canvas.spot(), max(1, canvas.length_px(0.004, 0.016))
         dark = tuple(int(c) for c in base * rng.uniform(0.25, 0.6))
-        cv2.ellipse(image, (x, y), (int(size * 1.7), size), 0, 0, 360, dark, -1, cv2.LINE_AA)
-    return image
+        cv2.ellipse(image, at, (int(size * 1.7), size), 0, 0, 360, dark, -1, cv2.LINE_AA)
 
 
-def paint_floor_tiles(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_floor_tiles(canvas: Canvas) -> None:
     """Stone tiles with veins."""
-    image = fill(width, height, (90, 92, 95))
-    tile = rng.uniform(0.28, 0.42) * texels_per_m
-    base = np.array(muted_colour(rng, 130, 200), dtype=float)
+    image, rng, (width, height), m = canvas.image, canvas.rng, canvas.size_px, canvas.texels_per_m
+    canvas.fill((90, 92, 95))
+    tile = rng.uniform(0.28, 0.42) * m
+    base = np.array(canvas.muted_colour(130, 200), dtype=float)
     for j in range(int(height / tile) + 1):
         for i in range(int(width / tile) + 1):
             colour = tuple(int(c) for c in np.clip(base * rng.uniform(0.8, 1.15), 0, 255))
@@ -175,27 +169,29 @@ def paint_floor_tiles(rng: np.random.Generator, width: int, height: int, texels_
                 points = np.cumsum(rng.normal(0, tile * 0.12, (6, 2)), axis=0) + rng.uniform(0, tile, 2) + [x, y]
                 tone = tuple(int(c) for c in np.clip(base * rng.uniform(0.5, 1.3), 0, 255))
                 cv2.polylines(image, [points.astype(np.int32)], False, tone, 1, cv2.LINE_AA)
-    scatter_marks(image, rng, texels_per_m, 450, (5, 20))  # terrazzo
-    return speckle(image, rng, (2.0, 0.02 * texels_per_m, 0.15 * texels_per_m), 0.08)
+    canvas.marks(450, 5, 20)  # terrazzo
+    canvas.speckle((2.0, 0.02 * m, 0.15 * m), 0.08)
 
 
-def paint_rug(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
+def paint_rug(canvas: Canvas) -> None:
     """A woven pattern that repeats, inside a border that repeats too."""
-    ground = muted_colour(rng, 60, 160)
-    image = fill(width, height, ground)
-    cell = max(6, int(rng.uniform(0.14, 0.3) * texels_per_m))
-    motif = fill(cell, cell, ground)
-    draw_shapes(motif, rng, 7, (0.1 * cell, 0.45 * cell))
+    rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
+    ground = canvas.muted_colour(60, 160)
+    cell = max(6, canvas.length_px(0.14, 0.3))
+    motif = np.full((cell, cell, 3), ground, np.uint8)
+    Canvas(motif, rng, m).shapes(7, 0.1 * cell, 0.45 * cell)
     motif = np.maximum(motif, motif[:, ::-1]) if rng.random() < 0.5 else motif
-    tiled = np.tile(motif, (height // cell + 1, width // cell + 1, 1))[:height, :width]
-    image[:] = tiled
-    border = max(3, int(0.09 * texels_per_m))
-    for k, colour in enumerate((muted_colour(rng, 40, 120), muted_colour(rng, 150, 230), muted_colour(rng, 40, 120))):
+    canvas.image[:] = np.tile(motif, (height // cell + 1, width // cell + 1, 1))[:height, :width]
+    border = max(3, int(0.09 * m))
+    for k, colour in enumerate(
+        (canvas.muted_colour(40, 120), canvas.muted_colour(150, 230), canvas.muted_colour(40, 120))
+    ):
         inset = k * border // 3
-        cv2.rectangle(image, (inset, inset), (width - 1 - inset, height - 1 - inset), colour, max(1, border // 3))
-    return speckle(image, rng, (1.2, 0.03 * texels_per_m), 0.12)
+        corner = (width - 1 - inset, height - 1 - inset)
+        cv2.rectangle(canvas.image, (inset, inset), corner, colour, max(1, border // 3))
+    canvas.speckle((1.2, 0.03 * m), 0.12)
 
 
-def paint_ceiling(rng: np.random.Generator, width: int, height: int, texels_per_m: float) -> ImageArray:
-    image = fill(width, height, (205, 210, 212))
-    return speckle(image, rng, (0.7 * texels_per_m, 0.1 * texels_per_m), 0.04)
+def paint_ceiling(canvas: Canvas) -> None:
+    canvas.fill((205, 210, 212))
+    canvas.speckle((0.7 * canvas.texels_per_m, 0.1 * canvas.texels_per_m), 0.04)

@@ -9,10 +9,7 @@ import numpy as np
 
 from robot.simulation import texture_furniture as furniture
 from robot.simulation import texture_walls as walls
-from robot.simulation.texture_strokes import ImageArray
-
-Painter = Callable[[np.random.Generator, int, int, float], ImageArray]
-# A painter gets a generator, width and height in texels and texels per metre, and returns (height, width, 3) BGR.
+from robot.simulation.texture_strokes import Canvas, ImageArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +24,6 @@ class TextureSpec:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height in texels."""
         return max(4, round(self.width_m * self.texels_per_m)), max(4, round(self.height_m * self.texels_per_m))
 
 
@@ -35,11 +31,12 @@ def paint(spec: TextureSpec) -> ImageArray:
     """Pixels (H, W, 3) BGR of a texture."""
     width, height = spec.size_px
     rng = np.random.default_rng([spec.seed, sum(map(ord, spec.kind))])
-    image = PAINTERS[spec.kind](rng, width, height, spec.texels_per_m)
-    return np.ascontiguousarray(image)
+    image = np.empty((height, width, 3), np.uint8)
+    PAINTERS[spec.kind](Canvas(image, rng, spec.texels_per_m))
+    return image
 
 
-PAINTERS: dict[str, Painter] = {
+PAINTERS: dict[str, Callable[[Canvas], None]] = {
     "plain_wall": walls.paint_plain_wall,
     "wallpaper": walls.paint_wallpaper,
     "plaster": walls.paint_plaster_wall,

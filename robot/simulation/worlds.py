@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,32 +52,23 @@ def _single_room(seed: int, moved_seed: int | None, light_seed: int | None) -> W
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Hall:
-    """EuRoC's Vicon room, roughly: the recorded paths stay within its middle."""
-
-    x0: float = -3.6
-    y0: float = -3.2
-    x1: float = 4.4
-    y1: float = 4.8
-    height: float = 4.0
+HALL = Room("hall", -3.6, -3.2, 4.4, 4.8)  # EuRoC's Vicon room, roughly: the recorded paths stay within its middle
+HALL_HEIGHT_M = 4.0
 
 
 def _hall(seed: int) -> World:
     """Rich walls, mats on the floor, boxes and people-like stands along the sides."""
     rng = np.random.default_rng([seed, 6])
     pick = TexturePicker(rng)
-    h = _Hall()
-    builder = Builder()
-    room = Room("hall", h.x0, h.y0, h.x1, h.y1)
-    corners = [(h.x1, h.y0), (h.x0, h.y0), (h.x0, h.y1), (h.x1, h.y1)]
+    builder, room, height = Builder(), HALL, HALL_HEIGHT_M
+    corners = [(room.x1_m, room.y0_m), (room.x0_m, room.y0_m), (room.x0_m, room.y1_m), (room.x1_m, room.y1_m)]
     for k in range(4):
         left, right = np.array(corners[k]), np.array(corners[(k + 1) % 4])
         length = float(np.hypot(*(right - left)))
         kind = ("plaster", "brick", "wallpaper", "plaster")[k]
-        builder.upright(tuple(left), tuple(right), (0.0, h.height), pick.new(kind, length, h.height, 160), 0)
+        builder.upright(tuple(left), tuple(right), (0.0, height), pick.new(kind, length, height, 160), 0)
         along = (right - left) / length
-        inward = np.array([along[1], -along[0]]) * (1.0 if _turns_in(corners, k) else -1.0)
+        inward = np.array([along[1], -along[0]])  # to the right on the way from corner to corner
         for row in range(2):
             s = 0.1
             while s < length - 0.8:
@@ -88,9 +79,9 @@ def _hall(seed: int) -> World:
                 builder.upright(tuple(a), tuple(b), (z0, z0 + t), texture, 0)
                 s += w + float(rng.uniform(0.05, 0.5))
     centre = Pose2(*room.centre, 0.0)
-    size = (h.x1 - h.x0, h.y1 - h.y0)
+    size = (room.x1_m - room.x0_m, room.y1_m - room.y0_m)
     builder.level(centre, size, 0.0, pick.new("floor_tiles", *size, 150), 0)
-    builder.level(centre, size, h.height, pick.new("planks", *size, 100), 0, facing_up=False)
+    builder.level(centre, size, height, pick.new("planks", *size, 100), 0, facing_up=False)
     for _ in range(9):
         at = Pose2(
             centre.x_m + float(rng.uniform(-3, 3)),
@@ -107,15 +98,9 @@ def _hall(seed: int) -> World:
         w, d, t = float(rng.uniform(0.3, 0.8)), float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.3, 1.0))
         front = pick.new("box_print" if rng.random() < 0.6 else "books", w, t, 300)
         side, top = pick.new("fabric", d, t, 250), pick.new("box_print", w, d, 250)
-        builder.box(at, (w, d, t), 0.0, 0, "box", front=front, side=side, top=top)
+        builder.box(at, (w, d, t), 0.0, 0, "box", front, side, top)
     builder.obstacles += wall_obstacles(room, 0, [])
     return World("vicon", seed, (room,), (), tuple(builder.surfaces), tuple(builder.obstacles), (*room.centre, 0.0))
-
-
-def _turns_in(corners: list[tuple[float, float]], k: int) -> bool:
-    """Whether the inside lies to the right when walking from corner k to the next."""
-    a, b, c = (np.array(corners[(k + i) % 4]) for i in range(3))
-    return bool((b - a)[0] * (c - b)[1] - (b - a)[1] * (c - b)[0] < 0)
 
 
 def _checker_box() -> World:
@@ -128,6 +113,6 @@ def _checker_box() -> World:
         builder.upright(corners[k], corners[(k + 1) % 4], (0.0, 2.5), board, 0)
     builder.level(Pose2(2.0, 2.0, 0.0), (4.0, 4.0), 0.0, board, 0)
     cube = replace(board, width_m=0.5, height_m=0.5)
-    builder.box(Pose2(3.0, 2.2, 0.4), (0.5, 0.5, 0.5), 0.0, 0, "cube", front=cube, side=cube, top=cube)
+    builder.box(Pose2(3.0, 2.2, 0.4), (0.5, 0.5, 0.5), 0.0, 0, "cube", cube, cube, cube)
     builder.obstacles += wall_obstacles(room, 0, [])
     return World("checker", 0, (room,), (), tuple(builder.surfaces), tuple(builder.obstacles), (2.0, 2.0, 0.0))

@@ -18,7 +18,7 @@ FILE_NAME = "robots.json"
 
 
 class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
-    """One robot."""
+    """A robot that this station was paired with."""
 
     robot_id: str
     name: str
@@ -82,7 +82,7 @@ class PairedRobots:
         )
 
     def store(self, robot: PairedRobot) -> None:
-        """In place of what was known of this robot or address."""
+        """Add a robot; it replaces one with the same certificate or address."""
         make_private_folder(self.path.parent)
         with locked(self.path):
             others = [
@@ -93,7 +93,7 @@ class PairedRobots:
             self._write((*others, robot))
 
     def forget(self, name: str) -> list[PairedRobot]:
-        """Raises ConfigError: no robot has this name."""
+        """Forget a robot by its name, id or host. Raises ConfigError: none has this name."""
         with locked(self.path):
             gone = [robot for robot in self.all() if name in (robot.name, robot.robot_id, robot.host)]
             if not gone:

@@ -51,7 +51,7 @@ class Door:
         """`data_dir` is the station's, to be named in advice."""
         self._book = book
         self._data_dir = data_dir
-        self._now_s = now_s
+        self.now_s = now_s  # wall time, as the book counts it
         self._guesses = GuessLimit()
         self._visits: dict[str, set[Callable[[], None]]] = {}  # token id → how to end what it has open
 
@@ -59,10 +59,6 @@ class Door:
     def is_open(self) -> bool:
         """Whether everybody who reaches it may everything."""
         return self._book is None
-
-    def now_s(self) -> float:
-        """Wall time, as the book counts it."""
-        return self._now_s()
 
     @property
     def book(self) -> TokenBook:
@@ -77,7 +73,7 @@ class Door:
         record = self._find(shown, address)
         if record.kind == "link":
             raise WrongToken("this code is for one login: open its link in a browser, or POST it to /login")
-        self.book.use(record, self._now_s())
+        self.book.use(record, self.now_s())
         return Visitor(record.name, record.role, record.id, by)
 
     def login(self, shown: str, address: str) -> tuple[Visitor, str]:
@@ -86,13 +82,13 @@ class Door:
         if record.kind == "session":
             raise WrongToken("a session makes no other session; log in with the token")
         # Of two that come at once with one link, one ends it.
-        if record.kind == "link" and not self.book.revoke(record.id, self._now_s()):
+        if record.kind == "link" and not self.book.revoke(record.id, self.now_s()):
             raise WrongToken("this link was used already; ask for another")
-        session = self.book.add_for(record, "session", self._now_s(), SESSION_S)
+        session = self.book.add_for(record, "session", self.now_s(), SESSION_S)
         return Visitor(record.name, record.role, session.id, "cookie"), session.text
 
     def _find(self, shown: str, address: str) -> TokenRecord:
-        now_s = self._now_s()
+        now_s = self.now_s()
         self.book.refresh()
         record = self.book.find(shown, now_s)
         if record is None:
@@ -106,7 +102,7 @@ class Door:
 
     def revoke(self, name_or_id: str) -> list[TokenRecord]:
         """End a token, and at once what it has open."""
-        ended = self.book.revoke(name_or_id, self._now_s())
+        ended = self.book.revoke(name_or_id, self.now_s())
         self.look()
         return ended
 
@@ -129,7 +125,7 @@ class Door:
         if self._book is None:
             return
         self._book.refresh()
-        now_s = self._now_s()
+        now_s = self.now_s()
         for token_id, ends in list(self._visits.items()):
             if self._book.live(token_id, now_s) is None:
                 for end in list(ends):
@@ -144,7 +140,7 @@ class Door:
             if self._book is not None and time.monotonic() - flushed_s > FLUSH_S:
                 flushed_s = time.monotonic()
                 try:
-                    await asyncio.to_thread(self._book.flush, self._now_s())
+                    await asyncio.to_thread(self._book.flush, self.now_s())
                 except ConfigError as exc:
                     logger.warning("when tokens were last used is not noted: %s", exc)
 

@@ -12,7 +12,6 @@ from starlette.requests import Request
 from shared.access import Role
 from shared.errors import ConfigError
 from shared.pairing import parse_code
-from shared.token_book import TokenRecord
 from station.access.pairing import PairingFailed, pair
 from station.access.visitors import SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
@@ -96,7 +95,7 @@ async def session(visitor: VisitorDep, station: StationDep) -> SessionModel:
 @router.get("/access/tokens", summary="Who may, and who no longer may", responses=responses(409))
 async def tokens(station: StationDep) -> list[TokenModel]:
     station.access.door.book.refresh()
-    return [_token(record) for record in station.access.door.book.tokens()]
+    return [TokenModel.of(record) for record in station.access.door.book.tokens()]
 
 
 @router.post("/access/tokens", summary="A token for somebody", status_code=201, responses=responses(409))
@@ -112,13 +111,12 @@ async def add(order: TokenOrder, station: StationDep) -> NewTokenModel:
 
 
 @router.delete("/access/tokens/{token_id}", summary="Revoke a token", status_code=204, responses=responses(404, 409))
-async def revoke(token_id: str, station: StationDep) -> Response:
+async def revoke(token_id: str, station: StationDep) -> None:
     """What it has open is closed at once."""
     door = station.access.door
     if not await asyncio.to_thread(door.book.revoke, token_id, door.now_s()):
         raise Unknown(f"there is no token {token_id!r} that may; GET /access/tokens lists them")
     door.look()
-    return Response(status_code=204)
 
 
 @itself.post("/pair", summary="Pair with a robot", responses=responses(409))
@@ -141,15 +139,3 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
 
 def _session(visitor: Visitor, controlled: bool) -> SessionModel:
     return SessionModel(controlled=controlled, name=visitor.name, role=visitor.role.value)
-
-
-def _token(record: TokenRecord) -> TokenModel:
-    return TokenModel(
-        id=record.id,
-        name=record.name,
-        role=record.role,
-        created_s=record.created_s,
-        last_used_s=record.last_used_s,
-        expires_s=record.expires_s,
-        revoked_s=record.revoked_s,
-    )

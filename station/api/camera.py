@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import math
 import time
 from collections.abc import AsyncIterator
 
-from fastapi import APIRouter, Response, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Response, WebSocket
 from fastapi.responses import StreamingResponse
 
 from station.api.deps import RobotDep
-from station.api.limits import receive_text, refuse, seated
+from station.api.limits import converse
 from station.api.problems import responses
-from station.api.streams import BOUNDARY, HEADER, STREAM, SeatedStream
-from station.errors import Busy, NoRobot
+from station.api.streams import HEADER, STREAM, AcknowledgedPictures, SeatedStream, part_of_stream
+from station.errors import NoRobot
 from station.robots.session import RobotSession, SeenFrame
 
 of_robot = APIRouter(tags=["camera"])
@@ -53,37 +51,16 @@ async def stream(robot: RobotDep) -> StreamingResponse:
 @of_robot.websocket("/ws/camera")
 async def camera_socket(socket: WebSocket, robot: RobotDep) -> None:
     """Binary: a 32-byte header, then the JPEG. Answer each with any text; the next one is sent then, the newest."""
-    await socket.accept()
-    try:
-        with seated(socket):
-            await _show(socket, robot)
-    except Busy as exc:
-        await refuse(socket, exc)
+    pictures = AcknowledgedPictures(socket)
+    await converse(socket, pictures.hear, lambda: _send_frames(pictures, robot))
 
 
-async def _show(socket: WebSocket, robot: RobotSession) -> None:
-    acknowledged = asyncio.Event()
-    sending = asyncio.create_task(_send_frames(socket, robot, acknowledged))
-    try:
-        while True:
-            await receive_text(socket)
-            acknowledged.set()
-    except (WebSocketDisconnect, RuntimeError):
-        return
-    finally:
-        sending.cancel()
-        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-            await sending
-
-
-async def _send_frames(socket: WebSocket, robot: RobotSession, acknowledged: asyncio.Event) -> None:
+async def _send_frames(pictures: AcknowledgedPictures, robot: RobotSession) -> None:
     with robot.camera.subscribe() as frames:
         while True:
             seen = await frames.get()
             skipped, frames.skipped = frames.skipped, 0
-            acknowledged.clear()
-            await socket.send_bytes(_packed(seen, skipped))
-            await acknowledged.wait()
+            await pictures.send(_packed(seen, skipped))
 
 
 def _packed(seen: SeenFrame, skipped: int) -> bytes:
@@ -94,9 +71,7 @@ def _packed(seen: SeenFrame, skipped: int) -> bytes:
 async def _parts(robot: RobotSession) -> AsyncIterator[bytes]:
     with robot.camera.subscribe() as frames:
         while True:
-            jpeg = (await frames.get()).frame.jpeg
-            head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % (BOUNDARY, len(jpeg))
-            yield head + jpeg + b"\r\n"
+            yield part_of_stream((await frames.get()).frame.jpeg)
 
 
 def _age_s(seen: SeenFrame) -> float:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 from typing import Literal
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter
 from fastapi.responses import FileResponse
 
 from station.api.deps import StationDep
 from station.api.problems import responses
 from station.api.schema.comparisons import ComparisonModel, ComparisonOrder, comparison_model
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.library.comparisons import FILES
 
 router = APIRouter(tags=["comparisons"])
@@ -32,7 +32,7 @@ async def comparisons(station: StationDep) -> list[ComparisonModel]:
 @router.post("/comparisons", summary="Compare two navigations", status_code=202, responses=responses(404, 409))
 async def compare(order: ComparisonOrder, station: StationDep) -> JobModel:
     """Runs in the background: follow GET /jobs/{id}, whose result names the comparison; DELETE /jobs/{id} cancels."""
-    return job_model(station.compare(order.first, order.second))
+    return JobModel.of(station.compare(order.first, order.second))
 
 
 @router.get("/comparisons/{comparison_id}", summary="One comparison", responses=responses(404))
@@ -41,10 +41,9 @@ async def comparison(comparison_id: str, station: StationDep) -> ComparisonModel
 
 
 @router.delete("/comparisons/{comparison_id}", summary="Delete a comparison", status_code=204, responses=responses(404))
-async def delete(comparison_id: str, station: StationDep) -> Response:
+async def delete(comparison_id: str, station: StationDep) -> None:
     """For good: the drives are still there, and can be compared again."""
     await asyncio.to_thread(station.comparisons.delete, comparison_id)
-    return Response(status_code=204)
 
 
 @router.get(

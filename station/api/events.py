@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 from typing import cast
 
-from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, WebSocket
 
 from station.api.deps import RobotDep
-from station.api.limits import refuse, seated
+from station.api.limits import converse
 from station.api.messages import (
     BinMessage,
     DriverMessage,
@@ -23,50 +21,28 @@ from station.api.messages import (
     RobotMessage,
 )
 from station.api.schema.base import Model
-from station.api.schema.jobs import job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import navigation_model
 from station.api.schema.places import current_place, visit_model
 from station.api.schema.robot import robot_model
 from station.api.schema.slam import slam_model
-from station.api.schema.station import LogModel, log_model
-from station.errors import Busy
+from station.api.schema.station import LogModel
 from station.events import Event, LogLine
 from station.library.navigation_records import NavigationRecord
 from station.robots.session import RobotSession
-from station.workers.jobs import Job
 
 of_robot = APIRouter(tags=["events"])
 
 
 @of_robot.get("/log", summary="What happened lately, oldest first")
 async def log(robot: RobotDep) -> list[LogModel]:
-    return [log_model(line) for line in robot.events.log]
+    return [_log(line) for line in robot.events.log]
 
 
 @of_robot.websocket("/ws/events")
 async def events_socket(socket: WebSocket, robot: RobotDep) -> None:
     """JSON messages (`EventMessage`): first the state of everything, then each change. Nothing is read."""
-    await socket.accept()
-    try:
-        with seated(socket):
-            await _tell(socket, robot)
-    except Busy as exc:
-        await refuse(socket, exc)
-
-
-async def _tell(socket: WebSocket, robot: RobotSession) -> None:
-    sending = asyncio.create_task(_send_events(socket, robot))
-    try:
-        while True:
-            await socket.receive()
-            if socket.client_state.name == "DISCONNECTED":
-                return
-    except (WebSocketDisconnect, RuntimeError):
-        return
-    finally:
-        sending.cancel()
-        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-            await sending
+    await converse(socket, socket.receive, lambda: _send_events(socket, robot))
 
 
 async def _send_events(socket: WebSocket, robot: RobotSession) -> None:
@@ -98,7 +74,7 @@ def to_message(robot: RobotSession, event: Event) -> Model:
         case "map":
             return MapMessage(active=active.place_map.id if active else None, revision=robot.active_maps.revision)
         case "job":
-            return JobMessage(job=job_model(cast(Job, event.subject)))
+            return JobMessage(job=JobModel.of(event.subject))
         case "place":
             current, last = robot.current_place, robot.current_place.visits.last
             return PlaceMessage(
@@ -108,4 +84,8 @@ def to_message(robot: RobotSession, event: Event) -> Model:
         case "bin":
             return BinMessage()
         case "log":
-            return LogMessage(line=log_model(cast(LogLine, event.subject)))
+            return LogMessage(line=_log(cast(LogLine, event.subject)))
+
+
+def _log(line: LogLine) -> LogModel:
+    return LogModel.of(line, unix_s=line.t_wall_s)

@@ -64,17 +64,14 @@ class _StationCollector:
         """One robot: as ever. Several: each series carries the robot's name."""
         robots = list(self._station.robots.values())
         labels = ["robot"] if len(robots) > 1 else []
-        families: dict[str, Metric] = {}
+        families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {}
         for robot in robots:
             names = [robot.name] if labels else []
-            for name, (text, value) in _gauges(robot).items():
-                gauge = families.setdefault(name, GaugeMetricFamily(f"sentinel_{name}", text, labels=labels))
-                if value is not None and isinstance(gauge, GaugeMetricFamily):
-                    gauge.add_metric(names, value)
-            for name, (text, count) in _counters(robot).items():
-                counter = families.setdefault(name, CounterMetricFamily(f"sentinel_{name}", text, labels=labels))
-                if isinstance(counter, CounterMetricFamily):
-                    counter.add_metric(names, count)
+            for make, values in ((GaugeMetricFamily, _gauges(robot)), (CounterMetricFamily, _counters(robot))):
+                for name, (text, value) in values.items():
+                    family = families.setdefault(name, make(f"sentinel_{name}", text, labels=labels))
+                    if value is not None:
+                        family.add_metric(names, value)
         yield from (family for family in families.values() if family.samples)
 
 
@@ -94,7 +91,7 @@ def _gauges(robot: RobotSession) -> dict[str, tuple[str, float | None]]:
     }
 
 
-def _counters(robot: RobotSession) -> dict[str, tuple[str, float]]:
+def _counters(robot: RobotSession) -> dict[str, tuple[str, float | None]]:
     link = robot.state
     return {
         "frames": ("camera frames received", link.frames),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from typing import Any
 
 from fastapi import Request, WebSocket, WebSocketDisconnect
 from starlette.exceptions import HTTPException
@@ -18,6 +20,7 @@ MAX_SOCKETS = 32  # of each kind: a page has three
 MAX_STREAMS = 16  # MJPEG viewers: each gets every picture
 UNSUPPORTED = 1003
 TRY_AGAIN_LATER = 1013
+GONE = (WebSocketDisconnect, RuntimeError)  # what reading and writing raise when the peer is not there any more
 TOO_LARGE = f"a request may have {MAX_BODY_BYTES} bytes; send less"
 
 
@@ -55,7 +58,7 @@ class Seats:
     def __init__(self) -> None:
         self._taken: Counter[str] = Counter()
 
-    @contextmanager
+    @contextlib.contextmanager
     def take(self, kind: str, limit: int) -> Iterator[None]:
         """One of `limit` seats. Raises Busy when all are taken."""
         if self._taken[kind] >= limit:
@@ -67,17 +70,35 @@ class Seats:
             self._taken[kind] -= 1
 
 
-@contextmanager
-def seated(socket: WebSocket) -> Iterator[None]:
-    """A seat for an accepted socket. Raises Busy; `refuse` tells the peer."""
+async def converse(
+    socket: WebSocket,
+    hear: Callable[[], Awaitable[object]],
+    *say: Callable[[], Coroutine[Any, Any, None]],
+    leave: Callable[[], None] = lambda: None,
+) -> None:
+    """Accept a socket; `hear` again and again, while each `say` runs beside it, until the peer is gone. Then `leave`.
+
+    Where all seats are taken nothing of it happens: the socket is closed with the sentence why.
+    """
+    await socket.accept()
     seats: Seats = socket.app.state.seats
-    with seats.take(socket.url.path, MAX_SOCKETS):
-        yield
-
-
-async def refuse(socket: WebSocket, busy: Busy) -> None:
-    """Close with the sentence why."""
-    await socket.close(TRY_AGAIN_LATER, str(busy))
+    try:
+        with seats.take(socket.url.path, MAX_SOCKETS):
+            saying = [asyncio.create_task(one()) for one in say]
+            try:
+                while True:
+                    await hear()
+            except GONE:
+                pass
+            finally:
+                for task in saying:
+                    task.cancel()
+                for task in saying:
+                    with contextlib.suppress(asyncio.CancelledError, *GONE):
+                        await task
+                leave()
+    except Busy as exc:
+        await socket.close(TRY_AGAIN_LATER, str(exc))
 
 
 async def receive_text(socket: WebSocket) -> str:

@@ -7,12 +7,12 @@ import asyncio
 from fastapi import APIRouter, Response
 
 from station.api.deps import StationDep
-from station.api.images import image_response
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
 from station.api.schema.base import NewName
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.maps import MapChoice, MapModel, MapOrder, map_model
+from station.api.streams import image_response
 from station.errors import Unknown
 from station.library.place_images import keyframe_image
 from station.model.points import pack_points
@@ -28,7 +28,7 @@ async def maps(station: StationDep) -> list[MapModel]:
 @router.post("/maps", summary="Build a map from navigations", status_code=202, responses=responses(404, 409))
 async def build(order: MapOrder, station: StationDep) -> JobModel:
     """Runs in the background: follow GET /jobs/{id}, whose result names the map; DELETE /jobs/{id} cancels."""
-    return job_model(station.build_map(order.navigations, order.name, order.mode, order.activate))
+    return JobModel.of(station.build_map(order.navigations, order.name, order.mode, order.activate))
 
 
 @router.put("/maps/active", summary="Choose the map in use, or several", responses=responses(404, 409))
@@ -53,13 +53,12 @@ async def rename(map_id: str, name: NewName, station: StationDep) -> MapModel:
 
 
 @router.delete("/maps/{map_id}", summary="Delete a map", status_code=204, responses=responses(404, 409))
-async def delete(map_id: str, station: StationDep) -> Response:
+async def delete(map_id: str, station: StationDep) -> None:
     """It goes into the bin: POST /maps/{id}/restore brings it back for seven days.
 
     409 for the map whose places are in use; another one of those that are active is no longer looked in.
     """
     await station.delete_map(map_id)
-    return Response(status_code=204)
 
 
 @router.post("/maps/{map_id}/restore", summary="Bring a deleted map back", responses=responses(404, 409))

@@ -141,7 +141,7 @@ class DriveAccepted(Model):
 
 
 class DriveRefused(Model):
-    """It did not, and why."""
+    """The command was refused, and why."""
 
     type: Literal["refused"] = "refused"
     problem: str = Field(description="the kind of problem, as in problem documents", examples=["not-driver"])

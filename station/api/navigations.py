@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Response
+from fastapi import APIRouter, Body
 from fastapi.responses import FileResponse
 
 from station.api.deps import RobotDep, StationDep
 from station.api.problems import responses
 from station.api.schema.base import NewName
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import BinModel, NavigationModel, NavigationStart, bin_model, navigation_model
 from station.errors import Conflict, Unknown
 
@@ -60,10 +60,9 @@ async def cancel_finishing(navigation_id: str, station: StationDep) -> Navigatio
     status_code=204,
     responses=responses(404, 409),
 )
-async def delete(navigation_id: str, station: StationDep) -> Response:
+async def delete(navigation_id: str, station: StationDep) -> None:
     """It goes into the bin: POST /navigations/{id}/restore brings it back for seven days."""
     await station.delete_navigation(navigation_id)
-    return Response(status_code=204)
 
 
 @router.post(
@@ -80,9 +79,8 @@ async def deleted(station: StationDep) -> list[BinModel]:
 
 
 @router.delete("/bin", summary="Delete for good", status_code=204, tags=["bin"], responses=responses(409))
-async def empty_bin(station: StationDep) -> Response:
+async def empty_bin(station: StationDep) -> None:
     await station.empty_bin(everything=True)
-    return Response(status_code=204)
 
 
 @router.get(
@@ -108,15 +106,15 @@ async def download(navigation_id: str, name: str, station: StationDep) -> FileRe
 
 @router.get("/jobs", summary="Work in the background", tags=["jobs"])
 async def jobs(station: StationDep) -> list[JobModel]:
-    return [job_model(job) for job in station.jobs.list()]
+    return [JobModel.of(job) for job in station.jobs.list()]
 
 
 @router.get("/jobs/{job_id}", summary="One job", tags=["jobs"], responses=responses(404))
 async def job(job_id: str, station: StationDep) -> JobModel:
-    return job_model(station.jobs.get(job_id))
+    return JobModel.of(station.jobs.get(job_id))
 
 
 @router.delete("/jobs/{job_id}", summary="Cancel a job", tags=["jobs"], responses=responses(404, 409))
 async def cancel(job_id: str, station: StationDep) -> JobModel:
     """409 when it was over before it could be cancelled: what it made is there."""
-    return job_model(await station.jobs.cancel(job_id))
+    return JobModel.of(await station.jobs.cancel(job_id))

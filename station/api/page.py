@@ -52,13 +52,9 @@ async def asset(name: str) -> Response:
 
 
 @router.get("/favicon.svg")
-async def favicon() -> Response:
-    return _file(ICON, "public, max-age=86400")
-
-
 @router.get("/favicon.ico")
-async def favicon_of_old() -> Response:
-    """Browsers ask for it beside whatever names no icon, such as an answer of the API."""
+async def favicon() -> Response:
+    """Browsers ask for the latter beside whatever names no icon, such as an answer of the API."""
     return _file(ICON, "public, max-age=86400")
 
 

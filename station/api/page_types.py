@@ -17,6 +17,7 @@ from station.api.schema import base, comparisons, fleet, jobs, maps, navigations
 
 BASES = (BaseModel, base.Model, base.Question)
 TARGET = Path(__file__).parents[1] / "web" / "src" / "link" / "messages.ts"
+PLAIN = {"string": "string", "integer": "number", "number": "number", "boolean": "boolean", "null": "null"}
 HEAD = (
     "// Made by `python -m station.api.page_types` from station/api/schema and station/api/messages.py. Do not edit.\n"
 )
@@ -71,21 +72,12 @@ def _type(schema: dict[str, Any]) -> str:
         return " | ".join(json.dumps(value) for value in schema["enum"])
     if "anyOf" in schema:
         return " | ".join(dict.fromkeys(_type(option) for option in schema["anyOf"]))
-    match schema.get("type"):
-        case "string":
-            return "string"
-        case "integer" | "number":
-            return "number"
-        case "boolean":
-            return "boolean"
-        case "null":
-            return "null"
-        case "array":
-            inner = _type(schema.get("items", {}))
-            return f"({inner})[]" if " | " in inner else f"{inner}[]"
-        case "object" if isinstance(schema.get("additionalProperties"), dict):
-            return f"Record<string, {_type(schema['additionalProperties'])}>"
-    return "unknown"
+    if schema.get("type") == "array":
+        inner = _type(schema.get("items", {}))
+        return f"({inner})[]" if " | " in inner else f"{inner}[]"
+    if isinstance(schema.get("additionalProperties"), dict):
+        return f"Record<string, {_type(schema['additionalProperties'])}>"
+    return PLAIN.get(schema.get("type", ""), "unknown")
 
 
 if __name__ == "__main__":

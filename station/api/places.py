@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import RobotDep, StationDep
-from station.api.images import image_response
 from station.api.problems import responses
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.places import (
     CurrentPlace,
+    EdgeModel,
     GraphModel,
     PlaceChange,
     PlaceMerge,
@@ -21,14 +21,14 @@ from station.api.schema.places import (
     RouteModel,
     UndoOrder,
     VisitModel,
-    change_model,
     current_place,
-    edge_model,
     place_model,
     route_model,
     visit_model,
 )
+from station.api.streams import image_response
 from station.errors import Conflict, Unknown
+from station.library.place_changes import PlacesChange
 from station.library.place_images import deviation_image, keyframe_image, mean_image
 from station.places.making.changes import without_hidden
 from station.places.making.graph import places_called, shortest_route, to_graphml
@@ -70,7 +70,11 @@ async def places(station: StationDep) -> list[PlaceModel]:
 @router.get("/places/changes", summary="What people made of the places, the newest first", responses=responses(409))
 async def changes(station: StationDep) -> list[PlacesChangeModel]:
     """Changes of the active map that can be taken back, one after the other; those taken back are not listed."""
-    return [change_model(change) for change in await station.maps.changes()]
+    return [_change(change) for change in await station.maps.changes()]
+
+
+def _change(change: PlacesChange) -> PlacesChangeModel:
+    return PlacesChangeModel.of(change, unix_s=change.changed_wall_s)
 
 
 @router.get("/places/{place_id}", summary="One place", responses=responses(404, 409))
@@ -89,7 +93,7 @@ async def merge(order: PlaceMerge, station: StationDep) -> PlaceModel:
 @router.post("/places/undo", summary="Take back the newest change of the places", responses=responses(409))
 async def undo(station: StationDep, order: UndoOrder | None = None) -> PlacesChangeModel:
     """A new name, hiding or a merge. Answers what was taken back; 409 when another change came after `version`."""
-    return change_model(await station.undo_places(order.version if order else None))
+    return _change(await station.undo_places(order.version if order else None))
 
 
 @router.post(
@@ -100,7 +104,7 @@ async def undo(station: StationDep, order: UndoOrder | None = None) -> PlacesCha
 )
 async def measure(station: StationDep) -> JobModel:
     """Runs in the background: follow GET /jobs/{id}, whose result has 0..1 for each place's id; from 0.75 on stable."""
-    return job_model(station.measure_places())
+    return JobModel.of(station.measure_places())
 
 
 @router.patch("/places/{place_id}", summary="Rename, hide or show a place", responses=responses(404, 409))
@@ -146,7 +150,7 @@ async def graph(
         map=active.place_map.id,
         metric=active.place_map.navigation.is_metric,
         nodes=[place_model(active, place) for place in active.visible_places],
-        edges=[edge_model(edge) for edge in active.place_map.edges],
+        edges=[EdgeModel.of(edge) for edge in active.place_map.edges],
     )
 
 

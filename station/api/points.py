@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from fastapi import Depends, Header, Query, Response
 
-from station.files.ply import encode_ply
+from station.files.ply import cloud_columns, encode_ply
 
 # magic, number of points here, number of the first one, number of points there are
 POINTS_HEADER = struct.Struct("<4sIII")
@@ -44,10 +44,8 @@ def points_response(packed: bytes, first: int, total: int, source: str) -> Respo
 
 async def ply_response(p: npt.NDArray[np.floating], rgb: npt.NDArray[np.uint8], source: str, name: str) -> Response:
     """Points (n, 3) with their colours (n, 3) as a PLY file to download."""
-    columns = {axis: p[:, i] for i, axis in enumerate("xyz")}
-    colours = {colour: rgb[:, i] for i, colour in enumerate(("red", "green", "blue"))}
     return Response(
-        await asyncio.to_thread(encode_ply, columns | colours),
+        await asyncio.to_thread(encode_ply, cloud_columns(p, rgb)),
         media_type="application/x-ply",
         headers={"Content-Disposition": f'attachment; filename="{name}.ply"', "X-Source": source},
     )

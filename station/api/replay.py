@@ -8,19 +8,19 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Query, Response, WebSocket
 from fastapi.responses import StreamingResponse
 
 from shared.errors import RobotSystemError
 from station.api.deps import StationDep
-from station.api.limits import refuse, seated
+from station.api.limits import converse
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
-from station.api.schema.jobs import JobModel, job_model
+from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import ReplayModel, ReprocessOrder, replay_model
-from station.api.streams import BOUNDARY, HEADER, STREAM, SeatedStream
+from station.api.streams import HEADER, STREAM, AcknowledgedPictures, SeatedStream, part_of_stream
 from station.app import Station
-from station.errors import Busy, Conflict, OutOfRange
+from station.errors import Conflict, OutOfRange
 from station.files.navigation_folder import load_navigation
 from station.model.navigation import Navigation
 from station.model.points import pack_points
@@ -40,7 +40,7 @@ NO_SUCH_NAVIGATION = 4404  # close code of /ws/replay
 )
 async def reprocess(navigation_id: str, station: StationDep, order: ReprocessOrder | None = None) -> JobModel:
     """For a navigation whose SLAM failed, or with another backend. Its navigation is replaced when the job is done."""
-    return job_model(station.reprocess(navigation_id, order.backend if order else None))
+    return JobModel.of(station.reprocess(navigation_id, order.backend if order else None))
 
 
 @router.get(
@@ -90,42 +90,21 @@ async def replay_socket(
 
     The socket is closed after the last one.
     """
-    await socket.accept()
-    try:
-        with seated(socket):
-            await _play(socket, station, navigation, from_s, speed)
-    except Busy as exc:
-        await refuse(socket, exc)
+    shown = AcknowledgedPictures(socket)
 
+    async def play() -> None:
+        try:
+            path = _recording(station, navigation, from_s)
+            async with contextlib.aclosing(replay(path, from_s, speed)) as pictures:
+                async for p in pictures:
+                    header = HEADER.pack(p.number & 0xFFFFFFFF, 0, 0, p.t_robot_ns, p.since_first_s, 0, 0)
+                    await shown.send(header + p.jpeg)
+        except RobotSystemError as exc:
+            await socket.close(NO_SUCH_NAVIGATION, str(exc)[:120])
+        else:
+            await socket.close()
 
-async def _play(socket: WebSocket, station: Station, navigation: str, from_s: float, speed: float) -> None:
-    try:
-        path = _recording(station, navigation, from_s)
-    except RobotSystemError as exc:
-        await socket.close(NO_SUCH_NAVIGATION, str(exc)[:120])
-        return
-    acknowledged = asyncio.Event()
-    sending = asyncio.create_task(_send(socket, path, from_s, speed, acknowledged))
-    try:
-        while True:
-            await socket.receive_text()
-            acknowledged.set()
-    except (WebSocketDisconnect, RuntimeError):
-        return
-    finally:
-        sending.cancel()
-        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, RobotSystemError):
-            await sending
-
-
-async def _send(socket: WebSocket, path: Path, from_s: float, speed: float, acknowledged: asyncio.Event) -> None:
-    async with contextlib.aclosing(replay(path, from_s, speed)) as pictures:
-        async for picture in pictures:
-            acknowledged.clear()
-            header = HEADER.pack(picture.number & 0xFFFFFFFF, 0, 0, picture.t_robot_ns, picture.since_first_s, 0, 0)
-            await socket.send_bytes(header + picture.jpeg)
-            await acknowledged.wait()
-    await socket.close()
+    await converse(socket, shown.hear, play)
 
 
 async def _chained(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
@@ -138,8 +117,7 @@ async def _chained(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncIterator[b
 async def _parts(path: Path, from_s: float, speed: float) -> AsyncGenerator[bytes]:
     async with contextlib.aclosing(replay(path, from_s, speed)) as pictures:
         async for picture in pictures:
-            head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % (BOUNDARY, len(picture.jpeg))
-            yield head + picture.jpeg + b"\r\n"
+            yield part_of_stream(picture.jpeg)
 
 
 def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
@@ -156,7 +134,5 @@ def _recording(station: Station, navigation_id: str, from_s: float) -> Path:
 
 
 async def _load(station: Station, navigation_id: str) -> Navigation:
-    navigation = station.navigations.library.get(navigation_id)
-    if navigation.state != "ready":
-        raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+    station.navigations.ready(navigation_id)
     return await asyncio.to_thread(load_navigation, station.navigations.library.navigation_folder(navigation_id))

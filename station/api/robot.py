@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import itertools
 import time
 
-from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, WebSocket
 from pydantic import ValidationError
 
 from shared.errors import RobotSystemError
 from shared.messages import MAX_DRIVE_TTL_MS
 from station.api.deps import DriverDep, RobotDep, StationDep
-from station.api.limits import receive_text, refuse, seated
+from station.api.limits import converse, receive_text
 from station.api.messages import (
     DriveAccepted,
     DriveCommand,
@@ -30,7 +29,7 @@ from station.api.problems import kind_of, responses
 from station.api.schema.base import Accepted
 from station.api.schema.fleet import RobotEntry, robot_entry
 from station.api.schema.robot import DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel, robot_model
-from station.errors import Busy, NoRobot
+from station.errors import NoRobot
 from station.events import Event, MessageReader
 from station.robots.driving import MAX_DRIVER_NAME, LateCommands
 from station.robots.session import RobotSession
@@ -77,7 +76,7 @@ async def release(robot: RobotDep, driver: DriverDep) -> DriverModel:
 def _driver_model(robot: RobotSession, caller: str) -> DriverModel:
     driving = robot.driving
     now = driving.driver
-    keeps_s = 0.0 if now is None else round(driving.keeps_wheel_s, 1)
+    keeps_s = 0.0 if now is None else round(driving.lease_left_s, 1)
     return DriverModel(driver=now, you_drive=now == caller, keeps_s=keeps_s)
 
 
@@ -114,35 +113,21 @@ async def drive_socket(socket: WebSocket, robot: RobotDep, driver: str = "") -> 
     come for half a second, `refused` says so (problem `late`). One that repeats none cannot be told from a fresh one:
     it holds for 100 ms from its arrival at most.
     """
-    await socket.accept()
-    try:
-        with seated(socket):
-            await _take_orders(socket, robot, driver)
-    except Busy as exc:
-        await refuse(socket, exc)
-
-
-async def _take_orders(socket: WebSocket, robot: RobotSession, driver: str) -> None:
     # Two nameless pages of one computer are two drivers: one at a time.
     place = f"page at {socket.client.host}" if socket.client else "page"
     name = driver[:MAX_DRIVER_NAME] or f"{place} #{next(_connections)}"
     late = LateCommands()
-    lost_socket = (WebSocketDisconnect, RuntimeError)
+
+    async def obey() -> None:
+        await _obey(socket, robot, name, await receive_text(socket), late)
+
+    def let_go() -> None:
+        if robot.driving.driver == name:
+            robot.driving.release(name)
+
     with robot.events.hub.subscribe() as changes:
-        telling = [asyncio.create_task(c) for c in (_tell_driver(socket, robot, name, changes), _tell_time(socket))]
-        try:
-            while True:
-                await _obey(socket, robot, name, await receive_text(socket), late)
-        except lost_socket:
-            pass
-        finally:
-            for task in telling:
-                task.cancel()
-            for task in telling:
-                with contextlib.suppress(asyncio.CancelledError, *lost_socket):
-                    await task
-            if robot.driving.driver == name:
-                robot.driving.release(name)
+        say = (lambda: _tell_driver(socket, robot, name, changes), lambda: _tell_time(socket))
+        await converse(socket, obey, *say, leave=let_go)
 
 
 async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, late: LateCommands) -> None:

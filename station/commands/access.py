@@ -8,9 +8,8 @@ import datetime
 import json
 import socket
 import time
-from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -25,24 +24,13 @@ from station.access.expiry import expiry_sentence
 from station.access.paired_robots import PairedRobots
 from station.access.pairing import pair as pair_with
 from station.access.visitors import LINK_S, access_folder
+from station.commands.options import Config, Data, Json
 from station.config import DEFAULT_DATA_DIR, load_config, parse_address
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"
 
 access = typer.Typer(no_args_is_help=True, help="Who may use this station.")
-
-Data = Annotated[Path | None, typer.Option(help="The station's data folder.")]
-Config = Annotated[Path | None, typer.Option(help="The station's TOML file.")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object as the last line.")]
-
-
-class RoleName(str, Enum):  # noqa: UP042  # typer shows the values of a str enum
-    """What somebody may do."""
-
-    watch = "watch"
-    drive = "drive"
-    admin = "admin"
 
 
 def register(app: typer.Typer) -> None:
@@ -78,7 +66,10 @@ def init(
 @access.command()
 def add(
     name: Annotated[str, typer.Argument(help="Who or what it is for, such as anna or garden-display.")],
-    role: Annotated[RoleName, typer.Option(help="watch; drive: also move, record, name; admin: also delete.")],
+    role: Annotated[
+        Literal["watch", "drive", "admin"],
+        typer.Option(help="watch; drive: also move, record, name; admin: also delete."),
+    ],
     data: Data = None,
     config: Config = None,
     days: Annotated[float | None, typer.Option(min=0.001, help="It ends by itself after so many days.")] = None,
@@ -86,11 +77,11 @@ def add(
 ) -> None:
     """Make a token for somebody; it is shown once."""
     book = TokenBook(_folder(data, config))
-    token = book.add(name, Role(role.value), time.time(), None if days is None else days * 86_400).text
+    token = book.add(name, Role(role), time.time(), None if days is None else days * 86_400).text
     if as_json:
-        print(json.dumps({"name": name, "role": role.value, "token": token}))
+        print(json.dumps({"name": name, "role": role, "token": token}))
         return
-    _show_token(token, name, Role(role.value))
+    _show_token(token, name, Role(role))
 
 
 @access.command()

@@ -108,10 +108,6 @@ def disk(data: Path) -> Finding:
         folder = folder.parent
     free_gb = shutil.disk_usage(folder).free / 1e9
     if free_gb < WANTED_GB:
-        return Finding(
-            "disk",
-            False,
-            f"{free_gb:.1f} GB are free for {data}, recordings want {WANTED_GB:.0f};"
-            " make room, or give another folder with --data",
-        )
+        remedy = f"recordings want {WANTED_GB:.0f}; make room, or give another folder with --data"
+        return Finding("disk", False, f"{free_gb:.1f} GB are free for {data}, {remedy}")
     return Finding("disk", True, f"{free_gb:.0f} GB are free for {data}")

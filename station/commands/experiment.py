@@ -11,8 +11,7 @@ import typer
 
 from shared.errors import ConfigError
 from station.commands.match_report import finish
-from station.commands.outputs import check_out_folder
-from station.commands.places_options import align_by_mode, places_mode
+from station.commands.options import AlignBy, Mode, check_out_folder, overridden
 from station.commands.progress import working
 from station.commands.slam import run_with_progress
 from station.datasets import Dataset
@@ -47,12 +46,12 @@ def experiment(
         str | None,
         typer.Option("--backend", help="SLAM backend for datasets: auto, ukf, sfm; without it the preset's, else sfm."),
     ] = None,
-    mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
+    mode: Mode = "default",
     eps: Annotated[float | None, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised [0.3].")] = None,
     min_pts: Annotated[int | None, typer.Option(help="Thesis mode: DBSCAN's MinPts [11].")] = None,
     inlier_ratio: Annotated[float | None, typer.Option(help="Thesis mode: share of pairs kept [0.75].")] = None,
     step: Annotated[int, typer.Option(help="Use every step-th frame of the datasets.")] = 1,
-    align_by: Annotated[str, typer.Option(help="Default mode: both, geometry or appearance.")] = "both",
+    align_by: AlignBy = "both",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
     title: Annotated[str, typer.Option(help="Heading of the report.")] = "",
@@ -70,11 +69,8 @@ def experiment(
         backend = backend or chosen.backend
     elif navigation1 is None or navigation2 is None:
         raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders; or --preset")
-    config = PlacesConfig(
-        mode=places_mode(mode),
-        align_by=align_by_mode(align_by),
-        thesis=with_options(thesis, eps, min_pts, inlier_ratio),
-    )
+    thesis = overridden(thesis, eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio)
+    config = PlacesConfig(mode, thesis, align_by)
 
     if preset is not None:
         navigation1, navigation2 = make_drives(chosen, out / "data")
@@ -137,15 +133,3 @@ def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
             return made, made
         bar.step("simulating the second drive")
         return made, make_dataset(second, folder / "drive2")
-
-
-def with_options(
-    thesis: ThesisConfig, eps: float | None, min_pts: int | None, inlier_ratio: float | None
-) -> ThesisConfig:
-    """The numbers that were given on the command line, in place of a preset's. Raises ConfigError for a wrong one."""
-    return replace(
-        thesis,
-        eps=thesis.eps if eps is None else eps,
-        min_pts=thesis.min_pts if min_pts is None else min_pts,
-        inlier_ratio=thesis.inlier_ratio if inlier_ratio is None else inlier_ratio,
-    )

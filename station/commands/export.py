@@ -5,32 +5,21 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from shared.errors import DataError
-from station.commands.map_store import Config, Data
-from station.commands.opening_maps import open_map
+from station.commands.map_store import open_map
+from station.commands.options import Config, Data
 from station.files.colmap import export_colmap
 from station.files.export import export_euroc, export_mcap, export_ply
-from station.files.navigation_folder import load_navigation, write_tum
+from station.files.navigation_folder import format_tum, load_navigation
+from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
 from station.places.making.graph import to_graphml
-
-
-class ExportFormat(StrEnum):
-    """What `station export` writes."""
-
-    TUM = "tum"
-    PLY = "ply"
-    GRAPHML = "graphml"
-    EUROC = "euroc"
-    MCAP = "mcap"
-    COLMAP = "colmap"
 
 
 def register(app: typer.Typer) -> None:
@@ -47,7 +36,9 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="File to write; a folder for euroc and colmap. Must not exist.")],
-    file_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
+    file_format: Annotated[
+        Literal["tum", "ply", "graphml", "euroc", "mcap", "colmap"], typer.Option("--format", help="What to write.")
+    ],
     data: Data = None,
     config: Config = None,
 ) -> None:
@@ -65,20 +56,20 @@ def export(
     else:
         place_map = open_map(source, data, config)
         nav = place_map.navigation
-    if file_format is ExportFormat.GRAPHML:
+    if file_format == "graphml":
         if place_map is None:
             raise DataError(f"{source} is a navigation and has no place graph; give a map for --format graphml")
         text = to_graphml(without_hidden(place_map))
         _whole_or_not(out, lambda path: path.write_text(text))
         return
-    writers: dict[ExportFormat, Callable[[Path], None]] = {
-        ExportFormat.TUM: lambda path: write_tum(nav.trajectory, path),
-        ExportFormat.PLY: lambda path: export_ply(nav, path),
-        ExportFormat.EUROC: lambda path: export_euroc(nav, path),
-        ExportFormat.MCAP: lambda path: export_mcap(nav, path),
-        ExportFormat.COLMAP: lambda path: export_colmap(nav, path),
+    writers: dict[str, Callable[[Navigation, Path], object]] = {
+        "tum": lambda nav, path: path.write_text(format_tum(nav.trajectory)),
+        "ply": export_ply,
+        "euroc": export_euroc,
+        "mcap": export_mcap,
+        "colmap": export_colmap,
     }
-    _whole_or_not(out, writers[file_format])
+    _whole_or_not(out, lambda path: writers[file_format](nav, path))
 
 
 def _navigation_folder(source: Path) -> Path | None:

@@ -13,9 +13,8 @@ import typer
 
 from shared.errors import DataError
 from station.commands import map_store
-from station.commands.opening_maps import MapArgument, open_map
-from station.commands.outputs import check_out_folder
-from station.commands.places_options import places_config
+from station.commands.map_store import MapArgument, open_map
+from station.commands.options import Config, Data, Mode, check_out_folder
 from station.commands.progress import Bar, working
 from station.config import check_backend, check_executor
 from station.datasets import open_dataset
@@ -25,6 +24,7 @@ from station.model.navigation import Navigation
 from station.model.place_map import PlaceEdge, PlaceMap
 from station.places.joining.growing import keep_places
 from station.places.making.changes import without_hidden
+from station.places.making.config import PlacesConfig, ThesisConfig
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
 from station.workers.executors.opening import open_executor
@@ -47,7 +47,7 @@ def build(
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder for the map.")],
     name: Annotated[str, typer.Option(help="Name of the map.")] = "",
-    mode: Annotated[str, typer.Option(help="thesis or default.")] = "default",
+    mode: Mode = "default",
     eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
     min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
     names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first one: keeps its names.")] = None,
@@ -67,7 +67,7 @@ def build(
     check_out_folder(out)
     if out.is_dir() and any(out.iterdir()) and not (out / "map.json").is_file():
         raise DataError(f"{out} exists and is no map; give a new folder")
-    config = places_config(mode, eps, min_pts, 0.75)
+    config = PlacesConfig(mode, ThesisConfig(eps, min_pts))
     old = None if names_from is None else load_map_folder(names_from)
     with working("reading the navigations") as bar, open_executor(executor) as machines:
         loaded = _navigations(navigations, machines, backend, seed, bar)
@@ -127,8 +127,8 @@ def check_names_source(old: PlaceMap, navigations: list[Navigation], names_from:
 
 def show(
     which: MapArgument,
-    data: map_store.Data = None,
-    config: map_store.Config = None,
+    data: Data = None,
+    config: Config = None,
     with_repeatability: Annotated[
         bool,
         typer.Option("--repeatability", help="Measure how surely each place would be found again: groups them anew."),
@@ -167,8 +167,8 @@ def route(
     which: MapArgument,
     start: Annotated[str, typer.Argument(help="Name or id of a place.")],
     goal: Annotated[str, typer.Argument(help="Name or id of a place.")],
-    data: map_store.Data = None,
-    config: map_store.Config = None,
+    data: Data = None,
+    config: Config = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the route as JSON on stdout.")] = False,
 ) -> None:
     """The shortest way between two places, and each leg's bearing: in the ground plane, from +x towards +y."""

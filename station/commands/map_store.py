@@ -12,17 +12,20 @@ import typer
 
 from shared.advice import complete
 from shared.errors import DataError
+from station.commands.options import Config, Data, Json
 from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
+from station.maps.folder import load_map_folder
 from station.maps.record_files import ASIDE, record_files
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
 
-Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
-Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file, where maps lie elsewhere.")]
 MapId = Annotated[str, typer.Argument(metavar="MAP", help="Id of a map; `station map list` shows them.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+MapArgument = Annotated[
+    str, typer.Argument(metavar="MAP", help="Folder written by `station map build`, or id of a map the station keeps.")
+]
 
 
 def register(maps: typer.Typer) -> None:
@@ -206,6 +209,19 @@ def restore(
         print("a station looks for its robot in the maps chosen on its page, or by PUT /maps/active")
     if report.damaged:
         sys.exit(1)
+
+
+def open_map(which: str, data: Path | None, config: Path | None) -> PlaceMap:
+    """A map from a folder, or from the station's store.
+
+    Raises:
+        DataError: there is none, or it is damaged.
+    """
+    if Path(which).is_dir():
+        return load_map_folder(Path(which))
+    if len(Path(which).parts) > 1:
+        raise DataError(f"{which} is no folder; give one written by `station map build`, or the id of a map")
+    return open_store(data, config).load(which)
 
 
 def existing_store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:

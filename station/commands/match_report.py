@@ -10,9 +10,8 @@ from typing import Any
 import typer
 
 from station.commands.progress import working
-from station.commands.verdict import verdict
 from station.experiments.experiment import Experiment, results_dict
-from station.experiments.output import write_experiment
+from station.experiments.report import write_experiment
 
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:
@@ -35,7 +34,7 @@ def _tell(done: Experiment, results: dict[str, Any], out: Path) -> None:
     if not results["places"]:
         print("the map holds no place, so there was nothing to match with")
     if not done.result.registration.accepted:
-        print(f"registration {verdict(False, done.result.registration.reasons)}")
+        print(f"registration {done.result.registration}")
     if done.not_judged:
         print(done.not_judged)
     if results["precision"] is not None:

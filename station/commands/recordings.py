@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from shared.errors import DataError
+from station.commands.options import Config, Data, Json
 from station.config import load_config
 
 recordings = typer.Typer(no_args_is_help=True, help="Recorded drives on disk.")
 
 Files = Annotated[list[Path] | None, typer.Argument(metavar="[RECORDING]...", help="By default all of the station's.")]
-Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
-Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -42,18 +41,9 @@ def verify(files: Files = None, data: Data = None, config: Config = None, as_jso
         is_damaged = is_damaged or bool(check.damage)
         if not as_json:
             print(check, flush=True)
-        shown.append(
-            {
-                "path": str(check.path),
-                "messages": check.messages,
-                "seconds": check.seconds,
-                "bytes": check.size,
-                "damage": check.damage,
-                "is_being_written": check.is_being_written,
-            }
-        )
+        shown.append(asdict(check))
     if as_json:
-        print(json.dumps({"recordings": shown}))
+        print(json.dumps({"recordings": shown}, default=str))
     elif not paths:
         print("there are no recordings")
     if is_damaged:

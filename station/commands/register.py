@@ -6,14 +6,12 @@ import json
 import math
 import sys
 import time
-from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from station.commands.progress import working
-from station.commands.verdict import verdict
 
 
 def register(app: typer.Typer) -> None:
@@ -32,7 +30,7 @@ def register_files(
     """Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted."""
     from station.files.ply import read_rows
     from station.places.registration.register import register_clouds
-    from station.places.registration.result import uncertainty_of
+    from station.places.registration.result import finite, registration_json, uncertainty_of
 
     p_target, p_source = read_rows(target), read_rows(source)  # registration says what is wrong with them
     print(f"registering {len(p_source)} points of {source} to {len(p_target)} of {target} ...", file=sys.stderr)
@@ -41,9 +39,8 @@ def register_files(
         result = register_clouds(p_target, p_source, scale=scale, gravity=gravity, backend=backend, seed=seed)
     seconds = time.perf_counter() - start
     uncertainty = uncertainty_of(result)
-    said = verdict(result.accepted, result.reasons)
     if not as_json:
-        print(said)
+        print(result)
         if result.T_target_source is not None:
             for row in result.T_target_source.tolist():
                 print("  " + " ".join(f"{value: .6f}" for value in row))
@@ -53,24 +50,15 @@ def register_files(
                 loose = f", {uncertainty.scale:.2%} of scale" if scale == "free" else ""
                 print(f"one standard deviation: {turn:.3f} degrees, {uncertainty.position:.4f}{loose}")
     else:
-        print(said, file=sys.stderr)
+        print(result, file=sys.stderr)
         print(
             json.dumps(
                 {
-                    "accepted": result.accepted,
-                    "reasons": list(result.reasons),
-                    "T_target_source": None if result.T_target_source is None else result.T_target_source.tolist(),
-                    "scale": result.scale,
-                    "rmse": _number(result.rmse),
-                    "inlier_ratio": result.inlier_ratio,
-                    "overlap": result.overlap,
+                    **registration_json(result),
                     "seconds": seconds,
-                    "backend": result.backend,
                     "score": result.score,
-                    "confidence": _number(result.confidence),
+                    "confidence": finite(result.confidence),
                     "evidence": result.measured,
-                    "uncertainty": None if uncertainty is None else asdict(uncertainty),
-                    "covariance": None if result.covariance is None else result.covariance.tolist(),
                     "eigenvalues": None if result.eigenvalues is None else result.eigenvalues.tolist(),
                     "alternatives": [
                         {"T_target_source": a.T_target_source.tolist(), "score": a.score} for a in result.alternatives
@@ -80,8 +68,3 @@ def register_files(
         )
     if not result.accepted:
         raise typer.Exit(2)
-
-
-def _number(value: float) -> Any:
-    """JSON knows no NaN."""
-    return value if math.isfinite(value) else None

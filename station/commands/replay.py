@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -11,13 +10,12 @@ from typing import Annotated
 import typer
 
 from shared.errors import ConfigError, DataError
-from station.commands.map_store import Config, Data, store_address
+from station.commands.map_store import open_map
+from station.commands.options import Config, Data
 from station.commands.progress import working
 from station.datasets import open_dataset
 from station.files.navigation_folder import save_navigation
-from station.maps.folder import load_map_folder, save_map_folder
-from station.maps.store import MapStore
-from station.model.place_map import PlaceMap
+from station.maps.folder import save_map_folder
 from station.workers.replay import Replay, ReplayOptions, answer_line, replay
 
 
@@ -50,7 +48,7 @@ def replay_command(
         raise DataError(f"{dataset} holds no camera images; choose a dataset with images")
     if out is not None and out.exists():
         raise DataError(f"{out} exists already; give a new folder with --out")
-    place_map = _find_map(known_map, data, config) if known_map else None
+    place_map = open_map(known_map, data, config) if known_map else None
     options = ReplayOptions(backend, seed, threads)
     begin_ns, end_ns = recorded.frame_times_ns[0], recorded.frame_times_ns[-1]
     metronome = Metronome(speed)
@@ -93,12 +91,6 @@ class Metronome:
         self._last_ns = t_robot_ns
         due_s = self._begin[1] + (t_robot_ns - self._begin[0]) * 1e-9 / self._speed
         time.sleep(max(0.0, due_s - time.monotonic()))
-
-
-def _find_map(name: str, data: Path | None, config: Path | None) -> PlaceMap:
-    if (Path(name) / "map.json").is_file():
-        return load_map_folder(Path(name))
-    return MapStore(store_address(data, config), lambda text: print(text, file=sys.stderr)).load(name)
 
 
 def _write(result: Replay, out: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import logging
 import sys
 from collections.abc import Callable
@@ -14,6 +13,7 @@ import typer
 
 from shared.certificates import show_fingerprint
 from shared.listening import bind
+from station.commands.options import overridden
 from station.config import (
     DEFAULT_DATA_DIR,
     ApiConfig,
@@ -121,22 +121,16 @@ def _settings(
     executor: str | None = None,
 ) -> StationConfig:
     """The file's settings with the options over them."""
-    api = dataclasses.replace(
-        settings.api, host=host or settings.api.host, port=settings.api.port if port is None else port
-    )
-    robots = tuple(parse_robot(text, "--robot") for text in robot) if robot else settings.robots
-    slam = dataclasses.replace(settings.slam, backend=backend or settings.slam.backend)
+    slam = overridden(settings.slam, backend=backend or None)
     check_backend(slam.backend)
-    access = dataclasses.replace(settings.access, insecure=insecure or settings.access.insecure)
-    folder = data or settings.data_dir
-    return dataclasses.replace(
+    return overridden(
         settings,
-        api=api,
-        executor=settings.executor if executor is None else executor,
-        robots=robots,
+        api=overridden(settings.api, host=host or None, port=port),
+        executor=executor,
+        robots=tuple(parse_robot(text, "--robot") for text in robot) if robot else None,
         slam=slam,
-        data_dir=folder,
-        access=access,
+        data_dir=data,
+        access=overridden(settings.access, insecure=insecure or None),
     )
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
 import typer
 
 from shared.errors import DataError
-from station.commands.outputs import check_out_folder
+from station.commands.options import check_out_folder
 from station.commands.progress import working
 from station.datasets import Dataset, open_dataset
 from station.files.navigation_folder import check_navigation_folder, save_navigation
@@ -21,16 +20,6 @@ from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.slam.ukf.start.starter import GivenState
-
-
-class Landmarks(StrEnum):
-    default = "default"
-    thesis = "thesis"
-
-
-class InitialState(StrEnum):
-    own = "own"
-    given = "given"
 
 
 def register(app: typer.Typer) -> None:
@@ -47,11 +36,13 @@ def slam(
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     threads: Annotated[int, typer.Option(help="Threads for mapping; 1 for repeatable runs, -1 for all cores.")] = -1,
     landmarks: Annotated[
-        Landmarks, typer.Option(help="thesis: keep each landmark as it first entered the filter (ukf).")
-    ] = Landmarks.default,
+        Literal["default", "thesis"],
+        typer.Option(help="thesis: keep each landmark as it first entered the filter (ukf)."),
+    ] = "default",
     initial_state: Annotated[
-        InitialState, typer.Option(help="given: start from the dataset's true state instead of by itself (ukf).")
-    ] = InitialState.own,
+        Literal["own", "given"],
+        typer.Option(help="given: start from the dataset's true state instead of by itself (ukf)."),
+    ] = "own",
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object on stdout.")] = False,
 ) -> None:
     """Reconstruct trajectory and landmarks of one recorded drive."""
@@ -60,16 +51,8 @@ def slam(
     data = open_dataset(dataset, first, last, step)
     if not data.has_images:
         raise DataError(f"{dataset} holds no camera images; choose a dataset with images")
-    given = given_state(data) if initial_state is InitialState.given else None
-    running = make_backend(
-        backend,
-        data.calibration,
-        seed,
-        threads,
-        data.intrinsics_known,
-        "thesis" if landmarks is Landmarks.thesis else "default",
-        given,
-    )
+    given = given_state(data) if initial_state == "given" else None
+    running = make_backend(backend, data.calibration, seed, threads, data.intrinsics_known, landmarks, given)
     nav = run_with_progress(running, data)
     save_navigation(nav, out)
     if as_json:
@@ -80,7 +63,7 @@ def slam(
 
 def given_state(data: Dataset) -> GivenState:
     """The dataset's true state at its first frame. Raises DataError where the truth has no velocity and biases."""
-    truth = data.truth()
+    truth = data.truth
     if truth is None or truth.v_world is None or truth.gyro_bias is None or truth.accel_bias is None:
         raise DataError(f"{data.path} has no true velocity and biases; leave --initial-state at own")
     camera = data.calibration.camera
@@ -108,7 +91,7 @@ def summary(nav: Navigation, out: Path) -> str:
     scale = "metres" if nav.is_metric else "arbitrary scale"
     lines = [
         f"{report.landmarks} landmarks, {len(nav.trajectory)} poses, {len(nav.keyframes)} keyframes ({scale}, "
-        f"{'gravity-aligned' if nav.is_gravity_aligned else 'upright only as the camera was'})",
+        f"{'gravity-aligned' if nav.is_gravity_aligned else 'gravity unknown'})",
         f"{report.duration_s:.1f} s of driving in {report.wall_s:.1f} s",
         *report.messages,
         f"written to {out}",

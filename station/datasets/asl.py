@@ -59,9 +59,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
     times, names, exposures = np.empty(0, np.int64), list[str](), list[int]()
     if camera_csv.is_file():
         times, names, exposures = _read_frame_list(camera_csv, default_exposure_ns)
-    chosen = choose_frames(range(len(times)), first, last, step)
-    if len(times) and not chosen:
-        raise DataError(f"{camera_csv} has {len(times)} frames, none of them in the range asked for")
+    chosen = choose_frames(camera_csv, range(len(times)), first, last, step)
     times, names, exposures = times[chosen], [names[i] for i in chosen], [exposures[i] for i in chosen]
     if len(times) and (first is not None or last is not None):
         imu, drive = cut_to_frames(imu, drive, times)
@@ -84,9 +82,9 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
         intrinsics_known=not bool(camera_yaml.get("approximate", False)),
         frame_times_ns=times,
         read_frames=read_frames if has_images else None,
-        imu_samples=imu,
-        drive_samples=drive,
-        truth_poses=truth,
+        imu=imu,
+        drive=drive,
+        truth=truth,
     )
 
 

@@ -41,41 +41,17 @@ class Dataset:
     intrinsics_known: bool  # False: only a rough guess, let SfM refine it
     frame_times_ns: IntArray  # (F,) robot clock; also where the images themselves are absent
     read_frames: Callable[[], Iterator[ImageFrame]] | None  # None: no images
-    imu_samples: ImuBatch | None = None
-    drive_samples: Sequence[DriveSample] = ()
-    truth_poses: Truth | None = None
+    imu: ImuBatch | None = None  # all samples; None: no IMU
+    drive: Sequence[DriveSample] = ()  # velocities the motors were told to hold; empty where not recorded
+    truth: Truth | None = None  # for judging, never for estimating
 
     @property
     def has_images(self) -> bool:
         return self.read_frames is not None
 
-    def frames(self) -> Iterator[ImageFrame]:
-        """Images in time order, still encoded. Raises DataError where there are none or a file cannot be read."""
-        if self.read_frames is None:
-            raise DataError(f"{self.path} holds no camera images; choose a dataset with images for this command")
-        return self.read_frames()
-
-    def imu(self) -> ImuBatch | None:
-        """All inertial samples; None where there is no IMU."""
-        return self.imu_samples
-
-    def require_imu(self) -> ImuBatch:
-        """All inertial samples. Raises DataError where there is no IMU."""
-        if self.imu_samples is None:
-            raise DataError(f"{self.path} holds no IMU data; choose a dataset with an IMU, or a backend without")
-        return self.imu_samples
-
-    def drive(self) -> list[DriveSample]:
-        """Velocities the motors were told to hold; empty where not recorded."""
-        return list(self.drive_samples)
-
-    def truth(self) -> Truth | None:
-        """Where the body really was: for judging, never for estimating."""
-        return self.truth_poses
-
     def events(self) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
         """Everything in sensor-time order, as a SlamBackend wants it: IMU and drive up to a frame come before it."""
-        pending = _InertialEvents(self.imu_samples, self.drive_samples)
+        pending = _InertialEvents(self.imu, self.drive)
         if self.read_frames is not None:
             for frame in self.read_frames():
                 yield from pending.until(frame.t_robot_ns)
@@ -114,13 +90,18 @@ def slice_imu(imu: ImuBatch, start: int, stop: int) -> ImuBatch:
     return ImuBatch(imu.t_robot_ns[start:stop], imu.gyro_imu[start:stop], imu.accel_imu[start:stop])
 
 
-def choose_frames(numbers: Sequence[int], first: int | None, last: int | None, step: int) -> list[int]:
-    """Positions of the frames whose number lies in first..last (both included), every step-th of them."""
+def choose_frames(path: Path, numbers: Sequence[int], first: int | None, last: int | None, step: int) -> list[int]:
+    """Positions of the frames whose number lies in first..last (both included), every step-th of them.
+
+    Raises DataError where there are frames, but none of them there; `path` is what the message calls the whole.
+    """
     if step < 1:
         raise DataError(f"step {step} must be at least 1")
     chosen = [
         i for i, number in enumerate(numbers) if (first is None or number >= first) and (last is None or number <= last)
     ]
+    if numbers and not chosen:
+        raise DataError(f"{path} has {len(numbers)} frames, none of them in the range asked for")
     return chosen[::step]
 
 

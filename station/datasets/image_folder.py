@@ -8,16 +8,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from shared.calibration import Calibration, CameraCalibration
+from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, orthonormal, se3
 from shared.recorded_files import image_times_ns, images_in_order
-from shared.sensor_yaml import read_camera, read_intrinsics_text, read_yaml
+from shared.sensor_yaml import read_folder_camera
 from station.datasets.asl import read_image_file
 from station.datasets.dataset import Dataset, Truth, choose_frames
 from station.model.frames import ImageFrame
-
-DEFAULT_RATE_HZ = 30.0  # 7-Scenes: Kinect at 30 Hz; frames are numbered, so gaps keep their length
 
 
 def open_image_folder(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
@@ -26,10 +24,8 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
     numbers, files = [number for number, _ in numbered], [file for _, file in numbered]
     if not files:
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a dataset")
-    chosen = choose_frames(numbers, first, last, step)
-    if not chosen:
-        raise DataError(f"{path} has {len(files)} images, none of them numbered in the range asked for")
-    camera, known = _read_calibration(path, files[chosen[0]])
+    chosen = choose_frames(path, numbers, first, last, step)
+    camera = read_folder_camera(path, lambda: _image_size(numbered[chosen[0]][1]))
     files = [files[i] for i in chosen]
     times = np.array(image_times_ns(numbers, camera.rate_hz, path), dtype=np.int64)[chosen]
 
@@ -44,36 +40,19 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         path=path,
         kind="images",
         calibration=Calibration(camera=camera, imu=None),
-        intrinsics_known=known,
+        # Three by three numbers without distortion are a guess.
+        intrinsics_known=camera.is_measured and (path / "camera.yaml").is_file(),
         frame_times_ns=times,
         read_frames=read_frames,
-        truth_poses=truth,
+        truth=truth,
     )
 
 
-def _read_calibration(path: Path, an_image: Path) -> tuple[CameraCalibration, bool]:
-    """Camera, and whether its intrinsics can be trusted. Without IMU the body is the camera: no mounting."""
-    yaml_path, text_path = path / "camera.yaml", path / "camera-intrinsics.txt"
-    if yaml_path.is_file():
-        return read_bare_camera(yaml_path)
-    if not text_path.is_file():
-        raise DataError(f"{path} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
-    K = read_intrinsics_text(text_path)
-    image = cv2.imdecode(np.frombuffer(read_image_file(an_image), np.uint8), cv2.IMREAD_GRAYSCALE)
+def _image_size(path: Path) -> tuple[int, int]:
+    image = cv2.imdecode(np.frombuffer(read_image_file(path), np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise DataError(f"image {an_image} is not a readable JPEG or PNG; remove it or copy it again")
-    height, width = image.shape[:2]
-    camera = CameraCalibration(
-        width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=DEFAULT_RATE_HZ
-    )
-    return camera, False  # three by three numbers without distortion are a guess
-
-
-def read_bare_camera(yaml_path: Path) -> tuple[CameraCalibration, bool]:
-    """A camera that is itself the body, and whether its intrinsics can be trusted (no `approximate: true`)."""
-    content = read_yaml(yaml_path)
-    unmounted = {key: value for key, value in content.items() if key not in ("T_BS", "T_body_cam")}
-    return read_camera(yaml_path, unmounted), not bool(content.get("approximate", False))
+        raise DataError(f"image {path} is not a readable JPEG or PNG; remove it or copy it again")
+    return image.shape[1], image.shape[0]
 
 
 def read_pose(image: Path) -> FloatArray | None:

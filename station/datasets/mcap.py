@@ -31,9 +31,7 @@ def open_mcap(path: Path, first: int | None, last: int | None, step: int) -> Dat
     frame_times = np.array([t for t, _ in content.frames], dtype=np.int64)
     if not len(frame_times) and not content.samples:
         raise DataError(f"{path} holds neither images nor IMU samples; record again, with a robot connected")
-    chosen = choose_frames(range(len(frame_times)), first, last, step)
-    if len(frame_times) and not chosen:
-        raise DataError(f"{path} has {len(frame_times)} frames, none of them in the range asked for")
+    chosen = choose_frames(path, range(len(frame_times)), first, last, step)
     imu, drive = _imu(content), tuple(DriveSample(*command) for command in content.drive)
     if chosen and (first is not None or last is not None):
         imu, drive = cut_to_frames(imu, drive, frame_times[chosen])
@@ -56,8 +54,8 @@ def open_mcap(path: Path, first: int | None, last: int | None, step: int) -> Dat
         intrinsics_known=True,
         frame_times_ns=frame_times[chosen],
         read_frames=read_frames if chosen else None,
-        imu_samples=imu,
-        drive_samples=drive,
+        imu=imu,
+        drive=drive,
     )
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.errors import DataError
+from shared.sensor_yaml import read_bare_camera
 from station.datasets.dataset import Dataset, choose_frames
-from station.datasets.image_folder import read_bare_camera
 from station.model.frames import ImageFrame
 
 JPEG_QUALITY = 95  # frames are decoded and encoded again: keep what the video kept
@@ -24,7 +24,7 @@ def open_video(path: Path, first: int | None, last: int | None, step: int) -> Da
     yaml_path = next((p for p in candidates if p.is_file()), None)
     if yaml_path is None:
         raise DataError(f"{path} has no camera.yaml next to it; write the camera's intrinsics there")
-    camera, known = read_bare_camera(yaml_path)
+    camera = read_bare_camera(yaml_path)
     capture = cv2.VideoCapture(str(path))
     try:
         if not capture.isOpened():
@@ -40,15 +40,13 @@ def open_video(path: Path, first: int | None, last: int | None, step: int) -> Da
         raise DataError(
             f"{path} is {size[0]}x{size[1]} but {yaml_path} says {camera.width}x{camera.height}; correct it"
         )
-    chosen = choose_frames(range(total), first, last, step)
-    if not chosen:
-        raise DataError(f"{path} has {total} frames, none of them in the range asked for")
+    chosen = choose_frames(path, range(total), first, last, step)
     times = np.array([round(i * 1e9 / rate) for i in chosen], dtype=np.int64)
     return Dataset(
         path=path,
         kind="video",
         calibration=Calibration(camera=camera, imu=None),
-        intrinsics_known=known,
+        intrinsics_known=camera.is_measured,
         frame_times_ns=times,
         read_frames=lambda: _read_frames(path, chosen, times.tolist()),
     )

@@ -71,16 +71,15 @@ class Demo:
 def run_demo(options: DemoOptions, say: Say) -> bool:
     """Run the demo; True when the current place was answered correctly. Without `once` it then serves until Ctrl-C."""
     require_free(options.port)
-    timings = Timings()
     with alone_in(options.out):
-        return run_in(options, fresh_folder(options.out), timings, say)
+        return run_in(options, fresh_folder(options.out), say)
 
 
-def run_in(options: DemoOptions, data: Path, timings: Timings, say: Say) -> bool:
+def run_in(options: DemoOptions, data: Path, say: Say) -> bool:
     """Run the demo in its folder; a failure is said in `results.json` too, beside the verdict where there is one."""
     try:
         with Programs(options.out / "logs") as programs:
-            return run_steps(options, programs, data, timings, say)
+            return run_steps(options, programs, data, say)
     except RobotSystemError as exc:
         results = options.out / "results.json"
         so_far = json.loads(results.read_text()) if results.exists() else {"passed": False, "seed": options.seed}
@@ -88,8 +87,9 @@ def run_in(options: DemoOptions, data: Path, timings: Timings, say: Say) -> bool
         raise
 
 
-def run_steps(options: DemoOptions, programs: Programs, data: Path, timings: Timings, say: Say) -> bool:
+def run_steps(options: DemoOptions, programs: Programs, data: Path, say: Say) -> bool:
     """The demo's main path."""
+    timings = Timings()
     with timings.step("start"):
         demo = start_programs(options, programs, data, say)
     try:
@@ -162,17 +162,10 @@ def start_driver(demo: Demo, route: str) -> None:
 def wait_for_slam(demo: Demo, name: str, navigation: str) -> None:
     """Wait until SLAM has made trajectory and landmarks of the drive."""
 
-    def is_finished() -> bool:
-        drive = demo.station.get(f"/navigations/{navigation}")
-        if drive["state"] == "failed":
-            raise RobotSystemError(f"SLAM failed: {drive['message']}")
-        return bool(drive["state"] == "ready")
-
     def progress() -> object:
         return demo.station.get("/pose")["message"]
 
-    wait_for(demo.programs, "SLAM", is_finished, SLAM_TIMEOUT_S, progress)
-    drive = demo.station.get(f"/navigations/{navigation}")
+    drive = wait_until_over(demo, "SLAM", f"/navigations/{navigation}", SLAM_TIMEOUT_S, progress)
     demo.say(
         f"{name}: {drive['duration_s']:.0f} s, {drive['frames']} frames, {drive['imu_samples']} IMU samples "
         f"({drive['imu_lost']} lost) → {drive['landmarks']} landmarks ({drive['backend']}, {drive['scale']} scale)"
@@ -182,14 +175,7 @@ def wait_for_slam(demo: Demo, name: str, navigation: str) -> None:
 def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
     """Cluster the landmarks into places and use the map."""
     job = demo.station.call("POST", "/maps", {"navigations": [navigation], "name": "Demo flat"})["id"]
-
-    def is_finished() -> bool:
-        state = demo.station.get(f"/jobs/{job}")
-        if state["state"] in ("failed", "cancelled"):
-            raise RobotSystemError(f"building the map failed: {state['message']}")
-        return bool(state["state"] == "done")
-
-    wait_for(demo.programs, "the map", is_finished, MAP_TIMEOUT_S)
+    wait_until_over(demo, "the map", f"/jobs/{job}", MAP_TIMEOUT_S)
     wait_for(demo.programs, "the map to be active", lambda: bool(demo.station.get("/places")), MAP_TIMEOUT_S)
     places: list[dict[str, Any]] = demo.station.get("/places")
     demo.say(f"map with {len(places)} places:")
@@ -299,6 +285,22 @@ def wait_for(
                 " see the demo's logs"
             )
         time.sleep(0.2)
+
+
+def wait_until_over(
+    demo: Demo, what: str, path: str, timeout_s: float, progress: Callable[[], object] = lambda: None
+) -> dict[str, Any]:
+    """Wait until a navigation or a job is over; what the station says of it then. Raises its words where it failed."""
+    answer: dict[str, Any] = {}
+
+    def is_over() -> bool:
+        answer.update(demo.station.get(path))
+        if answer["state"] in ("failed", "cancelled"):
+            raise RobotSystemError(f"{what} failed: {answer['message']}")
+        return answer["state"] in ("ready", "done")
+
+    wait_for(demo.programs, what, is_over, timeout_s, progress)
+    return answer
 
 
 def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, places: list[dict[str, Any]]) -> None:

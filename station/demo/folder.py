@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import shutil
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from shared.disk import lock
 from shared.errors import ConfigError
+from shared.listening import bind
 
 MARKER = ".sentinel-demo"
 
 
 def require_free(port: int) -> None:
     """Raise ConfigError when another program, perhaps another demo, listens where the page is to be."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as exc:
-            raise ConfigError(
-                f"port {port} is in use, perhaps by another demo ({exc.strerror}): end that, or take another port with "
-                f"--port {port + 1} (make demo PORT={port + 1})"
-            ) from exc
+    try:
+        bind("127.0.0.1", port).close()
+    except ConfigError as exc:
+        raise ConfigError(
+            f"port {port} is in use, perhaps by another demo: end that, or take another port with "
+            f"--port {port + 1} (make demo PORT={port + 1})"
+        ) from exc
 
 
 @contextmanager

@@ -8,11 +8,10 @@ import numpy as np
 
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, transform
-from station.demo.simulator_client import TruthLog
 from station.experiments.alignment import align_points
 from station.model.navigation import Trajectory
 
-TIE = 1.10  # a place is right when no other is nearer by more than this factor (issue of two places at equal distance)
+TIE = 1.10  # a place is right when no other is nearer by more than this factor: of two at equal distance both are
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ class Verdict:
         return f"the last answer is {'wrong' if self.answers[-1].right is False else 'not known'}"
 
 
-def positions_at(log: TruthLog, t_robot_ns: FloatArray) -> FloatArray:
+def positions_at(log: Trajectory, t_robot_ns: FloatArray) -> FloatArray:
     """True body positions (N, 3) at the given robot times, linear in between."""
     t0 = log.t_robot_ns[0]
     t = (log.t_robot_ns - t0).astype(np.float64)
@@ -86,7 +85,7 @@ def is_right(place: str, centroids_true: dict[str, FloatArray], position_true: F
 def judge_sample(
     sample: Sample, position_true: FloatArray, centroids_true: dict[str, FloatArray], T_world_map: FloatArray
 ) -> JudgedSample:
-    """One answer beside the truth."""
+    """Whether an answer names the place that is nearest in truth, and how far its position is off."""
     nearest = min(centroids_true, key=lambda name: float(np.linalg.norm(centroids_true[name] - position_true)))
     right = is_right(sample.place_id or "", centroids_true, position_true) if sample.state == "known" else None
     error_m = None
@@ -102,7 +101,7 @@ def judge_sample(
 def judge(
     map_trajectory: Trajectory,
     centroids_map: dict[str, FloatArray],
-    log: TruthLog,
+    log: Trajectory,
     samples: list[Sample],
     start_ns: int,
 ) -> Verdict:

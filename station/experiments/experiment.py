@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
-
-import numpy as np
 
 from shared.errors import DataError
 from station.datasets import Truth
@@ -18,7 +16,7 @@ from station.places.joining.match import match_navigation
 from station.places.joining.match_result import MatchResult
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
-from station.places.registration.result import uncertainty_of
+from station.places.registration.result import finite, registration_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,22 +92,11 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
     correct = {j.match.place_id: j for j in judgement.judged} if judgement else {}
     place_name = {p.id: p.name for p in place_map.places}
     location_name = {p.id: p.name for p in result.locations}
-    registration = result.registration
-    uncertainty = uncertainty_of(registration)
     return {
         "places": len(place_map.places),
         "locations": len(result.locations),
         "registration": {
-            "accepted": registration.accepted,
-            "reasons": list(registration.reasons),
-            "T_target_source": None if registration.T_target_source is None else registration.T_target_source.tolist(),
-            "scale": registration.scale,
-            "rmse": _number(registration.rmse),
-            "inlier_ratio": registration.inlier_ratio,
-            "overlap": registration.overlap,
-            "backend": registration.backend,
-            "uncertainty": None if uncertainty is None else asdict(uncertainty),
-            "covariance": None if registration.covariance is None else registration.covariance.tolist(),
+            **registration_json(result.registration),
             "error_m": None if judgement is None else judgement.registration_error,
         },
         "matches": [
@@ -119,10 +106,8 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
                 "distance": match.distance,
                 "correct": correct[match.place_id].correct if match.place_id in correct else None,
                 "support": match.support,
-                "true_distance_m": _number(correct[match.place_id].true_distance)
-                if match.place_id in correct
-                else None,
-                "half_extent_m": _number(correct[match.place_id].half_extent) if match.place_id in correct else None,
+                "true_distance_m": finite(correct[match.place_id].true_distance) if match.place_id in correct else None,
+                "half_extent_m": finite(correct[match.place_id].half_extent) if match.place_id in correct else None,
             }
             for match in result.matches
         ],
@@ -142,7 +127,3 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
         "seconds": experiment.seconds,
         "config": place_map.config,
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -51,16 +51,17 @@ def draw_figures(experiment: Experiment, folder: Path) -> dict[str, Path]:
             ("matches", draw_matches),
             ("trajectories", draw_trajectories),
         ):
-            figure = draw(scene)
-            if figure is not None:
-                files[name] = folder / f"{name}.png"
-                figure.savefig(files[name])
-                plt.close(figure)
+            if (figure := draw(scene)) is not None:
+                files[name] = _save(figure, folder / f"{name}.png")
         for name, figure in draw_match_images(scene):
-            files[name] = folder / f"{name}.png"
-            figure.savefig(files[name])
-            plt.close(figure)
+            files[name] = _save(figure, folder / f"{name}.png")
     return files
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    figure.savefig(path)
+    plt.close(figure)
+    return path
 
 
 class Scene:
@@ -70,6 +71,8 @@ class Scene:
         self.experiment = experiment
         self.first, self.second = experiment.place_map.navigation, experiment.navigation
         self.places, self.locations = experiment.place_map.places, experiment.result.locations
+        self.place_of = {place.id: place for place in self.places}
+        self.location_of = {location.id: location for location in self.locations}
         self.R_first, self.R_second = ground_rotation(self.first), ground_rotation(self.second)
         self.T = experiment.result.registration.T_target_source
         self.unit = "m" if self.first.is_metric else "map units"
@@ -149,8 +152,6 @@ def draw_matches(scene: Scene) -> Figure | None:
     figure, ax = plt.subplots(figsize=(8.5, 6.5))
     p = scene.carried(scene.second.landmarks.p_world)
     ax.scatter(scene.p_first[:, 0], scene.p_first[:, 1], s=2, c=NOISE_COLOUR, linewidths=0)
-    place_of = {place.id: place for place in scene.places}
-    location_of = {location.id: location for location in scene.locations}
     for place in scene.places:
         q = scene.p_first[place.landmark_index]
         ax.scatter(q[:, 0], q[:, 1], s=5, c=scene.place_colour[place.id], alpha=0.45, linewidths=0)
@@ -159,8 +160,8 @@ def draw_matches(scene: Scene) -> Figure | None:
         ax.scatter(q[:, 0], q[:, 1], s=5, facecolors="none", edgecolors=scene.location_colour[location.id],
                    linewidths=0.5, alpha=0.7, marker="D")  # fmt: skip
     for match in scene.experiment.result.matches:
-        a = (scene.R_first @ place_of[match.place_id].centroid_map)[:2]
-        b = scene.carried(location_of[match.location_id].centroid_map[None])[0, :2]
+        a = (scene.R_first @ scene.place_of[match.place_id].centroid_map)[:2]
+        b = scene.carried(scene.location_of[match.location_id].centroid_map[None])[0, :2]
         right = scene.correct.get(match.place_id)
         colour = "#111827" if right is None else RIGHT if right else WRONG
         ax.plot([a[0], b[0]], [a[1], b[1]], c=colour, lw=2.5, zorder=4)
@@ -216,12 +217,10 @@ def draw_match_images(scene: Scene) -> Iterator[tuple[str, Figure]]:
     """Per match: representative image, mean image and brightness deviation of both sides (figs. A.3, A.5, A.7)."""
     matches = scene.experiment.result.matches
     thesis = scene.experiment.config.mode == "thesis"
-    place_of = {place.id: place for place in scene.places}
-    location_of = {location.id: location for location in scene.locations}
-    first = _place_images(scene.first, [place_of[m.place_id] for m in matches], thesis)
-    second = _place_images(scene.second, [location_of[m.location_id] for m in matches], thesis)
+    first = _place_images(scene.first, [scene.place_of[m.place_id] for m in matches], thesis)
+    second = _place_images(scene.second, [scene.location_of[m.location_id] for m in matches], thesis)
     for number, match in enumerate(matches, start=1):
-        place, location = place_of[match.place_id], location_of[match.location_id]
+        place, location = scene.place_of[match.place_id], scene.location_of[match.location_id]
         figure, axes = plt.subplots(2, 3, figsize=(10, 5.4))
         rows = ((place.name, scene.first, first[place.id]), (location.name, scene.second, second[location.id]))
         for row, (name, navigation, images) in zip(axes, rows, strict=True):

@@ -63,14 +63,14 @@ def open_input(path: Path, frames: FrameRange, truth_path: Path | None, *, step:
     data = open_dataset(path, frames.first, frames.last, step)
     if not data.has_images:
         raise DataError(f"{path} holds no camera images; choose a dataset with images, or a finished navigation")
-    return Input(path, data, truth or data.truth())
+    return Input(path, data, truth or data.truth)
 
 
 def open_truth(path: Path | None) -> Truth | None:
     """The true poses of a dataset that was named for them. Raises DataError where it has none."""
     if path is None:
         return None
-    truth = open_dataset(path).truth()
+    truth = open_dataset(path).truth
     if truth is None:
         raise DataError(f"{path} holds no true poses; name a dataset that has them, or leave the option out")
     return truth

@@ -63,7 +63,8 @@ def make_dataset(arguments: tuple[str, ...], folder: Path) -> Path:
     """
     wanted = "\n".join(arguments) + "\n"
     if folder.exists():
-        if _made_with(folder) == wanted:
+        note = folder / MADE_WITH
+        if note.is_file() and note.read_text() == wanted:
             return folder
         raise DataError(
             f"{folder} holds another navigation (of another seed or version); remove it, or give another --out"
@@ -87,12 +88,6 @@ def make_dataset(arguments: tuple[str, ...], folder: Path) -> Path:
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     return folder
-
-
-def _made_with(folder: Path) -> str:
-    """The arguments of robot-sim that made a dataset, a line each; empty where nobody noted them."""
-    note = folder / MADE_WITH
-    return note.read_text() if note.is_file() else ""
 
 
 def _first(seed: int, euroc: Path | None) -> Preset:

@@ -1,17 +1,22 @@
-"""`report.html`: one self-contained page with the verdict, the figures and every match."""
+"""What an experiment leaves behind: results.json, figures, and report.html, one page with all of it."""
 
 from __future__ import annotations
 
 import base64
 import json
 import math
+import os
+import shutil
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
+from shared.errors import DataError
 from station.experiments.experiment import Experiment, results_dict
+from station.experiments.figures import draw_figures
 from station.places.making.repeatability import repeatability
 from station.places.registration.result import uncertainty_of
 
@@ -24,6 +29,30 @@ FIGURES = (
     ("matches", "Matches", "Each location of Navigation2 and the place it was matched with (figs. 5.5, 5.8, 5.11)."),
     ("trajectories", "Trajectories and place graph", "Where the robot was, and which place was nearest (fig. 5.4)."),
 )  # fmt: skip
+
+
+def write_experiment(experiment: Experiment, out: Path) -> None:
+    """Write an experiment's files into `out`, replacing those of an earlier run and touching nothing else there.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=out))
+        try:
+            figures = draw_figures(experiment, scratch / "figures")
+            write_report(experiment, figures, scratch / "report.html")
+            text = json.dumps(results_dict(experiment), indent=1, default=str) + "\n"
+            (scratch / "results.json").write_text(text, encoding="utf-8")
+            if (out / "figures").exists():
+                os.rename(out / "figures", scratch / "old-figures")
+            for name in ("figures", "report.html", "results.json"):
+                os.replace(scratch / name, out / name)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as exc:
+        raise DataError(f"{out} cannot be written ({exc.strerror}); free space or choose another folder") from exc
 
 
 def write_report(experiment: Experiment, figures: Mapping[str, Path], path: Path) -> None:
@@ -44,7 +73,7 @@ def _content(experiment: Experiment, figures: Mapping[str, Path]) -> dict[str, A
         "story": experiment.story,
         "results": results,
         "verdict": _verdict(results),
-        "navigations": [_navigation_row("Navigation1", first), _navigation_row("Navigation2", second)],
+        "navigations": {"Navigation1": first, "Navigation2": second},
         "figures": [
             {"title": title, "caption": caption, "image": _data_uri(figures[name])}
             for name, title, caption in FIGURES
@@ -82,21 +111,6 @@ def _verdict(results: Mapping[str, Any]) -> tuple[str, str]:
     right = sum(bool(match["correct"]) for match in results["matches"])
     kind = "good" if right == n else "bad"
     return kind, f"{right} of {n} matches are right by the recorded poses."
-
-
-def _navigation_row(name: str, navigation: Any) -> dict[str, Any]:
-    report = navigation.report
-    return {
-        "name": name,
-        "id": navigation.id,
-        "backend": report.backend,
-        "frames": report.frames,
-        "keyframes": len(navigation.keyframes),
-        "landmarks": len(navigation.landmarks),
-        "scale": report.scale,
-        "gravity": "known" if report.gravity_aligned else "unknown",
-        "lost": report.tracking_lost_s,
-    }
 
 
 def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> list[tuple[str, str, str]]:

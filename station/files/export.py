@@ -11,8 +11,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from shared.geometry import FloatArray, quat_from_rotation
-from station.files.foxglove import time_of
-from station.files.ply import write_ply
+from station.files.foxglove import pose_of, time_of
+from station.files.ply import cloud_columns, write_ply
 from station.model.navigation import Navigation, Trajectory
 
 FLOAT32 = 7  # foxglove.PackedElementField's number for it
@@ -20,8 +20,7 @@ FLOAT32 = 7  # foxglove.PackedElementField's number for it
 
 def export_ply(nav: Navigation, path: Path) -> None:
     """Landmarks as a coloured cloud."""
-    columns = {axis: nav.landmarks.p_world[:, i] for i, axis in enumerate("xyz")}
-    write_ply(path, columns | {name: nav.landmarks.rgb[:, i] for i, name in enumerate(("red", "green", "blue"))})
+    write_ply(path, cloud_columns(nav.landmarks.p_world, nav.landmarks.rgb))
 
 
 def export_euroc(nav: Navigation, folder: Path) -> None:
@@ -76,7 +75,7 @@ def export_mcap(nav: Navigation, path: Path) -> None:
             writer.add_message(channels[topic], t_ns, data, t_ns)
 
         for t_ns, T in _poses(nav.trajectory):
-            put("/navigation/pose", t_ns, {"pose": _pose(T)})
+            put("/navigation/pose", t_ns, {"pose": pose_of(T)})
         for t_ns, encoded in zip(nav.keyframes.t_robot_ns.tolist(), nav.keyframes.encoded, strict=True):
             image_format = "png" if encoded.startswith(b"PNG", 1) else "jpeg"
             put("/navigation/keyframe", t_ns, {"format": image_format, "data": base64.b64encode(encoded).decode()})
@@ -94,16 +93,10 @@ def _asl_pose(t_ns: int, T: FloatArray) -> str:
     return ",".join([str(t_ns), *(f"{value:.9g}" for value in values)])
 
 
-def _pose(T: FloatArray) -> dict[str, Any]:
-    w, x, y, z = (float(c) for c in quat_from_rotation(T[:3, :3]))
-    position = dict(zip("xyz", (float(c) for c in T[:3, 3]), strict=True))
-    return {"position": position, "orientation": {"x": x, "y": y, "z": z, "w": w}}
-
-
 def _cloud(nav: Navigation) -> dict[str, Any]:
     packed = np.ascontiguousarray(nav.landmarks.p_world, dtype="<f4").tobytes()
     return {
-        "pose": _pose(np.eye(4)),
+        "pose": pose_of(np.eye(4)),
         "point_stride": 12,
         "fields": [{"name": axis, "offset": 4 * i, "type": FLOAT32} for i, axis in enumerate("xyz")],
         "data": base64.b64encode(packed).decode(),

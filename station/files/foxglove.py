@@ -13,6 +13,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from shared.calibration import CameraCalibration
+from shared.geometry import FloatArray, quat_from_rotation
 
 IMAGE_SCHEMA_NAME: str = CompressedImage.DESCRIPTOR.full_name
 CALIBRATION_SCHEMA_NAME = "foxglove.CameraCalibration"
@@ -51,3 +52,12 @@ def time_of(t_ns: int) -> dict[str, int]:
     """Foxglove's JSON time. Two integers, because JavaScript's numbers cannot hold 64-bit nanoseconds."""
     seconds, nanos = divmod(t_ns, NANO)
     return {"sec": seconds, "nsec": nanos}
+
+
+def pose_of(T: FloatArray) -> dict[str, dict[str, float]]:
+    """A foxglove.Pose as JSON content."""
+    w, x, y, z = quat_from_rotation(T[:3, :3]).tolist()
+    return {
+        "position": dict(zip("xyz", T[:3, 3].tolist(), strict=True)),
+        "orientation": {"x": x, "y": y, "z": z, "w": w},
+    }

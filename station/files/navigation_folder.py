@@ -26,7 +26,7 @@ from shared.calibration import Calibration
 from shared.disk import make_folder, replacing_folder
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, IntArray, quat_from_rotation, rotation_from_quat, se3
-from station.files.ply import decode_ply, encode_ply
+from station.files.ply import Columns, cloud_columns, decode_ply, encode_ply
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 
 TRAJECTORY, LANDMARKS, REPORT, CALIBRATION = "trajectory.tum", "landmarks.ply", "navigation.json", "calibration.json"
@@ -128,13 +128,8 @@ def decode_navigation(read: Callable[[str], bytes], folder: Path) -> Navigation:
     return Navigation(identity, calibration, trajectory, keyframes, landmarks, report)
 
 
-def write_tum(trajectory: Trajectory, path: Path) -> None:
-    """Poses as `t x y z qx qy qz qw`, t in s with all nanoseconds."""
-    path.write_text(format_tum(trajectory))
-
-
 def format_tum(trajectory: Trajectory) -> str:
-    """The text of a TUM file."""
+    """The text of a TUM file: poses as `t x y z qx qy qz qw`, t in s with all nanoseconds."""
     lines = []
     for t_ns, T in zip(trajectory.t_robot_ns.tolist(), trajectory.T_world_body, strict=True):
         w, x, y, z = quat_from_rotation(T[:3, :3])
@@ -147,11 +142,6 @@ def format_seconds(t_ns: int) -> str:
     """Nanoseconds as seconds, exactly."""
     sign, t_ns = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
     return f"{sign}{t_ns // 1_000_000_000}.{t_ns % 1_000_000_000:09d}"
-
-
-def read_tum(path: Path) -> Trajectory:
-    """Poses from a TUM file. Raises DataError naming the line that is wrong."""
-    return parse_tum(_text(lambda _: path.read_bytes(), path), path)
 
 
 def parse_tum(text: str, path: Path) -> Trajectory:
@@ -174,14 +164,13 @@ def parse_tum(text: str, path: Path) -> Trajectory:
     return Trajectory(np.array(times, dtype=np.int64), np.array(poses).reshape(-1, 4, 4))
 
 
-def _landmark_columns(nav: Navigation) -> dict[str, Any]:
+def _landmark_columns(nav: Navigation) -> Columns:
     landmarks = nav.landmarks
     first = landmarks.first_keyframe()
     seen = first >= 0
     frames = np.full(len(landmarks), -1, dtype=np.int32)
     frames[seen] = nav.keyframes.frame_index[first[seen]]
-    columns: dict[str, Any] = {axis: landmarks.p_world[:, i].astype(np.float64) for i, axis in enumerate("xyz")}
-    columns |= {name: landmarks.rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
+    columns = cloud_columns(landmarks.p_world.astype(np.float64), landmarks.rgb)
     columns |= {"first_frame": frames, "num_observations": landmarks.num_observations.astype(np.int32)}
     return columns | {
         name: landmarks.cov_world[:, i, j].astype(np.float32) for name, i, j in zip(COV_COLUMNS, *UPPER, strict=True)

@@ -12,30 +12,18 @@ import numpy.typing as npt
 from shared.errors import DataError
 from shared.geometry import FloatArray
 
-PLY_TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
+# numpy's type → PLY's names for it: the one that is written, and a newer one
+TYPE_NAMES = {
+    "i1": ("char", "int8"),
+    "u1": ("uchar", "uint8"),
+    "i2": ("short", "int16"),
+    "u2": ("ushort", "uint16"),
+    "i4": ("int", "int32"),
+    "u4": ("uint", "uint32"),
+    "f4": ("float", "float32"),
+    "f8": ("double", "float64"),
 }
-TYPE_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"} | {
-    "i4": "int",
-    "u4": "uint",
-    "f4": "float",
-    "f8": "double",
-}
+PLY_TYPES = {name: kind for kind, names in TYPE_NAMES.items() for name in names}
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 MAX_HEADER_BYTES = 65_536
 MAX_POINTS = 200_000_000
@@ -55,9 +43,15 @@ def encode_ply(columns: Mapping[str, npt.NDArray[Any]]) -> bytes:
     table = np.empty(count, dtype=types)
     for name, column in columns.items():
         table[name] = column
-    properties = "".join(f"property {TYPE_NAMES[kind[1:]]} {name}\n" for name, kind in types)
+    properties = "".join(f"property {TYPE_NAMES[kind[1:]][0]} {name}\n" for name, kind in types)
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
     return header.encode("ascii") + table.tobytes()
+
+
+def cloud_columns(p: npt.NDArray[np.floating], rgb: npt.NDArray[np.uint8]) -> Columns:
+    """Points (N, 3) and their colours (N, 3) as columns."""
+    named = zip(("x", "y", "z", "red", "green", "blue"), (*p.T, *rgb.T), strict=True)
+    return dict(named)
 
 
 def read_ply(path: Path) -> Columns:
@@ -89,12 +83,6 @@ def decode_ply(content: bytes, path: Path) -> Columns:
                 raise DataError(f"{path} has vertices without x, y and z; export it as a point cloud")
             return columns
     raise DataError(f"{path} holds no vertices; export it as a point cloud")
-
-
-def read_points(path: Path) -> FloatArray:
-    """The points (N, 3) of a PLY file; ones that are not finite are left out. Raises DataError as read_ply does."""
-    points = read_rows(path)
-    return points[np.isfinite(points).all(axis=1)]
 
 
 def read_rows(path: Path) -> FloatArray:

@@ -77,12 +77,8 @@ class ActiveMaps:
 def numbered(place_map: PlaceMap, kept: Mapping[str, int]) -> ActiveMap:
     """A map with the numbers of its places; `kept`: those it had already."""
     numbers = number_places(place_map.places, place_map.edges, kept)
-    return ActiveMap(place_map, _place_of_point(place_map, numbers), {**kept, **numbers})
-
-
-def _place_of_point(place_map: PlaceMap, numbers: Mapping[str, int]) -> npt.NDArray[np.uint8]:
     place_of_point = np.full(len(place_map.navigation.landmarks), NO_PLACE, np.uint8)
     for place in place_map.places:
         if not place.hidden:
             place_of_point[place.landmark_index] = numbers.get(place.id, NO_PLACE)
-    return place_of_point
+    return ActiveMap(place_map, place_of_point, {**kept, **numbers})

@@ -152,38 +152,31 @@ class Maps:
 
     async def rename_place(self, place_id: str, name: str) -> Place:
         """Raises Conflict, Unknown, or DataError for a name in use."""
-        async with self._changing:
-            active = self.active.require_first()
-            why = f"{active.place(place_id).name} is {name.strip()} now"[:MAX_WHY]
-            rename = partial(with_place_renamed, place_id=place_id, name=name)
-            place_map = await asyncio.to_thread(self._store.edit, active.place_map.id, rename, why)
-            return self._replace(place_map).place(place_id)
+        rename = partial(with_place_renamed, place_id=place_id, name=name)
+        return await self._change([place_id], rename, lambda places: f"{places[0].name} is {name.strip()} now")
 
     async def hide_place(self, place_id: str, hidden: bool) -> Place:
         """Leave a place out of answers and graph, or show it again. Raises Conflict, Unknown."""
-        await self._regroup(
-            [place_id],
-            lambda m: with_place_hidden(m, place_id, hidden),
-            lambda places: f"{places[0].name} is {'hidden' if hidden else 'shown again'}",
-        )
-        return self.active.require_first().place(place_id)
+        hide = partial(with_place_hidden, place_id=place_id, hidden=hidden)
+        become = "hidden" if hidden else "shown again"
+        return await self._change([place_id], hide, lambda places: f"{places[0].name} is {become}")
 
     async def merge_places(self, place_ids: Sequence[str]) -> Place:
         """Make several places one, which keeps id and name of the first. Raises Conflict, Unknown, DataError."""
-        await self._regroup(
-            place_ids,
-            lambda m: with_places_merged(m, place_ids),
-            lambda places: f"{' and '.join(place.name for place in places)} are one",
+        merge = partial(with_places_merged, place_ids=place_ids)
+        return await self._change(
+            place_ids, merge, lambda places: f"{' and '.join(place.name for place in places)} are one"
         )
-        return self.active.require_first().place(place_ids[0])
 
-    async def _regroup(
+    async def _change(
         self, place_ids: Sequence[str], change: Callable[[PlaceMap], PlaceMap], why: Callable[[Sequence[Place]], str]
-    ) -> None:
+    ) -> Place:
+        """Change places of the active map; the first of them as it is then."""
         async with self._changing:
             active = self.active.require_first()
-            places = tuple(active.place(place_id) for place_id in place_ids)
-            self._replace(await asyncio.to_thread(self._store.edit, active.place_map.id, change, why(places)[:MAX_WHY]))
+            said = why([active.place(place_id) for place_id in place_ids])[:MAX_WHY]
+            changed = self._replace(await asyncio.to_thread(self._store.edit, active.place_map.id, change, said))
+            return changed.place(place_ids[0])
 
     async def changes(self) -> tuple[PlacesChange, ...]:
         """What people made of the active map's places, the newest first: what `undo` takes back. Raises Conflict."""
@@ -224,10 +217,6 @@ class Maps:
         logger.warning("%s", sentence)
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._events.notify, "map", sentence, "warning")
-
-    def changed(self) -> None:
-        """A map was added to the store."""
-        self._events.changed("map")
 
     async def load(self, map_id: str) -> ActiveMap:
         """Any map, for looking at. Raises Unknown or DataError."""

@@ -42,6 +42,13 @@ class Navigations:
         counted = self._running.get(navigation_id)
         return self.library.get(navigation_id) if counted is None else counted()
 
+    def ready(self, navigation_id: str) -> NavigationRecord:
+        """One whose SLAM is done. Raises Unknown, Conflict."""
+        navigation = self.library.get(navigation_id)
+        if navigation.state != "ready":
+            raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
+        return navigation
+
     def begin(self, navigation_id: str, counted: Callable[[], NavigationRecord]) -> None:
         """A navigation is being recorded until `end`; `counted` gives its record."""
         self._running[navigation_id] = counted
@@ -126,18 +133,15 @@ class Navigations:
 
     def reserve(self, navigation_id: str) -> None:
         """A job works on this navigation's files until `release`. Raises Conflict when one does already."""
-        self._refuse_reserved(navigation_id)
-        self._reserved.add(navigation_id)
-
-    def release(self, navigation_id: str) -> None:
-        self._reserved.discard(navigation_id)
-
-    def _refuse_reserved(self, navigation_id: str) -> None:
         if navigation_id in self._reserved:
             name = self.library.get(navigation_id).name
             raise Conflict(
                 f"SLAM runs over {name} just now, or it goes into the bin; wait for the job or cancel it (GET /jobs)"
             )
+        self._reserved.add(navigation_id)
+
+    def release(self, navigation_id: str) -> None:
+        self._reserved.discard(navigation_id)
 
     async def reprocessed(self, navigation_id: str, report: NavigationReport) -> NavigationRecord:
         """SLAM ran over a navigation's recording again and left its navigation."""

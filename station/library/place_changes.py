@@ -12,7 +12,7 @@ from station.maps.record import MapRecord, same_places
 class PlacesChange:
     """A place was renamed, hidden or shown, or places were merged."""
 
-    version: int  # of the map, that it led to
+    version: int  # of the map, after the change
     previous: int  # the version that it changed
     why: str  # for a person
     changed_wall_s: float
@@ -34,7 +34,7 @@ def changes_of(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
 
 
 def why_not_that_one(version: int, changes: Sequence[PlacesChange]) -> str:
-    """Why this version is not the change that can be taken back."""
+    """What to answer to an undo of any but the newest change."""
     newest = changes[0]
     later = next((i for i, change in enumerate(changes) if change.version == version), None)
     if later is not None:

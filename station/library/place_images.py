@@ -25,12 +25,11 @@ def deviation_image(place_map: PlaceMap, place: Place) -> bytes:
 
 
 def _as_jpeg(pixels: npt.NDArray[np.uint8], place: Place) -> bytes:
-    if pixels.size == 0:
-        raise Unknown(f"{place.name} has no readable images")
-    ok, encoded = cv2.imencode(".jpg", pixels)
-    if not ok:
-        raise Unknown(f"{place.name} has no readable images")
-    return encoded.tobytes()
+    if pixels.size:
+        is_done, encoded = cv2.imencode(".jpg", pixels)
+        if is_done:
+            return encoded.tobytes()
+    raise Unknown(f"{place.name} has no readable images")
 
 
 def keyframe_image(place_map: PlaceMap, keyframe: int) -> bytes:

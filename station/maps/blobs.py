@@ -26,10 +26,6 @@ class Blobs:
         self._bucket = bucket
         self._notify = notify
 
-    @property
-    def bucket(self) -> Bucket:
-        return self._bucket
-
     def put(self, contents: Iterable[bytes]) -> list[str]:
         """Their addresses, in order. What is there already, whole and young, is not written again.
 

@@ -44,10 +44,7 @@ class FolderBucket:
 
     def __init__(self, root: Path) -> None:
         self._root = root
-
-    @property
-    def place(self) -> str:
-        return str(self._root)
+        self.place = str(root)
 
     def put(self, files: Mapping[str, bytes]) -> None:
         try:

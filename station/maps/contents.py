@@ -93,7 +93,7 @@ class Contents:
         return self.record_and_bytes(row)[0]
 
     def record_and_bytes(self, row: VersionRow) -> tuple[MapRecord, bytes]:
-        """The same, and what it was decoded from."""
+        """The record of a row and the bytes it was decoded from. Raises Damaged."""
         if not row.is_sealed:
             raise Damaged(self.unsealed(row))
         what = f"map {row.map_id}, version {row.number}"

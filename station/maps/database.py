@@ -57,20 +57,13 @@ class Database:
     """Connections to the index. A writer holds what it names, such as one map; everything in SQLite."""
 
     def __init__(self, url: str, folder: Path, place: str = "") -> None:
-        """`place` is what messages call it; else its path or URL."""
-        self._place = place
+        """`place` is what messages call it; else its path, or its URL without the password."""
         self._url = _url(url, folder)
         self._folder = folder
         self.is_sqlite = self._url.get_backend_name() == "sqlite"
         self.path = Path(self._url.database or "") if self.is_sqlite else None
+        self.place = place or str(self.path or self._url.render_as_string(hide_password=True))
         self._engine = _engine(self._url)
-
-    @property
-    def place(self) -> str:
-        """What messages call it, without a password."""
-        if self._place:
-            return self._place
-        return str(self.path) if self.path else self._url.render_as_string(hide_password=True)
 
     @property
     def exists(self) -> bool:

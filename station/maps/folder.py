@@ -19,7 +19,7 @@ from typing import Any
 from shared.disk import make_folder, replacing_folder
 from shared.errors import DataError
 from station.files.navigation_folder import load_navigation, save_navigation
-from station.maps.record import decode_place, encode_place
+from station.maps.record import decode_place, describe_map, encode_content
 from station.model.place_map import PlaceEdge, PlaceMap
 
 FORMAT = 1
@@ -44,32 +44,21 @@ def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str]
         raise DataError(f"{folder} cannot be written ({exc.strerror}); choose another folder") from exc
 
 
-def load_map_folder(folder: Path) -> PlaceMap:
-    """Read a map folder. Raises DataError naming the file that is missing or damaged."""
-    return _read_map(folder)
-
-
 def _write_map(place_map: PlaceMap, folder: Path) -> None:
     save_navigation(place_map.navigation, folder / "navigation")
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     content = {
         "format": FORMAT,
         "id": place_map.id,
-        "name": place_map.name,
-        "navigation": place_map.navigation.id,
-        "places": [encode_place(place) for place in place_map.places],
-        "edges": [
-            {"a": e.a, "b": e.b, "bearing_rad": e.bearing_rad, "distance": e.distance, "kind": e.kind}
-            for e in place_map.edges
-        ],
-        "config": place_map.config,
+        **encode_content(describe_map(place_map, {})),
         "files": {str(path.relative_to(folder)): _sha256(path.read_bytes()) for path in files},
     }
-    _write_content(content, folder)
+    body = json.dumps(content, indent=1)
+    (folder / "map.json").write_text(json.dumps({"sha256": _sha256(body.encode())}) + "\n" + body)
 
 
-def _read_map(folder: Path) -> PlaceMap:
-    """Read a folder written by write_map. Raises DataError naming the file that is missing or damaged."""
+def load_map_folder(folder: Path) -> PlaceMap:
+    """Read a folder written by save_map_folder. Raises DataError naming the file that is missing or damaged."""
     content = _read_content(folder)
     for name, expected in content["files"].items():
         path = folder / name
@@ -86,11 +75,6 @@ def _read_map(folder: Path) -> PlaceMap:
         edges=tuple(PlaceEdge(**edge) for edge in content["edges"]),
         config=content["config"],
     )
-
-
-def _write_content(content: dict[str, Any], folder: Path) -> None:
-    body = json.dumps(content, indent=1)
-    (folder / "map.json").write_text(json.dumps({"sha256": _sha256(body.encode())}) + "\n" + body)
 
 
 def _read_content(folder: Path) -> dict[str, Any]:

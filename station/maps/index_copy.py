@@ -33,10 +33,7 @@ class Overlay:
 
     def __init__(self, below: Bucket, above: Bucket) -> None:
         self._below, self._above = below, above
-
-    @property
-    def place(self) -> str:
-        return self._below.place
+        self.place = below.place
 
     def put(self, files: Mapping[str, bytes]) -> None:
         there = next((name for name in files if self._below.get(name) is not None), None)

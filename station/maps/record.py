@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,32 +36,26 @@ class MapRecord:
     """A version. `number` counts a map's versions from 1; the highest is the map."""
 
     map_id: str
-    number: int
-    kind: VersionKind
-    why: str  # "saved", "Place 3 is now Sofa": for a person
-    author: str  # the station that wrote it
-    created_ms: int  # since 1970
-    previous: int | None  # the version whose content this one changed; undo goes back there
-    content: int  # the version that first had this content: its own number, or of the one it restores
     name: str
     navigation: str  # its id
     places: tuple[Place, ...]
     edges: tuple[PlaceEdge, ...]
     config: dict[str, Any]
-    files: dict[str, FileRef] = field(default_factory=dict)
+    files: dict[str, FileRef]
+    # Its place in a history; as it stands here, none yet:
+    number: int = 0
+    kind: VersionKind = "saved"
+    why: str = "saved"  # or "Place 3 is now Sofa": for a person
+    author: str = ""  # the station that wrote it
+    created_ms: int = 0  # since 1970
+    previous: int | None = None  # the version whose content this one changed; undo goes back there
+    content: int = 0  # the version that first had this content: its own number, or of the one it restores
 
 
 def describe_map(place_map: PlaceMap, files: dict[str, FileRef]) -> MapRecord:
     """A record of this content, still without place in a history."""
     return MapRecord(
         map_id=place_map.id,
-        number=0,
-        kind="saved",
-        why="saved",
-        author="",
-        created_ms=0,
-        previous=None,
-        content=0,
         name=place_map.name,
         navigation=place_map.navigation.id,
         places=place_map.places,
@@ -93,7 +87,7 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
 
 def same_places(a: MapRecord, b: MapRecord) -> bool:
     """Whether two versions of a map differ in nothing but its name."""
-    return _content(replace(a, name=b.name)) == _content(b)
+    return encode_content(replace(a, name=b.name)) == encode_content(b)
 
 
 def same_content(a: MapRecord, b: MapRecord) -> bool:
@@ -107,7 +101,7 @@ def encode_record(record: MapRecord) -> bytes:
     content = {
         "format": FORMAT,
         **{key: getattr(record, key) for key in _PLAIN},
-        **_content(record),
+        **encode_content(record),
         "files": {name: asdict(ref) for name, ref in record.files.items()},
     }
     return json.dumps(content, indent=1).encode()
@@ -137,7 +131,9 @@ def content_hash(record: MapRecord, report: bytes) -> str:
     """
     files = {name: ref.address.partition("-")[0] for name, ref in record.files.items()}
     files[REPORT] = json.dumps({k: v for k, v in json.loads(report).items() if k not in _MEASURED}, sort_keys=True)
-    return hashlib.sha256(json.dumps([_content(record), sorted(files.items())], sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps([encode_content(record), sorted(files.items())], sort_keys=True).encode()
+    ).hexdigest()
 
 
 def map_content_hash(place_map: PlaceMap) -> str:
@@ -147,7 +143,8 @@ def map_content_hash(place_map: PlaceMap) -> str:
     return content_hash(describe_map(place_map, refs), files[REPORT])
 
 
-def _content(record: MapRecord) -> dict[str, Any]:
+def encode_content(record: MapRecord) -> dict[str, Any]:
+    """What it says of the map, in plain types."""
     return {
         "name": record.name,
         "navigation": record.navigation,
@@ -177,7 +174,7 @@ def encode_place(place: Place) -> dict[str, Any]:
 
 
 def decode_place(values: dict[str, Any]) -> Place:
-    """The reverse. Raises KeyError, TypeError or ValueError."""
+    """The place that `encode_place` wrote. Raises KeyError, TypeError or ValueError."""
     return Place(
         id=values["id"],
         name=values["name"],

@@ -12,20 +12,17 @@ from pathlib import Path
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.files.navigation_folder import REPORT
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps import versions
 from station.maps.blobs import Damaged, Notify
 from station.maps.bucket import open_bucket
 from station.maps.contents import Contents
 from station.maps.database import Database
-from station.maps.editing import with_place_renamed
 from station.maps.index_copy import IndexCopy
 from station.maps.opening import has_content, open_contents
 from station.maps.record import (
     MAP_ID,
     MapRecord,
-    content_hash,
     describe_map,
     read_map,
     same_content,
@@ -73,11 +70,6 @@ class MapStore:
             if not same_content(record, fresh):
                 changing.append(fresh, record, "edited")
         return place_map
-
-    def rename_place(self, map_id: str, place_id: str, name: str) -> PlaceMap:
-        """Give a place another name, and return the map. Raises DataError for an unknown place or a name in use."""
-        why = f"{place_id} is now {name.strip()}"[:200]
-        return self.edit(map_id, lambda place_map: with_place_renamed(place_map, place_id, name), why)
 
     def load(self, map_id: str, number: int | None = None) -> PlaceMap:
         """Read a map, or one of its versions. Where the newest is damaged the last good one is read, and it is told.
@@ -187,12 +179,6 @@ class MapStore:
             why = f"version {record.content} again"
             name = newest.name if keeps_name else record.name
             return change.append(replace(record, why=why, name=name), record, "restored")
-
-    def content_hash(self, map_id: str) -> str:
-        """What the newest version is, whoever made it and when (record.content_hash)."""
-        record = self._present(self._history(map_id), map_id)
-        report = self.contents.blobs.get(record.files[REPORT].address, f"map {map_id}: {REPORT}")
-        return content_hash(record, report)
 
     def open(self, *, writes: bool = False) -> bool:
         """Once: check, migrate, index what is there. False when there is nothing yet and nothing is to be written.

@@ -19,7 +19,7 @@ class Unclaimed:
     file: RecordFile
     data: bytes
     record: MapRecord | None  # None: it is damaged
-    sentence: str  # how; empty while it is whole
+    sentence: str  # what is damaged; empty while it is whole
 
 
 def without_row(bucket: Bucket, rows: list[VersionRow]) -> list[RecordFile]:
@@ -29,7 +29,7 @@ def without_row(bucket: Bucket, rows: list[VersionRow]) -> list[RecordFile]:
 
 
 def newer(files: list[RecordFile], rows: list[VersionRow]) -> list[RecordFile]:
-    """Those that no version of their map with a row is newer than: the others never count."""
+    """Records newer than every version of their map that has a row; older ones never count."""
     newest: dict[str, int] = {}
     for row in rows:
         newest[row.map_id] = max(row.number, newest.get(row.map_id, 0))
@@ -37,7 +37,7 @@ def newer(files: list[RecordFile], rows: list[VersionRow]) -> list[RecordFile]:
 
 
 def read_all(bucket: Bucket, files: list[RecordFile], notify: Notify) -> Iterator[Unclaimed]:
-    """One with a single wrong bit is put right on the way."""
+    """Read each; a single wrong bit is put right on the way."""
     for file in files:
         what = f"map {file.map_id}, version {file.number}"
         try:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, replace
 
 from sqlalchemy import Row, delete, func, insert, select
 from sqlalchemy.engine import Connection
@@ -106,7 +105,5 @@ def _rows(found: Sequence[Row[tuple[object, ...]]]) -> list[VersionRow]:
     for values in found:
         said = values._mapping
         row = VersionRow(**{key: said[key] for key in _COLUMNS})
-        if row.seal != cast(str, said["seal"]):
-            row = VersionRow(**{key: said[key] for key in _COLUMNS}, is_sealed=False)
-        rows.append(row)
+        rows.append(replace(row, is_sealed=row.seal == said["seal"]))
     return rows

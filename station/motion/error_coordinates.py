@@ -10,7 +10,7 @@ from enum import Enum
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, skew, so3_log
 from station.motion import lie
 
 
@@ -44,7 +44,7 @@ def difference_group(
         return lie.log(E, X - X_mean @ np.swapaxes(E, -1, -2))
     if kind is ErrorKind.LEFT:
         return lie.log(R_mean_t @ R, (X - X_mean) @ R_mean)
-    return lie.so3_log(R @ R_mean_t), X - X_mean
+    return so3_log(R @ R_mean_t), X - X_mean
 
 
 def pose_jacobian(kind: ErrorKind, R: FloatArray, x: FloatArray, p: FloatArray) -> FloatArray:
@@ -52,9 +52,9 @@ def pose_jacobian(kind: ErrorKind, R: FloatArray, x: FloatArray, p: FloatArray) 
     Rt = np.swapaxes(R, -1, -2)
     out = np.empty((*Rt.shape[:-1], 6))
     if kind is ErrorKind.LEFT:  # R exp(phi), x + R xi: p_body = exp(-phi)(p_body - xi)
-        out[..., :3] = lie.skew((Rt @ (p - x)[..., None])[..., 0])
+        out[..., :3] = skew((Rt @ (p - x)[..., None])[..., 0])
         out[..., 3:] = -np.eye(3)
     else:
-        out[..., :3] = Rt @ lie.skew(p if kind is ErrorKind.RIGHT else p - x)
+        out[..., :3] = Rt @ skew(p if kind is ErrorKind.RIGHT else p - x)
         out[..., 3:] = -Rt
     return out

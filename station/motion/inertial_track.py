@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, so3_exp
 from station.model.frames import ImuBatch
-from station.motion import lie
 
 MAX_GAP_S = 0.1  # samples further apart: what happened between is unknown
 
@@ -66,7 +65,7 @@ class InertialTrack:
         rest = (t - self.t_ns[k]) * 1e-9
         following = np.minimum(k + 1, len(self.t_ns) - 1)
         rate = 0.5 * (self._imu.gyro_imu[k] + self._imu.gyro_imu[following]) - self.gyro_bias
-        return self.R[k] @ exp_many(rate * rest[:, None])
+        return self.R[k] @ so3_exp(rate * rest[:, None])
 
     def rate_at(self, t_ns: IntArray) -> FloatArray:
         """Angular velocity (M, 3) rad/s of the body, bias removed."""
@@ -111,21 +110,10 @@ class Increments:
     R_sum_sum: FloatArray  # (M, 3, 3) s^2; position changes by -R_sum_sum @ accel_bias
 
 
-def exp_many(phi: FloatArray) -> FloatArray:
-    """Rotations (M, 3, 3) of rotation vectors (M, 3): Rodrigues, batched."""
-    angle = np.linalg.norm(phi, axis=1)
-    small = angle < 1e-9
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 1.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
-    S = lie.skew(phi)
-    return np.eye(3) + a[:, None, None] * S + b[:, None, None] * (S @ S)
-
-
 def _chain(steps: FloatArray) -> FloatArray:
     out = np.empty((len(steps) + 1, 3, 3))
     out[0] = R = np.eye(3)
-    for k, step in enumerate(exp_many(steps)):
+    for k, step in enumerate(so3_exp(steps)):
         R = R @ step
         out[k + 1] = R
     return out

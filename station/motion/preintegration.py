@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, gammas, skew, so3_exp
 from station.motion import lie
 
 
@@ -39,7 +39,7 @@ class Preintegration:
         """dR, dv, dp at a nearby bias, to first order."""
         d = bias - self.bias
         return (
-            self.dR @ lie.so3_exp(self.dR_by_bias @ d[:3]),
+            self.dR @ so3_exp(self.dR_by_bias @ d[:3]),
             self.dv + self.dv_by_bias @ d,
             self.dp + self.dp_by_bias @ d,
         )
@@ -57,15 +57,15 @@ def preintegrate(imu: ImuSegment, bias: FloatArray, noise: ImuNoise) -> Preinteg
     )  # (N + 1, ...)
     turn = (imu.gyro - bias[:3]) * imu.dt_s[:, None]
     force = imu.accel - bias[3:]
-    once, twice, right = *lie.gammas(turn, (1, 2)), lie.so3_left_jacobian(-turn)
+    once, twice, right = *gammas(turn, (1, 2)), lie.so3_left_jacobian(-turn)
     dt = imu.dt_s[:, None, None]
-    R, force_x = Rs[:-1], lie.skew(force)
+    R, force_x = Rs[:-1], skew(force)
 
     R_after_right = Rs[1:] @ right
     by_gyro = -np.swapaxes(Rs, 1, 2) @ _sums(R_after_right * dt)  # (N + 1, 3, 3): each rotation's derivative
-    step_v = -R @ (lie.skew((once @ force[..., None])[..., 0]) @ by_gyro[:-1] - (0.5 * dt) * force_x)
+    step_v = -R @ (skew((once @ force[..., None])[..., 0]) @ by_gyro[:-1] - (0.5 * dt) * force_x)
     v_by_bias = _sums(np.concatenate([step_v, -R @ once], axis=2) * dt)  # (N + 1, 3, 6)
-    step_p = -R @ (lie.skew((twice @ force[..., None])[..., 0]) @ by_gyro[:-1] - (dt / 6.0) * force_x)
+    step_p = -R @ (skew((twice @ force[..., None])[..., 0]) @ by_gyro[:-1] - (dt / 6.0) * force_x)
     p_by_bias = np.sum(v_by_bias[:-1] * dt + np.concatenate([step_p, -R @ twice], axis=2) * dt * dt, axis=0)
     return Preintegration(
         duration_s=float(imu.dt_s.sum()),
@@ -93,8 +93,8 @@ def _covariance(
     left = (imu.dt_s[::-1].cumsum()[::-1] - imu.dt_s)[:, None]  # from the end of the step to the end of the segment
     B = np.zeros((len(imu.dt_s), 9, 6))
     B[:, :3, :3] = Rs[-1].T @ R_after_right
-    B[:, 3:6, :3] = -lie.skew(vs[-1] - vs[1:]) @ R_after_right
-    B[:, 6:, :3] = -lie.skew(ps[-1] - ps[1:] - vs[1:] * left) @ R_after_right
+    B[:, 3:6, :3] = -skew(vs[-1] - vs[1:]) @ R_after_right
+    B[:, 6:, :3] = -skew(ps[-1] - ps[1:] - vs[1:] * left) @ R_after_right
     B[:, 3:6, 3:] = Rs[:-1]
     B[:, 6:, 3:] = (0.5 * dt + left[..., None]) * Rs[:-1]
     density = np.repeat(np.array([noise.gyro_density, noise.accel_density]) * imu.noise_scale, 3, axis=1)
@@ -108,7 +108,7 @@ def _covariance(
 def chain(a: Preintegration, b: Preintegration) -> Preintegration:
     """Two consecutive measurements as one; both must have been integrated with about the same bias."""
     T = b.duration_s
-    turned_v, turned_p = a.dR @ lie.skew(b.dv), a.dR @ lie.skew(b.dp)
+    turned_v, turned_p = a.dR @ skew(b.dv), a.dR @ skew(b.dp)
     dv_by_bias = a.dv_by_bias + a.dR @ b.dv_by_bias
     dv_by_bias[:, :3] -= turned_v @ a.dR_by_bias
     dp_by_bias = a.dp_by_bias + T * a.dv_by_bias + a.dR @ b.dp_by_bias
@@ -172,7 +172,7 @@ def integrate(
     rate = imu.gyro[:, None] - bias_gyro[None]  # (N, K, 3)
     force = imu.accel[:, None] - bias_accel[None]
     turn = rate * dt[..., None]
-    dR, once, twice = lie.gammas(turn, (0, 1, 2))
+    dR, once, twice = gammas(turn, (0, 1, 2))
     dv = (once @ force[..., None])[..., 0] * dt[..., None]
     dx = (twice @ force[..., None])[..., 0] * (dt * dt)[..., None]
     fall = np.array([0.0, 0.0, -gravity])

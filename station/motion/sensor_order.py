@@ -9,16 +9,16 @@ from itertools import count
 
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
-# Drive reports come every 50 ms and IMU batches every 20: later ones than this are lost anyway.
-HOLD_BACK_NS = 60_000_000
+HOLD_BACK_NS = 60_000_000  # drive reports come every 50 ms, IMU batches every 20 ms; what is later is lost anyway
 MAX_HELD_FRAMES = 60  # frames that wait for an IMU that has gone silent: two seconds, then they go without it
 
 
 class Sequencer:
     """Holds a frame until everything measured before it has had time to arrive. Pure: sensor time only."""
 
-    def __init__(self, time_shift_s: float, has_imu: bool) -> None:
-        self._shift_ns = round(time_shift_s * 1e9)
+    def __init__(self, shift_s: float, has_imu: bool) -> None:
+        """`shift_s`: from a frame's time to the IMU's time of its middle row."""
+        self._shift_ns = round(shift_s * 1e9)
         self._has_imu = has_imu
         self._frames: deque[ImageFrame] = deque()
         self._samples: list[tuple[int, int, ImuBatch | DriveSample]] = []

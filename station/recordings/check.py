@@ -26,12 +26,12 @@ class RecordingCheck:
     path: Path
     messages: int  # that can be read
     seconds: float
-    size: int  # bytes
+    bytes: int
     damage: str  # in words; empty: none
     is_being_written: bool = False  # it has no end yet, which is no damage
 
     def __str__(self) -> str:
-        amount = f"{self.seconds:.1f} s, {self.messages} messages, {self.size / 1e6:.1f} MB"
+        amount = f"{self.seconds:.1f} s, {self.messages} messages, {self.bytes / 1e6:.1f} MB"
         state = "is being written" if self.is_being_written else ""
         if not self.damage:
             return f"{self.path}: {state or 'whole'}, {amount}"

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from shared.mcap_recording import RecordedPicture, recorded_pictures
 
-MAX_SILENCE_S = 0.5
+MAX_SILENCE_S = 0.5  # on a disk too slow for the pace, a picture is shown at least so often
 MAX_PAUSE_S = 2.0  # a gap in the recording is not waited for longer
 
 
 async def replay(path: Path, from_s: float = 0.0, speed: float = 1.0) -> AsyncGenerator[RecordedPicture, None]:
     """Pictures of a recording from `from_s` after its first one, `speed` times as fast as they were taken.
 
-    Who takes them slowly gets the newest that is due: pictures whose successor is due already are skipped.
+    A slow consumer skips to the newest picture that is due.
     Raises DataError when the file cannot be read.
     """
     loop = asyncio.get_running_loop()

@@ -122,21 +122,16 @@ class Recorder:
         self._frames_dropped = 0
         # Log times of the newest that was taken, that was given to the file, that the disk has:
         self._newest_ns = self._written_ns = self._safe_ns = self._wall_minus_monotonic_ns + now_ns()
-        self._error = ""
+        self.error = ""  # why the recording ended by itself, in a sentence; empty while it works
         self._closed = False
         self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
 
     @property
-    def error(self) -> str:
-        """Why the recording ended by itself, in a sentence; empty while it works."""
-        return self._error
-
-    @property
     def report(self) -> RecordingReport:
         """How it stands now; `error` is set as soon as the recording ended by itself."""
         size = self.path.stat().st_size if self.path.is_file() else 0
-        return RecordingReport(self.path, self._messages, size, self._frames_dropped, self._error)
+        return RecordingReport(self.path, self._messages, size, self._frames_dropped, self.error)
 
     def close(self, within_s: float = CLOSE_WITHIN_S) -> RecordingReport:
         """Write what waits, finish the file. Safe to call twice. Without `error` the whole file is on the disk then.
@@ -192,11 +187,7 @@ class Recorder:
         self._put(GAP_TOPIC, None, {"num_samples": num_samples})
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        content = {
-            "timestamp": time_of(applied.t_robot_ns),
-            "linear": applied.linear,
-            "angular": applied.angular,
-        }
+        content = {"timestamp": time_of(applied.t_robot_ns), "linear": applied.linear, "angular": applied.angular}
         self._put(DRIVE_TOPIC, applied.t_robot_ns, content)
 
     def on_status(self, status: Status) -> None:
@@ -234,7 +225,7 @@ class Recorder:
         self._queue(_Entry(topic, max(0, wall_ns if t_sensor_ns is None else t_sensor_ns), wall_ns, content))
 
     def _queue(self, arrival: _Entry | _ImuArrival) -> None:
-        if self._closed or self._error:
+        if self._closed or self.error:
             return
         if self._waiting.qsize() >= MAX_LATE:
             self._fail(f"the disk is {MAX_LATE} messages behind; record to a faster one")
@@ -243,20 +234,20 @@ class Recorder:
         self._waiting.put(arrival)
 
     def _fail(self, why: str) -> None:
-        if not self._error:
-            self._error = f"recording {self.path} ended: {why}"
-            logger.error("%s", self._error)
+        if not self.error:
+            self.error = f"recording {self.path} ended: {why}"
+            logger.error("%s", self.error)
             self._waiting.put(None)  # what was accepted until now is still written
 
     def _fail_to_write(self, why: str) -> None:
         """The disk did not take everything: say how much, also of a recording that was being ended already."""
         lost_s = -(-(self._newest_ns - self._safe_ns) // 100_000_000) / 10  # rounded up
         why = f"{why}; its last {lost_s:.1f} s may be missing, what came before can be read"
-        if not self._error:
+        if not self.error:
             self._fail(why)
         else:
-            self._error += f"; its end could not be written: {why}"
-            logger.error("%s", self._error)
+            self.error += f"; its end could not be written: {why}"
+            logger.error("%s", self.error)
 
     def _write_all(self) -> None:
         try:

@@ -7,10 +7,9 @@ from typing import Any
 import msgspec
 from mcap.writer import Writer
 
-from shared.geometry import quat_from_rotation
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from station.events import Level, LogLine
-from station.files.foxglove import CALIBRATION_SCHEMA_NAME, IMAGE_SCHEMA_NAME, image_schema, time_of
+from station.files.foxglove import CALIBRATION_SCHEMA_NAME, IMAGE_SCHEMA_NAME, image_schema, pose_of, time_of
 from station.model.place_answer import PlaceCandidate, PlaceReport
 from station.model.slam_update import SlamUpdate
 
@@ -110,10 +109,7 @@ def slam_pose(update: SlamUpdate) -> dict[str, Any] | None:
     T = update.T_world_body
     if T is None:
         return None
-    w, x, y, z = (float(c) for c in quat_from_rotation(T[:3, :3]))
-    position = dict(zip("xyz", (float(c) for c in T[:3, 3]), strict=True))
-    pose = {"position": position, "orientation": {"x": x, "y": y, "z": z, "w": w}}
-    return {"timestamp": time_of(update.t_robot_ns), "frame_id": "world", "pose": pose}
+    return {"timestamp": time_of(update.t_robot_ns), "frame_id": "world", "pose": pose_of(T)}
 
 
 def place_answer(report: PlaceReport) -> dict[str, Any]:

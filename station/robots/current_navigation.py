@@ -74,7 +74,7 @@ class CurrentNavigation(LinkListeners):
         self._tasks: set[asyncio.Task[None]] = set()  # that finish navigations, until all of it is kept
         self._beginning: _Beginning | None = None
         self._is_closed = False
-        self._times_shown = 0
+        self._times_viewed = 0
         self._pose_notified_s = 0.0
         self.live: LiveSlam | None = None
 
@@ -194,13 +194,13 @@ class CurrentNavigation(LinkListeners):
         self.listeners = ()
         self._navigations.end(running.record.id)
 
-    async def show(self, navigation_id: str) -> None:
+    async def view(self, navigation_id: str) -> None:
         """Let `live` be a finished navigation, unless one is being recorded."""
         if self._running is not None:
             return
         self.live = await asyncio.to_thread(_view_of, self._library.navigation_folder(navigation_id))
-        self._times_shown += 1
-        self.live.source = f"{navigation_id}/again-{self._times_shown}"  # another cloud than before
+        self._times_viewed += 1
+        self.live.source = f"{navigation_id}/again-{self._times_viewed}"  # another cloud than before
         self._events.changed("pose")
         self._events.changed("landmarks")
 

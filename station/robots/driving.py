@@ -32,15 +32,15 @@ class CameraHead:
 
     @property
     def is_centred(self) -> bool:
-        """It was told to look straight ahead."""
+        """Whether the head was told to look straight ahead."""
         return self._pan_tilt == AHEAD
 
     def looks_ahead(self, now_ns: int) -> bool:
-        """It was, and had the time to get there: its pictures are what the calibration says."""
+        """Whether it has also had the time to get there: only then is the camera where the calibration says."""
         return self.is_centred and now_ns >= self._rests_ns
 
     def turn(self, pan: float, tilt: float, now_ns: int) -> None:
-        """It was told to look there (rad)."""
+        """The head was told to look there (rad)."""
         if (pan, tilt) != self._pan_tilt:
             self._pan_tilt, self._rests_ns = (pan, tilt), now_ns + TURN_NS
 
@@ -95,7 +95,7 @@ class Driving:
         return self._lease.driver(self._now_ns())
 
     @property
-    def keeps_wheel_s(self) -> float:
+    def lease_left_s(self) -> float:
         """For how long the driver keeps the wheel without another word."""
         return self._lease.left_ns(self._now_ns()) * 1e-9
 
@@ -111,7 +111,7 @@ class Driving:
 
     @property
     def looks_ahead(self) -> bool:
-        """It was, and had the time to get there: its pictures are what the calibration says."""
+        """Whether it has also had the time to get there: only then is the camera where the calibration says."""
         return self._head.looks_ahead(self._now_ns())
 
     def centre_head(self) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shared.geometry import FloatArray, IntArray, inverse, se3, so3_exp, transform
+from shared.geometry import FloatArray, IntArray, inverse, se3, skew, so3_exp, transform
 
 RANSAC_ITERATIONS = 400
 RANSAC_CONFIDENCE = 0.999
@@ -115,8 +115,6 @@ def _jacobian(p_cam: FloatArray) -> FloatArray:
     J_point[:, 0, 0] = J_point[:, 1, 1] = 1 / z
     J_point[:, 0, 2], J_point[:, 1, 2] = -x / z**2, -y / z**2
     J_motion = np.zeros((len(p_cam), 3, 6))
-    J_motion[:, 0, 1], J_motion[:, 0, 2] = z, -y  # omega x p
-    J_motion[:, 1, 0], J_motion[:, 1, 2] = -z, x
-    J_motion[:, 2, 0], J_motion[:, 2, 1] = y, -x
+    J_motion[:, :, :3] = -skew(p_cam)
     J_motion[:, :, 3:] = np.eye(3)
     return J_point @ J_motion

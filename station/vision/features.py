@@ -31,7 +31,7 @@ BYTE_SCALE = 512.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """Keypoints of one image, those with the most contrast first."""
+    """Keypoints of one image, those with the most contrast first (or the largest, where COLMAP found them)."""
 
     uv_px: FloatArray  # (n, 2) as measured, distorted pixels
     descriptors: DescriptorArray  # (n, 128) RootSIFT in bytes
@@ -44,9 +44,8 @@ class Features:
 class Details:
     """What a map takes from an image: its features, and fainter ones."""
 
-    features: Features  # exactly those that a FeatureExtractor finds
-    uv_px: FloatArray  # (m, 2) of all, no two at one place
-    descriptors: DescriptorArray  # (m, 128)
+    seen: Features  # exactly those that a FeatureExtractor finds
+    features: Features  # all, no two at one place
 
 
 class FeatureExtractor:
@@ -75,7 +74,7 @@ class DetailExtractor:
         _, first = np.unique(found.uv_px, axis=0, return_index=True)
         rows = np.sort(first)[:MAX_DETAILS]
         seen = Features(found.uv_px[:count].copy(), found.descriptors[:count].copy())  # not the whole, kept alive
-        return Details(seen, found.uv_px[rows], found.descriptors[rows])
+        return Details(seen, Features(found.uv_px[rows], found.descriptors[rows]))
 
 
 def _detector(max_features: int, contrast: float) -> cv2.SIFT:
@@ -114,8 +113,19 @@ def to_bytes(sift: Float32Array) -> DescriptorArray:
 
 
 def to_floats(descriptors: DescriptorArray) -> Float32Array:
-    """(n, 128) of about unit length, so that a dot product is a similarity 0..1."""
+    """(n, 128) of unit length but for the half a percent that bytes cost: a dot product is a similarity 0..1."""
     return descriptors.astype(np.float32) / np.float32(BYTE_SCALE)
+
+
+def to_unit(descriptors: DescriptorArray) -> Float32Array:
+    """(n, 128) of unit length, whatever the length in bytes: that of COLMAP's descriptors is not ours."""
+    found = descriptors.astype(np.float32)
+    return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
+
+
+def similarities(a: Features, b: Features) -> Float32Array:
+    """(n, m) how alike the features of two images are, each with each, 0..1."""
+    return to_unit(a.descriptors) @ to_unit(b.descriptors).T
 
 
 def to_rays(camera: CameraCalibration, uv_px: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, homogeneous
 from station.model.frames import ImageArray
 from station.vision.lens import BoolArray, Lens
 from station.vision.two_view import epipolar_inliers
@@ -141,7 +141,7 @@ class Tracker:
 
     def _rotate(self, xy: FloatArray, R: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Normalised coordinates after a rotation, and which of them stay well in front of the camera."""
-        rays = np.column_stack([xy, np.ones(len(xy))]) @ R.T
+        rays = homogeneous(xy) @ R.T
         in_front = rays[:, 2] > 0.2
         return rays[:, :2] / np.where(in_front, rays[:, 2], 1.0)[:, None], in_front
 

@@ -26,7 +26,7 @@ class Triangulation:
     """F points and how well they are known."""
 
     p: FloatArray  # (F, 3) world
-    is_good: BoolArray  # (F,) in front of every camera that saw it, and the iteration came to rest
+    is_good: BoolArray  # (F,) in front of every camera that saw it, its depth within limits, finite
     depth_sigma: FloatArray  # (F,) relative standard deviation of the depth in the anchor view
     rms: FloatArray  # (F,) whitened reprojection error
     cov: FloatArray  # (F, 3, 3) world, given the poses

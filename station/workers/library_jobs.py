@@ -90,7 +90,7 @@ class LibraryJobs(LibraryProgram):
     def compare(self, first: Path, second: Path, out: Path, title: str, setting: str) -> dict[str, Any]:
         # Drawing loads matplotlib, which no other job needs.
         from station.experiments.experiment import Story, results_dict, run_experiment
-        from station.experiments.output import write_experiment
+        from station.experiments.report import write_experiment
 
         self._emit(Progress(0.05, "reading two navigations"))
         navigations = load_navigation(first), load_navigation(second)

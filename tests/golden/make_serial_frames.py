@@ -10,14 +10,14 @@ EXAMPLES: list[tuple[str, bytes]] = [
     ("status", sp.pack(sp.Status(70000, 0x41, 99, 1, 2, 3, 4, 5, 6, 7, 8, 9, 7400, -1000, 1000, 120, 6000))),
     ("ack", sp.pack(sp.Ack(0x14, 2))),
     ("mega_time", sp.pack(sp.MegaTime(0xDEADBEEF, 1))),
-    ("drive", sp.Drive(-1000, 250, 300).pack()),
-    ("drive_zero", sp.Drive(0, 0, 0).pack()),
-    ("stop", sp.Stop().pack()),
-    ("ask_time", sp.AskTime(0x01020304).pack()),
-    ("ask_hello", sp.AskHello().pack()),
-    ("config_imu", sp.ConfigImu(3, 0, 7, 1, 9).pack()),
-    ("config_motors", sp.ConfigMotors(True, 4, 10, 6400).pack()),
-    ("servo", sp.Servo(1500, 0).pack()),
+    ("drive", sp.pack(sp.Drive(-1000, 250, 300))),
+    ("drive_zero", sp.pack(sp.Drive(0, 0, 0))),
+    ("stop", sp.pack(sp.Stop())),
+    ("ask_time", sp.pack(sp.AskTime(0x01020304))),
+    ("ask_hello", sp.pack(sp.AskHello())),
+    ("config_imu", sp.pack(sp.ConfigImu(3, 0, 7, 1, 9))),
+    ("config_motors", sp.pack(sp.ConfigMotors(True, 4, 10, 6400))),
+    ("servo", sp.pack(sp.Servo(1500, 0))),
 ]
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from shared.geometry import inverse, se3, so3_log, transform, yaw_rotation
-from station.files.ply import read_points
+from station.files.ply import read_rows
 from station.places.registration.register import register_clouds
 from tests.support.paths import RECORDINGS
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data/lidar_
 def test_the_recorded_transform_is_reproduced(backend: str, yaw_deg: float) -> None:
     if importlib.util.find_spec(backend) is None:
         pytest.skip(f"{backend} is an extra and not installed")
-    target, source = read_points(DATA / "target.ply"), read_points(DATA / "source.ply")
+    target, source = read_rows(DATA / "target.ply"), read_rows(DATA / "source.ply")
     turn = se3(yaw_rotation(np.radians(yaw_deg)), np.zeros(3))
     T_true = np.loadtxt(DATA / "T_target_source.txt") @ inverse(turn)
     result = register_clouds(target, transform(turn, source), backend=backend)  # type: ignore[arg-type]

@@ -11,11 +11,11 @@ import pytest
 
 from station.commands.slam import summary
 from station.datasets import Dataset, open_dataset
-from station.experiments.trajectory import absolute_trajectory_error
 from station.model.navigation import Navigation
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from tests.support.paths import RECORDINGS
+from tests.support.trajectory import absolute_trajectory_error
 
 DATA = RECORDINGS
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"recorded data is not at {DATA}")
@@ -30,7 +30,7 @@ def reconstruct(data: Dataset) -> Navigation:
 def test_kitchen_without_imu_is_right_up_to_a_similarity() -> None:
     data = open_dataset(DATA / "redkitchen", 120, 220, step=2)
     nav = reconstruct(data)
-    truth = data.truth()
+    truth = data.truth
     assert truth is not None
     assert nav.report.scale == "arbitrary" and not nav.is_gravity_aligned
     assert absolute_trajectory_error(nav.trajectory, truth, "sim3").rmse_m < 0.04
@@ -43,7 +43,7 @@ def test_kitchen_without_imu_is_right_up_to_a_similarity() -> None:
 def test_flight_gets_metres_and_gravity_from_its_imu() -> None:
     data = open_dataset(DATA / "euroc_v1_01_keyframes")
     nav = reconstruct(data)
-    truth = data.truth()
+    truth = data.truth
     assert truth is not None
     assert nav.is_metric and nav.is_gravity_aligned
     assert len(nav.keyframes) >= 45
@@ -61,7 +61,7 @@ def test_simulated_drive_holds_together_and_is_metric(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     data = open_dataset(tmp_path / "drive")
     nav = reconstruct(data)
-    truth = data.truth()
+    truth = data.truth
     assert truth is not None
     assert nav.report.config["mapping"] == "odometry and images"
     assert nav.is_metric and nav.is_gravity_aligned and nav.report.tracking_lost_s == 0

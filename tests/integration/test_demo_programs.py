@@ -124,7 +124,7 @@ def test_what_fails_later_leaves_the_verdict_as_it_was(
     monkeypatch.setattr(demo, "run_steps", fail)
     options = DemoOptions(1, once=False, port=0, world="small", backend=None, out=tmp_path)
     with pytest.raises(RobotSystemError):
-        demo.run_in(options, tmp_path / "data", demo.Timings(), print)
+        demo.run_in(options, tmp_path / "data", print)
     said = json.loads((tmp_path / "results.json").read_text())
     assert said["error"] == "the station has ended" and said["passed"] is (verdict is not None)
 

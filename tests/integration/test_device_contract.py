@@ -25,6 +25,7 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.recording import record_drive
 from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
+from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DeviceLost
 from tests.support import mock_gpio, pi_stubs
 from tests.support.emulator import board
@@ -51,7 +52,7 @@ def emulated(_bench: Bench) -> DeviceSet:
     if (reason := board.missing_reason()) is not None:
         pytest.skip(reason)
     board.build()
-    return open_emulated()
+    return open_emulated(DeviceSet(calibration=REFERENCE_ROBOT, camera=None, imu=None, motors=None))
 
 
 def install_stubs(bench: Bench) -> None:

@@ -209,7 +209,6 @@ def test_a_map_that_the_station_keeps_is_matched_by_its_id(data: Path, tmp_path:
             "holds no true poses",
         ),
         (["match", "{map1}", "{nav1}", "--truth2", "{truth1}"], "--truth1 and --truth2"),
-        (["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--mode", "x"], '"thesis" or "default"'),
         (["match", "{nav1}", "{nav1}"], "holds no map"),
         (["map", "build", "{nav1}", "/nowhere"], "holds no navigation"),
     ],
@@ -221,6 +220,14 @@ def test_mistakes_get_one_sentence_and_leave_nothing(
     filled = [a.format(**{name: data / name for name in names}) for a in arguments]
     with pytest.raises(RobotSystemError, match=re.escape(sentence)):
         run(*filled, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--mode", "--align-by"])
+def test_a_word_that_is_no_choice_is_a_mistake_of_usage(data: Path, tmp_path: Path, option: str) -> None:
+    words = ["match", str(data / "map1"), str(data / "nav1"), "--out", str(tmp_path / "out"), option, "x"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2 and "is not one of" in " ".join(result.output.split())
     assert not (tmp_path / "out").exists()
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from shared import serial_protocol as sp
 from tests.support.emulator import board
+from tests.support.imu_packets import mag_imu
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or "")
@@ -54,7 +55,7 @@ def test_a_minute_at_225_hz_loses_nothing_and_repeats_bit_for_bit(tmp_path: Path
     assert max(s.loop_max_us for s in first.statuses()) < 2000
     assert first.facts["stack_free"] > 4096
     # The magnetometer measures at 100 Hz beside it.
-    fields = [m for p in packets if (m := p.mag_imu()) is not None]
+    fields = [m for p in packets if (m := mag_imu(p)) is not None]
     assert len(fields) == pytest.approx(100 * len(packets) / 225, rel=0.02)
     assert fields[-1] == pytest.approx((20.0, 0.0, -40.0), abs=0.16)
 

@@ -20,6 +20,7 @@ from tests.support.crashing.flips import flip_many
 from tests.support.crashing.maps import MAP, variant
 from tests.support.crashing.runs import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
 from tests.support.postgres import PostgresServer, running_postgres
+from tests.support.store import rename_place
 
 NAMES_EACH = 6
 
@@ -45,7 +46,7 @@ def rename_over_and_over(address: StoreAddress, place: int) -> None:
     """One of two stations."""
     store = MapStore(address)
     for number in range(NAMES_EACH):
-        store.rename_place(MAP.id, MAP.places[place].id, f"{address.author} {number}")
+        rename_place(store, MAP.id, MAP.places[place].id, f"{address.author} {number}")
     store.save(variant(0) if place else MAP)
 
 
@@ -129,7 +130,7 @@ def test_a_full_disk_costs_nothing_that_was_kept(tmp_path: Path) -> None:
         with contextlib.suppress(OSError):
             filler.write_bytes(bytes(10_000_000))
         for attempt in (
-            lambda: store.rename_place(MAP.id, MAP.places[0].id, "Sofa"),
+            lambda: rename_place(store, MAP.id, MAP.places[0].id, "Sofa"),
             lambda: store.delete(MAP.id),
             lambda: store.undo(MAP.id, to=1),
         ):
@@ -138,7 +139,7 @@ def test_a_full_disk_costs_nothing_that_was_kept(tmp_path: Path) -> None:
         assert MapStore(disk / "maps").load(MAP.id).name == f"v{kept}"
         filler.unlink()
         (disk / "ballast").unlink()
-        store.rename_place(MAP.id, MAP.places[0].id, "Sofa")
+        rename_place(store, MAP.id, MAP.places[0].id, "Sofa")
         assert MapStore(disk / "maps").load(MAP.id).places[0].name == "Sofa"
 
 
@@ -150,6 +151,6 @@ def test_a_read_only_disk_is_still_read(tmp_path: Path) -> None:
         assert [summary.id for summary in store.list()] == [MAP.id]
         assert store.load(MAP.id).name == MAP.name and verify(store) == ()
         with pytest.raises(DataError, match=r"[Rr]ead-only|readonly"):
-            store.rename_place(MAP.id, MAP.places[0].id, "Sofa")
+            rename_place(store, MAP.id, MAP.places[0].id, "Sofa")
         with pytest.raises(DataError, match=r"[Rr]ead-only"):
             store.save(variant(1))

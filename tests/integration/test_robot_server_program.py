@@ -22,6 +22,7 @@ from shared.errors import DeviceUnavailable
 from station.datasets import open_dataset
 from station.recordings.recorder import Recorder
 from station.robots.link import RobotLink
+from tests.support.datasets import frames_of, imu_of
 from tests.support.link import linked, until
 from tests.support.paths import ROOT
 
@@ -144,15 +145,15 @@ async def test_a_real_flight_streams_whole_and_its_recording_is_the_flight_again
     assert (state.imu_samples, state.imu_lost) == (1391, 0)
     assert state.frames + state.frames_skipped == 90
     recorded = open_dataset(tmp_path / "flight.mcap")
-    assert recorded.require_imu().t_robot_ns.tolist() == flight.require_imu().t_robot_ns.tolist()
-    assert recorded.require_imu().gyro_imu.tolist() == flight.require_imu().gyro_imu.tolist()
-    assert recorded.require_imu().accel_imu.tolist() == flight.require_imu().accel_imu.tolist()
+    assert imu_of(recorded).t_robot_ns.tolist() == imu_of(flight).t_robot_ns.tolist()
+    assert imu_of(recorded).gyro_imu.tolist() == imu_of(flight).gyro_imu.tolist()
+    assert imu_of(recorded).accel_imu.tolist() == imu_of(flight).accel_imu.tolist()
     assert set(recorded.frame_times_ns.tolist()) <= set(flight.frame_times_ns.tolist())
     assert recorded.calibration == flight.calibration
     if not state.frames_skipped:  # a busy machine may skip some; what came is whole
         assert recorded.frame_times_ns.tolist() == flight.frame_times_ns.tolist()
-    first = next(iter(recorded.frames()))
-    original = {int(f.t_robot_ns): f for f in flight.frames()}[first.t_robot_ns]
+    first = next(iter(frames_of(recorded)))
+    original = {int(f.t_robot_ns): f for f in frames_of(flight)}[first.t_robot_ns]
     difference = first.grey().astype(int) - original.grey().astype(int)
     assert np.abs(difference).mean() < 2.0  # JPEG at quality 95
 
@@ -160,5 +161,5 @@ async def test_a_real_flight_streams_whole_and_its_recording_is_the_flight_again
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "robot.devices.recorded", raising=False)
     monkeypatch.setitem(sys.modules, "robot.devices.recorded.recording", None)  # as if it could not be imported
-    with pytest.raises(DeviceUnavailable, match=r"--devices recorded needs .*sentinel-robot\[simulation\]"):
+    with pytest.raises(DeviceUnavailable, match=r"--devices recorded needs .*\[simulation\]"):
         open_devices("recorded", RobotConfig(recorded=RecordedConfig(dataset="x")))

@@ -143,7 +143,7 @@ async def test_lost_samples_leave_a_hole_in_the_sequence() -> None:
     devices: DeviceSet = open_simulated("room", 1, config=SimulationConfig())
     assert devices.imu is not None
     robot = devices.imu._robot  # type: ignore[attr-defined]
-    robot.set_faults(type(robot.faults)(imu_dropout=0.5))
+    robot.faults = type(robot.faults)(imu_dropout=0.5)
     try:
         await asyncio.wait_for(devices.imu.read(), WAIT_S)
         readings = []

@@ -13,13 +13,13 @@ from threadpoolctl import threadpool_limits
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.errors import ConfigError, EstimationError
 from station.datasets import Dataset, open_dataset
-from station.experiments.trajectory import absolute_trajectory_error
 from station.model.frames import ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.start.starter import GivenState
 from tests.support.paths import RECORDINGS
+from tests.support.trajectory import absolute_trajectory_error
 
 DATA = RECORDINGS
 needs_data = pytest.mark.skipif(not (DATA / "euroc_v1_01_flight").is_dir(), reason="../shared/data is not here")
@@ -38,7 +38,7 @@ def run(data: Dataset, backend: UkfBackend) -> tuple[Navigation, list[SlamUpdate
 
 
 def ate(trajectory: Trajectory, data: Dataset) -> float:
-    truth = data.truth()
+    truth = data.truth
     assert truth is not None
     error = absolute_trajectory_error(trajectory, Trajectory(truth.t_robot_ns, truth.T_world_body))
     return float(error.rmse_m)
@@ -71,7 +71,7 @@ def test_real_flight_from_its_own_start_in_motion() -> None:
 @needs_data
 def test_real_flight_from_a_given_state() -> None:
     data = open_dataset(DATA / "euroc_v1_01_flight", None, None, 1)
-    truth = data.truth()
+    truth = data.truth
     assert truth is not None and truth.v_world is not None
     assert truth.gyro_bias is not None and truth.accel_bias is not None
     i = int(np.argmin(np.abs(truth.t_robot_ns - data.frame_times_ns[0])))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ COVERED_S = (4.5, 7.0)
 HIJACK_S = 10.5
 END_S = 16.0
 FRAME_S = 1 / 12
-CONFIG = replace(SimulationConfig(), camera_rate_hz=1 / FRAME_S)
+CONFIG = SimulationConfig(camera_rate_hz=1 / FRAME_S)
 CALIBRATION = simulated_calibration(CONFIG)
 
 
@@ -37,7 +36,7 @@ def drive() -> Iterator[ImuBatch | DriveSample | ImageFrame]:
     body = Body(world, CONFIG.body, (1.0, 1.2, 0.3), 1)
     imu = ImuModel(noise, CONFIG.imu, CALIBRATION.gravity, 1)
     eye = SimulatedCamera(Renderer(world, camera), camera, CONFIG.camera, 1)
-    history, state, next_frame_s, index, ticks, hijacked = MotionHistory(), body.state(), 0.1, 0, 0, False
+    history, state, next_frame_s, index, ticks, hijacked = MotionHistory(keep_s=2.0), body.state(), 0.1, 0, 0, False
     while state.t_s < END_S:
         history.append(state)
         t_ns = 10**9 + round(state.t_s * 1e9)

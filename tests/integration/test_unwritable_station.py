@@ -18,6 +18,7 @@ from tests.support.disk import unwritable
 from tests.support.made_up_workers import made_up_navigation
 from tests.support.station import running_station, store_map
 from tests.support.station_at_work import at_work, is_problem, wait_for
+from tests.support.store import rename_place
 
 pytestmark = pytest.mark.timeout(600)
 NAMED = "Sofa"
@@ -29,7 +30,7 @@ def spoilt_station(data_dir: Path) -> str:
     A change of the map without its row, a drive that was being recorded, one that is ready, a deleted map.
     """
     place_map = store_map(data_dir)
-    MapStore(data_dir / "maps").rename_place(place_map.id, place_map.places[0].id, NAMED)
+    rename_place(MapStore(data_dir / "maps"), place_map.id, place_map.places[0].id, NAMED)
     with contextlib.closing(sqlite3.connect(data_dir / "maps" / "maps.db")) as connection:
         connection.execute("DELETE FROM map_version WHERE number = 2")
         connection.commit()

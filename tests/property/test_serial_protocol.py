@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from shared import serial_protocol as sp
 from shared.errors import LocalProtocolError
+from tests.support.imu_packets import MAG, mag_imu, temperature_c
 
 GOLDEN = [
     line.split() for line in (Path(__file__).parents[1] / "golden" / "serial_frames.txt").read_text().splitlines()
@@ -26,9 +27,9 @@ def test_frames_equal_the_golden_bytes(name: str, payload: str, frame: str) -> N
 
 def test_messages_pack_to_the_golden_payloads() -> None:
     payload = {name: bytes.fromhex(payload) for name, payload, _ in GOLDEN}
-    assert sp.Drive(-1000, 250, 300).pack() == payload["drive"]
-    assert sp.Servo(1500, 0).pack() == payload["servo"]
-    assert sp.ConfigMotors(True, 4, 10, 6400).pack() == payload["config_motors"]
+    assert sp.pack(sp.Drive(-1000, 250, 300)) == payload["drive"]
+    assert sp.pack(sp.Servo(1500, 0)) == payload["servo"]
+    assert sp.pack(sp.ConfigMotors(True, 4, 10, 6400)) == payload["config_motors"]
     assert sp.parse(payload["hello"]) == sp.Hello(1, 1, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513)
     status = sp.parse(payload["status"])
     assert isinstance(status, sp.Status) and (status.left, status.battery_mv, status.stack_free) == (-1000, 7400, 6000)
@@ -75,20 +76,18 @@ def test_parsing_any_payload_gives_a_message_or_none(payload: bytes) -> None:
 
 
 def test_imu_counts_become_si_units_in_the_imu_frame() -> None:
-    burst = sp.ImuPacket.BURST.pack(8192, -8192, 0, 16384, 0, -16384, 334) + sp.ImuPacket.MAG.pack(
-        1, 100, 100, -100, 0, 0x10
-    )
+    burst = sp.ImuPacket.BURST.pack(8192, -8192, 0, 16384, 0, -16384, 334) + MAG.pack(1, 100, 100, -100, 0, 0x10)
     packet = sp.ImuPacket(1, 2, 0x11, burst)
     assert packet.accel_imu() == pytest.approx((9.80665, -9.80665, 0.0))
     assert packet.gyro_imu() == pytest.approx((4.363323, 0.0, -4.363323))
-    assert packet.temperature_c() == pytest.approx(22.0, abs=0.01)
-    assert packet.mag_imu() == pytest.approx((15.0, -15.0, 15.0))
+    assert temperature_c(packet) == pytest.approx(22.0, abs=0.01)
+    assert mag_imu(packet) == pytest.approx((15.0, -15.0, 15.0))
     stale = sp.ImuPacket(1, 2, 0x11, burst[:14] + b"\0" + burst[15:])
-    assert stale.mag_imu() is None
+    assert mag_imu(stale) is None
 
 
 def test_values_the_firmware_would_refuse_are_refused_here() -> None:
     with pytest.raises(LocalProtocolError):
-        sp.Drive(1001, 0, 100).pack()
+        sp.pack(sp.Drive(1001, 0, 100))
     with pytest.raises(LocalProtocolError):
         sp.encode_frame(bytes(sp.MAX_PAYLOAD + 1))

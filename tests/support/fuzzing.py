@@ -25,6 +25,7 @@ from shared.messages import (
     encode_message,
 )
 from shared.session import Session, State
+from tests.support.imu_packets import mag_imu, temperature_c
 from tests.support.paths import ROOT
 
 GOLDEN = ROOT / "tests" / "golden" / "serial_frames.txt"
@@ -59,7 +60,7 @@ def fuzz_serial_reader(inputs: int, seed: int) -> dict[str, Any]:
         for payload in decoder.receive(damage(rng.choice(frames), rng)):
             message = sp.parse(payload)
             if isinstance(message, sp.ImuPacket):
-                message.accel_imu(), message.gyro_imu(), message.mag_imu(), message.temperature_c()
+                message.accel_imu(), message.gyro_imu(), mag_imu(message), temperature_c(message)
             parsed += message is not None
     assert len(decoder.receive(b"\0" + frames[0])) >= 1, "the reader does not find a good frame after the bad ones"
     return {"inputs": inputs, "frames": decoder.frames, "refused": decoder.bad, "understood": parsed}

@@ -1,11 +1,28 @@
-"""Harm for map stores in folders."""
+"""What tests do with map stores, and harm for those in folders."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
 
+from station.files.navigation_folder import REPORT
+from station.maps.editing import with_place_renamed
+from station.maps.record import content_hash as hash_of_record
 from station.maps.store import MapStore
+from station.model.place_map import PlaceMap
+
+
+def rename_place(store: MapStore, map_id: str, place_id: str, name: str) -> PlaceMap:
+    """Give a place another name, and return the map."""
+    why = f"{place_id} is now {name.strip()}"
+    return store.edit(map_id, lambda place_map: with_place_renamed(place_map, place_id, name), why)
+
+
+def content_hash(store: MapStore, map_id: str) -> str:
+    """What the newest version is, whoever made it and when."""
+    record = store.history(map_id)[0]
+    report = store.contents.blobs.get(record.files[REPORT].address, f"map {map_id}: {REPORT}")
+    return hash_of_record(record, report)
 
 
 def blobs(store: MapStore) -> Iterator[Path]:

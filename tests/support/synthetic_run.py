@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, so3_exp, so3_log
 from station.model.frames import ImuBatch
-from station.motion import lie
 from station.vision.klt import TrackedFrame
 from station.vision.lens import Lens
 
@@ -65,16 +64,16 @@ def sine_path(
         axis=1,
     )
     zero = np.zeros_like(t)
-    yaw = lie.so3_exp(np.stack([zero, zero, turn[:, 2]], axis=1))
-    R = yaw @ lie.so3_exp(np.stack([turn[:, 0], turn[:, 1], zero], axis=1))
+    yaw = so3_exp(np.stack([zero, zero, turn[:, 2]], axis=1))
+    R = yaw @ so3_exp(np.stack([turn[:, 0], turn[:, 1], zero], axis=1))
     h = 1e-5  # angular rate by a central difference of the same formula
     rate = np.empty_like(turn)
     derivative = np.gradient(turn, dt, axis=0, edge_order=2)
     ahead, behind = turn + h * derivative, turn - h * derivative
     for sign, values in ((1, ahead), (-1, behind)):
-        part = lie.so3_exp(np.stack([zero, zero, values[:, 2]], axis=1))
-        part = part @ lie.so3_exp(np.stack([values[:, 0], values[:, 1], zero], axis=1))
-        step = lie.so3_log(np.swapaxes(R, 1, 2) @ part) * (sign / (2 * h))
+        part = so3_exp(np.stack([zero, zero, values[:, 2]], axis=1))
+        part = part @ so3_exp(np.stack([values[:, 0], values[:, 1], zero], axis=1))
+        step = so3_log(np.swapaxes(R, 1, 2) @ part) * (sign / (2 * h))
         rate = step if sign == 1 else rate + step
     bias_gyro = rng.normal(0, 0.01, 3) + np.cumsum(rng.normal(0, noise.gyro_walk * np.sqrt(dt), x.shape), axis=0)
     bias_accel = rng.normal(0, 0.05, 3) + np.cumsum(rng.normal(0, noise.accel_walk * np.sqrt(dt), x.shape), axis=0)

@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import dataclasses
 import threading
-from typing import Any
 
 from robot.devices.emulated.board import EmulatedBoard
 from robot.devices.pi.kinematics import DriveGeometry
@@ -18,7 +17,6 @@ from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaBattery, MegaImu, MegaMotors
 from robot.devices.pi.serial_line import PySerialLine
 from robot.devices.ports import DeviceSet, Imu, ImuReading
-from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DeviceLost
 from shared.serial_protocol import ConfigImu, ConfigMotors
 
@@ -48,7 +46,6 @@ class Feeder:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread."""
         if self._task is not None:
             self._loop.call_soon_threadsafe(self._task.cancel)
         self._thread.join(timeout=2.0)
@@ -73,21 +70,19 @@ def sample_command(reading: ImuReading) -> str:
     return "sample " + " ".join(f"{v:.6g}" for v in (*reading.accel_imu, *reading.gyro_imu))
 
 
-def open_emulated(base: DeviceSet | None = None, geometry: DriveGeometry | None = None) -> DeviceSet:
+def open_emulated(base: DeviceSet) -> DeviceSet:
     """Puts the emulated Mega before another robot's IMU and motors.
 
     Args:
-        base: the (simulated) robot that moves and measures; none: a robot at rest with an IMU and motors only.
-        geometry: how duty becomes motion.
+        base: the (simulated) robot that moves and measures; without IMU one at rest.
     Raises:
         DeviceUnavailable: the board is not built.
     """
-    geometry = geometry or DriveGeometry()
-    body = None if base is None else base.motors
+    geometry = DriveGeometry()
 
     def move(left: int, right: int) -> None:
-        if body is not None:
-            body.drive(*geometry.velocity(left, right))
+        if base.motors is not None:
+            base.motors.drive(*geometry.velocity(left, right))
 
     board = EmulatedBoard(on_pins=move)
     try:
@@ -96,10 +91,7 @@ def open_emulated(base: DeviceSet | None = None, geometry: DriveGeometry | None 
     except BaseException:
         board.close()
         raise
-    feeder = None if base is None or base.imu is None else Feeder(base.imu, board)
+    feeder = None if base.imu is None else Feeder(base.imu, board)
     imu, motors = EmulatedImu(mega, board, feeder), MegaMotors(mega, geometry)
     battery = MegaBattery(mega, 6.4, 8.4)
-    parts: dict[str, Any] = {"imu": imu, "motors": motors, "battery": battery, "problems": mega.problems}
-    if base is None:
-        return DeviceSet(calibration=REFERENCE_ROBOT, camera=None, **parts)
-    return dataclasses.replace(base, **parts)
+    return dataclasses.replace(base, imu=imu, motors=motors, battery=battery, problems=mega.problems)

@@ -31,15 +31,12 @@ class BoardEvent:
 class EmulatedBoard:
     """A running board. Its serial port is at `port`; the reader thread keeps events and the duty at the motor pins."""
 
-    def __init__(
-        self, on_pins: Callable[[int, int], None] | None = None, folder: Path | None = None, realtime: bool = True
-    ) -> None:
+    def __init__(self, on_pins: Callable[[int, int], None] | None = None, folder: Path | None = None) -> None:
         """Starts it.
 
         Args:
             on_pins: called from the reader thread with left and right duty (permille) on each change.
             folder: where the serial port's link is made; none: a temporary one.
-            realtime: keep to the wall clock; False runs as fast as it can.
         Raises:
             DeviceUnavailable: not built on this machine.
         """
@@ -55,9 +52,8 @@ class EmulatedBoard:
         self.pins = (0, 0)
         self.events: deque[BoardEvent] = deque(maxlen=MAX_EVENTS)
         self._changed = threading.Condition()
-        command = [str(BOARD), "--elf", str(ELF), "--pty", str(self.port)]
         self.process = subprocess.Popen(
-            [*command, "--realtime"] if realtime else command,
+            [str(BOARD), "--elf", str(ELF), "--pty", str(self.port), "--realtime"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

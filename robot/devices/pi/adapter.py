@@ -11,7 +11,7 @@ from robot.config import PiConfig
 from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaBattery, MegaImu, MegaMotors, MegaPanTilt
-from robot.devices.pi.serial_line import PySerialLine, SerialLine
+from robot.devices.pi.serial_line import PySerialLine
 from robot.devices.ports import Battery, Camera, DeviceSet, Motors, PanTilt
 from shared.calibration import REFERENCE_ROBOT, Calibration, CameraCalibration
 from shared.errors import ConfigError
@@ -26,7 +26,7 @@ def open_pi(config: PiConfig) -> DeviceSet:
     """
     check(config)
     with contextlib.ExitStack() as undo:
-        mega = open_mega(config) if uses_mega(config) else None
+        mega = Mega(lambda: PySerialLine(config.serial_port), *mega_settings(config)) if uses_mega(config) else None
         if mega is not None:
             undo.callback(mega.close)
         motors, pan_tilt = _open_motion(config, mega, undo)
@@ -58,13 +58,6 @@ def uses_mega(config: PiConfig) -> bool:
     return config.imu or "mega" in (config.motors, config.pan_tilt, config.battery)
 
 
-def geometry_of(config: PiConfig) -> DriveGeometry:
-    """How this robot turns duty into motion."""
-    return DriveGeometry(
-        config.full_speed_m_s, config.track_m, config.deadband, config.invert_left, config.invert_right
-    )
-
-
 def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
     """What the firmware is told at its start."""
     imu = ConfigImu(
@@ -78,16 +71,6 @@ def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
         cutoff_mv=round(1000 * config.battery_empty_v) if config.battery == "mega" else 0,
     )
     return imu, motors
-
-
-def open_mega(config: PiConfig) -> Mega:
-    """The Mega at its serial port."""
-    return Mega(lambda: open_line(config.serial_port), *mega_settings(config))
-
-
-def open_line(path: str) -> SerialLine:
-    """The serial port itself."""
-    return PySerialLine(path)
 
 
 def load_calibration(config: PiConfig) -> Calibration:
@@ -123,7 +106,9 @@ def _read_own_camera(path: Path) -> CameraCalibration:
 def _open_motion(
     config: PiConfig, mega: Mega | None, undo: contextlib.ExitStack
 ) -> tuple[Motors | None, PanTilt | None]:
-    geometry = geometry_of(config)
+    geometry = DriveGeometry(
+        config.full_speed_m_s, config.track_m, config.deadband, config.invert_left, config.invert_right
+    )
     motors: Motors | None = None
     pan_tilt: PanTilt | None = None
     if mega is not None:
@@ -140,19 +125,9 @@ def _open_motion(
 
 
 def open_camera(config: PiConfig) -> Camera:
-    """The Pi's camera."""
-    from robot.devices.pi.camera import CameraSettings, PiCamera
+    from robot.devices.pi.camera import PiCamera
 
-    return PiCamera(
-        CameraSettings(
-            width=config.width,
-            height=config.height,
-            rate_hz=config.rate_hz,
-            jpeg_quality=config.jpeg_quality,
-            max_exposure_us=round(1000 * config.max_exposure_ms),
-            max_gain=config.max_gain,
-        )
-    )
+    return PiCamera(config)
 
 
 def _open_battery(config: PiConfig, mega: Mega | None) -> Battery | None:

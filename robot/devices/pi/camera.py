@@ -7,11 +7,12 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from robot.config import PiConfig
+from robot.devices.mailbox import Mailbox
 from robot.devices.pi.exposure import Exposure, ExposureControl
 from robot.devices.ports import CapturedFrame
 from shared.errors import DeviceLost, DeviceUnavailable
@@ -22,29 +23,16 @@ SILENCE_S = 2.0
 EXPOSURE_PERIOD_FRAMES = 6  # a change takes the sensor three frames to show
 WHITE_BALANCE_FRAMES = 45  # let it find the light of the room, then hold it
 BRIGHTNESS_STEP = 8  # every 8th pixel is enough
-
-
-@dataclass(frozen=True, slots=True)
-class CameraSettings:
-    """What SLAM wants of a picture: short exposure, nothing that changes by itself."""
-
-    width: int = 640
-    height: int = 480
-    rate_hz: float = 30.0
-    jpeg_quality: int = 80
-    max_exposure_us: int = 10_000  # 10 ms: at 1 rad/s a pixel smears over 11 px at most
-    max_gain: float = 8.0
-    lens_position: float = 0.5  # dioptres, for cameras with a focus motor; the reference camera is turned by hand
+LENS_POSITION = 0.5  # dioptres, for cameras with a focus motor; the reference camera is turned by hand
 
 
 class PiCamera:
     """Frames with sensor time stamps. A thread of its own captures and compresses; the newest frame wins."""
 
-    def __init__(self, settings: CameraSettings) -> None:
+    def __init__(self, settings: PiConfig) -> None:
         self._settings = settings
-        self._lock = threading.Lock()
-        self._frame: CapturedFrame | None = None
-        self._waiter: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
+        self._max_exposure_us = round(1000 * settings.max_exposure_ms)
+        self._frames: Mailbox[CapturedFrame] = Mailbox(1)
         self._failure = ""
         self._dark = False
         self._closed = threading.Event()
@@ -56,18 +44,11 @@ class PiCamera:
         """The next frame. Raises DeviceLost on silence and while the picture is black."""
         if not self._thread.is_alive():
             await asyncio.to_thread(self._reopen)  # a camera stack that hangs must not hold the server up
-        event = asyncio.Event()
-        self._waiter = (asyncio.get_running_loop(), event)
         try:
-            while (frame := self._take()) is None:
-                async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
-                    await event.wait()
-                event.clear()
+            async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
+                return (await self._frames.get())[0]
         except TimeoutError:
             raise DeviceLost(self._why_silent()) from None
-        finally:
-            self._waiter = None
-        return frame
 
     async def close(self) -> None:
         """Release the camera; one that hangs is left to the process' end. Safe to call twice."""
@@ -82,11 +63,6 @@ class PiCamera:
             return "the camera sees only black; take the lens cap off or switch a light on"
         return self._failure or f"the camera gave no frame for {SILENCE_S:.0f} s; check its ribbon cable"
 
-    def _take(self) -> CapturedFrame | None:
-        with self._lock:
-            frame, self._frame = self._frame, None
-        return frame
-
     def _open(self) -> Any:
         try:
             from picamera2 import Picamera2
@@ -99,9 +75,9 @@ class PiCamera:
             camera = Picamera2()
             period_us = round(1e6 / s.rate_hz)
             controls: dict[str, Any] = {"FrameDurationLimits": (period_us, period_us), "AeEnable": False}
-            controls |= {"ExposureTime": s.max_exposure_us, "AnalogueGain": 2.0}
+            controls |= {"ExposureTime": self._max_exposure_us, "AnalogueGain": 2.0}
             if "LensPosition" in camera.camera_controls:
-                controls |= {"AfMode": 0, "LensPosition": s.lens_position}  # 0: manual
+                controls |= {"AfMode": 0, "LensPosition": LENS_POSITION}  # 0: manual
             # "RGB888" is blue first in memory, as OpenCV has it.
             camera.configure(
                 camera.create_video_configuration(
@@ -143,7 +119,7 @@ class PiCamera:
         self._camera = self._open()
 
     def _run(self) -> None:
-        control = ExposureControl(self._settings.max_exposure_us, self._settings.max_gain)
+        control = ExposureControl(self._max_exposure_us, self._settings.max_gain)
         count = 0
         try:
             while not self._closed.is_set():
@@ -173,21 +149,9 @@ class PiCamera:
         exposure_ns = int(metadata["ExposureTime"]) * 1000
         # SensorTimestamp: the first row's end of exposure, on CLOCK_BOOTTIME as libcamera has it.
         t_end_ns = int(metadata["SensorTimestamp"]) + boot_to_monotonic_ns()
-        frame = CapturedFrame(
-            t_robot_ns=t_end_ns - exposure_ns // 2,
-            exposure_ns=exposure_ns,
-            width=image.shape[1],
-            height=image.shape[0],
-            jpeg=simplejpeg.encode_jpeg(image, quality=self._settings.jpeg_quality, colorspace="BGR"),
-        )
-        with self._lock:
-            self._frame = frame
-        waiter = self._waiter
-        if waiter is not None:
-            try:
-                waiter[0].call_soon_threadsafe(waiter[1].set)
-            except RuntimeError:
-                logger.debug("frame after the event loop's end")
+        height, width = image.shape[:2]
+        jpeg = simplejpeg.encode_jpeg(image, quality=self._settings.jpeg_quality, colorspace="BGR")
+        self._frames.put(CapturedFrame(t_end_ns - exposure_ns // 2, exposure_ns, width, height, jpeg))
 
 
 class _Errand:

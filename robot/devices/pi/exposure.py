@@ -13,8 +13,6 @@ BLACK = 6.0  # sensor black level and noise at full gain stay below
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """What the sensor is told."""
-
     time_us: int
     gain: float
 

@@ -105,8 +105,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 class GpioMotors:
-    """Two motors by gpiozero."""
-
     def __init__(self, process: GpioProcess, geometry: DriveGeometry) -> None:
         self._process, self._geometry = process, geometry
 

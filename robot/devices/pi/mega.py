@@ -6,9 +6,9 @@ import asyncio
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 
+from robot.devices.mailbox import Mailbox
 from robot.devices.pi.mega_clock import MegaClock
 from robot.devices.pi.mega_greeting import BOOT_S, AskPlan, Settings
 from robot.devices.pi.mega_health import MegaHealth
@@ -69,11 +69,10 @@ class Mega:
         self._new_start: AskPlan | None = None  # the firmware started anew and has not been greeted yet
         self._decoder = SerialDecoder()
         self._clock = MegaClock()
-        self._readings: deque[ImuReading] = deque(maxlen=MAX_READINGS)
+        self._readings: Mailbox[ImuReading] = Mailbox(MAX_READINGS)
         self._next_sequence = 0  # of our own count, which goes on when the Mega starts anew
         self._sequence_offset: int | None = None
         self._closed = threading.Event()
-        self._waiter: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
         self.hello: Hello | None = None
         self.status: Status | None = None
         self._uptime_ms = 0
@@ -85,21 +84,6 @@ class Mega:
         self._thread = threading.Thread(target=self._run, name="mega", daemon=True)
         self._thread.start()
         self._ready.wait(2 * SILENCE_S)  # whoever opens us may drive or ask for the battery next
-
-    @property
-    def bad_frames(self) -> int:
-        """Frames the line damaged."""
-        return self._decoder.bad
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """Of the Mega's resonator against our clock."""
-        return self._clock.drift_ppm
-
-    @property
-    def is_set(self) -> bool:
-        """Whether the firmware has confirmed all settings."""
-        return self._settings.are_confirmed
 
     def problems(self) -> dict[str, str]:
         """What goes wrong on the Mega although it answers: name → sentence."""
@@ -133,28 +117,13 @@ class Mega:
         """How long nothing whole has come from the Mega."""
         return self._now_ns() - self._heard_ns
 
-    def take_readings(self) -> list[ImuReading]:
-        """All samples since the last call."""
-        readings = []
-        while self._readings:
-            readings.append(self._readings.popleft())
-        return readings
-
     async def wait_readings(self) -> list[ImuReading]:
-        """Wait for samples. Raises DeviceLost when none come for SILENCE_S."""
-        event = asyncio.Event()
-        self._waiter = (asyncio.get_running_loop(), event)
+        """All samples since the last call, at least one. Raises DeviceLost when none come for SILENCE_S."""
         try:
-            while not (readings := self.take_readings()):
-                try:
-                    async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
-                        await event.wait()
-                except TimeoutError:
-                    raise DeviceLost(self._why_silent()) from None
-                event.clear()
-            return readings
-        finally:
-            self._waiter = None
+            async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
+                return await self._readings.get()
+        except TimeoutError:
+            raise DeviceLost(self._why_silent()) from None
 
     def close(self) -> None:
         """Stop the motors and leave the line. Safe to call twice."""
@@ -331,17 +300,5 @@ class Mega:
             self._sequence_offset = start - packet.sequence
         sequence = packet.sequence + self._sequence_offset
         self._next_sequence = sequence + 1
-        self._readings.append(
-            ImuReading(
-                sequence=sequence,
-                t_robot_ns=self._clock.stamp(packet.t_us, now_ns),
-                gyro_imu=packet.gyro_imu(),
-                accel_imu=packet.accel_imu(),
-            )
-        )
-        waiter = self._waiter
-        if waiter is not None:
-            try:
-                waiter[0].call_soon_threadsafe(waiter[1].set)
-            except RuntimeError:
-                logger.debug("sample after the event loop's end")
+        t_robot_ns = self._clock.stamp(packet.t_us, now_ns)
+        self._readings.put(ImuReading(sequence, t_robot_ns, packet.gyro_imu(), packet.accel_imu()))

@@ -25,18 +25,12 @@ class MegaClock:
         """How much faster the Mega's resonator runs than our clock; None before the first arrival."""
         return None if self._clock.fit is None else self._clock.fit.drift_ppm
 
-    def unwrap(self, t_us: int) -> int:
-        """The stamp with as many wraps as it takes to lie next to the one before."""
-        if self._last_us is None:
-            self._last_us = t_us
-        else:
-            step = (t_us - self._last_us + WRAP // 2) % WRAP - WRAP // 2
-            self._last_us += step
-        return self._last_us
-
     def stamp(self, t_us: int, t_arrival_ns: int) -> int:
         """Our time of the Mega's stamp `t_us`, whose packet arrived at `t_arrival_ns`. Never runs backwards."""
-        t_mega_ns = self.unwrap(t_us) * 1000
+        before_us = t_us if self._last_us is None else self._last_us
+        # With as many wraps as it takes to lie next to the one before.
+        self._last_us = before_us + (t_us - before_us + WRAP // 2) % WRAP - WRAP // 2
+        t_mega_ns = self._last_us * 1000
         self._clock.add(t_mega_ns, t_arrival_ns - self._least_delay_ns)
         fit = self._clock.fit
         assert fit is not None

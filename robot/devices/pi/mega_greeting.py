@@ -74,7 +74,6 @@ class Settings:
         return [command for kind, command in self._commands.items() if kind in self._open]
 
     def take(self, ack: Ack) -> None:
-        """An answer of the firmware."""
         if ack.asked not in self._commands:
             return
         if ack.result == DONE:

@@ -13,7 +13,7 @@ from shared.serial_protocol import Drive, Flag, Servo, Stop
 
 logger = logging.getLogger(__name__)
 
-# What the firmware lets a motor run without another command. The server repeats commands at least four times a second
+# What the firmware lets a motor run without another command. The station repeats commands at least four times a second
 # and stops by itself after 250 ms; this is for its own death.
 FIRMWARE_TTL_MS = 300
 # Ten reports a second: a longer silence is a line that stands still, and what is written to it now would move the robot
@@ -22,8 +22,6 @@ SILENT_NS = 500_000_000
 
 
 class MegaImu:
-    """Every sample of the Mega's IMU."""
-
     def __init__(self, mega: Mega) -> None:
         self._mega = mega
 
@@ -66,15 +64,11 @@ class MegaPanTilt:
 
     US_PER_RAD = 2000.0 / math.pi  # 90 degrees are 1000 us
 
-    def __init__(self, mega: Mega, invert_pan: bool = False, invert_tilt: bool = False) -> None:
+    def __init__(self, mega: Mega) -> None:
         self._mega = mega
-        self._signs = (-1.0 if invert_pan else 1.0, -1.0 if invert_tilt else 1.0)
 
     def point(self, pan_rad: float, tilt_rad: float) -> None:
-        pan, tilt = (
-            round(min(2500.0, max(500.0, 1500.0 + sign * angle * self.US_PER_RAD)))
-            for sign, angle in zip(self._signs, (pan_rad, tilt_rad), strict=True)
-        )
+        pan, tilt = (round(min(2500.0, max(500.0, 1500.0 + a * self.US_PER_RAD))) for a in (pan_rad, tilt_rad))
         self._mega.send(Servo(pan, tilt))
 
     def close(self) -> None:

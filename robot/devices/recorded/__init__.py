@@ -33,7 +33,6 @@ class Playback:
         self._began_ns: int | None = None
 
     def now_ns(self) -> int:
-        """Time on the recording's clock."""
         if self._began_ns is None:
             self._began_ns = self._now_ns()
         return self.first_ns + round((self._now_ns() - self._began_ns) * self._speed)

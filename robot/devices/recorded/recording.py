@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
 from robot.devices.ports import ImuReading
-from robot.devices.recorded.images import read_size
+from robot.devices.recorded.images import JPEG_QUALITY, read_size
 from shared.advice import install
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError, DeviceUnavailable
@@ -19,13 +19,16 @@ from shared.geometry import inverse
 from shared.recorded_files import VIDEO_SUFFIXES, asl_numbers, asl_rows, exposures_ns, image_times_ns, images_in_order
 from shared.sensor_yaml import (
     number,
+    read_bare_camera,
     read_camera,
     read_exposure_ns,
+    read_folder_camera,
     read_imu_noise,
-    read_intrinsics_text,
     read_mounting,
     read_yaml,
 )
+
+MAX_VIDEO_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +65,11 @@ class Recording:
         return min(times[0] for times in self._times() if times)
 
     @property
-    def last_ns(self) -> int:
-        return max(times[-1] for times in self._times() if times)
-
-    @property
     def period_ns(self) -> int:
         """After which the recording may begin anew: its length and one step of its slower sensor."""
         steps = [(times[-1] - times[0]) // (len(times) - 1) for times in self._times() if len(times) > 1]
-        return self.last_ns - self.first_ns + max(steps, default=33_000_000)
+        last_ns = max(times[-1] for times in self._times() if times)
+        return last_ns - self.first_ns + max(steps, default=33_000_000)
 
     def _times(self) -> tuple[list[int], list[int]]:
         return [f.t_robot_ns for f in self.frames], [s.t_robot_ns for s in self.samples]
@@ -94,25 +94,18 @@ def open_recording(path: Path) -> Recording:
 
 def _open_file(path: Path) -> Recording:
     suffix = path.suffix.lower()
-    if suffix == ".mcap":
-        return _opener("mcap_file", "station")(path)
-    if suffix in VIDEO_SUFFIXES:
-        return _opener("video_file", "simulation")(path)
-    raise DataError(
-        f"{path} is a file, but neither an .mcap recording nor a video ({', '.join(sorted(VIDEO_SUFFIXES))}); "
-        "--dataset needs one of these, an ASL folder or a folder of images"
-    )
-
-
-def _opener(module: str, extra: str) -> Callable[[Path], Recording]:
-    """Imported only now: files need libraries that folders do not."""
-    try:
-        found: Callable[[Path], Recording] = importlib.import_module(f"robot.devices.recorded.{module}").open_file
+    if suffix != ".mcap" and suffix not in VIDEO_SUFFIXES:
+        raise DataError(
+            f"{path} is a file, but neither an .mcap recording nor a video ({', '.join(sorted(VIDEO_SUFFIXES))}); "
+            "--dataset needs one of these, an ASL folder or a folder of images"
+        )
+    try:  # files need libraries that folders do not
+        return _open_mcap(path) if suffix == ".mcap" else _open_video(path)
     except ImportError as exc:
+        extra = "station" if suffix == ".mcap" else "simulation"
         raise DeviceUnavailable(
             f"this kind of recording needs {exc.name}, which is not installed; run: {install(extra)}"
         ) from exc
-    return found
 
 
 def _open_asl(path: Path) -> Recording:
@@ -184,25 +177,90 @@ def _open_images(path: Path) -> Recording:
     numbered = images_in_order(path)
     if not numbered:
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a recorded drive to --dataset")
-    camera = _image_folder_camera(path, numbered[0][1])
+    an_image = numbered[0][1]
+    camera = read_folder_camera(path, lambda: read_size(an_image.read_bytes(), an_image))
     times = image_times_ns([number for number, _ in numbered], camera.rate_hz, path)
     frames = tuple(RecordedFrame(t_ns, image) for t_ns, (_, image) in zip(times, numbered, strict=True))
     remarks = (f"{path} holds no IMU samples; only its images are played",)
     return Recording(path, Calibration(camera=camera, imu=None), frames, (), remarks)
 
 
-def _image_folder_camera(path: Path, an_image: Path) -> CameraCalibration:
-    yaml_path, text_path = path / "camera.yaml", path / "camera-intrinsics.txt"
-    if yaml_path.is_file():
-        return read_bare_camera(yaml_path)
-    if not text_path.is_file():
-        raise DataError(f"{path} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
-    K = read_intrinsics_text(text_path)
-    width, height = read_size(an_image.read_bytes(), an_image)
-    return CameraCalibration(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=30.0)
+def _open_mcap(path: Path) -> Recording:
+    """Open an MCAP recording. Raises DataError where it is not one of ours, or holds nothing to play."""
+    from shared.mcap_recording import HELLO_TOPIC, McapContent, mcap_images
+
+    content = McapContent(path)
+    if content.hello is None:
+        raise DataError(f"{path} holds no {HELLO_TOPIC}; only recordings made by a station can be played")
+    if not content.frames and not content.samples:
+        raise DataError(f"{path} holds neither images nor IMU samples; nothing to play")
+    images = _InOrder(lambda: mcap_images(path))
+    frames = tuple(
+        RecordedFrame(t_ns, path, exposure_ns, partial(images.read, number))
+        for number, (t_ns, exposure_ns) in enumerate(content.frames)
+    )
+    samples = tuple(
+        ImuReading(sequence, t_ns, (wx, wy, wz), (ax, ay, az))
+        for sequence, (t_ns, (wx, wy, wz, ax, ay, az)) in enumerate(content.samples)
+    )
+    remarks = [f"{content.unusable_samples} IMU samples of {path} are no numbers and are left out"]
+    return Recording(
+        path, content.hello.calibration, frames, samples, tuple(remarks if content.unusable_samples else ())
+    )
 
 
-def read_bare_camera(yaml_path: Path) -> CameraCalibration:
-    """Without IMU the body is the camera: a mounting in the file is passed over."""
-    content = {key: value for key, value in read_yaml(yaml_path).items() if key not in ("T_BS", "T_body_cam")}
-    return read_camera(yaml_path, content)
+def _open_video(path: Path) -> Recording:
+    """Open a video; frame k is taken k / rate after 0. Raises DataError naming the file and the remedy."""
+    import cv2
+
+    yaml_path = next((p for p in (path.with_suffix(".yaml"), path.with_name("camera.yaml")) if p.is_file()), None)
+    if yaml_path is None:
+        raise DataError(f"{path} has no camera.yaml next to it; write the camera's intrinsics there")
+    camera = read_bare_camera(yaml_path)
+    video = cv2.VideoCapture(str(path))
+    rate_hz, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    size = (int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+    video.release()
+    if not (0 < count <= MAX_VIDEO_FRAMES and rate_hz > 0):
+        raise DataError(f"{path} cannot be decoded as a video; convert it to MP4 (H.264)")
+    if size != (camera.width, camera.height):
+        raise DataError(
+            f"{path} is {size[0]}x{size[1]} but {yaml_path} says {camera.width}x{camera.height}; correct it"
+        )
+    images = _InOrder(lambda: _video_images(path))
+    frames = tuple(RecordedFrame(round(k * 1e9 / rate_hz), path, 0, partial(images.read, k)) for k in range(count))
+    remarks = (f"{path} holds no IMU samples; only its images are played",)
+    return Recording(path, Calibration(camera=camera, imu=None), frames, (), remarks)
+
+
+def _video_images(path: Path) -> Iterator[bytes]:
+    import cv2
+
+    video = cv2.VideoCapture(str(path))
+    try:
+        while True:
+            ok, image = video.read()
+            if not ok:
+                return
+            yield bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+    finally:
+        video.release()
+
+
+class _InOrder:
+    """Images by number from a source that only gives them in order: cheap where numbers rise."""
+
+    def __init__(self, begin: Callable[[], Iterator[bytes]]) -> None:
+        self._begin = begin
+        self._images = begin()
+        self._next = 0
+
+    def read(self, number: int) -> bytes:
+        """The image of this number, from 0. Raises DataError where the source ends before it."""
+        if number < self._next:
+            self._images, self._next = self._begin(), 0
+        for encoded in self._images:
+            self._next += 1
+            if self._next > number:
+                return encoded
+        raise DataError(f"image {number} is missing at the recording's end; record again")

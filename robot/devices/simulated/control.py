@@ -15,7 +15,11 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from robot.devices.simulated.robot import SimulatedRobot, parse_faults
+from msgspec import structs
+
+from robot.config import convert
+from robot.devices.simulated.robot import SimulatedRobot
+from robot.simulation.config import Faults
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.geometry import se3
 
@@ -48,7 +52,6 @@ class ControlServer:
         logger.info("simulator control on 127.0.0.1:%d", self.port)
 
     def close(self) -> None:
-        """Stop listening."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join(timeout=2.0)
@@ -60,8 +63,6 @@ class _Server(socketserver.ThreadingTCPServer):
 
 
 class ControlDesk:
-    """Answers one question at a time."""
-
     def __init__(self, robot: SimulatedRobot) -> None:
         self._robot = robot
         self._commands: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
@@ -116,7 +117,7 @@ class ControlDesk:
         if "x" in question:
             x, y, yaw = (float(question[k]) for k in ("x", "y", "yaw"))
         else:
-            x, y, yaw = self._robot.random_spot(int(question.get("seed", 0)), question.get("room"))
+            x, y, yaw = self._robot.space.random_spot(int(question.get("seed", 0)), question.get("room"))
         duration_s = self._robot.hijack(x, y, yaw)
         t_ns, _ = self._robot.truth()
         return {
@@ -143,5 +144,5 @@ class ControlDesk:
     def _faults(self, question: dict[str, Any]) -> dict[str, Any]:
         changes = {k: v for k, v in question.items() if k != "cmd"}
         if changes:
-            self._robot.set_faults(parse_faults(self._robot.faults, changes))
-        return asdict(self._robot.faults)
+            self._robot.faults = convert(structs.asdict(self._robot.faults) | changes, Faults, "faults")
+        return structs.asdict(self._robot.faults)

@@ -13,11 +13,13 @@ MAX_HISTORY = 10_000
 MAX_READINGS = 225  # a second's worth, as the port says
 
 
-class SimulatedCameraPort:
-    """Delivers the newest frame; its stamp is late by the calibration's time shift, as the real camera's is."""
-
+class _Part:
     def __init__(self, robot: SimulatedRobot) -> None:
         self._robot = robot
+
+
+class SimulatedCameraPort(_Part):
+    """Delivers the newest frame; its stamp is late by the calibration's time shift, as the real camera's is."""
 
     async def capture(self) -> CapturedFrame:
         return (await self._robot.frame_mailbox.get())[-1]
@@ -26,12 +28,7 @@ class SimulatedCameraPort:
         self._robot.close()
 
 
-class SimulatedImu:
-    """Delivers every sample."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
-
+class SimulatedImu(_Part):
     async def read(self) -> list[ImuReading]:
         return await self._robot.imu_mailbox.get(MAX_READINGS)
 
@@ -39,11 +36,11 @@ class SimulatedImu:
         self._robot.close()
 
 
-class SimulatedMotors:
+class SimulatedMotors(_Part):
     """Drives the simulated body and keeps what it was told."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
+        super().__init__(robot)
         self.history: deque[tuple[int, float, float]] = deque(maxlen=MAX_HISTORY)  # t_robot_ns, m/s, rad/s
 
     def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
@@ -58,12 +55,7 @@ class SimulatedMotors:
         self.stop()
 
 
-class SimulatedPanTilt:
-    """Turns the simulated camera."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
-
+class SimulatedPanTilt(_Part):
     def point(self, pan_rad: float, tilt_rad: float) -> None:
         self._robot.point_head(pan_rad, tilt_rad)
 
@@ -71,24 +63,15 @@ class SimulatedPanTilt:
         self._robot.point_head(0.0, 0.0)
 
 
-class SimulatedBattery:
+class SimulatedBattery(_Part):
     """Drains slowly, faster while driving."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
 
     def read(self) -> BatteryState:
         return self._robot.battery()
 
 
-class SimulatedHijack:
-    """Somebody's hands."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
-
+class SimulatedHijack(_Part):
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> None:
-        """Raises ValueError where the robot cannot stand."""
         self._robot.hijack(x_m, y_m, yaw_rad)
 
     def hijack_anywhere(self) -> None:

@@ -17,7 +17,7 @@ from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
-from robot.simulation.trajectory import RecordedPath
+from robot.simulation.trajectory import MotionHistory
 from robot.simulation.worlds import make_world
 from shared.errors import DeviceLost
 from shared.geometry import FloatArray
@@ -26,20 +26,8 @@ READY_TIMEOUT_S = 120.0  # painting a large flat for the first time takes some s
 RENDER_TIMEOUT_S = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class CameraJob:
-    """What the process must know once."""
-
-    world: str
-    seed: int
-    config: SimulationConfig
-    cache_dir: Path | None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameRequest:
-    """One picture to take."""
-
     t_s: float
     states: list[MotionState]  # the motion around the exposure
     faults: Faults
@@ -47,21 +35,14 @@ class FrameRequest:
     R_cam_head: FloatArray  # (3, 3) turn of the pan-tilt head
 
 
-@dataclass(frozen=True, slots=True)
-class FrameAnswer:
-    """The picture."""
-
-    jpeg: bytes
-    exposure_s: float
-
-
 class CameraProcess:
     """Handle of the rendering process; one request at a time."""
 
-    def __init__(self, job: CameraJob) -> None:
+    def __init__(self, world: str, seed: int, config: SimulationConfig, cache_dir: Path | None) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, child = context.Pipe()
-        self._process = context.Process(target=serve, args=(child, job), name="simulated-camera", daemon=True)
+        job = (child, world, seed, config, cache_dir)
+        self._process = context.Process(target=serve, args=job, name="simulated-camera", daemon=True)
         self._process.start()
         child.close()
 
@@ -73,16 +54,15 @@ class CameraProcess:
         """Raises DeviceLost when the world cannot be drawn."""
         self._receive(READY_TIMEOUT_S)
 
-    def take(self, request: FrameRequest) -> FrameAnswer:
-        """Render one picture. Raises DeviceLost when the process has died."""
+    def take(self, request: FrameRequest) -> tuple[bytes, float]:
+        """Render one picture: JPEG, exposure in s. Raises DeviceLost when the process has died."""
         try:
             self._connection.send(request)
         except OSError as exc:
             raise DeviceLost("the simulated camera's process has ended; it is started again") from exc
-        return cast(FrameAnswer, self._receive(RENDER_TIMEOUT_S))
+        return cast(tuple[bytes, float], self._receive(RENDER_TIMEOUT_S))
 
     def close(self) -> None:
-        """End the process."""
         with contextlib.suppress(OSError):
             self._connection.close()
         self._process.join(timeout=2.0)
@@ -105,16 +85,15 @@ class CameraProcess:
 READY = b"ready"
 
 
-def serve(connection: Connection, job: CameraJob) -> None:
+def serve(connection: Connection, world: str, seed: int, config: SimulationConfig, cache_dir: Path | None) -> None:
     """Body of the process: answer requests until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
     cv2.setNumThreads(1)
-    calibration = simulated_calibration(job.config).camera
+    calibration = simulated_calibration(config).camera
     assert calibration is not None
     try:
-        world = make_world(job.world, job.seed, job.config)
-        renderer = Renderer(world, calibration, job.cache_dir)
-        camera = SimulatedCamera(renderer, calibration, job.config.camera, job.seed)
+        renderer = Renderer(make_world(world, seed, config), calibration, cache_dir)
+        camera = SimulatedCamera(renderer, calibration, config.camera, seed)
     except Exception as exc:  # whatever it is, the parent must hear of it instead of waiting
         connection.send(f"{type(exc).__name__}: {exc}")
         return
@@ -122,6 +101,6 @@ def serve(connection: Connection, job: CameraJob) -> None:
         connection.send(READY)
         while True:
             request = cast(FrameRequest, connection.recv())
-            path = RecordedPath(request.states)
+            path = MotionHistory(request.states)
             exposure = camera.expose(path.pose, request.t_s, request.faults, request.covered, request.R_cam_head)
-            connection.send(FrameAnswer(exposure.jpeg, exposure.exposure_s))
+            connection.send((exposure.jpeg, exposure.exposure_s))

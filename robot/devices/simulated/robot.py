@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import math
 import threading
@@ -13,19 +12,19 @@ from typing import Protocol
 
 import numpy as np
 
+from robot.devices.mailbox import Mailbox
 from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
-from robot.devices.simulated.mailbox import Mailbox
-from robot.devices.simulated.rendering import CameraJob, CameraProcess, FrameRequest
+from robot.devices.simulated.rendering import CameraProcess, FrameRequest
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
-from robot.simulation.config import Faults, SimulationConfig, config_from_table
+from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.routes import FreeSpace, Route, plan_route
 from robot.simulation.sensors import ImuModel
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.world import World
 from robot.simulation.worlds import make_world
-from shared.errors import ConfigError, HardwareError
-from shared.geometry import FloatArray
+from shared.errors import HardwareError
+from shared.geometry import FloatArray, so3_exp
 
 logger = logging.getLogger(__name__)
 
@@ -42,8 +41,6 @@ MAX_PAN_RAD, MAX_TILT_RAD, HEAD_SPEED_RAD_S = math.radians(80), math.radians(40)
 
 
 class Closable(Protocol):
-    """Something that ends with the robot."""
-
     def close(self) -> None: ...
 
 
@@ -56,7 +53,7 @@ class SimulatedRobot:
         self.calibration = simulated_calibration(config)
         assert self.calibration.imu is not None and self.calibration.camera is not None
         self._camera_calibration = self.calibration.camera
-        self._space = FreeSpace(self.world, config.body.radius_m)
+        self.space = FreeSpace(self.world, config.body.radius_m)
         start = plan_route(self.world, "mapping", 0, config.body.radius_m) if world != "checker" else None
         pose = (
             (float(start.points[0, 0]), float(start.points[0, 1]), start.start_yaw_rad) if start else self.world.start
@@ -65,12 +62,11 @@ class SimulatedRobot:
         self._imu = ImuModel(self.calibration.imu, config.imu, self.calibration.gravity, seed)
         self._history = MotionHistory(keep_s=3.0)
         self._dropout = np.random.default_rng([seed, 15])
-        self._job = CameraJob(world, seed, config, cache_dir)
+        self._job = (world, seed, config, cache_dir)
         self.imu_mailbox: Mailbox[ImuReading] = Mailbox(IMU_LIMIT)
         self.frame_mailbox: Mailbox[CapturedFrame] = Mailbox(1)
-        self.frames_skipped = 0
         self.camera_pid: int | None = None  # of the process that renders
-        self._faults = config.faults
+        self.faults: Faults = config.faults  # from the next sample and frame on
         self._head = _Head()
         self._truth_log: deque[tuple[int, FloatArray]] = deque(maxlen=MAX_TRUTH_LOG)
         self._state = self._body.state()
@@ -83,7 +79,6 @@ class SimulatedRobot:
         self._threads: list[threading.Thread] = []
 
     def start(self, *controls: Closable | None) -> None:
-        """Begin to live."""
         self._controls = [c for c in controls if c is not None]
         self._epoch_ns = time.monotonic_ns()
         self._threads = [
@@ -106,7 +101,6 @@ class SimulatedRobot:
     # --- what the devices need ------------------------------------------------------------------------------------
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Tell the motors."""
         with self._lock:
             self._body.command(linear_m_s, angular_rad_s)
 
@@ -123,7 +117,7 @@ class SimulatedRobot:
         """Pick the robot up and put it down elsewhere; returns how long that takes (s). Raises ValueError."""
         if not all(map(math.isfinite, (x_m, y_m, yaw_rad))):
             raise ValueError("the position is not finite")
-        clearance = float(self._space.boxes.clearance(np.array([[x_m, y_m]]))[0])
+        clearance = float(self.space.boxes.clearance(np.array([[x_m, y_m]]))[0])
         x0, y0, x1, y1 = self.world.bounds()
         if not (x0 <= x_m <= x1 and y0 <= y_m <= y1) or clearance < self.config.body.radius_m:
             raise ValueError(f"({x_m:.2f}, {y_m:.2f}) m is not free floor of this world")
@@ -133,16 +127,7 @@ class SimulatedRobot:
     # --- what tests and judges may know ---------------------------------------------------------------------------
 
     @property
-    def faults(self) -> Faults:
-        return self._faults
-
-    def set_faults(self, faults: Faults) -> None:
-        """Change what is wrong from the next sample and frame on."""
-        self._faults = faults
-
-    @property
     def is_carried(self) -> bool:
-        """Whether somebody holds the robot."""
         return self._body.is_carried
 
     def truth(self) -> tuple[int, MotionState]:
@@ -161,16 +146,12 @@ class SimulatedRobot:
             x, y, _ = self._body.pose
         return plan_route(self.world, kind, seed, self.config.body.radius_m, start=(x, y))
 
-    def random_spot(self, seed: int, room_name: str | None) -> tuple[float, float, float]:
-        """A free position with some room around it and a heading. Raises ConfigError for an unknown room."""
-        return self._space.random_spot(seed, room_name)
-
     def spot_in_another_room(self, seed: int) -> tuple[float, float, float]:
-        """As `random_spot`, of a room that the robot is not in; of the same one where there is no other."""
+        """As `FreeSpace.random_spot`, of a room that the robot is not in; of the same one where there is no other."""
         p = self.truth()[1].p_world
         here = self.world.room_at(float(p[0]), float(p[1]))
         others = [room.name for room in self.world.rooms if room.name != here]
-        return self.random_spot(seed, others[seed % len(others)] if others else None)
+        return self.space.random_spot(seed, others[seed % len(others)] if others else None)
 
     # --- threads --------------------------------------------------------------------------------------------------
 
@@ -201,21 +182,14 @@ class SimulatedRobot:
         measurement = self._imu.measure(state)
         is_moving = bool(np.hypot(*state.v_world[:2]) > 0.02)
         self._drained += TICK_S / BATTERY_LIFE_S * (DRIVING_FACTOR if is_moving else 1.0)
-        if self._faults.imu_dropout > 0 and self._dropout.random() < self._faults.imu_dropout:
+        if self.faults.imu_dropout > 0 and self._dropout.random() < self.faults.imu_dropout:
             return
-        gyro, accel = measurement.gyro_imu, measurement.accel_imu
-        self.imu_mailbox.put(
-            ImuReading(
-                sequence=ticks + self._skipped_ticks,
-                t_robot_ns=t_ns,
-                gyro_imu=(float(gyro[0]), float(gyro[1]), float(gyro[2])),
-                accel_imu=(float(accel[0]), float(accel[1]), float(accel[2])),
-            )
-        )
+        (wx, wy, wz), (ax, ay, az) = measurement.gyro_imu.tolist(), measurement.accel_imu.tolist()
+        self.imu_mailbox.put(ImuReading(ticks + self._skipped_ticks, t_ns, (wx, wy, wz), (ax, ay, az)))
 
     def _take_pictures(self) -> None:
         while not self._stopped.is_set():
-            process = CameraProcess(self._job)
+            process = CameraProcess(*self._job)
             self.camera_pid = process.pid
             try:
                 process.wait_until_ready()
@@ -235,38 +209,22 @@ class SimulatedRobot:
         number = 0
         while not self._stopped.is_set():
             with self._lock:
-                latest = self._history.latest_s
+                latest = self._history.end_s
             newest = int((latest - readout_s - EXPOSURE_MARGIN_S) / period_s) if math.isfinite(latest) else 0
             if newest <= number:
                 self._stopped.wait(0.004)
                 continue
-            self.frames_skipped += newest - number - 1
             number = newest
-            if self._faults.frozen_camera:
+            if self.faults.frozen_camera:
                 continue
             t_s = number * period_s
             with self._lock:
                 states = self._history.between(t_s - EXPOSURE_MARGIN_S, t_s + readout_s + EXPOSURE_MARGIN_S)
-                request = FrameRequest(t_s, states, self._faults, self._history.carried(t_s), self._head.rotation())
+                request = FrameRequest(t_s, states, self.faults, self._history.carried(t_s), self._head.rotation())
                 t_ns = self._ns(t_s)
-            answer = process.take(request)
-            self.frame_mailbox.put(
-                CapturedFrame(
-                    t_robot_ns=t_ns - round(camera.time_shift_s * 1e9),
-                    exposure_ns=round(answer.exposure_s * 1e9),
-                    width=camera.width,
-                    height=camera.height,
-                    jpeg=answer.jpeg,
-                )
-            )
-
-
-def parse_faults(current: Faults, changes: dict[str, object]) -> Faults:
-    """Faults with some values changed. Raises ConfigError for unknown names and wrong types."""
-    changed = config_from_table(current, changes, "faults.")
-    if not isinstance(changed, Faults) or not (0.0 <= changed.imu_dropout <= 1.0 and 0.0 <= changed.light <= 10.0):
-        raise ConfigError("faults.imu_dropout must lie in 0..1 and faults.light in 0..10")
-    return dataclasses.replace(changed)
+            jpeg, exposure_s = process.take(request)
+            t_ns -= round(camera.time_shift_s * 1e9)
+            self.frame_mailbox.put(CapturedFrame(t_ns, round(exposure_s * 1e9), camera.width, camera.height, jpeg))
 
 
 class _Head:
@@ -283,7 +241,4 @@ class _Head:
     def rotation(self) -> FloatArray:
         """R_cam_head (3, 3): axes of the turned camera in those of the straight one."""
         pan, tilt = self._angles
-        cp, sp, ct, st = np.cos(-pan), np.sin(-pan), np.cos(tilt), np.sin(tilt)
-        about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-        about_x = np.array([[1.0, 0.0, 0.0], [0.0, ct, -st], [0.0, st, ct]])
-        return np.asarray(about_y @ about_x)
+        return np.asarray(so3_exp(np.array([0.0, -pan, 0.0])) @ so3_exp(np.array([tilt, 0.0, 0.0])))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -22,6 +22,11 @@ class Model(BaseModel):
     """Base of all: questions with unknown fields are refused, so that a typing error is seen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @classmethod
+    def of(cls, value: object, **others: Any) -> Self:
+        """Made of a value of the station: `others` as they are given, the rest from its fields of the same names."""
+        return cls(**{name: getattr(value, name) for name in cls.model_fields if name not in others}, **others)
 
 
 class Question(Model):

@@ -34,17 +34,9 @@ class ComparisonModel(Model):
 
 def comparison_model(comparison: Comparison) -> ComparisonModel:
     T = comparison.T_first_second
-    return ComparisonModel(
-        id=comparison.id,
-        name=comparison.name,
-        first=comparison.first,
-        second=comparison.second,
+    return ComparisonModel.of(
+        comparison,
         made_unix_s=comparison.made_wall_s,
-        places=comparison.places,
-        locations=comparison.locations,
-        matches=comparison.matches,
-        accepted=comparison.accepted,
-        reasons=list(comparison.reasons),
         T_first_second=None if T is None else [x for row in T for x in row],
         report=f"/comparisons/{comparison.id}/report.html",
     )

@@ -7,7 +7,6 @@ from typing import Literal
 from pydantic import Field
 
 from station.api.schema.base import Model
-from station.workers.jobs import Job
 
 
 class JobModel(Model):
@@ -20,15 +19,3 @@ class JobModel(Model):
     progress: float = Field(description="0..1")
     message: str
     result: dict[str, str | int | float | None] | None
-
-
-def job_model(job: Job) -> JobModel:
-    return JobModel(
-        id=job.id,
-        kind=job.kind,
-        title=job.title,
-        state=job.state,
-        progress=job.progress,
-        message=job.message,
-        result=job.result,
-    )

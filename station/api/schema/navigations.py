@@ -79,31 +79,9 @@ def replay_model(navigation_id: str, navigation: Navigation, limit: int) -> Repl
 
 
 def bin_model(entry: BinEntry) -> BinModel:
-    return BinModel(
-        kind=entry.kind,
-        id=entry.id,
-        name=entry.name,
-        deleted_unix_s=entry.deleted_wall_s,
-        gone_unix_s=entry.gone_wall_s,
-    )
+    return BinModel.of(entry, deleted_unix_s=entry.deleted_wall_s, gone_unix_s=entry.gone_wall_s)
 
 
 def navigation_model(navigation: NavigationRecord) -> NavigationModel:
-    return NavigationModel(
-        id=navigation.id,
-        name=navigation.name,
-        state=navigation.state,
-        message=navigation.message,
-        robot=navigation.robot,
-        started_unix_s=navigation.started_wall_s,
-        duration_s=navigation.duration_s,
-        backend=navigation.backend,
-        frames=navigation.frames,
-        frames_skipped=navigation.frames_skipped,
-        imu_samples=navigation.imu_samples,
-        imu_lost=navigation.imu_lost,
-        slam_failures=navigation.slam_failures,
-        landmarks=navigation.landmarks,
-        scale=navigation.scale,
-        recording=None if navigation.state == "recording" else f"/navigations/{navigation.id}/recording.mcap",
-    )
+    recording = None if navigation.state == "recording" else f"/navigations/{navigation.id}/recording.mcap"
+    return NavigationModel.of(navigation, started_unix_s=navigation.started_wall_s, recording=recording)

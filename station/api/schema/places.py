@@ -9,8 +9,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from station.api.schema.base import Model, Name, Question
 from station.library.active_maps import ActiveMap
-from station.library.place_changes import PlacesChange
-from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
 from station.places.making.names import has_own_name
@@ -240,8 +239,8 @@ def _age_s(robot: RobotSession, t_robot_ns: int) -> float | None:
 
 
 def visit_model(visit: Visit) -> VisitModel:
-    return VisitModel(
-        state=visit.state,
+    return VisitModel.of(
+        visit,
         place=None if visit.place_id is None else PlaceName(id=visit.place_id, name=visit.place_name),
         start_unix_s=visit.start_wall_s,
         end_unix_s=visit.end_wall_s,
@@ -250,36 +249,24 @@ def visit_model(visit: Visit) -> VisitModel:
 
 def place_model(active: ActiveMap, place: Place) -> PlaceModel:
     has_images = place.representative_keyframe >= 0
-    return PlaceModel(
-        id=place.id,
-        name=place.name,
+    return PlaceModel.of(
+        place,
         centroid_map=[float(x) for x in place.centroid_map],
-        radius=place.radius,
         landmarks=len(place.landmark_index),
         images=len(place.keyframe_index),
-        quality=place.quality,
         representative_image=f"/places/{place.id}/images/representative" if has_images else None,
         mean_image=f"/places/{place.id}/images/mean" if has_images else None,
         deviation_image=f"/places/{place.id}/images/deviation" if has_images else None,
         colour=active.numbers.get(place.id, NO_PLACE),
-        hidden=place.hidden,
         named=has_own_name(place.name),
     )
 
 
-def change_model(change: PlacesChange) -> PlacesChangeModel:
-    return PlacesChangeModel(version=change.version, why=change.why, unix_s=change.changed_wall_s)
-
-
-def edge_model(edge: PlaceEdge) -> EdgeModel:
-    return EdgeModel(a=edge.a, b=edge.b, bearing_rad=edge.bearing_rad, distance=edge.distance, kind=edge.kind)
-
-
 def route_model(place_map: PlaceMap, route: Route) -> RouteModel:
-    return RouteModel(
+    return RouteModel.of(
+        route,
         map=place_map.id,
         metric=place_map.navigation.is_metric,
         places=[PlaceName(id=i, name=name) for i, name in zip(route.place_ids, route.names, strict=True)],
-        legs=[edge_model(edge) for edge in route.legs],
-        length=route.length,
+        legs=[EdgeModel.of(edge) for edge in route.legs],
     )

@@ -117,44 +117,23 @@ class DriverModel(Model):
 def robot_model(robot: RobotSession) -> RobotModel:
     state = robot.state
     hello, status = state.hello, state.status
-    able = hello.capabilities if hello else None
     applied = robot.applied
-    return RobotModel(
-        connected=state.connected,
-        reason=state.reason,
-        host=state.host,
-        port=state.port,
+    return RobotModel.of(
+        state,
         robot_id=hello.robot_id if hello else None,
         name=hello.name if hello else None,
-        capabilities=CapabilitiesModel(
-            camera=able.camera,
-            imu=able.imu,
-            drive=able.drive,
-            pan_tilt=able.pan_tilt,
-            battery=able.battery,
-            hijack=able.hijack,
-            max_linear_m_s=able.max_linear_m_s,
-            max_angular_rad_s=able.max_angular_rad_s,
-        )
-        if able
-        else None,
+        capabilities=CapabilitiesModel.of(hello.capabilities) if hello else None,
         calibrated=hello is not None and hello.calibration.camera is not None,
-        connections=state.connections,
         rates=RatesModel(
             frames_hz=round(state.frame_rate_hz, 1),
             imu_hz=round(state.imu_rate_hz, 1),
             bytes_per_s=round(state.received_bytes_per_s),
         ),
-        losses=LossesModel(
-            frames_skipped=state.frames_skipped,
-            imu_gaps=state.imu_gaps,
-            imu_lost=state.imu_lost,
-            imu_lost_in_sensor=status.imu_lost_in_sensor if status else 0,
-        ),
-        clock=ClockModel(
+        losses=LossesModel.of(state, imu_lost_in_sensor=status.imu_lost_in_sensor if status else 0),
+        clock=ClockModel.of(
+            state,
             offset_s=None if state.clock_offset_ns is None else state.clock_offset_ns * 1e-9,
             drift_ppm=state.clock_drift_ppm,
-            rtt_ms=state.rtt_ms,
         ),
         battery=BatteryModel(voltage_v=status.battery_v, fraction=status.battery_fraction)
         if status and status.battery_v is not None
@@ -163,7 +142,7 @@ def robot_model(robot: RobotSession) -> RobotModel:
         cpu_percent=status.cpu_percent if status else None,
         driver=robot.driving.driver,
         robot_driver=status.driver if status else None,
-        applied=AppliedModel(linear=applied.linear, angular=applied.angular) if applied and state.connected else None,
+        applied=AppliedModel.of(applied) if applied and state.connected else None,
         head_must_rest=robot.head_must_rest,
         faults=list(status.faults) if status else [],
     )

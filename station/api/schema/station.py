@@ -7,7 +7,6 @@ from typing import Literal
 from pydantic import Field
 
 from station.api.schema.base import Model
-from station.events import LogLine
 
 
 class LogModel(Model):
@@ -34,7 +33,3 @@ class SessionModel(Model):
     controlled: bool = Field(description="false: everybody who reaches this station is admin")
     name: str
     role: Literal["watch", "drive", "admin"]
-
-
-def log_model(line: LogLine) -> LogModel:
-    return LogModel(number=line.number, unix_s=line.t_wall_s, level=line.level, topic=line.topic, text=line.text)

@@ -82,14 +82,7 @@ def _damages(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
         except Damaged as exc:
             yield Damage(row.map_id, row.number, "", 0, str(exc))
             continue
-        for name, ref in record.files.items():
-            if ref.address in seen:
-                continue
-            seen.add(ref.address)
-            try:
-                contents.blobs.get(ref.address, f"map {row.map_id}, version {row.number}: {name}")
-            except Damaged as exc:
-                yield Damage(row.map_id, row.number, ref.address, ref.size, str(exc))
+        yield from _missing(contents, record, seen)
 
 
 def _lost(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
@@ -102,11 +95,14 @@ def _lost(contents: Contents, rows: list[VersionRow]) -> Iterator[Damage]:
         if one.record is None:
             yield Damage(one.file.map_id, one.file.number, "", 0, one.sentence)
         elif one.file.name in may_count:
-            yield from _missing(contents, one.record)
+            yield from _missing(contents, one.record, set())
 
 
-def _missing(contents: Contents, record: MapRecord) -> Iterator[Damage]:
+def _missing(contents: Contents, record: MapRecord, seen: set[str]) -> Iterator[Damage]:
     for name, ref in record.files.items():
+        if ref.address in seen:
+            continue
+        seen.add(ref.address)
         try:
             contents.blobs.get(ref.address, f"map {record.map_id}, version {record.number}: {name}")
         except Damaged as exc:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, homogeneous
 from station.model.place_map import PlaceMap
 from station.vision.features import DescriptorArray, Features, to_rays
 
@@ -99,6 +99,6 @@ def _borrow_depth(
     mean = (weight * inverse_depth[index]).sum(axis=1) / total
     spread = np.sqrt((weight * (inverse_depth[index] - mean[:, None]) ** 2).sum(axis=1) / total)
     good = (near.sum(axis=1) >= 3) & (spread < DEPTH_AGREEMENT * mean) & (mean > 0)
-    rays = np.column_stack([to_rays(camera, uv), np.ones(len(uv))])
+    rays = homogeneous(to_rays(camera, uv))
     out[good] = (rays[good] / mean[good, None]) @ R.T + t
     return out

@@ -13,6 +13,7 @@ from shared.geometry import FloatArray, IntArray, inverse, median_radius, transf
 from station.places.localisation.keyframe_features import KeyframeFeatures
 from station.vision.camera_pose import CameraPose, solve_pose, solve_pose_from
 from station.vision.features import Features, Float32Array, to_floats
+from station.vision.matching import clearly_nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,10 @@ def find_pose(
     landmark = np.concatenate([k.landmark for k in keyframes])
     descriptors = np.concatenate([k.descriptors for k in keyframes])
     similarity = to_floats(features.descriptors) @ to_floats(descriptors).T
-    query, found = _match(similarity, landmark, c)
+    # The second nearest must be of another landmark, and not the same spot in another keyframe.
+    query, found = clearly_nearest(similarity, c.ratio, owner=landmark)
+    alike = similarity[query, found] > c.min_similarity
+    query, found = query[alike], found[alike]
     if len(query) < 6:
         return None
     tolerance = c.pixel_tolerance / camera.fx
@@ -81,19 +85,6 @@ def find_pose(
         num_matches=len(query),
         extent=median_radius(p_map[found[inlier[first_of_each]]]),
     )
-
-
-def _match(similarity: Float32Array, landmark: IntArray, c: MatchingConfig) -> tuple[IntArray, IntArray]:
-    """Feature i ↔ row j, where j's landmark is clearly nearer than every other one. Arrays (m,), (m,)."""
-    best = np.argmax(similarity, axis=1)
-    rows = np.arange(len(best))
-    first = similarity[rows, best]
-    # The second best must be of another landmark, and not the same spot in another keyframe.
-    rival = np.where(landmark[None, :] == landmark[best][:, None], -1.0, similarity).max(axis=1)
-    distance = np.sqrt(np.maximum(2 - 2 * first, 0))
-    distance_rival = np.sqrt(np.maximum(2 - 2 * rival, 1e-12))
-    good = np.flatnonzero((distance < c.ratio * distance_rival) & (first > c.min_similarity))
-    return good.astype(np.int64), best[good].astype(np.int64)
 
 
 def _match_guided(

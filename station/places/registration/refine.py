@@ -60,9 +60,10 @@ def refine(
 
     Args:
         subset: (m,) which source points to use.
-        reaches: search radius of each iteration, target units.
-        tolerance: stop when an iteration at the last reach moves less than this (target units).
-    Source: point-to-plane as in Chen and Medioni, IVC 10(3), 1992; Cauchy weights on residuals along normals.
+        reaches: search radius of each pass, target units.
+        tolerance: stop when a pass at the last reach moves less than this (target units).
+    Source: point-to-plane as in Chen and Medioni, IVC 10(3), 1992; Geman-McClure weights on residuals
+    along normals.
     """
     target, source = problem.target, problem.source
     T = T_start.copy()

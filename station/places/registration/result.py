@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -43,6 +43,11 @@ class Registration:
     score: float  # what candidates are ranked by: share of points that fit here and not beside it
     alternatives: tuple[Alternative, ...]
 
+    def __str__(self) -> str:
+        """For a person: a reason per line where there are several."""
+        word = "accepted" if self.accepted else "refused"
+        return f"{word}: {self.reasons[0]}" if len(self.reasons) == 1 else "\n  ".join([f"{word}:", *self.reasons])
+
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
@@ -60,6 +65,32 @@ def uncertainty_of(registration: Registration) -> Uncertainty | None:
         return None
     largest = [float(np.linalg.eigvalsh(block)[-1]) for block in (C[:3, :3], C[3:6, 3:6], C[6:, 6:])]
     return Uncertainty(*(float(np.sqrt(max(value, 0.0))) for value in largest))
+
+
+def registration_json(registration: Registration) -> dict[str, Any]:
+    """What `station register` and the results of an experiment say of it."""
+    uncertainty = uncertainty_of(registration)
+    return {
+        "accepted": registration.accepted,
+        "reasons": list(registration.reasons),
+        "T_target_source": _listed(registration.T_target_source),
+        "scale": registration.scale,
+        "rmse": finite(registration.rmse),
+        "inlier_ratio": registration.inlier_ratio,
+        "overlap": registration.overlap,
+        "backend": registration.backend,
+        "uncertainty": None if uncertainty is None else asdict(uncertainty),
+        "covariance": _listed(registration.covariance),
+    }
+
+
+def finite(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _listed(array: FloatArray | None) -> Any:
+    return None if array is None else array.tolist()
 
 
 def refused(reason: str, backend: str) -> Registration:

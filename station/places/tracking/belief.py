@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, inverse, median_radius, se3, so3_exp, so3_log
+from shared.geometry import FloatArray, IntArray, inverse, median_radius, se3, slerp
 from station.model.place_answer import Localization
 from station.places.tracking.config import BeliefConfig
 
@@ -189,7 +189,6 @@ def _in_units(T: FloatArray, unit: float) -> FloatArray:
 
 def _between(T_expected: FloatArray, T_measured: FloatArray, gain_position: float, gain_heading: float) -> FloatArray:
     """Between the expected and the measured pose, by Kalman gains 0..1."""
-    turn = so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])
-    R = T_expected[:3, :3] @ so3_exp(gain_heading * turn)
+    R = slerp(T_expected[:3, :3], T_measured[:3, :3], gain_heading)
     t = T_expected[:3, 3] + gain_position * (T_measured[:3, 3] - T_expected[:3, 3])
     return se3(R, t)

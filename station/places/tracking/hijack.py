@@ -16,7 +16,8 @@ from shared.geometry import FloatArray
 from station.model.frames import DriveSample, ImuBatch
 from station.model.place_answer import HijackEvent
 from station.motion.drive_commands import CommandedRest
-from station.vision.features import Features, to_floats
+from station.vision.features import Features, similarities
+from station.vision.matching import clearly_nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,12 +221,6 @@ class _ViewCue:
 
 def _common(a: Features, b: Features, ratio: float) -> int:
     """Mutual nearest features that are clearly nearer than the second nearest."""
-    table = to_floats(a.descriptors) @ to_floats(b.descriptors).T
-    best = table.argmax(axis=1)
-    rows = np.arange(len(best))
-    mutual = table.argmax(axis=0)[best] == rows
-    first = table[rows, best]
-    table[rows, best] = -1.0
-    second = table.max(axis=1)
-    clear = 2 - 2 * first < ratio**2 * np.maximum(2 - 2 * second, 1e-9)
-    return int(np.count_nonzero(mutual & clear))
+    similarity = similarities(a, b)
+    rows, columns = clearly_nearest(similarity, ratio)
+    return int(np.count_nonzero(similarity[:, columns].argmax(axis=0) == rows))

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, skew, so3_exp, so3_log
 from station.motion import lie
 from station.motion.error_coordinates import ErrorKind, pose_jacobian
 from station.motion.preintegration import Preintegration
@@ -62,7 +62,7 @@ class WindowStates:
         d = dx.reshape(-1, N)
         return replace(
             self,
-            R=lie.so3_exp(d[:, :3]) @ self.R,
+            R=so3_exp(d[:, :3]) @ self.R,
             v=self.v + d[:, 3:6],
             x=self.x + d[:, 6:9],
             bias=self.bias + d[:, 9:],
@@ -237,7 +237,7 @@ def _add_links(
 def _inertial_residuals(states: WindowStates, links: _Links, gravity: float) -> tuple[FloatArray, FloatArray]:
     """Thesis eq. 2.11 (K - 1, 9) and its derivative (K - 1, 9, 30) by both poses of each link."""
     d = states.bias[:-1] - links.bias
-    dR = links.dR @ lie.so3_exp((links.dR_by_bias @ d[:, :3, None])[..., 0])
+    dR = links.dR @ so3_exp((links.dR_by_bias @ d[:, :3, None])[..., 0])
     dv = links.dv + (links.dv_by_bias @ d[..., None])[..., 0]
     dp = links.dp + (links.dp_by_bias @ d[..., None])[..., 0]
     Rit, Rj = np.swapaxes(states.R[:-1], 1, 2), states.R[1:]
@@ -246,18 +246,18 @@ def _inertial_residuals(states: WindowStates, links: _Links, gravity: float) -> 
     w_v = states.v[1:] - states.v[:-1] - fall * T
     w_x = states.x[1:] - states.x[:-1] - states.v[:-1] * T - 0.5 * fall * T * T
     r = np.empty((len(T), 9))
-    r[:, :3] = lie.so3_log(np.swapaxes(dR, 1, 2) @ Rit @ Rj)
+    r[:, :3] = so3_log(np.swapaxes(dR, 1, 2) @ Rit @ Rj)
     r[:, 3:6] = (Rit @ w_v[..., None])[..., 0] - dv
     r[:, 6:] = (Rit @ w_x[..., None])[..., 0] - dp
     J = np.zeros((len(T), 9, 2 * N))
     J[:, :3, :3] = -lie.so3_left_jacobian_inverse(-r[:, :3]) @ np.swapaxes(Rj, 1, 2)
     J[:, :3, N : N + 3] = -J[:, :3, :3]
     J[:, :3, 9:12] = -lie.so3_left_jacobian_inverse(r[:, :3]) @ links.dR_by_bias
-    J[:, 3:6, :3] = Rit @ lie.skew(w_v)
+    J[:, 3:6, :3] = Rit @ skew(w_v)
     J[:, 3:6, 3:6] = -Rit
     J[:, 3:6, N + 3 : N + 6] = Rit
     J[:, 3:6, 9:15] = -links.dv_by_bias
-    J[:, 6:, :3] = Rit @ lie.skew(w_x)
+    J[:, 6:, :3] = Rit @ skew(w_x)
     J[:, 6:, 3:6] = -T[..., None] * Rit
     J[:, 6:, 6:9] = -Rit
     J[:, 6:, N + 6 : N + 9] = Rit
@@ -282,7 +282,7 @@ def _add_prior(H: FloatArray, g: FloatArray, states: WindowStates, prior: Prior)
         g[at] += r / prior.sigma_v
         cost += float(r @ r)
     if prior.R_first is not None:
-        r = lie.so3_log(prior.R_first @ states.R[0].T) / prior.sigma_phi
+        r = so3_log(prior.R_first @ states.R[0].T) / prior.sigma_phi
         at = np.arange(3)
         H[at, at] += 1.0 / prior.sigma_phi**2
         g[at] += r / prior.sigma_phi
@@ -299,7 +299,7 @@ def _add_wheels(H: FloatArray, g: FloatArray, states: WindowStates, v_body: Floa
         known = np.isfinite(sigma[k])
         Rt = states.R[k].T
         r = ((v_body[k] - Rt @ states.v[k]) / sigma[k])[known]
-        J = np.hstack([Rt @ lie.skew(states.v[k]), Rt])[known] / sigma[k][known, None]
+        J = np.hstack([Rt @ skew(states.v[k]), Rt])[known] / sigma[k][known, None]
         size = np.abs(r)
         w = np.minimum(1.0, 2.0 / np.maximum(size, 1e-9))
         at = slice(N * k, N * k + 6)

@@ -8,11 +8,12 @@ import numpy as np
 
 from shared.geometry import FloatArray, so3_log
 from station.slam.mapping.config import MatchConfig
-from station.slam.mapping.matching import Features, match_descriptors
 from station.slam.mapping.odometry import Drift
 from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.tracks import Pairs, Tracks
 from station.vision.camera_pose import pose_by_ransac
+from station.vision.features import Features, similarities
+from station.vision.matching import match_both_ways
 
 MIN_APART = 8  # keyframes nearer in time have been matched already
 MAX_ANGLE_RAD = 0.5  # between viewing directions: beyond it SIFT and a narrow view share nothing
@@ -39,7 +40,7 @@ def find_loops(
         landmark_of[k][f] = m
     out: list[Pairs] = []
     for a, b in candidates(R_cam, centre, config.loops_per_keyframe):
-        pairs = match_descriptors(features[a].descriptors, features[b].descriptors, config.max_ratio)
+        pairs = match_both_ways(similarities(features[a], features[b]), config.max_ratio)
         known = landmark_of[a][pairs[:, 0]] >= 0 if len(pairs) else np.empty(0, dtype=bool)
         pairs = pairs[known]
         if len(pairs) < config.min_loop_inliers:

@@ -17,9 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from shared.geometry import FloatArray, IntArray, transform
-from station.motion import lie
-from station.motion.inertial_track import exp_many
+from shared.geometry import FloatArray, IntArray, skew, so3_exp, so3_log, transform
 from station.slam.mapping.odometry import RelativeMotions
 
 NUM_SHARED = 4  # drive scale, gyroscope bias (3)
@@ -147,7 +145,7 @@ def _odometry_residual(state: BundleState, odometry: RelativeMotions) -> tuple[F
     p_rel = np.einsum("nji,nj->ni", R_a, np.diff(state.p_world_body, axis=0))
     error = np.swapaxes(odometry.R, 1, 2) @ R_rel
     J_bias = np.swapaxes(odometry.R, 1, 2) @ odometry.R_sum
-    turn = lie.so3_log(error) + J_bias @ state.bias_change
+    turn = so3_log(error) + J_bias @ state.bias_change
     slip = p_rel - state.drive_scale * odometry.p
     weighted = np.hstack([turn / odometry.sigma_rotation[:, None], slip / odometry.sigma_position])
     return weighted, R_rel, p_rel
@@ -162,7 +160,7 @@ def _linearise(
     J_body = J_proj @ seen.T_cam_body[:3, :3]
     R_t = np.swapaxes(state.R_world_body[seen.keyframe], 1, 2)
     J_point = J_body @ R_t
-    J_pose = np.concatenate([J_body @ lie.skew(p_body), -J_point], axis=2)
+    J_pose = np.concatenate([J_body @ skew(p_body), -J_point], axis=2)
     weight = np.sqrt(1.0 / (1.0 + (residual**2).sum(axis=1) / cauchy_px**2))
     weight[depth <= 0.02] = 0.0
     r = residual * weight[:, None]
@@ -206,7 +204,7 @@ def _odometry_normal(state: BundleState, odometry: RelativeMotions) -> tuple[csc
     R_a_t = np.swapaxes(state.R_world_body[:-1], 1, 2)
     J[:, :3, 0:3] = -np.swapaxes(R_rel, 1, 2)
     J[:, :3, 6:9] = np.eye(3)
-    J[:, 3:, 0:3] = lie.skew(p_rel)
+    J[:, 3:, 0:3] = skew(p_rel)
     J[:, 3:, 3:6] = -R_a_t
     J[:, 3:, 9:12] = R_a_t
     J[:, 3:, 12] = -odometry.p
@@ -266,7 +264,7 @@ def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
     points = state.points - (V_inv @ back.reshape(-1, 3, 1))[:, :, 0]
     return replace(
         state,
-        R_world_body=state.R_world_body @ exp_many(pose[:, :3]),
+        R_world_body=state.R_world_body @ so3_exp(pose[:, :3]),
         p_world_body=state.p_world_body + pose[:, 3:],
         points=points,
         drive_scale=state.drive_scale + float(x[6 * n]),

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, IntArray, inverse
+from shared.geometry import FloatArray, IntArray, homogeneous, inverse
 from station.model.frames import ImageFrame
 from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
 from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.loops import find_loops
-from station.slam.mapping.matching import Features
 from station.slam.mapping.odometry import Odometry, RelativeMotions
 from station.slam.mapping.odometry_bundle import (
     BundleState,
@@ -31,6 +30,7 @@ from station.slam.mapping.odometry_bundle import (
 )
 from station.slam.mapping.rolling_shutter import turned_back
 from station.slam.mapping.tracks import Pairs, Tracks, build_tracks, longest
+from station.vision.features import Features
 from station.vision.lens import Lens
 from station.vision.triangulation import intersect_rays
 from station.vision.two_view import epipolar_inliers
@@ -81,7 +81,7 @@ def map_with_motions(
     camera: CameraCalibration,
     config: MappingConfig,
 ) -> OdometryMap:
-    """The same for relative motions from anywhere.
+    """Map keyframes whose relative motions are given, whoever measured them.
 
     Args:
         rays: (n, 2) of each keyframe: its features' normalised coordinates as if all rows had been exposed at once, at
@@ -178,7 +178,7 @@ def triangulate_tracks(
     points = np.empty((0, 3))
     for _ in range(3):
         xy = gather(current, rays)
-        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], np.column_stack([xy, np.ones(len(xy))]))
+        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], homogeneous(xy))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
         error = reprojection_errors(replace(state, points=points), observations(current, rays, camera))

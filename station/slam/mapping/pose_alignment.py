@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, IntArray, so3_log
+from shared.geometry import FloatArray, IntArray, so3_log, upright
 from station.model.frames import ImuBatch
 from station.motion.inertial_track import InertialTrack, usable_intervals
 
@@ -47,7 +47,7 @@ def gyro_bias_from_rotations(
         step = track.increments(t_ns)
         seen = np.swapaxes(R_world_body[:-1], 1, 2) @ R_world_body[1:]
         error = np.swapaxes(step.R, 1, 2) @ seen
-        residual = np.array([so3_log(R) for R in error])
+        residual = so3_log(error)
         residual[~usable] = np.nan
         if not usable.any():
             break
@@ -144,7 +144,7 @@ def align_to_imu(
         A_all, b_all = np.vstack([A, extra]), np.concatenate([b, extra_b])
         # Gravity's size is known: two angles are left of its three numbers.
         if g_dir is not None:
-            basis = _tangent(g_dir)
+            basis = upright(g_dir)[:2].T  # two directions square to it
             b_all = b_all - A_all[:, gravity_at:] @ (gravity * g_dir)
             A_all = np.column_stack([A_all[:, :gravity_at], A_all[:, gravity_at:] @ basis])
         normal = A_all.T @ A_all + 1e-12 * np.eye(A_all.shape[1])
@@ -188,14 +188,6 @@ def _bias_prior(n: int, bias_at: int) -> tuple[FloatArray, FloatArray]:
     A = np.zeros((3, 3 * n + 7))
     A[:, bias_at : bias_at + 3] = np.eye(3) / ACCEL_BIAS_SIGMA
     return A, np.zeros(3)
-
-
-def _tangent(direction: FloatArray) -> FloatArray:
-    """Two unit vectors (3, 2) square to a direction."""
-    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    first = np.cross(direction, helper)
-    first /= np.linalg.norm(first)
-    return np.column_stack([first, np.cross(direction, first)])
 
 
 def gravity_from_accelerometer(track: InertialTrack, t_ns: IntArray, R_world_body: FloatArray) -> FloatArray | None:

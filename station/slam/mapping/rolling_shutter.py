@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray
-from station.motion import lie
+from shared.geometry import FloatArray, homogeneous, so3_exp
 
 
 def observation_pose(
@@ -21,7 +20,7 @@ def observation_pose(
         v: (..., 3) m/s, world; omega: (..., 3) rad/s, body.
         delay_s: (...) from the image's time to the row's.
     """
-    turned = R @ lie.so3_exp(omega * delay_s[..., None])
+    turned = R @ so3_exp(omega * delay_s[..., None])
     return turned, x + v * delay_s[..., None]
 
 
@@ -31,6 +30,6 @@ def turned_back(xy: FloatArray, delay_s: FloatArray, omega_cam: FloatArray) -> F
     Args:
         omega_cam: (3,) rad/s in the camera frame. What the camera moves meanwhile (a few mm) is left out.
     """
-    turn = lie.so3_exp(delay_s[:, None] * omega_cam)
-    rays = np.einsum("nij,nj->ni", turn, np.column_stack([xy, np.ones(len(xy))]))
+    turn = so3_exp(delay_s[:, None] * omega_cam)
+    rays = np.einsum("nij,nj->ni", turn, homogeneous(xy))
     return np.asarray(rays[:, :2] / rays[:, 2:])

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray
-from station.motion import lie
+from shared.geometry import FloatArray, homogeneous, skew, so3_exp
 from station.motion.preintegration import Preintegration
 from station.slam.mapping.inertial_bundle import (
     WindowTracks,
@@ -24,7 +23,7 @@ def gyro_bias_from_tracks(links: list[Preintegration], tracks: WindowTracks, R_b
 
     Gauss-Newton on t . n over the bias and one direction t per pair; the directions are projected out.
     """
-    rays = np.concatenate([tracks.xy, np.ones((*tracks.xy.shape[:2], 1))], axis=2)
+    rays = homogeneous(tracks.xy)
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     rays = rays @ R_body_cam.T  # body frame
     K = tracks.seen.shape[1]
@@ -54,12 +53,12 @@ def _coplanarity(
     """Residuals t . (a x R b) (n,) at the best direction t; their derivative (n, 3) by the bias, t's part taken out."""
     R, by_bias = np.eye(3), np.zeros((3, 3))
     for link in links:
-        part = link.dR @ lie.so3_exp(link.dR_by_bias @ (bias - link.bias[:3]))
+        part = link.dR @ so3_exp(link.dR_by_bias @ (bias - link.bias[:3]))
         R, by_bias = R @ part, part.T @ by_bias + link.dR_by_bias
     normals = np.cross(a, b @ R.T)
     _, basis = np.linalg.eigh(normals.T @ normals)
     t = basis[:, 0]
-    J = np.cross(t, a)[:, None, :] @ (-R @ lie.skew(b) @ by_bias)  # t . (a x dRb) = (t x a) . dRb
+    J = np.cross(t, a)[:, None, :] @ (-R @ skew(b) @ by_bias)  # t . (a x dRb) = (t x a) . dRb
     J = J[:, 0]
     Q = np.linalg.qr(normals @ basis[:, 1:])[0]
     return normals @ t, J - Q @ (Q.T @ J)
@@ -74,7 +73,7 @@ def solve_velocity_and_gravity(
     (v0, g) follow from linear least squares under |g| = gravity.
     """
     F, K = tracks.seen.shape
-    rays = np.concatenate([tracks.xy, np.ones((F, K, 1))], axis=2)
+    rays = homogeneous(tracks.xy)
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     rays = np.einsum("kij,fkj->fki", R @ camera.R_body_cam, rays)
     P = (np.eye(3) - rays[..., :, None] * rays[..., None, :]) * tracks.seen[..., None, None]

@@ -21,7 +21,6 @@ from station.model.slam_update import SlamUpdate
 from station.motion.inertial_track import concatenate_imu
 from station.slam.backend import check_size
 from station.slam.mapping.assemble import Reconstructed
-from station.slam.mapping.matching import Shortlist, match_descriptors
 from station.slam.mapping.odometry import dead_reckon
 from station.slam.mapping.odometry_mapping import map_with_odometry, read_odometry_map
 from station.slam.mapping.tracks import Pairs
@@ -37,8 +36,11 @@ from station.slam.sfm.colmap import (
 )
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.keyframes import KeyframeSelector
+from station.slam.sfm.shortlist import Shortlist
 from station.slam.sfm.world import place_in_world
+from station.vision.features import similarities
 from station.vision.lens import Lens
+from station.vision.matching import match_both_ways
 
 logger = logging.getLogger(__name__)
 MIN_KEYFRAMES = 3
@@ -115,9 +117,11 @@ class SfmBackend:
         self._frames.append(replace(frame, encoded=b""))
         self._encoded.append(frame.encoded)
         put = self._spill.put
-        self._features.append(PinholeFeatures(put(features.uv_px), put(features.sift), put(features.uv_ideal_px)))
+        self._features.append(
+            PinholeFeatures(put(features.uv_px), put(features.descriptors), put(features.uv_ideal_px))
+        )
         for a in older:
-            pairs = match_descriptors(self._features[a].descriptors, features.descriptors, config.max_ratio)
+            pairs = match_both_ways(similarities(self._features[a], features), config.max_ratio)
             self._pairs.append((a, b, put(pairs)))
             if self._calibration.imu is None:  # no odometry can come any more: do the work now
                 self._verify_pairs()
@@ -138,7 +142,7 @@ class SfmBackend:
         return self._encoded
 
     def keyframe_features(self, number: int) -> None:
-        """Its own are other ones."""
+        """None: the features it matches are not those that localisation uses."""
 
     def finish(self) -> Navigation:
         """Reconstruct. Raises EstimationError, with the reason, when nothing could be reconstructed."""

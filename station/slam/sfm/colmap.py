@@ -21,8 +21,8 @@ from shared.geometry import FloatArray, IntArray, inverse
 from station.model.frames import ImageArray, ImageFrame
 from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
 from station.slam.mapping.config import MatchConfig
-from station.slam.mapping.matching import Features
 from station.slam.sfm.config import FeatureConfig, SfmConfig
+from station.vision.features import Features
 from station.vision.lens import Lens
 
 # Importing pycolmap installs handlers that print a stack trace on SIGTERM, the signal every orderly stop uses: the

@@ -14,11 +14,10 @@ from threadpoolctl import ThreadpoolController
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, so3_exp
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
-from station.motion import lie
 from station.motion.drive_commands import WheelSpeed, commands_motion
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
@@ -324,7 +323,7 @@ class UkfBackend:
         elif self._coasting.bias_gyro is not None:
             bias = self._coasting.bias_gyro
         R = np.eye(3)
-        for turn in lie.so3_exp((segment.gyro - bias) * segment.dt_s[:, None]):
+        for turn in so3_exp((segment.gyro - bias) * segment.dt_s[:, None]):
             R = R @ turn
         return self._camera.R_body_cam.T @ R @ self._camera.R_body_cam
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from shared.errors import DataError
 from station.maps.store import MapStore
 from tests.support.crashing.maps import MAP, variant
+from tests.support.store import content_hash, rename_place
 
 OTHER = "map-other"
 
@@ -22,10 +23,10 @@ def make_store(folder: Path) -> dict[str, set[str]]:
     for map_id in list(hashes):
         for number in (0, 1):
             store.save(replace(variant(number), id=map_id))
-            hashes[map_id].add(store.content_hash(map_id))
-        store.rename_place(map_id, MAP.places[0].id, "Sofa")
-        hashes[map_id].add(store.content_hash(map_id))
-        hashes[f"{map_id} now"] = {store.content_hash(map_id)}
+            hashes[map_id].add(content_hash(store, map_id))
+        rename_place(store, map_id, MAP.places[0].id, "Sofa")
+        hashes[map_id].add(content_hash(store, map_id))
+        hashes[f"{map_id} now"] = {content_hash(store, map_id)}
     return hashes
 
 
@@ -46,7 +47,7 @@ def flip_once(original: Path, hashes: dict[str, set[str]], scratch: Path, seed: 
     try:
         store = MapStore(scratch, told.append)
         listed = {summary.id for summary in store.list()}
-        now = {map_id: store.content_hash(map_id) for map_id in (MAP.id, OTHER)}
+        now = {map_id: content_hash(store, map_id) for map_id in (MAP.id, OTHER)}
         maps = {map_id: store.load(map_id) for map_id in (MAP.id, OTHER)}
     except DataError as exc:
         raise AssertionError(f"{where}: nothing opens: {exc}") from exc

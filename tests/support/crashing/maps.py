@@ -26,6 +26,7 @@ from station.places.making.build import build_map
 from station.places.making.changes import with_places_merged
 from station.workers.library_jobs import LibraryJobs
 from tests.support.crashing.child import Child, Scenario
+from tests.support.store import rename_place
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
 DATABASE = "database-url"  # a file with the URL of a PostgreSQL database; absent: SQLite in the folder
@@ -111,7 +112,7 @@ def write_again(folder: Path) -> None:
     if not store.list():
         store.save(variant(0))
     place_map = store.load(store.list()[0].id)
-    renamed = store.rename_place(place_map.id, place_map.places[0].id, "named again")
+    renamed = rename_place(store, place_map.id, place_map.places[0].id, "named again")
     assert renamed.places[0].name == "named again" and not store.is_copy
     again = opened(folder)
     assert again.load(place_map.id).places[0].name == "named again"
@@ -153,7 +154,7 @@ def rename_on(folder: Path, child: Child) -> None:
     store = MapStore(address(folder))
     for number in range(1, 10_000):
         place = MAP.places[number % 2]
-        rename = functools.partial(store.rename_place, MAP.id, place.id, f"name {number}")
+        rename = functools.partial(rename_place, store, MAP.id, place.id, f"name {number}")
         child.do(rename)
         child.promise(number)
 
@@ -217,7 +218,7 @@ def station_on(folder: Path, child: Child, number: int) -> None:
     store = MapStore(address(folder, author))
     for count in range(10_000):
         name = f"{author} {count}"
-        child.do(functools.partial(store.rename_place, MAP.id, MAP.places[number].id, name))
+        child.do(functools.partial(rename_place, store, MAP.id, MAP.places[number].id, name))
         child.promise(name)
 
 
@@ -244,7 +245,7 @@ def prepare_navigations(folder: Path) -> None:
         save_navigation(made_up_navigation(number), folder / name)
     store = MapStore(address(folder))
     store.save(MAP)
-    store.rename_place(MAP.id, MAP.places[0].id, NAMED)
+    rename_place(store, MAP.id, MAP.places[0].id, NAMED)
 
 
 def build_on(kinds: tuple[tuple[int, ...], ...]) -> Callable[[Path, Child], None]:
@@ -329,7 +330,7 @@ def prepare_old(folder: Path) -> None:
         upgrade(connection, "0001")
     newer = MapStore(folder / "newer")
     newer.save(replace(variant(1), id="map-a"))
-    newer.rename_place("map-a", MAP.places[0].id, NAMED)
+    rename_place(newer, "map-a", MAP.places[0].id, NAMED)
     for part in ("blobs", "records"):
         shutil.copytree(folder / "newer" / part, folder / "maps" / part)
     with newer.reading() as connection:

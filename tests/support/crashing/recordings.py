@@ -17,6 +17,7 @@ from station.library.navigation_records import NavigationLibrary, NavigationReco
 from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
 from tests.support.crashing.child import Child, Scenario
+from tests.support.datasets import frames_of, imu_of
 
 MAX_LOST_S = 5.0
 IMU_HZ, FPS = 225, 20
@@ -168,8 +169,8 @@ def lost_s(path: Path, navigation: int, last_ns: int) -> float:
     """Seconds of a recording that were taken and are not in its file. AssertionError for wrong or missing parts."""
     try:
         data = open_dataset(path)
-        frames = [frame.encoded for frame in data.frames()]
-        imu = data.require_imu().t_robot_ns.tolist()
+        frames = [frame.encoded for frame in frames_of(data)]
+        imu = imu_of(data).t_robot_ns.tolist()
         last_read_ns = int(data.frame_times_ns[-1])
     except (DataError, IndexError):  # killed before the first second was written
         return (last_ns + 1e9 / FPS) * 1e-9

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot.devices.recorded.recording import read_bare_camera
+from shared.sensor_yaml import read_bare_camera
 from tests.support.paths import ROOT
 
 EXAMPLE = ROOT / "examples" / "calibrate_camera.py"

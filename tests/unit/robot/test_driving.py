@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from robot.commands import CommandDesk
+from robot.commands import CommandDesk, CommandOrder
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
-from robot.driving import CommandOrder
 from robot.watchdog import MotorWatchdog
 from shared.calibration import REFERENCE_ROBOT
 from shared.messages import Drive, Heartbeat, Stop

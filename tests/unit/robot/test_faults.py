@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from robot.config import PiConfig
 from robot.devices.pi import camera as camera_module
-from robot.devices.pi.camera import CameraSettings, PiCamera
+from robot.devices.pi.camera import PiCamera
 from robot.sensors import Faults
 from shared.errors import DeviceLost
 from tests.support import pi_stubs
@@ -49,7 +50,7 @@ async def captures_until_failure(camera: PiCamera) -> None:
 @pytest.mark.usefixtures("_stubs")
 async def test_a_camera_that_hung_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_module, "SILENCE_S", 0.1)
-    camera = PiCamera(CameraSettings())
+    camera = PiCamera(PiConfig())
     try:
         pi_stubs.StubPicamera2.hangs = True
         with pytest.raises(DeviceLost):
@@ -64,7 +65,7 @@ async def test_a_camera_that_hung_is_opened_again(monkeypatch: pytest.MonkeyPatc
 async def test_a_camera_whose_software_never_returns_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its thread hangs in the call, whatever the call's time-out: the robot says so, and ends when it is told to."""
     monkeypatch.setattr(camera_module, "SILENCE_S", 0.1)
-    camera = PiCamera(CameraSettings())
+    camera = PiCamera(PiConfig())
     pi_stubs.StubPicamera2.stuck.clear()
     try:
         with pytest.raises(DeviceLost, match="no frame"):
@@ -79,7 +80,7 @@ async def test_a_camera_that_failed_and_cannot_be_opened_anew_is_asked_until_it_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(camera_module, "SILENCE_S", 0.1)
-    camera = PiCamera(CameraSettings())
+    camera = PiCamera(PiConfig())
     pi_stubs.StubPicamera2.broken = True
     with pytest.raises(DeviceLost):
         await captures_until_failure(camera)

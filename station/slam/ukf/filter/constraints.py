@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, orthonormal
-from station.motion import lie
+from shared.geometry import FloatArray, homogeneous, orthonormal, skew, so3_log
 from station.motion.drive_commands import SPEED_EFFICIENCY
 from station.motion.error_coordinates import ErrorKind
 from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
@@ -29,9 +28,9 @@ class BodyVelocity:
         if kind is ErrorKind.RIGHT:
             by_state = state.R.T @ state.S[XI_V]
         elif kind is ErrorKind.LEFT:
-            by_state = state.S[XI_V] + lie.skew(v_now) @ state.S[PHI]
+            by_state = state.S[XI_V] + skew(v_now) @ state.S[PHI]
         else:
-            by_state = state.R.T @ (state.S[XI_V] + lie.skew(state.v) @ state.S[PHI])
+            by_state = state.R.T @ (state.S[XI_V] + skew(state.v) @ state.S[PHI])
         known = np.isfinite(self.sigma)
         r = (self.v_body - v_now)[known] / self.sigma[known]
         A = by_state[known] / self.sigma[known, None]
@@ -60,7 +59,7 @@ class SamePlace:
         phi, x = state.S[PHI], state.S[XI_X]
         R_then, x_then = state.clone_R[i], state.clone_x[i]
         turned = R_then.T @ state.R
-        r_phi = lie.so3_log(self.R_clone_now @ turned.T)
+        r_phi = so3_log(self.R_clone_now @ turned.T)
         if kind is ErrorKind.LEFT:
             by_phi = turned @ phi - phi_clone
             by_x = state.R @ x - R_then @ x_clone
@@ -68,7 +67,7 @@ class SamePlace:
             by_phi = R_then.T @ (phi - phi_clone)
             by_x = x - x_clone
             if kind is ErrorKind.RIGHT:  # x = exp(phi) x_mean + xi_x
-                by_x = by_x - lie.skew(state.x) @ phi + lie.skew(x_then) @ phi_clone
+                by_x = by_x - skew(state.x) @ phi + skew(x_then) @ phi_clone
         r = np.concatenate([r_phi / self.sigma_phi, (x_then - state.x) / self.sigma_x])
         return Measurements(r, np.vstack([by_phi / self.sigma_phi, by_x / self.sigma_x]))
 
@@ -80,8 +79,8 @@ def turn_between(xy_then: FloatArray, xy_now: FloatArray, R_body_cam: FloatArray
     """
     if len(xy_then) < 8:
         return None
-    then = np.column_stack([xy_then, np.ones(len(xy_then))])
-    now = np.column_stack([xy_now, np.ones(len(xy_now))])
+    then = homogeneous(xy_then)
+    now = homogeneous(xy_now)
     then /= np.linalg.norm(then, axis=1, keepdims=True)
     now /= np.linalg.norm(now, axis=1, keepdims=True)
     keep = np.ones(len(then), dtype=bool)

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray
-from station.motion import lie
+from shared.geometry import FloatArray, IntArray, skew
 from station.motion.error_coordinates import ErrorKind
 from station.slam.mapping.rolling_shutter import observation_pose
 from station.slam.ukf.filter.measurement import linearise, regress
@@ -112,7 +111,7 @@ def add_landmarks(kind: ErrorKind, state: FilterState, ids: IntArray, p: FloatAr
         S[at : at + 3, :k] = by_state[i]
         S[at : at + 3, k + 3 * i : k + 3 * i + 3] = T_inverse[i]
         if kind is ErrorKind.RIGHT:  # xi_p = dp - phi x p
-            S[at : at + 3, :k] += lie.skew(p[i]) @ state.S[PHI]
+            S[at : at + 3, :k] += skew(p[i]) @ state.S[PHI]
         elif kind is ErrorKind.LEFT:
             S[at : at + 3] = state.R.T @ S[at : at + 3]
     return replace(

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray
-from station.motion import lie
+from shared.geometry import FloatArray, skew
 from station.motion.error_coordinates import ErrorKind, pose_jacobian, retract_group
 from station.vision.camera_model import CameraModel, project_points
 from station.vision.lens import BoolArray
@@ -35,7 +34,7 @@ def point_coordinates(kind: ErrorKind, R: FloatArray, p: FloatArray) -> tuple[Fl
     """
     identity = np.broadcast_to(np.eye(3), (*p.shape, 3))
     if kind is ErrorKind.RIGHT:
-        return -lie.skew(p), identity
+        return -skew(p), identity
     if kind is ErrorKind.LEFT:
         return np.zeros_like(identity), np.broadcast_to(R, identity.shape)
     return np.zeros_like(identity), identity

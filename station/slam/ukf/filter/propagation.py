@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, skew
 from station.motion import lie
 from station.motion.error_coordinates import ErrorKind, difference_group, retract_group
 from station.motion.preintegration import ImuSegment, integrate
@@ -106,7 +106,7 @@ def propagate(state: FilterState, imu: ImuSegment, noise: ImuNoise, config: Prop
 
 def _landmark_rows(p: FloatArray, phi_columns: FloatArray) -> FloatArray:
     """Right-invariant landmark errors (3p, c) that keep landmarks still while the rotation error moves by (3, c)."""
-    return (lie.skew(p) @ phi_columns).reshape(3 * len(p), phi_columns.shape[1])
+    return (skew(p) @ phi_columns).reshape(3 * len(p), phi_columns.shape[1])
 
 
 def _linear_maps(
@@ -125,8 +125,8 @@ def _linear_maps(
     Jr_R = Rs[:-1] @ lie.so3_left_jacobian(imu.gyro * dt[:, None])  # body rate to world angle over the step
     B = np.zeros((N, 9, 6))
     B[:, :3, :3] = Jr_R
-    B[:, 3:6, :3] = lie.skew(vs[1:]) @ Jr_R
-    B[:, 6:, :3] = lie.skew(xs[1:]) @ Jr_R
+    B[:, 3:6, :3] = skew(vs[1:]) @ Jr_R
+    B[:, 6:, :3] = skew(xs[1:]) @ Jr_R
     B[:, 3:6, 3:] = Rs[:-1]
     B[:, 6:, 3:] = Rs[:-1] * (0.5 * dt)[:, None, None]
     B = _transition(left_s, gravity) @ B
@@ -140,7 +140,7 @@ def _linear_maps(
 
 def _transition(t_s: FloatArray, gravity: float) -> FloatArray:
     """F (N, 9, 9) of the right-invariant error over times t_s (N,): phi stays, gravity couples it into v and x."""
-    g = lie.skew(np.array([0.0, 0.0, -gravity]))
+    g = skew(np.array([0.0, 0.0, -gravity]))
     F = np.broadcast_to(np.eye(9), (len(t_s), 9, 9)).copy()
     t = t_s[:, None, None]
     F[:, 3:6, :3] = t * g
@@ -155,7 +155,7 @@ def _from_right(kind: ErrorKind, columns: FloatArray, R: FloatArray, X: FloatArr
         return
     phi = columns[PHI].copy()
     for i, rows in enumerate([XI_V, XI_X, *(slice(r, r + 3) for r in range(rows_p, len(columns), 3))]):
-        still = columns[rows] - lie.skew(X[i]) @ phi  # = displacement of the point itself
+        still = columns[rows] - skew(X[i]) @ phi  # = displacement of the point itself
         columns[rows] = R.T @ still if kind is ErrorKind.LEFT else still
     if kind is ErrorKind.LEFT:
         columns[PHI] = R.T @ phi

@@ -48,6 +48,7 @@ def stack(parts: list[Measurements]) -> Measurements:
 
 
 def update(state: FilterState, kind: ErrorKind, measurements: Measurements) -> FilterState:
+    """The Kalman update, with the covariance as its square root."""
     r, A = measurements.r, measurements.A
     if len(r) == 0:
         return state

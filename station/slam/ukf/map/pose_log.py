@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, inverse
-from station.motion import lie
+from shared.geometry import FloatArray, IntArray, inverse, slerp
 
 ROWS = 4096  # by which the table grows: three minutes
 
@@ -84,9 +83,8 @@ def follow_poses(T: FloatArray, t_ns: IntArray, T_old: FloatArray, T_new: FloatA
         return np.asarray(correction[0] @ T)
     right = np.clip(np.searchsorted(t_key_ns, t_ns), 1, len(t_key_ns) - 1)
     left = right - 1
-    w = np.clip((t_ns - t_key_ns[left]) / (t_key_ns[right] - t_key_ns[left]), 0.0, 1.0)[:, None]
+    w = np.clip((t_ns - t_key_ns[left]) / (t_key_ns[right] - t_key_ns[left]), 0.0, 1.0)
     a, b = correction[left] @ T, correction[right] @ T
-    between = lie.so3_log(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3])
-    a[:, :3, :3] = a[:, :3, :3] @ lie.so3_exp(w * between)
-    a[:, :3, 3] = (1.0 - w) * a[:, :3, 3] + w * b[:, :3, 3]
+    a[:, :3, :3] = slerp(a[:, :3, :3], b[:, :3, :3], w)
+    a[:, :3, 3] = (1.0 - w)[:, None] * a[:, :3, 3] + w[:, None] * b[:, :3, 3]
     return np.asarray(a)

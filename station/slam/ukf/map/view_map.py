@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.calibration import CameraCalibration, ImuNoise
-from shared.geometry import FloatArray, inverse, se3, transform, upright
+from shared.geometry import FloatArray, inverse, se3, so3_log, transform, upright
 from station.model.navigation import Keyframes, Landmarks, join_maps
-from station.motion import lie
 from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import map_with_motions, read_odometry_map
@@ -89,7 +88,7 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
     step = np.array([inverse(a) @ b for a, b in itertools.pairwise(T)])
     dt = np.diff([v.keyframe.image.t_robot_ns for v in items]) * 1e-9
     length = np.linalg.norm(step[:, :3, 3], axis=1)
-    turn = np.linalg.norm(np.array([lie.so3_log(R) for R in step[:, :3, :3]]), axis=1)
+    turn = np.linalg.norm(so3_log(step[:, :3, :3]), axis=1)
     sigma_position = np.sqrt(SIGMA_FLOOR_M**2 + (SIGMA_SHARE * length) ** 2 + (SIGMA_PER_RADIAN_M * turn) ** 2)
     sigma_rotation = np.sqrt(
         noise.gyro_density**2 * dt + (SIGMA_BIAS_RAD_S * dt) ** 2 + (SIGMA_TURN_SHARE * turn) ** 2 + SIGMA_FLOOR_RAD**2

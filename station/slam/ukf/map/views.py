@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.matching import Features, match_descriptors
 from station.slam.mapping.tracks import Pairs
 from station.slam.ukf.map.keyframes import Keyframe
-from station.vision import features as local
+from station.vision.features import DetailExtractor, Features, similarities
 from station.vision.lens import Lens
+from station.vision.matching import match_both_ways
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class View:
     segment: int
     keyframe: Keyframe
     features: Features
-    seen: local.Features  # what localisation sees in it
+    seen: Features  # what localisation sees in it
 
 
 class MapViews:
@@ -48,7 +48,7 @@ class MapViews:
     def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
         self._lens, self._config = lens, config
         self.mapping = MappingConfig(seed=seed)
-        self._extractor = local.DetailExtractor()
+        self._extractor = DetailExtractor()
         self._spacing = 1.0
         self._chosen: deque[Keyframe] = deque()  # that wait to be described
         self._newest: Keyframe | None = None
@@ -71,15 +71,12 @@ class MapViews:
             return False
         keyframe = self._chosen.popleft()
         found = self._extractor.extract(keyframe.image.grey())
-        features = Features(found.uv_px, found.descriptors)
-        descriptors = features.descriptors
         b = len(self._items)
-        self._items.append(View(keyframe.image.index, keyframe.segment, keyframe, features, found.features))
+        self._items.append(View(keyframe.image.index, keyframe.segment, keyframe, found.features, found.seen))
         for a in range(max(0, b - self._config.num_previous), b):
             if self._items[a].segment == keyframe.segment:
-                before = self._items[a].features.descriptors
-                pairs = match_descriptors(before, descriptors, self.mapping.matching.max_ratio)
-                self._pairs.append((a, b, pairs))
+                similarity = similarities(self._items[a].features, found.features)
+                self._pairs.append((a, b, match_both_ways(similarity, self.mapping.matching.max_ratio)))
         return True
 
     def describe_all(self) -> tuple[list[View], list[Pairs]]:
@@ -92,7 +89,7 @@ class MapViews:
         """Of the views described so far, as they were encoded."""
         return [view.keyframe.image.encoded for view in self._items]
 
-    def seen(self, number: int) -> local.Features:
+    def seen(self, number: int) -> Features:
         """What pictures()[number] shows."""
         return self._items[number].seen
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, IntArray, upright
-from station.motion import lie
+from shared.geometry import FloatArray, IntArray, so3_log, upright
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import Preintegration, compose, preintegrate
 from station.slam.mapping.inertial_bundle import (
@@ -151,7 +150,7 @@ def _upright(
     up = upright(-g0, np.eye(3))
     v = v0 + t[:, None] * g0 + dv
     x = v0 * t[:, None] + 0.5 * (t * t)[:, None] * g0 + dp
-    omega = np.array([lie.so3_log(link.dR) / link.duration_s for link in links])
+    omega = np.array([so3_log(link.dR) / link.duration_s for link in links])
     return WindowStates(
         R=up @ R,
         v=v @ up.T,

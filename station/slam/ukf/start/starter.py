@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, IntArray, upright, yaw_rotation
+from shared.geometry import FloatArray, IntArray, skew, upright, yaw_rotation
 from station.model.frames import ImuBatch
-from station.motion import lie
 from station.motion.error_coordinates import ErrorKind
 from station.motion.imu_buffer import ImuBuffer
 from station.slam.mapping.inertial_bundle import N
@@ -192,13 +191,13 @@ def state_at_rest(
     # What the accelerometer reads is known: a tilt must come with the bias that hides it.
     # accel = R^T g + b: d(R^T g) = R^T [g]x phi for R = exp(phi) R_mean, so b moves by minus that.
     g = np.array([0.0, 0.0, gravity])
-    S[3:6, PHI] = -(R.T @ lie.skew(g)) @ sigma_phi
+    S[3:6, PHI] = -(R.T @ skew(g)) @ sigma_phi
     S[3:6, 3:6] = np.eye(3) * max(3.0 * noise.accel_density, 0.02)
     S[0:3, 0:3] = np.eye(3) * sigma_gyro
     S[XI_V, XI_V] = np.eye(3) * SIGMA_V_REST
     S[XI_X, XI_X] = np.eye(3) * SIGMA_FRAME
     if kind is ErrorKind.RIGHT:  # xi_x = dx - phi x x
-        S[XI_X, PHI] = lie.skew(anchor.x_world) @ sigma_phi
+        S[XI_X, PHI] = skew(anchor.x_world) @ sigma_phi
     elif kind is ErrorKind.LEFT:
         S[PHI] = R.T @ S[PHI]
         S[XI_V], S[XI_X] = R.T @ S[XI_V], R.T @ S[XI_X]
@@ -216,8 +215,8 @@ def state_from_given(given: GivenState, kind: ErrorKind) -> FilterState:
     S[XI_V, XI_V] = np.eye(3) * given.sigma_v
     S[XI_X, XI_X] = np.eye(3) * SIGMA_FRAME
     if kind is ErrorKind.RIGHT:
-        S[XI_V, PHI] = lie.skew(given.v_world) @ phi
-        S[XI_X, PHI] = lie.skew(given.x_world) @ phi
+        S[XI_V, PHI] = skew(given.v_world) @ phi
+        S[XI_X, PHI] = skew(given.x_world) @ phi
     elif kind is ErrorKind.LEFT:
         S[PHI], S[XI_V], S[XI_X] = R.T @ S[PHI], R.T @ S[XI_V], R.T @ S[XI_X]
     return initial_state(
@@ -278,7 +277,7 @@ def _error_map(
         rows = slice(at + 3 + 3 * i, at + 6 + 3 * i)
         T[rows, rows] = turn
         if kind is ErrorKind.RIGHT:
-            T[rows, phi] = lie.skew(vector) @ turn
+            T[rows, phi] = skew(vector) @ turn
         elif kind is ErrorKind.LEFT:
             T[rows, rows] = R.T @ turn
     if kind is ErrorKind.LEFT:

@@ -128,7 +128,7 @@ export interface DriveOrder {
   ttl_ms: number;
 }
 
-/** It did not, and why. */
+/** The command was refused, and why. */
 export interface DriveRefused {
   type: "refused";
   /** the kind of problem, as in problem documents */

@@ -89,8 +89,8 @@ export class LastingSocket {
   }
 
   /**
-   * Silence may be a station or a network that is slow just now: then another connection gets no word either. When it
-   * does while this one stays silent, neither end was told that the old ones are dead.
+   * Silence may be a station or a network that is slow just now: then a second socket stays silent, too. When that one
+   * hears something while this one does not, this one is dead and neither end was told.
    */
   private tryAnother(): void {
     const probe = new WebSocket(socketUrl(this.path));

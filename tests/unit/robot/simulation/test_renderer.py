@@ -1,12 +1,13 @@
 """The picture shows things where the calibration says they are."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from robot.simulation.renderer import NO_SURFACE, Renderer, look_at_pose, project_points, undistort
+from robot.simulation.renderer import NO_SURFACE, Renderer, undistort
 from robot.simulation.worlds import make_world
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
 from shared.geometry import FloatArray, inverse, transform
@@ -31,6 +32,28 @@ EUROC = CameraCalibration(
     distortion=(-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05),
 )
 CAMERAS = {"reference": REFERENCE_CAMERA, "euroc": EUROC, "fisheye": FISHEYE}
+
+
+def project_points(camera: CameraCalibration, p_cam: FloatArray) -> FloatArray:
+    """Pixels (N, 2) of points (N, 3) m in camera coordinates, all in front of the camera."""
+    zero = np.zeros(3)
+    coefficients = np.array(camera.distortion)
+    if camera.model == "equidistant":
+        uv, _ = cv2.fisheye.projectPoints(p_cam[:, None, :], zero, zero, camera.K, coefficients)
+    else:
+        uv, _ = cv2.projectPoints(p_cam[:, None, :], zero, zero, camera.K, coefficients)
+    return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
+
+
+def look_at_pose(camera_position: Sequence[float], yaw_rad: float, pitch_rad: float = 0.0) -> FloatArray:
+    """T_world_cam (4, 4) of a level camera that looks along yaw, tilted up by pitch."""
+    c, s, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
+    forward = np.array([c * cp, s * cp, sp])
+    right = np.array([s, -c, 0.0])
+    T = np.eye(4)
+    T[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+    T[:3, 3] = camera_position
+    return T
 
 
 def checker_corners_on_wall() -> FloatArray:

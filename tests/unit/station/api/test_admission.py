@@ -11,9 +11,9 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-import station.api.camera
 import station.api.limits
 import station.api.replay
+import station.api.streams
 import station.errors
 from shared.mcap_recording import RecordedPicture
 from shared.messages import CameraFrame
@@ -159,7 +159,7 @@ async def test_one_socket_too_many_is_told_and_closed(
 
 
 async def test_one_video_stream_too_many_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station.api.camera, "MAX_STREAMS", 0)
+    monkeypatch.setattr(station.api.streams, "MAX_STREAMS", 0)
     here = Station(StationConfig(data_dir=tmp_path))
     frame = CameraFrame(seq=1, t_robot_ns=1, exposure_ns=0, width=1, height=1, skipped=0, jpeg=b"jpeg")
     here.first.camera.put(SeenFrame(frame, 1, None))
@@ -178,7 +178,7 @@ async def test_streams_of_all_recordings_share_their_seats(tmp_path: Path, monke
         while True:
             yield RecordedPicture(number=1, t_robot_ns=1, since_first_s=0.0, jpeg=b"jpeg")
 
-    monkeypatch.setattr(station.api.camera, "MAX_STREAMS", 0)
+    monkeypatch.setattr(station.api.streams, "MAX_STREAMS", 0)
     monkeypatch.setattr(station.api.replay, "replay", pictures)
     monkeypatch.setattr(station.api.replay, "_recording", lambda *_: tmp_path)
     transport = httpx.ASGITransport(make_api(Station(StationConfig(data_dir=tmp_path))))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from shared.errors import ConfigError, DataError
-from station.commands.experiment import with_options
+from station.commands.options import overridden
 from station.experiments.inputs import FrameRange
 from station.experiments.presets import find_preset, make_dataset
 
@@ -32,8 +32,8 @@ def test_the_first_uses_the_prefix_of_one_drive(tmp_path: Path) -> None:
 
 def test_an_option_replaces_one_of_the_numbers_set_by_hand() -> None:
     by_hand = find_preset("II", 0, None).thesis
-    assert with_options(by_hand, None, None, None) == by_hand
-    changed = with_options(by_hand, 0.1, None, None)
+    assert overridden(by_hand, eps=None, min_pts=None, inlier_ratio=None) == by_hand
+    changed = overridden(by_hand, eps=0.1, min_pts=None, inlier_ratio=None)
     assert (changed.eps, changed.min_pts, changed.normalise) == (0.1, by_hand.min_pts, True)
 
 

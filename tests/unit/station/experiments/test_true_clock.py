@@ -45,6 +45,6 @@ def test_a_given_state_is_the_one_at_the_first_frame(line_delay_s: float) -> Non
     truth = Truth(T_NS, np.array([turning(t * 1e-9) for t in T_NS]), still, still, still)
     calibration = Calibration(camera=msgspec.structs.replace(SHIFTED, line_delay_s=line_delay_s), imu=None)
     first = np.array([100_000_000], dtype=np.int64)
-    data = Dataset(Path("drive"), "asl", calibration, True, first, None, truth_poses=truth)
+    data = Dataset(Path("drive"), "asl", calibration, True, first, None, truth=truth)
     at_s = 0.06 + (0.015 if line_delay_s else 0.0)
     np.testing.assert_allclose(given_state(data).x_world, turning(at_s)[:3, 3], atol=1e-9)

@@ -13,10 +13,11 @@ from typer.testing import CliRunner
 from shared.errors import DataError
 from shared.geometry import FloatArray
 from station.datasets import open_dataset
-from station.files.navigation_folder import read_tum, save_navigation
-from station.files.ply import read_points
+from station.files.navigation_folder import parse_tum, save_navigation
+from station.files.ply import read_rows
 from station.main import app
 from station.model.navigation import Navigation
+from tests.support.datasets import frames_of
 from tests.support.navigations import small_navigation
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
@@ -37,15 +38,16 @@ def export(folder: Path, file_format: str, out: Path) -> Path:
 
 
 def test_tum_and_ply_come_back(folder: Path, tmp_path: Path) -> None:
-    back = read_tum(export(folder, "tum", tmp_path / "a.tum"))
+    written = export(folder, "tum", tmp_path / "a.tum")
+    back = parse_tum(written.read_text(), written)
     np.testing.assert_allclose(back.T_world_body, nav.trajectory.T_world_body, atol=1e-8)
-    np.testing.assert_array_equal(read_points(export(folder, "ply", tmp_path / "a.ply")), nav.landmarks.p_world)
+    np.testing.assert_array_equal(read_rows(export(folder, "ply", tmp_path / "a.ply")), nav.landmarks.p_world)
 
 
 def test_euroc_folder_opens_as_a_dataset(folder: Path, tmp_path: Path) -> None:
     data = open_dataset(export(folder, "euroc", tmp_path / "asl"))
-    assert [frame.t_robot_ns for frame in data.frames()] == nav.keyframes.t_robot_ns.tolist()
-    assert [frame.encoded for frame in data.frames()] == list(nav.keyframes.encoded)
+    assert [frame.t_robot_ns for frame in frames_of(data)] == nav.keyframes.t_robot_ns.tolist()
+    assert [frame.encoded for frame in frames_of(data)] == list(nav.keyframes.encoded)
     assert data.calibration.camera is not None
     assert data.calibration.camera.fx == nav.calibration.camera.fx  # type: ignore[union-attr]
 

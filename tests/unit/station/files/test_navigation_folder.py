@@ -12,7 +12,7 @@ import pytest
 from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
 from shared.errors import DataError
 from station.files.navigation_folder import load_navigation, save_navigation
-from station.files.ply import read_ply, read_points, write_ply
+from station.files.ply import read_ply, read_rows, write_ply
 from station.model.navigation import Landmarks, Navigation
 from station.slam.run import content_digest
 from tests.support.navigations import small_navigation
@@ -148,7 +148,7 @@ def test_ascii_and_foreign_plys_are_read(tmp_path: Path) -> None:
     )
     columns = read_ply(path)
     assert columns["red"].tolist() == [4, 7]
-    np.testing.assert_array_equal(read_points(path), [[1, 2, 3]])
+    np.testing.assert_array_equal(read_rows(path), [[1, 2, 3], [5, 6, np.nan]])
 
 
 def test_big_endian_ply_is_read(tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_big_endian_ply_is_read(tmp_path: Path) -> None:
         b"ply\nformat binary_big_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
     )
     path.write_bytes(header + b"end_header\n" + np.array([1, 2, 3], ">f4").tobytes())
-    np.testing.assert_array_equal(read_points(path), [[1, 2, 3]])
+    np.testing.assert_array_equal(read_rows(path), [[1, 2, 3]])
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from station.maps.repair.purging import purge_versions
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
-from tests.support.store import blobs, cut, largest_blob, newest_record
+from tests.support.store import blobs, content_hash, cut, largest_blob, newest_record, rename_place
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def store(place_map: PlaceMap, address: StoreAddress, told: list[str]) -> MapSto
     store = MapStore(address, told.append)
     store.save(place_map)
     for name in ("Sofa", "Couch"):
-        store.rename_place(place_map.id, place_map.places[0].id, name)
+        rename_place(store, place_map.id, place_map.places[0].id, name)
     return store
 
 
@@ -107,7 +107,7 @@ def test_a_wrong_row_is_noticed_and_made_again(place_map: PlaceMap, store: MapSt
 def test_a_broken_sqlite_file_is_set_aside_and_made_again(place_map: PlaceMap, tmp_path: Path) -> None:
     store = MapStore(tmp_path)
     store.save(place_map)
-    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    rename_place(store, place_map.id, place_map.places[0].id, "Sofa")
     index = tmp_path / "maps.db"
     for content in (b"no database" * 100, index.read_bytes()[:5000], b""):
         index.write_bytes(content)
@@ -122,7 +122,7 @@ def test_a_broken_sqlite_file_is_set_aside_and_made_again(place_map: PlaceMap, t
 def test_a_record_whose_writer_was_killed_is_taken_in(place_map: PlaceMap, tmp_path: Path) -> None:
     store = MapStore(tmp_path)
     store.save(place_map)
-    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    rename_place(store, place_map.id, place_map.places[0].id, "Sofa")
     with sqlite3.connect(tmp_path / "maps.db") as connection:
         connection.execute("DELETE FROM map_version WHERE number = 2")
     connection.close()
@@ -139,14 +139,14 @@ def test_a_backup_brings_everything_back(place_map: PlaceMap, store: MapStore, t
         write_backup(store, tmp_path / "b.tar")
     other = MapStore(tmp_path / "other")
     assert restore_backup(other, tmp_path / "b.tar").versions == 3
-    assert other.content_hash(place_map.id) == store.content_hash(place_map.id)
+    assert content_hash(other, place_map.id) == content_hash(store, place_map.id)
     assert [r.why for r in other.history(place_map.id)] == [r.why for r in store.history(place_map.id)]
     assert restore_backup(other, tmp_path / "b.tar").versions == 0
-    other.rename_place(place_map.id, place_map.places[0].id, "Bench")
+    rename_place(other, place_map.id, place_map.places[0].id, "Bench")
     other.delete(place_map.id)
     assert restore_backup(other, tmp_path / "b.tar").versions == 0  # its history has it: undo brings it back
     other.undo(place_map.id, to=1)
-    assert other.content_hash(place_map.id) == map_content_hash(place_map)
+    assert content_hash(other, place_map.id) == map_content_hash(place_map)
 
 
 def test_a_damaged_backup_gives_what_is_whole(place_map: PlaceMap, store: MapStore, tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_the_commands_say_what_they_do(place_map: PlaceMap, tmp_path: Path) -> N
     assert "which is not there" in run("list")
     store = MapStore(tmp_path / "maps")
     store.save(place_map)
-    store.rename_place(place_map.id, place_map.places[0].id, "Sofa")
+    rename_place(store, place_map.id, place_map.places[0].id, "Sofa")
     assert place_map.id in run("list") and "Sofa" in run("show", place_map.id)
     assert "is now Sofa" in run("history", place_map.id)
     assert "version 1 again" in run("undo", place_map.id)

@@ -22,6 +22,7 @@ from station.maps.repair.purging import purge, purge_versions
 from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
 from tests.support.disk import unwritable
+from tests.support.store import content_hash, rename_place
 
 NAMED = "Sofa"
 
@@ -41,7 +42,7 @@ def root(tmp_path: Path, place_map: PlaceMap) -> Path:
     """A store with a map of two versions."""
     store = MapStore(tmp_path / "maps")
     store.save(place_map)
-    store.rename_place(place_map.id, place_map.places[0].id, NAMED)
+    rename_place(store, place_map.id, place_map.places[0].id, NAMED)
     return tmp_path / "maps"
 
 
@@ -105,7 +106,7 @@ def test_all_maps_are_seen_and_none_can_be_changed(
         assert sum("can be seen, not changed" in sentence for sentence in told) == 1
         for change in (
             lambda: store.save(replace(place_map, name="other")),
-            lambda: store.rename_place(place_map.id, place_map.places[0].id, "Desk"),
+            lambda: rename_place(store, place_map.id, place_map.places[0].id, "Desk"),
             lambda: store.delete(place_map.id),
             lambda: store.undo(place_map.id),
             lambda: purge(store.for_writing(), place_map.id),
@@ -119,7 +120,7 @@ def test_all_maps_are_seen_and_none_can_be_changed(
             assert str(root) in str(refused.value) and "\n" not in str(refused.value)
         assert snapshot(root) == before
     # It takes writes again: the same store is repaired at its next use, and so is a new one.
-    store.rename_place(place_map.id, place_map.places[0].id, "Desk")
+    rename_place(store, place_map.id, place_map.places[0].id, "Desk")
     assert not store.is_copy
     assert name_of_place(MapStore(root), place_map) == "Desk" and verify(MapStore(root)) == ()
     assert not (root / "maps.db-journal").exists()
@@ -171,9 +172,9 @@ def test_maps_of_the_old_format_are_seen_and_taken_in_later(root: Path, place_ma
     with unwritable(root):
         store = MapStore(root, lambda _: None)
         assert {(s.id, s.damaged) for s in store.list()} == {(place_map.id, ""), ("older", "")}
-        seen = store.content_hash("older")
+        seen = content_hash(store, "older")
         assert (root / "older.000001").is_dir()
-    assert store.content_hash("older") == seen
+    assert content_hash(store, "older") == seen
     assert not (root / "older.000001").exists()
     store.close()
 
@@ -201,7 +202,7 @@ def test_what_another_user_changes_is_seen(root: Path, place_map: PlaceMap, monk
         store = MapStore(root, lambda _: None)
         assert store.list() and store.is_copy
         monkeypatch.setattr("station.maps.index_copy.why_unwritable", lambda _: OSError(13, "Permission denied"))
-    MapStore(root).rename_place(place_map.id, place_map.places[0].id, "Desk")
+    rename_place(MapStore(root), place_map.id, place_map.places[0].id, "Desk")
     assert name_of_place(store, place_map) == "Desk"
     store.close()
 

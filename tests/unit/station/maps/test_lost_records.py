@@ -18,7 +18,7 @@ from station.maps.repair.purging import UNUSED_S, purge_versions
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
-from tests.support.store import blobs, cut, largest_blob, newest_record
+from tests.support.store import blobs, cut, largest_blob, newest_record, rename_place
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def root(place_map: PlaceMap, tmp_path: Path) -> Path:
     store = MapStore(StoreAddress(tmp_path / "maps"))
     store.save(place_map)
     for name in ("Sofa", "Couch"):
-        store.rename_place(place_map.id, place_map.places[0].id, name)
+        rename_place(store, place_map.id, place_map.places[0].id, name)
     store.close()
     return tmp_path / "maps"
 

@@ -17,6 +17,7 @@ from station.main import app
 from station.recordings.check import check_recording
 from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
+from tests.support.datasets import frames_of, imu_of
 from tests.support.recordings import HELLO, batch, frame, messages_in, recorded_in_small_chunks
 
 
@@ -37,10 +38,10 @@ def test_a_file_cut_anywhere_is_read_up_to_there(
             open_dataset(path)
         return
     dataset = open_dataset(path)
-    frames = list(dataset.frames()) if dataset.has_images else []
+    frames = list(frames_of(dataset)) if dataset.has_images else []
     assert [f.encoded for f in frames] == [frame(n).jpeg for n in range(len(frames))]
     assert len(frames) == len(dataset.frame_times_ns) >= 40 * fraction - 8
-    times = dataset.require_imu().t_robot_ns.tolist()
+    times = imu_of(dataset).t_robot_ns.tolist()
     assert times == [s.t_robot_ns for n in range(40) for s in batch(10 * n).samples][: len(times)]
 
 
@@ -55,7 +56,7 @@ def test_a_flipped_byte_never_gives_wrong_data(
     path.write_bytes(damaged)
     try:
         dataset = open_dataset(path)
-        frames = list(dataset.frames()) if dataset.has_images else []
+        frames = list(frames_of(dataset)) if dataset.has_images else []
     except DataError:
         return
     assert [f.encoded for f in frames] == [frame(n).jpeg for n in range(len(frames))]
@@ -91,7 +92,7 @@ def test_a_cut_recording_gets_its_end_again(
     path = tmp_path_factory.getbasetemp() / "recovered.mcap"
     path.write_bytes(whole[: int(fraction * len(whole))])
     try:
-        readable = [f.encoded for f in open_dataset(path).frames()]
+        readable = [f.encoded for f in frames_of(open_dataset(path))]
     except DataError:
         readable = []
     try:
@@ -106,7 +107,7 @@ def test_a_cut_recording_gets_its_end_again(
         assert recovery.inside == "" and recovery.original is None  # nothing but the end is missing
         assert summary.statistics.message_count == recovery.messages and str(path) in str(recovery)
     if readable:
-        assert [f.encoded for f in open_dataset(path).frames()] == readable
+        assert [f.encoded for f in frames_of(open_dataset(path))] == readable
     assert recover_recording(path) is None
     assert list(path.parent.glob("*recovered.mcap*")) == [path]
 

@@ -31,6 +31,7 @@ from station.events import LogLine
 from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
+from tests.support.datasets import frames_of, imu_of
 from tests.support.recordings import HELLO, START_NS, batch, frame, record
 
 
@@ -40,16 +41,16 @@ def test_what_is_recorded_is_read_back_exactly(tmp_path: Path) -> None:
     assert report.bytes == report.path.stat().st_size
     dataset = open_dataset(report.path)
     assert dataset.kind == "mcap" and dataset.calibration == REFERENCE_ROBOT
-    frames = list(dataset.frames())
+    frames = list(frames_of(dataset))
     assert [f.t_robot_ns for f in frames] == [START_NS + n * 50_000_000 for n in range(20)]
     assert [f.encoded for f in frames] == [frame(n).jpeg for n in range(20)]
     assert frames[3].exposure_ns == 7 and frames[3].grey().shape == (48, 64)
-    imu = dataset.require_imu()
+    imu = imu_of(dataset)
     expected = [s for n in range(20) for s in batch(10 * n).samples]
     assert imu.t_robot_ns.tolist() == [s.t_robot_ns for s in expected]
     assert imu.gyro_imu.tolist() == [list(s.gyro_imu) for s in expected]
     assert imu.accel_imu.tolist() == [list(s.accel_imu) for s in expected]
-    assert [d.linear_m_s for d in dataset.drive()] == [0.0, 0.1, 0.2, pytest.approx(0.3)]
+    assert [d.linear_m_s for d in dataset.drive] == [0.0, 0.1, 0.2, pytest.approx(0.3)]
 
 
 def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -59,7 +60,7 @@ def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplo
     broken = ImuSample(good[3].t_robot_ns, (0.0, math.nan, 0.0), good[3].accel_imu)
     recorder.on_imu(ImuBatch(first_sequence=0, samples=(*good[:3], broken, *good[4:])))
     recorder.close()
-    imu = open_dataset(tmp_path / "d.mcap").require_imu()
+    imu = imu_of(open_dataset(tmp_path / "d.mcap"))
     assert imu.t_robot_ns.tolist() == [s.t_robot_ns for s in (*good[:3], *good[4:])]
     assert np.isfinite(imu.gyro_imu).all() and "1 IMU samples are no numbers" in caplog.text
 
@@ -67,8 +68,8 @@ def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplo
 def test_a_range_of_frames_can_be_chosen(tmp_path: Path) -> None:
     record(tmp_path / "d.mcap")
     dataset = open_dataset(tmp_path / "d.mcap", first=4, last=10, step=3)
-    assert [f.encoded[-1] for f in dataset.frames()] == [4, 7, 10]
-    assert [f.index for f in dataset.frames()] == [0, 1, 2]
+    assert [f.encoded[-1] for f in frames_of(dataset)] == [4, 7, 10]
+    assert [f.index for f in frames_of(dataset)] == [0, 1, 2]
 
 
 def test_foxglove_finds_schemas_and_index(tmp_path: Path) -> None:
@@ -233,7 +234,7 @@ def test_another_run_of_the_robot_ends_what_is_read(tmp_path: Path, caplog: pyte
     recorder.on_imu(batch(1000))
     recorder.close()
     dataset = open_dataset(tmp_path / "d.mcap")
-    assert len(dataset.require_imu()) == 20
+    assert len(imu_of(dataset)) == 20
     assert "restarted" in caplog.text
     assert not dataset.has_images
 

@@ -29,6 +29,7 @@ from station.recordings.recorder import Recorder
 from station.recordings.recovery import recover_recording
 from station.recordings.topics import LIBRARY, register_channels
 from station.recordings.writer_lock import hold, is_being_written
+from tests.support.datasets import frames_of, imu_of
 from tests.support.recordings import HELLO, batch, finish, frame, messages_in, record, recorded_in_small_chunks
 
 Told = tuple[str, int, int, bytes]
@@ -114,9 +115,9 @@ def test_a_hole_is_passed_over_and_the_file_as_it_was_is_kept(
     # Read up to the end, each picture with its own time
     dataset = open_dataset(path)
     pictures = {frame(n).t_robot_ns: frame(n).jpeg for n in range(40)}
-    frames = list(dataset.frames())
+    frames = list(frames_of(dataset))
     assert all(pictures[f.t_robot_ns] == f.encoded for f in frames) and frames[-1].encoded == frame(39).jpeg
-    assert dataset.require_imu().t_robot_ns.max() == batch(390).samples[-1].t_robot_ns
+    assert imu_of(dataset).t_robot_ns.max() == batch(390).samples[-1].t_robot_ns
     # Damaged again: what was kept stays
     again = bytearray(whole)
     again[70_000:90_000] = bytes(20_000)
@@ -261,7 +262,7 @@ def test_what_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
     recorder.on_imu(batch(10))
     report = recorder.close()
     assert report.error == "" and path.stat().st_ino == inode
-    assert len(open_dataset(path).require_imu()) == 20
+    assert len(imu_of(open_dataset(path))) == 20
     assert str(check_recording(path)).startswith(f"{path}: whole")
     assert recover_recording(path) is None
     record(path, frames=3)  # whoever ended holds nothing any more
@@ -372,7 +373,7 @@ def test_a_picture_without_its_frames_record_is_left_out(tmp_path: Path) -> None
         for topic, log_ns, sensor_ns, data in told:
             writer.add_message(channels[topic], log_ns, data, sensor_ns)
         finish(writer)
-    read = [(f.t_robot_ns, f.encoded) for f in open_dataset(path).frames()]
+    read = [(f.t_robot_ns, f.encoded) for f in frames_of(open_dataset(path))]
     assert read == [(frame(2).t_robot_ns, frame(2).jpeg)]
 
 

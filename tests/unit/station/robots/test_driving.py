@@ -18,7 +18,7 @@ def test_who_takes_over_has_time_for_the_first_command_and_keeps_the_wheel_by_co
     desk.drive("anna", 0.1, 0.0, 200)
     desk.take_over("ben")
     clock[0] = 4900 * MS
-    assert desk.driver == "ben" and desk.keeps_wheel_s == pytest.approx(1.1)
+    assert desk.driver == "ben" and desk.lease_left_s == pytest.approx(1.1)
     for _ in range(10):  # once a second, as long as a command may hold
         desk.drive("ben", 0.1, 0.0, 1000)
         clock[0] += 1000 * MS

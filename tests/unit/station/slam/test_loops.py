@@ -8,10 +8,10 @@ import pytest
 from shared.geometry import FloatArray, se3
 from station.slam.mapping.config import MatchConfig
 from station.slam.mapping.loops import MIN_APART, find_loops
-from station.slam.mapping.matching import Features
 from station.slam.mapping.odometry import DEAD_RECKONED, Drift
 from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.tracks import Tracks
+from station.vision.features import Features
 
 FOCAL_PX = 500.0
 R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along body x

@@ -8,17 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.calibration import REFERENCE_IMU, CameraCalibration, ImuNoise
-from shared.geometry import FloatArray, inverse, se3, so3_exp, transform, yaw_rotation
+from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log, transform, yaw_rotation
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImuBatch
-from station.motion import lie
 from station.motion.dead_reckoning import bias_at_rest
 from station.motion.drive_commands import MOTOR_LAG_S
 from station.motion.imu_buffer import ImuBuffer
-from station.motion.inertial_track import InertialTrack, exp_many
+from station.motion.inertial_track import InertialTrack
 from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
-from station.slam.mapping.matching import match_descriptors
 from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
 from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, reprojection_errors
 from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
@@ -42,7 +40,7 @@ def lively_motion(seconds: float = 12.0) -> tuple[np.ndarray, FloatArray, FloatA
     R = np.empty((len(t), 3, 3))
     R[0] = so3_exp(np.array([0.1, -0.2, 0.3]))
     middle = 0.5 * (rate[1:] + rate[:-1]) / RATE_HZ
-    for k, step in enumerate(exp_many(middle)):
+    for k, step in enumerate(so3_exp(middle)):
         R[k + 1] = R[k] @ step
     accel = np.einsum("nji,nj->ni", R, a - GRAVITY)
     t_ns = np.round(t * 1e9).astype(np.int64)
@@ -147,18 +145,6 @@ def test_tracks_join_matches_and_refuse_contradictions() -> None:
     assert build_tracks([3, 3], []).num_points == 0
 
 
-def test_mutual_nearest_descriptors_with_ratio() -> None:
-    rng = np.random.default_rng(0)
-    a = rng.normal(size=(20, 128)).astype(np.float32)
-    a /= np.linalg.norm(a, axis=1, keepdims=True)
-    order = rng.permutation(20)
-    pairs = match_descriptors(a, a[order], 0.8)
-    assert len(pairs) == 20 and (order[pairs[:, 1]] == pairs[:, 0]).all()
-    doubled = np.vstack([a, a[:1]])  # two equal candidates: nobody knows which
-    assert 0 not in match_descriptors(a, doubled, 0.8)[:, 0]
-    assert len(match_descriptors(a[:1], a, 0.8)) == 0
-
-
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 10_000))
 def test_points_are_found_where_rays_meet(seed: int) -> None:
@@ -222,7 +208,7 @@ def test_bundle_adjustment_corrects_poses_and_survives_outliers(
     after = align_points(truth[:, :3, 3], state.p_world_body, "sim3").rms
     assert after < 0.3 * before and after < 0.005
     assert np.median(reprojection_errors(state, seen)[~wrong]) < 0.5
-    assert np.linalg.norm(lie.so3_log(np.swapaxes(truth[:, :3, :3], 1, 2) @ state.R_world_body), axis=1).max() < 0.004
+    assert np.linalg.norm(so3_log(np.swapaxes(truth[:, :3, :3], 1, 2) @ state.R_world_body), axis=1).max() < 0.004
 
 
 def test_every_frame_between_keyframes_gets_a_pose() -> None:

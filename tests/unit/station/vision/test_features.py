@@ -42,12 +42,12 @@ def test_details_hold_the_features_bit_for_bit(contrast: float, rich: bool) -> N
         picture = patches(number, contrast)
         direct, details = FeatureExtractor().extract(picture), DetailExtractor().extract(picture)
         assert (len(direct) >= MAX_FEATURES) == rich
-        assert np.array_equal(direct.uv_px, details.features.uv_px)
-        assert np.array_equal(direct.descriptors, details.features.descriptors)
-        places = {tuple(uv) for uv in details.uv_px.tolist()}
-        assert len(places) == len(details.uv_px) == len(details.descriptors) <= MAX_DETAILS
+        assert np.array_equal(direct.uv_px, details.seen.uv_px)
+        assert np.array_equal(direct.descriptors, details.seen.descriptors)
+        places = {tuple(uv) for uv in details.features.uv_px.tolist()}
+        assert len(places) == len(details.features) == len(details.features.descriptors) <= MAX_DETAILS
         assert {tuple(uv) for uv in direct.uv_px.tolist()} <= places
-        assert rich or len(details.uv_px) > 1.2 * len(direct)
+        assert rich or len(details.features) > 1.2 * len(direct)
 
 
 def test_threads_do_not_change_what_is_found() -> None:
@@ -59,10 +59,10 @@ def test_threads_do_not_change_what_is_found() -> None:
     cv2.setNumThreads(before)
     (one, one_details), (two, two_details) = found
     assert np.array_equal(one.uv_px, two.uv_px) and np.array_equal(one.descriptors, two.descriptors)
-    assert np.array_equal(one_details.uv_px, two_details.uv_px)
-    assert np.array_equal(one_details.descriptors, two_details.descriptors)
+    assert np.array_equal(one_details.features.uv_px, two_details.features.uv_px)
+    assert np.array_equal(one_details.features.descriptors, two_details.features.descriptors)
 
 
 def test_a_blank_picture_has_no_details() -> None:
     details = DetailExtractor().extract(np.full((480, 640), 90, dtype=np.uint8))
-    assert len(details.features) == 0 and len(details.uv_px) == 0 and len(details.descriptors) == 0
+    assert len(details.seen) == len(details.features) == len(details.features.descriptors) == 0

@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
-from shared.geometry import FloatArray, se3, so3_exp
-from station.motion import lie
+from shared.geometry import FloatArray, se3, so3_exp, so3_log
 from station.motion.error_coordinates import ErrorKind, difference_group, pose_jacobian, retract_group
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
@@ -258,7 +257,7 @@ def test_same_place_rows_are_finite_differences(kind: ErrorKind) -> None:
     h = 1e-4
 
     def value(s: FilterState) -> FloatArray:
-        turned = lie.so3_log(s.clone_R[0].T @ s.R @ (state.clone_R[0].T @ state.R).T)
+        turned = so3_log(s.clone_R[0].T @ s.R @ (state.clone_R[0].T @ state.R).T)
         return np.concatenate([turned, s.x - s.clone_x[0]])
 
     state = retract(kind, state, np.random.default_rng(0).normal(size=state.size) * 1e-3)  # clone and pose differ
@@ -273,7 +272,7 @@ def test_triangulation_recovers_points_and_their_spread() -> None:
     rng = np.random.default_rng(4)
     p = np.column_stack([rng.uniform(3, 8, 200), rng.uniform(-2, 2, 200), rng.uniform(-1, 1, 200)])
     x = np.array([[0.0, 0.3 * k, 0.05 * k] for k in range(6)])
-    R = lie.so3_exp(rng.normal(size=(6, 3)) * 0.05)
+    R = so3_exp(rng.normal(size=(6, 3)) * 0.05)
     xy = np.stack([project_points(camera, R[k], x[k], p)[0] for k in range(6)], axis=1)
     uv = camera.lens.project(xy) + rng.normal(size=xy.shape)
     seen = np.ones((200, 6), dtype=bool)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.motion import lie
+from shared.geometry import so3_exp
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.filter import FrameResult
 from station.slam.ukf.filter.state import FilterState, initial_state
@@ -81,7 +81,7 @@ def test_on_wheels_a_blank_wall_is_borne_longer_than_a_covered_lens() -> None:
 def test_a_robot_that_rises_or_tilts_is_lifted_and_a_drone_is_not() -> None:
     fine = result(30, 30, 5, 5)
     rising = replace(resting(), v=np.array([0.0, 0.0, 0.4]))
-    tilted = replace(resting(), R=lie.so3_exp(np.array([0.25, 0.0, 0.0])))
+    tilted = replace(resting(), R=so3_exp(np.array([0.25, 0.0, 0.0])))
     for state in (rising, tilted):
         assert seconds_until_lost(fine, state, has_wheels=True) == pytest.approx(0.1)
         assert seconds_until_lost(fine, state, has_wheels=False) is None

@@ -8,11 +8,9 @@ import msgspec
 import numpy as np
 
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
-from shared.geometry import FloatArray, inverse, se3
-from station.experiments.trajectory import relative_pose_error
+from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log
 from station.model.frames import ImageFrame
 from station.model.navigation import Trajectory
-from station.motion import lie
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import preintegrate
 from station.slam.ukf.map.keyframes import Keyframe
@@ -20,6 +18,7 @@ from station.slam.ukf.map.pose_log import PoseLog, follow_poses
 from station.slam.ukf.map.refine import refine_segment
 from station.vision.camera_model import CameraModel
 from tests.support.synthetic_run import observe, room_points, sine_path
+from tests.support.trajectory import relative_pose_error
 
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 CAMERA = msgspec.structs.replace(REFERENCE_CAMERA, fx=458.0, fy=457.0, line_delay_s=0.0, time_shift_s=0.0)
@@ -70,8 +69,8 @@ def test_refined_keyframes_are_nearer_to_the_truth_and_so_are_those_between_them
 
 def test_poses_between_two_keyframes_blend_their_corrections() -> None:
     rng = np.random.default_rng(1)
-    T_old = np.array([se3(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(3)])
-    correction = np.array([se3(lie.so3_exp(0.1 * rng.normal(size=3)), 0.1 * rng.normal(size=3)) for _ in range(3)])
+    T_old = np.array([se3(so3_exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(3)])
+    correction = np.array([se3(so3_exp(0.1 * rng.normal(size=3)), 0.1 * rng.normal(size=3)) for _ in range(3)])
     T_new = correction @ T_old
     t_key = np.array([10, 20, 40])
     at_keys = follow_poses(T_old, t_key, T_old, T_new, t_key)
@@ -82,7 +81,7 @@ def test_poses_between_two_keyframes_blend_their_corrections() -> None:
     assert np.allclose(found[2], correction[2] @ T_old[1])
     a, b = correction[1] @ T_old[1], correction[2] @ T_old[1]
     assert np.allclose(found[1][:3, 3], 0.5 * (a[:3, 3] + b[:3, 3]))
-    to_a, to_b = (lie.so3_log((inverse(x) @ found[1])[:3, :3]) for x in (a, b))
+    to_a, to_b = (so3_log((inverse(x) @ found[1])[:3, :3]) for x in (a, b))
     assert np.allclose(to_a, -to_b, atol=1e-9)
 
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from shared.calibration import REFERENCE_ROBOT
-from shared.geometry import FloatArray, se3
+from shared.geometry import FloatArray, se3, so3_exp
 from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Landmarks
-from station.motion import lie
 from station.slam.mapping.assemble import Reconstructed
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.view_map import level, relative_motions, straight_rays
@@ -108,7 +107,7 @@ def test_the_filter_can_be_imported_where_pycolmap_is_missing() -> None:
 
 def test_relative_motions_chain_to_the_filters_poses() -> None:
     rng = np.random.default_rng(2)
-    T = [se3(lie.so3_exp(rng.normal(0, 0.3, 3)), rng.normal(0, 1, 3)) for _ in range(5)]
+    T = [se3(so3_exp(rng.normal(0, 0.3, 3)), rng.normal(0, 1, 3)) for _ in range(5)]
     views = MapViews(MODEL.lens, ViewConfig(min_flow=0.0, num_previous=1), 0)
     for number, pose in enumerate(T):
         views.add(keyframe(number, 10.0 * number, 0, pose))
@@ -137,8 +136,8 @@ def test_rows_exposed_later_see_where_the_middle_row_would_have_seen() -> None:
 @pytest.mark.parametrize("tilt", [[0.02, 0.0, 0.0], [-0.01, 0.03, 0.0]])
 def test_the_filters_vertical_is_restored(tilt: list[float]) -> None:
     rng = np.random.default_rng(4)
-    T_filter = np.array([se3(lie.so3_exp(np.array([0.0, 0.0, a])), rng.normal(0, 2, 3)) for a in rng.normal(0, 1, 20)])
-    wrong = se3(lie.so3_exp(np.array(tilt)), np.zeros(3))
+    T_filter = np.array([se3(so3_exp(np.array([0.0, 0.0, a])), rng.normal(0, 2, 3)) for a in rng.normal(0, 1, 20)])
+    wrong = se3(so3_exp(np.array(tilt)), np.zeros(3))
     p = rng.normal(0, 2, (6, 3))
     keyframes = Keyframes(
         np.arange(20), np.arange(20), wrong @ T_filter @ CAMERA.T_body_cam_matrix, (b"",) * 20, np.zeros(20, np.int64)

@@ -1,4 +1,4 @@
-"""Hands values from a simulator thread to the one coroutine that waits for them."""
+"""Hands values from a device's thread to the one coroutine that waits for them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """Keeps the newest `limit` values; older ones are dropped and counted."""
+    """Keeps the newest `limit` values; older ones are dropped."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -19,15 +19,12 @@ class Mailbox(Generic[T]):
         self._lock = threading.Lock()
         self._waiter: tuple[asyncio.AbstractEventLoop, asyncio.Future[None]] | None = None
         self._failure: Exception | None = None
-        self.dropped = 0
 
     def put(self, value: T) -> None:
         """Add a value; callable from any thread."""
         with self._lock:
             self._values.append(value)
-            if len(self._values) > self._limit:
-                self.dropped += len(self._values) - self._limit
-                del self._values[: -self._limit]
+            del self._values[: -self._limit]
             self._wake()
 
     def fail(self, failure: Exception) -> None:

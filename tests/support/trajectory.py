@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, IntArray, inverse, se3, so3_exp, so3_log, transform
+from shared.geometry import FloatArray, IntArray, inverse, se3, slerp, so3_log, transform
 from station.experiments.alignment import Alignment, AlignmentKind, align_points
 
 MAX_GAP_NS = 100_000_000  # truth further apart than this is not interpolated
@@ -75,7 +75,7 @@ def interpolate_poses(poses: Poses, t_ns: IntArray, max_gap_ns: int = MAX_GAP_NS
 
 def between(T_a: FloatArray, T_b: FloatArray, fraction: float) -> FloatArray:
     """The pose at a fraction (0..1) of the way from a to b."""
-    R = T_a[:3, :3] @ so3_exp(fraction * so3_log(T_a[:3, :3].T @ T_b[:3, :3]))
+    R = slerp(T_a[:3, :3], T_b[:3, :3], fraction)
     return se3(R, (1.0 - fraction) * T_a[:3, 3] + fraction * T_b[:3, 3])
 
 
@@ -92,7 +92,9 @@ def absolute_trajectory_error(estimate: Poses, truth: Poses, kind: AlignmentKind
     T_est = estimate.T_world_body[kept]
     alignment = align_points(T_truth[:, :3, 3], T_est[:, :3, 3], kind)
     errors = np.linalg.norm(T_truth[:, :3, 3] - transform(alignment.T_target_source, T_est[:, :3, 3]), axis=1)
-    angles = _angles(np.swapaxes(T_truth[:, :3, :3], 1, 2) @ alignment.R_target_source @ T_est[:, :3, :3])
+    angles = np.linalg.norm(
+        so3_log(np.swapaxes(T_truth[:, :3, :3], 1, 2) @ alignment.R_target_source @ T_est[:, :3, :3]), axis=1
+    )
     return TrajectoryError(
         rmse_m=_rms(errors),
         mean_m=float(errors.mean()),
@@ -130,7 +132,7 @@ def relative_pose_error(estimate: Poses, truth: Poses, delta_s: float, scale: fl
     return RelativeError(
         delta_s=delta_s,
         translation_rmse_m=_rms(np.linalg.norm(error[:, :3, 3], axis=1)),
-        rotation_rmse_rad=_rms(_angles(error[:, :3, :3])),
+        rotation_rmse_rad=_rms(np.linalg.norm(so3_log(error[:, :3, :3]), axis=1)),
         num_pairs=len(begin),
     )
 
@@ -138,10 +140,6 @@ def relative_pose_error(estimate: Poses, truth: Poses, delta_s: float, scale: fl
 def path_length(poses: Poses) -> float:
     """Length (m) of the line through all positions."""
     return float(np.linalg.norm(np.diff(poses.T_world_body[:, :3, 3], axis=0), axis=1).sum())
-
-
-def _angles(R: FloatArray) -> FloatArray:
-    return np.array([float(np.linalg.norm(so3_log(one))) for one in R])
 
 
 def _rms(values: FloatArray) -> float:

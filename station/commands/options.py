@@ -1,0 +1,49 @@
+"""Options that several commands have, and what is checked of them before a command works for minutes."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+
+import typer
+
+from shared.errors import DataError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
+Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
+Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file.")]
+Json = Annotated[bool, typer.Option("--json", help="End with one JSON object on stdout.")]
+Mode = Annotated[
+    Literal["thesis", "default"], typer.Option(help="Of clustering; a navigation is matched as its map was built.")
+]
+AlignBy = Annotated[
+    Literal["both", "geometry", "appearance"], typer.Option(help="Default mode: what registration sees.")
+]
+
+
+def overridden(settings: T, **options: Any) -> T:
+    """Settings with those options over them that were given: None was not."""
+    return dataclasses.replace(settings, **{name: value for name, value in options.items() if value is not None})
+
+
+def check_out_folder(out: Path) -> None:
+    """Whether a folder of this name can be written, without making it.
+
+    Raises:
+        DataError: a file has the name, or it cannot be made there; says what to do.
+    """
+    nearest = out.absolute()
+    try:
+        while not nearest.exists():
+            nearest = nearest.parent
+    except OSError as exc:  # too long a name
+        raise DataError(f"--out {out} cannot be written ({exc.strerror}); choose another folder") from exc
+    if not nearest.is_dir():
+        raise DataError(f"--out {out}: {nearest} is a file; choose another folder")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise DataError(f"--out {out}: {nearest} cannot be written to; choose another folder")

@@ -1,0 +1,43 @@
+"""Which descriptors of two sets show the same, by their similarity: a table (n, m) of dot products of unit vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.geometry import IntArray
+from station.vision.features import Float32Array
+
+
+def clearly_nearest(
+    similarity: Float32Array, max_ratio: float, owner: IntArray | None = None
+) -> tuple[IntArray, IntArray]:
+    """Rows whose nearest column is clearly nearer than the second nearest, and that column: (k,), (k,).
+
+    Args:
+        max_ratio: of the distances to the nearest and to the second nearest.
+        owner: (m,) what each column shows; of what the nearest one shows, no other column counts as second nearest.
+    Source: Lowe, IJCV 60(2), 2004, section 7.1.
+    """
+    every = np.arange(len(similarity))
+    best = similarity.argmax(axis=1)
+    first = similarity[every, best]
+    if owner is None:
+        similarity[every, best] = -1.0  # twice a maximum is five times as fast as a partition
+        second = similarity.max(axis=1)
+        similarity[every, best] = first
+    else:
+        second = np.where(owner == owner[best][:, None], -1.0, similarity).max(axis=1)
+    # Of unit vectors, distance^2 = 2 - 2 * similarity.
+    rows = np.flatnonzero((1.0 - first) < max_ratio**2 * (1.0 - second))
+    return rows, best[rows]
+
+
+def match_both_ways(similarity: Float32Array, max_ratio: float) -> IntArray:
+    """Pairs (k, 2) of row and column, each clearly the other's nearest; none where one side has no second nearest."""
+    if min(similarity.shape) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    rows, columns = clearly_nearest(similarity, max_ratio)
+    # The other way round is asked of these columns only: between images far apart they are few.
+    back, again = clearly_nearest(similarity.T[columns], max_ratio)
+    good = rows[back] == again
+    return np.column_stack([rows[back][good], columns[back][good]])
