@@ -11,9 +11,8 @@ from station.model.frames import DriveSample, ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
 from station.model.place_map import Place, PlaceEdge
-from station.workers.request import Program, ProgramName
+from station.workers.request import Program, ProgramName, Vectors
 
-Vectors = Sequence[Sequence[float]]  # (N, 3); lists: the event loop makes no arrays
 PlaceEvent = HijackNotice | MapReading | MapLeftOut
 
 

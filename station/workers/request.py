@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, ParamSpec, Self, TypeVar
 
@@ -19,6 +19,7 @@ MAX_WAITING = 10_000
 EventT = TypeVar("EventT")
 ProgramT = TypeVar("ProgramT", bound="Program")
 ArgumentsP = ParamSpec("ArgumentsP")
+Vectors = Sequence[Sequence[float]]  # (N, 3); lists: the event loop makes no arrays
 Method = Callable[..., object]  # of a program's interface
 
 

@@ -20,7 +20,8 @@ from station.motion.sensor_order import Sequencer
 from station.places.localisation.described_pictures import DescribedPictures
 from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
-from station.workers.slam_requests import SlamProgram, Vectors
+from station.workers.request import Vectors
+from station.workers.slam_requests import SlamProgram
 
 logger = logging.getLogger(__name__)
 

@@ -10,9 +10,7 @@ from shared.calibration import Calibration
 from station.model.frames import DriveSample, ImageFrame
 from station.model.navigation import NavigationReport
 from station.model.slam_update import SlamUpdate
-from station.workers.request import Program, ProgramName
-
-Vectors = Sequence[Sequence[float]]  # (N, 3); lists: the event loop makes no arrays
+from station.workers.request import Program, ProgramName, Vectors
 
 
 class SlamProgram(Program, ABC):

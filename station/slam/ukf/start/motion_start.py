@@ -49,9 +49,7 @@ class StartConfig:
     still_accel: float = 0.35  # m/s^2, standard deviation of the accelerometer
     still_gyro: float = 0.05  # rad/s
     rolling_s: float = 0.5  # driven on its wheels: gravity is averaged over that long
-    max_rolling_tilt: float = (
-        0.14  # rad; what leans more, or weighs otherwise by max_rolling_accel, is in somebody's hands
-    )
+    max_rolling_tilt: float = 0.14  # rad; what leans more, or weighs otherwise by the next, is in somebody's hands
     max_rolling_accel: float = 0.6  # m/s^2
     min_rolling_features: int = 20
 

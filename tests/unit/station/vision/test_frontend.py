@@ -8,8 +8,7 @@ import pytest
 
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
 from shared.geometry import so3_exp
-from station.vision.corners import detect_corners
-from station.vision.klt import Tracker, TrackerConfig
+from station.vision.klt import Tracker, TrackerConfig, detect_corners
 from station.vision.lens import Lens
 from station.vision.two_view import epipolar_inliers
 
