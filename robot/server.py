@@ -27,7 +27,7 @@ from shared.errors import HardwareError
 from shared.messages import (
     PROTOCOL_VERSION,
     DriveApplied,
-    ErrorCode,
+    ErrorNotice,
     Heartbeat,
     Hello,
     Hijack,
@@ -254,10 +254,7 @@ class RobotServer:
             client.wake()
 
     def _broadcast_fault(self, device: str, sentence: str) -> None:
-        code: ErrorCode = "end_of_recording" if device == "recording" else "device"
-        for client in self._clients.values():
-            if client.is_joined:
-                client.put(notice(code, sentence))
+        self._broadcast(notice("end_of_recording" if device == "recording" else "device", sentence))
 
     # Reports
 
@@ -304,14 +301,14 @@ class RobotServer:
         if loop is None:
             return
         try:
-            loop.call_soon_threadsafe(self._broadcast_drive, report)
+            loop.call_soon_threadsafe(self._broadcast, report)
         except RuntimeError:
             logger.debug("drive report after the event loop's end")
 
-    def _broadcast_drive(self, report: DriveApplied) -> None:
+    def _broadcast(self, message: DriveApplied | ErrorNotice) -> None:
         for client in self._clients.values():
             if client.is_joined:
-                client.put(report)
+                client.put(message)
 
     def _status_for(self, client: StationClient) -> Status:
         battery = self._read_battery()

@@ -53,45 +53,40 @@ class RemoteClock:
 
     def __init__(self) -> None:
         self._arrivals: deque[tuple[int, int]] = deque()  # (t_remote_ns, local - remote), one per bin
-        self._fit: ClockFit | None = None
+        self.fit: ClockFit | None = None  # the present line; None before the first arrival
         self._fitted_at_ns = 0
         self.steps = 0  # how often one of the clocks jumped and the estimate began anew
-
-    @property
-    def fit(self) -> ClockFit | None:
-        """The present line; None before the first arrival."""
-        return self._fit
 
     def add(self, t_remote_ns: int, t_local_ns: int) -> None:
         """Something stamped `t_remote_ns` by the remote clock arrived at our time `t_local_ns`."""
         difference = t_local_ns - t_remote_ns
         if self._has_stepped(t_remote_ns, difference):
             self._arrivals.clear()
-            self._fit = None
+            self.fit = None
             self.steps += 1
         self._store(t_remote_ns, difference)
         while t_remote_ns - self._arrivals[0][0] > WINDOW_NS:
             self._arrivals.popleft()
-        if self._fit is None or t_remote_ns - self._fitted_at_ns >= REFIT_NS:
-            self._fit = fit_lower_line(list(self._arrivals))
+        if self.fit is None or t_remote_ns - self._fitted_at_ns >= REFIT_NS:
+            self.fit = fit_lower_line(list(self._arrivals))
             self._fitted_at_ns = t_remote_ns
-        elif difference < self._fit.offset_at_ns(t_remote_ns):
+        elif difference < self.fit.offset_at_ns(t_remote_ns):
             # Quicker than all before: lower the line at once, its slope follows at the next fit.
-            self._fit = ClockFit(t_remote_ns, difference, self._fit.slope)
+            self.fit = ClockFit(t_remote_ns, difference, self.fit.slope)
 
     def _has_stepped(self, t_remote_ns: int, difference: int) -> bool:
-        if not self._arrivals or self._fit is None:
+        if not self._arrivals or self.fit is None:
             return False
         last_remote_ns = self._arrivals[-1][0]
         if t_remote_ns < last_remote_ns - WINDOW_NS:
             return True
         allowed = STEP_NS + MAX_DRIFT * abs(t_remote_ns - last_remote_ns)
-        return difference < self._fit.offset_at_ns(t_remote_ns) - allowed
+        return difference < self.fit.offset_at_ns(t_remote_ns) - allowed
 
     def _store(self, t_remote_ns: int, difference: int) -> None:
         if self._arrivals and t_remote_ns // BIN_NS <= self._arrivals[-1][0] // BIN_NS:
             last_remote_ns, last_difference = self._arrivals[-1]
-            slope = self._fit.slope if self._fit else 0.0
+            slope = self.fit.slope if self.fit else 0.0
             if difference - last_difference < slope * (t_remote_ns - last_remote_ns) and t_remote_ns >= last_remote_ns:
                 self._arrivals[-1] = (t_remote_ns, difference)
         else:

@@ -17,10 +17,9 @@ def show_tokens(book: TokenBook, as_json: bool) -> None:
         print(json.dumps([describe(token) for token in tokens]))
         return
     for token in tokens:
+        used = "never" if token.last_used_s is None else _date(token.last_used_s)
         state = "" if token.revoked_s is None else f"  revoked {_date(token.revoked_s)}"
-        print(
-            f"{token.id}  {token.role.value:5}  {token.name}  made {_date(token.created_s)}  used {_used(token)}{state}"
-        )
+        print(f"{token.id}  {token.role.value:5}  {token.name}  made {_date(token.created_s)}  used {used}{state}")
     if not tokens:
         print("nobody")
 
@@ -44,10 +43,6 @@ def describe(token: TokenRecord) -> dict[str, str | float | None]:
         "last_used": token.last_used_s,
         "revoked": token.revoked_s,
     }
-
-
-def _used(token: TokenRecord) -> str:
-    return "never" if token.last_used_s is None else _date(token.last_used_s)
 
 
 def _date(wall_s: float) -> str:

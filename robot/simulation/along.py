@@ -62,60 +62,65 @@ def read_states(path: Path) -> StateTable:
     return StateTable(np.array(stamps), np.array(rows))
 
 
-@dataclass(frozen=True, slots=True)
-class AlongRequest:
-    states: Path  # CSV of true states
-    camera: Path  # sensor.yaml; a data.csv beside it gives the stamps
-    imu: Path | None  # folder with data.csv and sensor.yaml to copy; None: synthesise
-    out: Path
-    start_s: float = 0.0  # after the first state
-    duration_s: float = np.inf
-
-
 DEFAULT_IMU = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=1.9e-5, accel_walk=3e-3, rate_hz=200.0)
 
 
 def render_along(
     world: World,
-    request: AlongRequest,
+    states: Path,
+    camera_file: Path,
+    imu_folder: Path | None,
+    out: Path,
     config: SimulationConfig,
     seed: int,
+    start_s: float = 0.0,
+    duration_s: float = np.inf,
     cache_dir: Path | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> int:
-    """Write an ASL folder with images along the path; returns the number of frames."""
+    """Write an ASL folder with images along the path; returns the number of frames.
+
+    Args:
+        states: CSV of true states.
+        camera_file: sensor.yaml; a data.csv beside it gives the stamps.
+        imu_folder: folder with data.csv and sensor.yaml to copy; None: synthesise.
+        start_s: after the first state.
+    """
     cv2.setNumThreads(1)
-    table = read_states(request.states)
-    camera_calibration = read_camera(request.camera)
+    table = read_states(states)
+    lens = read_camera(camera_file)
     noise = DEFAULT_IMU
-    if request.imu:
-        imu_file = request.imu / "sensor.yaml"
-        noise = read_imu_noise(imu_file, read_yaml(imu_file))
-    calibration = Calibration(camera=camera_calibration, imu=noise)
+    if imu_folder:
+        noise = read_imu_noise(imu_folder / "sensor.yaml", read_yaml(imu_folder / "sensor.yaml"))
+    calibration = Calibration(camera=lens, imu=noise)
     path = table.path()
     first = int(table.t_ns[0])
-    begin_s = max(request.start_s, path.start_s)
-    end_s = min(begin_s + request.duration_s, path.end_s)
-    readout_s = camera_calibration.line_delay_s * camera_calibration.height
-    stamps = _frame_stamps(request.camera.parent / "data.csv", camera_calibration, first, begin_s, end_s)
-    shift_s = camera_calibration.time_shift_s
-    margin = readout_s + 0.01  # every exposed row needs a pose
-    stamps = [s for s in stamps if begin_s <= (s - first) * 1e-9 + shift_s <= end_s - margin]
+    begin_s = max(start_s, path.start_s)
+    end_s = min(begin_s + duration_s, path.end_s)
+    stamps = _frame_stamps(camera_file.parent / "data.csv", lens, first, begin_s, end_s)
+    last_s = end_s - lens.line_delay_s * lens.height - 0.01  # every exposed row needs a pose
+    stamps = [s for s in stamps if begin_s <= (s - first) * 1e-9 + lens.time_shift_s <= last_s]
     if not stamps:
-        raise DataError(f"no frame stamp lies between {begin_s:.2f} s and {end_s:.2f} s of {request.states}")
-    camera = SimulatedCamera(Renderer(world, camera_calibration, cache_dir), camera_calibration, config.camera, seed)
-    with AslWriter(request.out, calibration) as writer:
+        raise DataError(f"no frame stamp lies between {begin_s:.2f} s and {end_s:.2f} s of {states}")
+    camera = SimulatedCamera(Renderer(world, lens, cache_dir), lens, config.camera, seed)
+    with AslWriter(out, calibration) as writer:
         for k, stamp in enumerate(stamps):
-            exposure = camera.expose(path.pose, (stamp - first) * 1e-9 + shift_s, config.faults)
+            exposure = camera.expose(path.pose, (stamp - first) * 1e-9 + lens.time_shift_s, config.faults)
             writer.add_frame(stamp, exposure.jpeg, exposure.exposure_s)
             if on_progress:
                 on_progress((k + 1) / len(stamps))
         low, high = first + round(begin_s * 1e9), first + round(end_s * 1e9)
-        _write_truth(writer, table, low, high)
-        if request.imu:
-            _copy_imu(writer, request.imu / "data.csv", low, high)
-        else:
-            _synthesise_imu(writer, table, path, ImuModel(noise, config.imu, calibration.gravity, seed), low, high)
+        imu = None if imu_folder else ImuModel(noise, config.imu, calibration.gravity, seed)
+        for t_ns, row, state in zip(table.t_ns.tolist(), table.values, path.states, strict=True):
+            if low <= t_ns <= high:
+                writer.add_truth(t_ns, state, (row[10:13], row[13:16]))
+                if imu is not None:
+                    writer.add_imu(t_ns, imu.measure(state))
+        if imu_folder:
+            for t_ns, numbers in asl_numbers(imu_folder / "data.csv", 6):
+                if low <= t_ns <= high:
+                    gyro, accel = np.array(numbers[:3]), np.array(numbers[3:])
+                    writer.add_imu(t_ns, ImuMeasurement(gyro, accel, np.zeros(3), np.zeros(3)))
     return len(stamps)
 
 
@@ -125,26 +130,3 @@ def _frame_stamps(data_csv: Path, camera: CameraCalibration, first_ns: int, begi
         return [t_ns for _, t_ns, _ in asl_rows(data_csv, 0)]
     count = int((end_s - begin_s) * camera.rate_hz)
     return [first_ns + round((begin_s + k / camera.rate_hz) * 1e9) for k in range(count)]
-
-
-def _write_truth(writer: AslWriter, table: StateTable, low: int, high: int) -> None:
-    for t_ns, row in zip(table.t_ns, table.values, strict=True):
-        if low <= t_ns <= high:
-            zero = np.zeros(3)
-            state = MotionState(0.0, row[:3], rotation_from_quat(row[3:7]), row[7:10], zero, zero)
-            writer.add_truth(int(t_ns), state, (row[10:13], row[13:16]))
-
-
-def _copy_imu(writer: AslWriter, path: Path, low: int, high: int) -> None:
-    for t_ns, numbers in asl_numbers(path, 6):
-        values = np.array(numbers)
-        if low <= t_ns <= high:
-            writer.add_imu(t_ns, ImuMeasurement(0.0, values[:3], values[3:], np.zeros(3), np.zeros(3)))
-
-
-def _synthesise_imu(
-    writer: AslWriter, table: StateTable, path: MotionHistory, model: ImuModel, low: int, high: int
-) -> None:
-    for t_ns, state in zip(table.t_ns, path.states, strict=True):
-        if low <= t_ns <= high:
-            writer.add_imu(int(t_ns), model.measure(state))

@@ -47,12 +47,13 @@ def bake_atlas(specs: list[TextureSpec], cache_dir: Path | None) -> Atlas:
         image = _paint_all(unique, layout)
         if cache_dir:
             _write_cached(cache_dir, unique, image)
-    return Atlas(image, layout.origin_px, layout.texels_per_m, {spec: i for i, spec in enumerate(unique)})
+    # Texel k of level 0 covers [k, k+1) / density; its centre sits at pixel k: hence the half.
+    origin_px = (layout.corner - 0.5).astype(np.float32)
+    return Atlas(image, origin_px, layout.texels_per_m, {spec: i for i, spec in enumerate(unique)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layout:
-    origin_px: npt.NDArray[np.float32]
     texels_per_m: npt.NDArray[np.float32]
     corner: npt.NDArray[np.int64]  # (N, NUM_LEVELS, 2) first pixel of the picture itself
     size: npt.NDArray[np.int64]  # (N, NUM_LEVELS, 2)
@@ -76,8 +77,7 @@ def _layout(specs: list[TextureSpec]) -> _Layout:
     height = y + shelf
     if height > MAX_ATLAS_HEIGHT_PX:
         raise ValueError(f"the world's textures need {height} rows, the limit is {MAX_ATLAS_HEIGHT_PX}")
-    # Texel k of level 0 covers [k, k+1) / density; its centre sits at pixel k: hence the half.
-    return _Layout((corner - 0.5).astype(np.float32), density, corner, size, height)
+    return _Layout(density, corner, size, height)
 
 
 def _paint_all(specs: list[TextureSpec], layout: _Layout) -> ImageArray:

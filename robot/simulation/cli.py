@@ -101,13 +101,13 @@ def along(
     no_imperfections: IdealOption = False,
 ) -> None:
     """Render the world along a recorded path and write an EuRoC/ASL folder."""
-    from robot.simulation.along import AlongRequest, render_along
+    from robot.simulation.along import render_along
     from robot.simulation.atlas import default_cache_dir
     from robot.simulation.worlds import make_world
 
     settings = effective_config(config, no_imperfections)
-    request = AlongRequest(states, camera, imu, out, start, duration)
-    frames = render_along(make_world(world, seed, settings), request, settings, seed, default_cache_dir(), Progress())
+    flat, kept, shown = make_world(world, seed, settings), default_cache_dir(), Progress()
+    frames = render_along(flat, states, camera, imu, out, settings, seed, start, duration, kept, shown)
     print(f"{out}: {frames} frames")
 
 

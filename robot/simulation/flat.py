@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -81,10 +81,8 @@ def make_flat(name: str, seed: int, options: FlatOptions) -> World:
         _build_jambs(builder, door, rng)
     light = _light(options.light_seed, len(rooms))
     start_room = max(rooms, key=lambda r: (r.x1_m - r.x0_m) * (r.y1_m - r.y0_m))
-    world = World(
-        name, seed, rooms, tuple(doors), tuple(builder.surfaces), tuple(builder.obstacles), (0.0, 0.0, 0.0), light
-    )
-    return replace(world, start=(*start_room.centre, 0.0))
+    start = (*start_room.centre, 0.0)
+    return World(name, seed, rooms, tuple(doors), tuple(builder.surfaces), tuple(builder.obstacles), start, light)
 
 
 def _light(light_seed: int | None, count: int) -> tuple[float, ...]:

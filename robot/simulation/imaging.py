@@ -44,10 +44,6 @@ class SimulatedCamera:
         self._vignette = _vignette(calibration, imperfections.vignetting)
         self._person = _Person(seed)
 
-    @property
-    def exposure_s(self) -> float:
-        return self._exposure_s
-
     def expose(
         self, pose: PoseFunction, t_s: float, faults: Faults, covered: float = 0.0, R_cam_head: FloatArray | None = None
     ) -> Exposure:

@@ -105,18 +105,7 @@ def record_drive(
             room = world.room_at(*body.pose[:2])
             if room and room not in rooms:
                 rooms.append(room)
-        writer.add_file(
-            "config.json",
-            msgspec.json.format(msgspec.json.encode(_effective(world, route, config, drive_seed))).decode(),
-        )
+        what = {"world": world.name, "seed": world.seed, "route": route.kind, "drive_seed": drive_seed}
+        made = msgspec.json.encode({**what, "config": config})
+        writer.add_file("config.json", msgspec.json.format(made).decode())
         return Recorded(writer.num_frames, state.t_s, path_m, driver.is_done, blocked / TICK_RATE_HZ, tuple(rooms))
-
-
-def _effective(world: World, route: Route, config: SimulationConfig, drive_seed: int) -> dict[str, object]:
-    return {
-        "world": world.name,
-        "seed": world.seed,
-        "route": route.kind,
-        "drive_seed": drive_seed,
-        "config": msgspec.to_builtins(config),
-    }

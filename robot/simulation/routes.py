@@ -83,13 +83,8 @@ class FreeSpace:
         """All free cell centres (N, 2) of a room."""
         i, j = np.nonzero(self.is_free)
         centres = self._origin + CELL_M * np.column_stack([i, j])
-        inside = (
-            (centres[:, 0] >= room.x0_m)
-            & (centres[:, 0] <= room.x1_m)
-            & (centres[:, 1] >= room.y0_m)
-            & (centres[:, 1] <= room.y1_m)
-        )
-        return cast(FloatArray, centres[inside])
+        inside = (centres >= (room.x0_m, room.y0_m)) & (centres <= (room.x1_m, room.y1_m))
+        return cast(FloatArray, centres[inside.all(1)])
 
     def random_spot(self, seed: int, room_name: str | None = None) -> tuple[float, float, float]:
         """x m, y m, yaw rad of a free place with some room around it. Raises ConfigError for an unknown room."""

@@ -18,7 +18,6 @@ REFERENCE_SPEED_M_S = 0.4  # vibration figures are given at this speed
 class ImuMeasurement:
     """One sample and the biases in it."""
 
-    t_s: float
     gyro_imu: FloatArray  # (3,) rad/s
     accel_imu: FloatArray  # (3,) m/s^2
     gyro_bias: FloatArray  # (3,)
@@ -58,7 +57,7 @@ class ImuModel:
         if i.saturation:
             gyro = np.clip(gyro, -n.gyro_range, n.gyro_range)
             accel = np.clip(accel, -n.accel_range, n.accel_range)
-        return ImuMeasurement(motion.t_s, gyro, accel, self._gyro_bias, self._accel_bias)
+        return ImuMeasurement(gyro, accel, self._gyro_bias, self._accel_bias)
 
     def _vibrate(self, motion: MotionState, white: FloatArray) -> None:
         """High-pass filtered noise that grows with the speed of the wheels: it shakes but does not drift."""

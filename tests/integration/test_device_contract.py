@@ -15,8 +15,7 @@ import pytest
 import pytest_asyncio
 
 from robot.config import PiConfig, load_config
-from robot.devices.emulated import EmulatedBoard, open_emulated
-from robot.devices.emulated.adapter import EmulatedImu
+from robot.devices.emulated import EmulatedBoard, EmulatedImu, open_emulated
 from robot.devices.pi import gpio_parts, open_pi
 from robot.devices.ports import Camera, CapturedFrame, DeviceSet, Imu, ImuReading
 from robot.devices.recorded import open_recorded

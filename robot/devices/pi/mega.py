@@ -14,25 +14,8 @@ from robot.devices.pi.mega_greeting import BOOT_S, AskPlan, Settings
 from robot.devices.pi.mega_health import MegaHealth
 from robot.devices.pi.serial_line import SerialLine
 from robot.devices.ports import ImuReading
+from shared import serial_protocol as sp
 from shared.errors import DeviceLost, DeviceUnavailable, HardwareError
-from shared.serial_protocol import (
-    PROTOCOL_VERSION,
-    Ack,
-    AskHello,
-    Command,
-    ConfigImu,
-    ConfigMotors,
-    Drive,
-    FirmwareMessage,
-    Flag,
-    Hello,
-    ImuPacket,
-    SerialDecoder,
-    Status,
-    Stop,
-    encode,
-    parse,
-)
 
 logger = logging.getLogger(__name__)
 
@@ -50,8 +33,8 @@ class Mega:
     def __init__(
         self,
         open_line: Callable[[], SerialLine],
-        imu: ConfigImu,
-        motors: ConfigMotors,
+        imu: sp.ConfigImu,
+        motors: sp.ConfigMotors,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Opens the line and waits for the firmware's hello.
@@ -67,14 +50,14 @@ class Mega:
         self._line: SerialLine | None = None
         self._given_up: list[SerialLine] = []  # the reading thread closes them: whoever drives must not wait for that
         self._new_start: AskPlan | None = None  # the firmware started anew and has not been greeted yet
-        self._decoder = SerialDecoder()
+        self._decoder = sp.SerialDecoder()
         self._clock = MegaClock()
         self._readings: Mailbox[ImuReading] = Mailbox(MAX_READINGS)
         self._next_sequence = 0  # of our own count, which goes on when the Mega starts anew
         self._sequence_offset: int | None = None
         self._closed = threading.Event()
-        self.hello: Hello | None = None
-        self.status: Status | None = None
+        self.hello: sp.Hello | None = None
+        self.status: sp.Status | None = None
         self._uptime_ms = 0
         self.lost: str = ""  # why nothing comes at present, in a sentence
         self.restarts = 0  # how often the firmware started anew under us
@@ -92,19 +75,19 @@ class Mega:
         refused = {"settings": self._settings.refused} if self._settings.refused else {}
         return self._health.sentences() | refused
 
-    def send(self, command: Command) -> None:
+    def send(self, command: sp.Command) -> None:
         """Give a command to the line; never waits for it.
 
         Raises:
             DeviceLost: there is no line, or the firmware behind it is not known to be the one we have set.
         """
-        frame = encode(command)
+        frame = sp.encode(command)
         with self._write_lock:
             if self._line is None:
                 raise DeviceLost(self.lost or "the Mega is not connected")
             if self._new_start is not None:
                 raise DeviceLost("the Mega has started anew; its motors are off until it has been greeted")
-            if isinstance(command, Drive) and not self._settings.motors_are_set:
+            if isinstance(command, sp.Drive) and not self._settings.motors_are_set:
                 raise DeviceLost(self._settings.refused or "the Mega has not confirmed its settings yet")
             try:
                 self._line.write(frame)
@@ -130,7 +113,7 @@ class Mega:
         if self._closed.is_set():
             return
         try:
-            self.send(Stop())
+            self.send(sp.Stop())
         except HardwareError as exc:
             logger.info("no stop at closing: %s; the firmware stops by itself", exc)
         self._closed.set()
@@ -142,7 +125,7 @@ class Mega:
     def _why_silent(self) -> str:
         if self.lost:
             return self.lost
-        if self.status is not None and self.status.flags & Flag.IMU_MISSING:
+        if self.status is not None and self.status.flags & sp.Flag.IMU_MISSING:
             return "the Mega finds no ICM-20948; check its four wires (SDA 20, SCL 21, 3.3 V, GND)"
         return "the IMU gives no samples; check the wire from its INT to Mega pin 2"
 
@@ -151,14 +134,14 @@ class Mega:
     def _connect(self) -> None:
         line = self._open_line()
         opened_s = time.monotonic()
-        decoder, plan = SerialDecoder(), AskPlan(opened_s)
+        decoder, plan = sp.SerialDecoder(), AskPlan(opened_s)
         try:
             while (now_s := time.monotonic()) < opened_s + HELLO_TIMEOUT_S and not self._closed.is_set():
                 if plan.is_due(now_s):
-                    line.write(encode(AskHello()))
+                    line.write(sp.encode(sp.AskHello()))
                 for payload in decoder.receive(line.read()):
-                    message = parse(payload)
-                    if isinstance(message, Hello):
+                    message = sp.parse(payload)
+                    if isinstance(message, sp.Hello):
                         self._greet(line, message, decoder)
                         return
                     if message is not None:
@@ -172,10 +155,10 @@ class Mega:
             f"the Mega says no hello ({heard} in {HELLO_TIMEOUT_S:.0f} s); flash it: make -C firmware upload"
         )
 
-    def _greet(self, line: SerialLine, hello: Hello, decoder: SerialDecoder) -> None:
-        if hello.version != PROTOCOL_VERSION:
+    def _greet(self, line: SerialLine, hello: sp.Hello, decoder: sp.SerialDecoder) -> None:
+        if hello.version != sp.PROTOCOL_VERSION:
             raise DeviceUnavailable(
-                f"the Mega's firmware speaks protocol {hello.version}, we speak {PROTOCOL_VERSION};"
+                f"the Mega's firmware speaks protocol {hello.version}, we speak {sp.PROTOCOL_VERSION};"
                 " flash it: make -C firmware upload"
             )
         self._settings.begin()
@@ -193,7 +176,7 @@ class Mega:
 
     def _say_settings(self, line: SerialLine) -> None:
         for command in self._settings.due(time.monotonic()):
-            line.write(encode(command))
+            line.write(sp.encode(command))
 
     def _run(self) -> None:
         while not self._closed.is_set():
@@ -229,7 +212,7 @@ class Mega:
             # When this whole process stood still, the Mega was not silent: one read counts no longer than it may wait.
             silent_s += min((now_ns - read_ns) * 1e-9, LONGEST_READ_S)
             for payload in self._decoder.receive(data):
-                message = parse(payload)
+                message = sp.parse(payload)
                 if message is not None:
                     silent_s = 0.0
                     self._heard_ns = now_ns
@@ -241,7 +224,7 @@ class Mega:
     def _say_what_is_due(self, line: SerialLine) -> None:
         if self._new_start is not None:
             if self._new_start.is_due(time.monotonic()):
-                line.write(encode(AskHello()))
+                line.write(sp.encode(sp.AskHello()))
         elif self.silence_ns < MAY_SPEAK_NS:  # else it may be in its bootloader
             self._say_settings(line)
 
@@ -258,17 +241,17 @@ class Mega:
         while self._given_up:
             self._given_up.pop().close()
 
-    def _sort(self, line: SerialLine, message: FirmwareMessage, now_ns: int) -> None:
-        if self._new_start is not None and not isinstance(message, Hello):
+    def _sort(self, line: SerialLine, message: sp.FirmwareMessage, now_ns: int) -> None:
+        if self._new_start is not None and not isinstance(message, sp.Hello):
             self._new_start.hear(time.monotonic())
-        if isinstance(message, ImuPacket):
+        if isinstance(message, sp.ImuPacket):
             self._take_imu(message, now_ns)
-        elif isinstance(message, Status):
+        elif isinstance(message, sp.Status):
             self._take_status(message)
-        elif isinstance(message, Ack):
+        elif isinstance(message, sp.Ack):
             self._settings.take(message)
             self._note_ready()
-        elif isinstance(message, Hello):
+        elif isinstance(message, sp.Hello):
             if self._new_start is None and self.hello is not None and message.boot_id == self.hello.boot_id:
                 self.hello = message  # a late answer to our asking, or said once more before it heard us
                 return
@@ -277,7 +260,7 @@ class Mega:
             self.restarts += 1
             self._greet(line, message, self._decoder)
 
-    def _take_status(self, status: Status) -> None:
+    def _take_status(self, status: sp.Status) -> None:
         self.status = status
         before_ms, self._uptime_ms = self._uptime_ms, status.uptime_ms
         self._health.take(status)
@@ -293,7 +276,7 @@ class Mega:
         if self.status is not None and self._settings.are_confirmed:
             self._ready.set()
 
-    def _take_imu(self, packet: ImuPacket, now_ns: int) -> None:
+    def _take_imu(self, packet: sp.ImuPacket, now_ns: int) -> None:
         if self._sequence_offset is None:
             # A fresh count: one number stays out, so that a hole shows.
             start = self._next_sequence + 1 if self._next_sequence else 0

@@ -75,11 +75,11 @@ class SimulatedRobot:
         self._epoch_ns = time.monotonic_ns()
         self._skipped_ticks = 0
         self._drained = 0.0
-        self._controls: list[Closable] = []
+        self._control: Closable | None = None
         self._threads: list[threading.Thread] = []
 
-    def start(self, *controls: Closable | None) -> None:
-        self._controls = [c for c in controls if c is not None]
+    def start(self, control: Closable | None = None) -> None:
+        self._control = control
         self._epoch_ns = time.monotonic_ns()
         self._threads = [
             threading.Thread(target=self._live, name="simulated-physics", daemon=True),
@@ -93,8 +93,8 @@ class SimulatedRobot:
         if self._stopped.is_set():
             return
         self._stopped.set()
-        for control in self._controls:
-            control.close()
+        if self._control is not None:
+            self._control.close()
         for thread in self._threads:
             thread.join(timeout=5.0)
 
