@@ -128,7 +128,7 @@ class CommandDesk:
 
     def go_quiet(self, client: int) -> None:
         """Nothing was heard of the station for a while: it does not drive any more."""
-        if self.lease.release(client) and self.watchdog is not None:
+        if self.lease.leave(client) and self.watchdog is not None:
             self.watchdog.stop()
 
     def _drive(self, client: int, order: CommandOrder, message: Drive, now_ns: int) -> ErrorNotice | None:
@@ -162,7 +162,8 @@ class CommandDesk:
 
     def _stop(self, client: int, order: CommandOrder, message: Stop, now_ns: int) -> ErrorNotice | None:
         order.is_newest(message.seq)  # commands sent before it are old now
-        self.lease.stop(client, now_ns)
+        if client != self.lease.driver(now_ns):  # a station stops by itself, too: its own stop is no letting go
+            self.lease.stop(None, now_ns)
         if self.watchdog is not None:
             self.watchdog.stop()
         return None

@@ -23,6 +23,7 @@ class DriverLease(Generic[Driver]):
         self._hold_ns = 0  # so long the last command held
         self._free_ns = 0  # when silence has given the wheel back
         self._stopped: Driver | None = None  # who was stopped by somebody else and has not let go since
+        self._is_anybody_stopped = False  # that one is gone, and may be back under another name
 
     def driver(self, now_ns: int) -> Driver | None:
         return self._driver if self._driver is not None and now_ns < self._free_ns else None
@@ -65,7 +66,7 @@ class DriverLease(Generic[Driver]):
         """
         if by is not None and by == self._stopped:
             self._stopped = None
-        elif (driver := self.driver(now_ns)) is not None and driver != by:
+        if (driver := self.driver(now_ns)) is not None and driver != by:
             self._stopped = driver
             self._heard_ns = now_ns  # the silence that counts begins now
 
@@ -73,6 +74,15 @@ class DriverLease(Generic[Driver]):
         """Let go. True when the wheel was this one's, or was so last."""
         if self._stopped == driver:
             self._stopped = None
+        return self._give_back(driver)
+
+    def leave(self, driver: Driver) -> bool:
+        """Gone without letting go: a stop by somebody else holds for whoever comes next. True as for `release`."""
+        if self._stopped == driver:
+            self._stopped, self._is_anybody_stopped = None, True
+        return self._give_back(driver)
+
+    def _give_back(self, driver: Driver) -> bool:
         if self._driver != driver:
             return False
         self._driver = None
@@ -83,6 +93,8 @@ class DriverLease(Generic[Driver]):
 
         Silence while the last command would still hold is none: a program that repeats once a second holds on too.
         """
-        if driver == self._stopped and (is_zero or now_ns - self._heard_ns >= self._hold_ns + LET_GO_NS):
-            self._stopped = None
-        return driver == self._stopped
+        is_stopped = self._is_anybody_stopped or driver == self._stopped
+        if is_stopped and (is_zero or now_ns - self._heard_ns >= self._hold_ns + LET_GO_NS):
+            self._stopped, self._is_anybody_stopped = None, False
+            return False
+        return is_stopped

@@ -7,6 +7,7 @@ from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
 from robot.watchdog import MotorWatchdog
 from shared.calibration import REFERENCE_ROBOT
+from shared.lease import LET_GO_NS
 from shared.messages import Drive, Heartbeat, Stop
 from tests.support.motors import FakeMotors
 
@@ -30,7 +31,64 @@ def test_the_first_to_command_drives_and_others_hear_why_they_do_not() -> None:
     assert refused is not None and refused.code == "not_driver" and "let go of the joystick" in refused.message
     assert command_desk.watchdog is not None and command_desk.refused == 2
     command_desk.leave(1)
-    assert command_desk.handle(2, command(3, 9 * S + 60 * MS), 9 * S + 60 * MS) is None
+    resting_ns = 9 * S + 50 * MS + LET_GO_NS  # whoever comes may be the one that was stopped, under another number
+    assert command_desk.handle(2, command(3, 9 * S + 60 * MS), 9 * S + 60 * MS) is not None
+    assert command_desk.handle(2, command(4, resting_ns + 70 * MS), resting_ns + 70 * MS) is None
+    command_desk.watchdog.close()
+
+
+def two_stations_one_driving() -> CommandDesk:
+    """Stations 1 and 2 are known long enough; 1 drives at 9 s."""
+    command_desk, _ = desk(9 * S)
+    for station in (1, 2):
+        for t in (8 * S, 9 * S):
+            command_desk.handle(station, Heartbeat(seq=0, t_station_ns=t), t)
+    assert command_desk.handle(1, command(1, 9 * S), 9 * S) is None
+    return command_desk
+
+
+def is_refused(command_desk: CommandDesk, station: int, seq: int, t_ns: int) -> bool:
+    answer = command_desk.handle(station, command(seq, t_ns), t_ns)
+    assert answer is None or "let go of the joystick" in answer.message
+    return answer is not None
+
+
+def test_a_stop_that_a_driving_station_sends_by_itself_lifts_no_other_stop() -> None:
+    command_desk = two_stations_one_driving()
+    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
+    for step in range(1, 40):  # the joystick is still held; its station's timer sends a stop in between
+        t = 9 * S + 10 * MS + step * 50 * MS
+        assert is_refused(command_desk, 1, 2 * step, t)
+        command_desk.handle(1, Stop(seq=2 * step + 1), t + 10 * MS)
+    assert command_desk.watchdog is not None
+    command_desk.watchdog.close()
+
+
+def test_who_was_stopped_before_stops_the_next_driver_as_well() -> None:
+    command_desk = two_stations_one_driving()
+    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
+    assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+    later = 11 * S  # station 1 has fallen silent, 2 drives
+    assert not is_refused(command_desk, 2, 3, later)
+    command_desk.handle(1, Stop(seq=3), later + 10 * MS)
+    assert is_refused(command_desk, 2, 4, later + 50 * MS)
+    assert command_desk.watchdog is not None
+    command_desk.watchdog.close()
+
+
+def test_a_connection_that_breaks_is_no_letting_go() -> None:
+    command_desk = two_stations_one_driving()
+    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
+    assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+    command_desk.leave(1)
+    back = 9 * S + 60 * MS  # under another number, the joystick still held
+    command_desk.handle(3, Heartbeat(seq=0, t_station_ns=back), back)
+    for step in range(2, 40):
+        assert is_refused(command_desk, 3, step, back + step * 50 * MS)
+    zero = Drive(seq=99, t_station_ns=back + 3 * S, linear=0.0, angular=0.0, ttl_ms=200)
+    assert command_desk.handle(3, zero, back + 3 * S) is None
+    assert not is_refused(command_desk, 3, 100, back + 3 * S + 50 * MS)
+    assert command_desk.watchdog is not None
     command_desk.watchdog.close()
 
 
