@@ -30,8 +30,6 @@ class Route:
     kind: str
     points: FloatArray  # (N, 2) m, world
     start_yaw_rad: float
-    max_speed_m_s: float = 0.42
-    max_yaw_rate_rad_s: float = 0.5
 
     @property
     def length_m(self) -> float:
