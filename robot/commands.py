@@ -83,7 +83,6 @@ class CommandDesk:
     limits: DriveConfig
     lease: DriverLease[int] = field(default_factory=lambda: DriverLease(LEASE_NS))  # by client id
     refused: int = 0
-    stale: int = 0
     _orders: dict[int, CommandOrder] = field(default_factory=dict)  # client id → order of its commands
 
     def capabilities(self) -> Capabilities:
@@ -136,7 +135,6 @@ class CommandDesk:
             return self._refuse("not_capable", "this robot has no motors")
         wish = Velocity(message.linear, message.angular)
         if (until_ns := order.until_ns(message, now_ns)) is None:
-            self.stale += 1
             if wish.is_zero and self.lease.last_driver == client:
                 self.watchdog.stop()  # letting go counts however late it comes
             return None  # the past needs no answer; what counts comes next

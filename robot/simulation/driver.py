@@ -10,6 +10,7 @@ from robot.simulation.routes import Route
 from robot.watchdog import STANDSTILL, Velocity
 
 LOOKAHEAD_M = 0.28
+MAX_SPEED_M_S, MAX_YAW_RATE_RAD_S = 0.42, 0.5
 WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
 GOAL_M = 0.12
 MAX_COMMAND_RAD_S = 2.4  # robot-server refuses more than 2.5
@@ -61,12 +62,11 @@ class RouteDriver:
         bearing = math.atan2(target[1] - y_m, target[0] - x_m) - yaw_rad
         bearing = (bearing + math.pi) % (2 * math.pi) - math.pi
         reach = max(0.1, math.hypot(target[0] - x_m, target[1] - y_m))
-        speed, limit = self._route.max_speed_m_s, self._route.max_yaw_rate_rad_s
         if abs(bearing) > PIVOT_RAD:
-            linear, yaw_rate = 0.05, math.copysign(limit, bearing)
+            linear, yaw_rate = 0.05, math.copysign(MAX_YAW_RATE_RAD_S, bearing)
         else:
             curvature = 2 * math.sin(bearing) / reach
-            linear = min(speed, limit / max(abs(curvature), 1e-6))
+            linear = min(MAX_SPEED_M_S, MAX_YAW_RATE_RAD_S / max(abs(curvature), 1e-6))
             yaw_rate = linear * curvature
         if self._is_stuck(x_m, y_m):
             linear = -0.15

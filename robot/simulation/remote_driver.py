@@ -88,7 +88,9 @@ def drive_route(
     control = SimulatorLink(sim_port)
     http_link = StationHttp(station, driver_name)
     try:
-        return _follow(control, http_link, _route(control.ask(cmd="route", kind=kind, seed=seed)), max_duration_s)
+        plan = control.ask(cmd="route", kind=kind, seed=seed)
+        route = Route(plan["kind"], np.array(plan["points"]), plan["start_yaw"])
+        return _follow(control, http_link, route, max_duration_s)
     finally:
         http_link.close()
         control.close()
@@ -119,9 +121,3 @@ def _follow(control: SimulatorLink, station: StationHttp, route: Route, max_dura
         time.sleep(max(0.0, next_s - time.monotonic()))
     station.stop()
     return DriveReport(time.monotonic() - began, route.length_m, refused)
-
-
-def _route(answer: dict[str, Any]) -> Route:
-    return Route(
-        answer["kind"], np.array(answer["points"]), answer["start_yaw"], answer["max_speed"], answer["max_yaw_rate"]
-    )

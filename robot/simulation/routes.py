@@ -30,8 +30,6 @@ class Route:
     kind: str
     points: FloatArray  # (N, 2) m, world
     start_yaw_rad: float
-    max_speed_m_s: float = 0.42
-    max_yaw_rate_rad_s: float = 0.5
 
     @property
     def length_m(self) -> float:
@@ -54,6 +52,8 @@ class FreeSpace:
         lack = np.clip((COMFORT_M + radius_m - self.clearance) / COMFORT_M, 0.0, 1.0)
         self._cost = 1.0 + 6.0 * lack**2
         self._keep_connected()
+        self._free_cells = np.argwhere(self.is_free)  # (N, 2)
+        self._free_points: FloatArray = self._origin + CELL_M * self._free_cells  # (N, 2) m, their centres
 
     def _keep_connected(self) -> None:
         """Forget pockets that the robot cannot reach: keep the largest region."""
@@ -63,12 +63,10 @@ class FreeSpace:
 
     def cell(self, p: FloatArray) -> tuple[int, int]:
         """The free cell nearest to a point."""
-        i, j = np.nonzero(self.is_free)
-        if len(i) == 0:
+        if len(self._free_cells) == 0:
             raise ConfigError(f"world {self.world.name} with seed {self.world.seed} has no free floor")
-        centres = self._origin + CELL_M * np.column_stack([i, j])
-        k = int(np.argmin(((centres - p) ** 2).sum(1)))
-        return int(i[k]), int(j[k])
+        i, j = self._free_cells[np.argmin(((self._free_points - p) ** 2).sum(1))].tolist()
+        return i, j
 
     def point(self, cell: tuple[int, int]) -> FloatArray:
         return cast(FloatArray, self._origin + CELL_M * np.array(cell))
@@ -81,10 +79,9 @@ class FreeSpace:
 
     def free_points_in(self, room: Room) -> FloatArray:
         """All free cell centres (N, 2) of a room."""
-        i, j = np.nonzero(self.is_free)
-        centres = self._origin + CELL_M * np.column_stack([i, j])
-        inside = (centres >= (room.x0_m, room.y0_m)) & (centres <= (room.x1_m, room.y1_m))
-        return cast(FloatArray, centres[inside.all(1)])
+        points = self._free_points
+        inside = (points >= (room.x0_m, room.y0_m)) & (points <= (room.x1_m, room.y1_m))
+        return points[inside.all(1)]
 
     def random_spot(self, seed: int, room_name: str | None = None) -> tuple[float, float, float]:
         """x m, y m, yaw rad of a free place with some room around it. Raises ConfigError for an unknown room."""

@@ -111,8 +111,9 @@ def _open_file(path: Path) -> Recording:
 def _open_asl(path: Path) -> Recording:
     mav, remarks = path / "mav0", []
     camera_yaml, imu_yaml = mav / "cam0" / "sensor.yaml", mav / "imu0" / "sensor.yaml"
-    default_exposure_ns = _camera_exposure_ns(camera_yaml)
-    frames = tuple(_read_frames(mav / "cam0", default_exposure_ns))
+    has_camera = camera_yaml.is_file()
+    content = read_yaml(camera_yaml) if has_camera else {}
+    frames = tuple(_read_frames(mav / "cam0", read_exposure_ns(content, camera_yaml)))
     samples = tuple(_read_samples(mav / "imu0" / "data.csv"))
     if not frames and not samples:
         raise DataError(f"{path} holds neither images (mav0/cam0/data) nor IMU samples (mav0/imu0); nothing to play")
@@ -120,23 +121,14 @@ def _open_asl(path: Path) -> Recording:
         remarks.append(f"{path} holds no images; only its IMU is played")
     if not samples:
         remarks.append(f"{path} holds no IMU samples; only its images are played")
-    camera, imu, kind, gravity = None, None, "generic", 9.81
-    if frames or camera_yaml.is_file():
-        if not camera_yaml.is_file():
-            raise DataError(f"{camera_yaml} is missing; the camera's intrinsics belong there")
-        content = read_yaml(camera_yaml)
-        camera = read_camera(camera_yaml, content)
-        gravity = number(content, "gravity", gravity, camera_yaml)
-        kind = str(content.get("robot_kind", kind))
+    if frames and not has_camera:
+        raise DataError(f"{camera_yaml} is missing; the camera's intrinsics belong there")
+    camera, imu = read_camera(camera_yaml, content) if has_camera else None, None
+    gravity, kind = number(content, "gravity", 9.81, camera_yaml), str(content.get("robot_kind", "generic"))
     if samples:
         imu, camera = _place_on_imu(imu_yaml, camera)
     calibration = Calibration(camera=camera, imu=imu, robot_kind=kind, gravity=gravity)
     return Recording(path, calibration, frames, samples, tuple(remarks))
-
-
-def _camera_exposure_ns(path: Path) -> int:
-    """The exposure of frames whose own was not recorded: `exposure_s` of the camera's file."""
-    return read_exposure_ns(read_yaml(path), path) if path.is_file() else 0
 
 
 def _place_on_imu(path: Path, camera: CameraCalibration | None) -> tuple[ImuNoise, CameraCalibration | None]:

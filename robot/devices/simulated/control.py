@@ -137,8 +137,6 @@ class ControlDesk:
             "points": route.points.round(4).tolist(),
             "start_yaw": route.start_yaw_rad,
             "length_m": route.length_m,
-            "max_speed": route.max_speed_m_s,
-            "max_yaw_rate": route.max_yaw_rate_rad_s,
         }
 
     def _faults(self, question: dict[str, Any]) -> dict[str, Any]:
