@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -81,7 +82,7 @@ class UkfBackend:
         self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command
         self._speed_since = 0  # when the commanded speed last changed
-        self._wheel_speed = WheelSpeed()
+        self._wheel_speed = WheelSpeed(hold_s=math.inf)  # recordings have changes only, and a robot reports its rest
         self._previous_t: int | None = None  # IMU time of the frame before
         self._lost_since: int | None = None
         self._lost_ns = 0

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shared.calibration import REFERENCE_ROBOT
+from station.model.frames import DriveSample
+from station.motion.drive_commands import MOTOR_LAG_S, SPEED_EFFICIENCY
 from station.motion.preintegration import ImuSegment
+from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.start.coasting import Coasting
 from station.slam.ukf.start.starter import Anchor
 
@@ -49,3 +53,10 @@ def test_a_start_in_motion_is_told_where_its_window_began() -> None:
 def test_without_wheels_or_in_somebodys_hands_the_place_stays() -> None:
     end = coast(Anchor(np.ones(3), 0.3, None), 1.0, None, 20).at(20 * FRAME_NS)
     assert end.yaw_rad == 0.3 and (end.x_world == 1.0).all()
+
+
+def test_a_command_holds_until_the_next_however_long_that_takes() -> None:
+    backend = UkfBackend(REFERENCE_ROBOT)
+    backend.add_drive(DriveSample(0, 0.3, 0.0))  # a recording has no other while it stays the same
+    rolled = [backend._rolled_m(k * FRAME_NS) or 0.0 for k in range(1, 41)]
+    assert sum(rolled) == pytest.approx(SPEED_EFFICIENCY * 0.3 * (2.0 - MOTOR_LAG_S), rel=1e-3)
