@@ -65,9 +65,9 @@ def replacing(path: Path, *, scratch: Path | None = None, mode: int = 0o666) -> 
         raise
 
 
-def replace_file(path: Path, content: bytes, *, mode: int = 0o666) -> None:
+def replace_file(path: Path, content: bytes, *, scratch: Path | None = None, mode: int = 0o666) -> None:
     """Write a whole file, as `replacing` does."""
-    with replacing(path, mode=mode) as file:
+    with replacing(path, scratch=scratch, mode=mode) as file:
         file.write(content)
 
 

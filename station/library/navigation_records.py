@@ -130,7 +130,7 @@ class NavigationLibrary:
         try:
             make_folder(folder)
             content = json.dumps(msgspec.to_builtins(navigation), indent=1) + "\n"
-            replace_file(folder / RECORD, content.encode())
+            replace_file(folder / RECORD, content.encode(), scratch=folder / f".{RECORD}")
             (folder / OLD_RECORD).unlink(missing_ok=True)
         except OSError as exc:
             raise cannot_write(folder, exc) from exc
