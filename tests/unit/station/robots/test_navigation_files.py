@@ -25,9 +25,7 @@ def test_the_names_of_a_new_navigation_are_flushed_up_to_the_data_folder(
     navigation, recorder = make_navigation(
         library, lambda path: Recorder(path, min_free_bytes=0), HELLO, "Flat", "sfm", "attic"
     )
-    try:
-        folder = library.folder(navigation.id)
-        assert {folder.parent, folder} <= set(flushed)
-    finally:
-        assert recorder is not None
-        recorder.close()
+    assert recorder is not None
+    recorder.close()
+    folder = library.folder(navigation.id)
+    assert {folder.parent, folder} <= set(flushed)
