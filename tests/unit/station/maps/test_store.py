@@ -189,6 +189,8 @@ def test_maps_of_the_old_format_are_imported(place_map: PlaceMap, address: Store
     save_map_folder(place_map, address.root / "broken.000001")
     (address.root / "broken.000001" / "navigation" / "landmarks.ply").write_bytes(b"x")
     store = MapStore(address)
+    with pytest.raises(DataError, match=f"its maps: broken, {place_map.id}$"):
+        store.load("elsewhere")
     assert [(s.id, bool(s.damaged)) for s in store.list()] == [(place_map.id, False), ("broken", True)]
     assert store.load(place_map.id).name == place_map.name
     assert {p.name for p in (address.root / "imported").iterdir()} == {
