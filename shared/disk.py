@@ -10,7 +10,7 @@ import secrets
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, BinaryIO
 
@@ -47,6 +47,14 @@ def replacing(path: Path, *, scratch: Path | None = None, mode: int = 0o666) -> 
             next write removes what a killed one left. Otherwise a new name each time: several may write at once.
         mode: its permissions, before the umask.
     """
+    with _taking_name(path, scratch, mode) as file:
+        yield file
+    flush(path.parent)
+
+
+@contextlib.contextmanager
+def _taking_name(path: Path, scratch: Path | None, mode: int) -> Iterator[BinaryIO]:
+    """As `replacing`, but a power cut may still bring the old file back."""
     if scratch is None:
         scratch = path.with_name(f"{SCRATCH}{secrets.token_hex(8)}")
     else:
@@ -58,17 +66,25 @@ def replacing(path: Path, *, scratch: Path | None = None, mode: int = 0o666) -> 
             file.flush()
             os.fsync(descriptor)
         scratch.replace(path)
-        flush(path.parent)
     except BaseException:
         with contextlib.suppress(OSError):
             scratch.unlink(missing_ok=True)
         raise
 
 
-def replace_file(path: Path, content: bytes, *, mode: int = 0o666) -> None:
+def replace_file(path: Path, content: bytes, *, scratch: Path | None = None, mode: int = 0o666) -> None:
     """Write a whole file, as `replacing` does."""
-    with replacing(path, mode=mode) as file:
+    with replacing(path, scratch=scratch, mode=mode) as file:
         file.write(content)
+
+
+def replace_files(contents: Mapping[Path, bytes], *, mode: int = 0o666) -> None:
+    """Write several whole files. Their names are flushed at the end, a folder at a time: sooner than one by one."""
+    for path, content in contents.items():
+        with _taking_name(path, None, mode) as file:
+            file.write(content)
+    for folder in {path.parent for path in contents}:
+        flush(folder)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from shared.errors import RobotSystemError
 from station.api.deps import StationDep
 from station.api.limits import converse
 from station.api.points import BINARY, WantsPly, ply_response, points_response
-from station.api.problems import responses
+from station.api.problems import kind_of, responses
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import ReplayModel, ReprocessOrder, replay_model
 from station.api.streams import HEADER, STREAM, AcknowledgedPictures, SeatedStream, part_of_stream
@@ -29,7 +29,7 @@ from station.recordings.playback import replay
 router = APIRouter(tags=["navigations"])
 FromS = Annotated[float, Query(ge=0, le=86_400, allow_inf_nan=False, description="seconds after the first picture")]
 Speed = Annotated[float, Query(ge=0.1, le=16, allow_inf_nan=False, description="1: as it was")]
-NO_SUCH_NAVIGATION = 4404  # close code of /ws/replay
+REFUSED = 4000  # close codes of /ws/replay: this plus the status that the same problem has over HTTP
 
 
 @router.post(
@@ -100,7 +100,7 @@ async def replay_socket(
                     header = HEADER.pack(p.number & 0xFFFFFFFF, 0, 0, p.t_robot_ns, p.since_first_s, 0, 0)
                     await shown.send(header + p.jpeg)
         except RobotSystemError as exc:
-            await socket.close(NO_SUCH_NAVIGATION, str(exc)[:120])
+            await socket.close(REFUSED + kind_of(exc)[2], str(exc)[:120])
         else:
             await socket.close()
 

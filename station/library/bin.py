@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,7 @@ class Bin:
         self._path = path
         self._entries: dict[tuple[str, str], BinEntry] = {}
         self._written: dict[tuple[str, str], BinEntry] = {}
+        self._updating = threading.Lock()  # two requests may each delete something at once
 
     def open(self) -> None:
         """Read the file; without one, what `update` is told of was deleted then."""
@@ -54,15 +56,16 @@ class Bin:
         Raises:
             DataError: the file cannot be written.
         """
-        before = self._entries
-        self._entries = {
-            (kind, found): before.get((kind, found)) or BinEntry(kind, found, name, now_s)
-            for kind, things in there.items()
-            for found, name in things
-        }
-        if self._entries != self._written:
-            self._write()
-            self._written = self._entries
+        with self._updating:
+            before = self._entries
+            self._entries = {
+                (kind, found): before.get((kind, found)) or BinEntry(kind, found, name, now_s)
+                for kind, things in there.items()
+                for found, name in things
+            }
+            if self._entries != self._written:
+                self._write()
+                self._written = self._entries
 
     def list(self) -> tuple[BinEntry, ...]:
         """The newest first."""
@@ -75,6 +78,7 @@ class Bin:
     def _write(self) -> None:
         try:
             make_folder(self._path.parent)
-            replace_file(self._path, msgspec.json.encode(self.list()))
+            scratch = self._path.with_name(f".{self._path.name}")
+            replace_file(self._path, msgspec.json.encode(self.list()), scratch=scratch)
         except OSError as exc:
             raise DataError(f"{self._path} cannot be written ({exc.strerror}); free space or choose another") from exc

@@ -32,13 +32,13 @@ def stored_choice(root: Path) -> tuple[str, ...]:
 
 
 def store_choice(root: Path, chosen: tuple[str, ...]) -> None:
-    """Raises Unwritable."""
+    """For one caller at a time. Raises Unwritable."""
     if chosen == _written(root):
         return
     content = msgspec.json.encode(_Choice(chosen[0] if chosen else None, chosen[1:])) + b"\n"
     try:
         make_folder(root)
-        replace_file(root / FILE, content)
+        replace_file(root / FILE, content, scratch=root / f".{FILE}")
     except OSError as exc:
         raise cannot_write(root, exc) from exc
 

@@ -68,7 +68,7 @@ class NavigationLibrary:
         try:
             data = self._root.parent
             if not self._root.is_dir() and (not data.is_dir() or why_unwritable(data) is None):
-                self._root.mkdir(parents=True)
+                make_folder(self._root)
             here = sorted(self._root.iterdir()) if self._root.is_dir() else []
         except OSError as exc:
             raise DataError(f"{self._root} cannot be used ({exc.strerror}); choose another folder with --data") from exc
@@ -130,7 +130,7 @@ class NavigationLibrary:
         try:
             make_folder(folder)
             content = json.dumps(msgspec.to_builtins(navigation), indent=1) + "\n"
-            replace_file(folder / RECORD, content.encode())
+            replace_file(folder / RECORD, content.encode(), scratch=folder / f".{RECORD}")
             (folder / OLD_RECORD).unlink(missing_ok=True)
         except OSError as exc:
             raise cannot_write(folder, exc) from exc

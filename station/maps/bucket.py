@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from shared.disk import PRIVATE, make_folder, replace_file
+from shared.disk import PRIVATE, make_folder, replace_files
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import cannot_write
 
@@ -48,9 +48,10 @@ class FolderBucket:
 
     def put(self, files: Mapping[str, bytes]) -> None:
         try:
-            for name, data in files.items():
-                make_folder((self._root / name).parent)
-                replace_file(self._root / name, data, mode=PRIVATE)
+            contents = {self._root / name: data for name, data in files.items()}
+            for folder in {path.parent for path in contents}:
+                make_folder(folder)
+            replace_files(contents, mode=PRIVATE)
         except OSError as exc:
             raise cannot_write(self._root, exc) from exc
 

@@ -42,6 +42,7 @@ class Contents:
         self.blobs = Blobs(bucket, notify)
         self.author = author
         self.notify = notify
+        self.not_imported: dict[str, str] = {}  # maps in the old format that cannot be read: id → why
 
     def save(self, place_map: PlaceMap, why: str) -> None:
         """Make a map the newest version of its id; nothing happens when that is the same already."""
@@ -111,7 +112,8 @@ class Contents:
         if self.database.exists:
             with self.database.reading() as connection:
                 rows = versions.newest_of_all(connection)
-        known = ", ".join(sorted(row.map_id for row in rows if row.kind != "deleted")) or "none"
+        kept = {row.map_id for row in rows if row.kind != "deleted"}
+        known = ", ".join(sorted(kept | self.not_imported.keys())) or "none"
         return DataError(f'{self.bucket.place} holds no map "{map_id}"; its maps: {known}')
 
     def unsealed(self, row: VersionRow) -> str:

@@ -26,8 +26,8 @@ def has_content(contents: Contents, root: Path) -> bool:
     return bool(_old_folders(root)) or next(iter(contents.bucket.names(FOLDER)), None) is not None
 
 
-def open_contents(contents: Contents, root: Path, *, is_copy: bool = False) -> dict[str, str]:
-    """Make a store in the folder `root` usable. Returns the maps of the old format that could not be read: id → why.
+def open_contents(contents: Contents, root: Path, *, is_copy: bool = False) -> None:
+    """Make a store in the folder `root` usable; maps of the old format that cannot be read are in its `not_imported`.
 
     Raises Unwritable where that needs a write and there can be none; in a copy of the index it can be done then.
     """
@@ -44,7 +44,7 @@ def open_contents(contents: Contents, root: Path, *, is_copy: bool = False) -> d
         contents.notify(f"{exc}; {done} made again from the records")
         contents.database.migrate()
         index_unclaimed(contents)
-    return _import_folders(contents, root, is_copy=is_copy)
+    contents.not_imported = _import_folders(contents, root, is_copy=is_copy)
 
 
 def index_unclaimed(contents: Contents) -> list[VersionRow]:
@@ -81,7 +81,7 @@ def index_unclaimed(contents: Contents) -> list[VersionRow]:
 
 
 def _import_folders(contents: Contents, root: Path, *, is_copy: bool) -> dict[str, str]:
-    """Maps of the old format, a folder each. The folders are kept, under another name."""
+    """Maps of the old format, a folder each. The folders are kept, under another name. Returns those it cannot read."""
     failed = {}
     for map_id, folders in _old_folders(root).items():
         try:

@@ -52,7 +52,6 @@ class MapStore:
         self._notified = ""
         self._opening = threading.Lock()
         self._is_open = False
-        self._not_imported: dict[str, str] = {}  # maps in the old format that cannot be read: id → why
 
     def save(self, place_map: PlaceMap, why: str = "saved") -> None:
         """Keep a map as the newest version of its id; nothing happens when that is the same already."""
@@ -120,7 +119,7 @@ class MapStore:
             for row in rows
             if row.kind != "deleted"
         ]
-        summaries += [MapSummary(map_id, map_id, 0, damaged=why) for map_id, why in self._not_imported.items()]
+        summaries += [MapSummary(map_id, map_id, 0, damaged=why) for map_id, why in self.contents.not_imported.items()]
         return tuple(sorted(summaries, key=lambda s: (s.name, s.id)))
 
     def history(self, map_id: str) -> tuple[MapRecord, ...]:
@@ -192,7 +191,7 @@ class MapStore:
                 if not writes and not self._home.database.exists and not has_content(self._home, self.address.root):
                     return False
                 try:
-                    self._not_imported = open_contents(self._home, self.address.root)
+                    open_contents(self._home, self.address.root)
                     self._is_open = True
                 except Unwritable as exc:
                     self._look_at_copy(exc)
@@ -248,7 +247,7 @@ class MapStore:
             raise because
         copy = IndexCopy(self.address.root, self._home, because)
         try:
-            self._not_imported = open_contents(copy.contents, self.address.root, is_copy=True)
+            open_contents(copy.contents, self.address.root, is_copy=True)
         except BaseException:
             copy.remove()
             raise

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import msgspec
 from mcap.writer import CompressionType, Writer
 
-from shared.disk import flush
+from shared.disk import flush, make_folder
 from shared.errors import DataError
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
@@ -324,7 +324,7 @@ class Recorder:
 
 def _create(path: Path, min_free_bytes: int) -> BinaryIO:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         free = _free_bytes(path)
         if free < min_free_bytes:
             raise DataError(

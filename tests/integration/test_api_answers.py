@@ -59,7 +59,7 @@ async def test_a_change_of_nothing_and_a_replay_of_nothing_are_refused(tmp_path:
         assert is_problem(beyond, 422) and "after the last picture" in beyond.json()["detail"]
         async with websockets.connect(desk.socket(f"/ws/replay?navigation={drive}&from_s=9999")) as socket:
             await socket.wait_closed()
-            assert "after the last picture" in (socket.close_reason or "")
+            assert socket.close_code == 4422 and "after the last picture" in (socket.close_reason or "")
 
 
 async def test_drives_and_maps_are_renamed_and_their_clouds_are_ply_files(tmp_path: Path) -> None:

@@ -101,9 +101,14 @@ async def test_a_recording_is_played_again_at_its_own_pace(tmp_path: Path) -> No
         assert body.count(b"Content-Type: image/jpeg") >= 1
         async with aclosing(replay(path, from_s=recorded[-1].since_first_s, speed=16)) as pictures:
             assert [picture.number async for picture in pictures] == [recorded[-1].number]
-        with pytest.raises(websockets.ConnectionClosedError, match="nowhere"):
-            async with websockets.connect(desk.socket("/ws/replay?navigation=nowhere")) as socket:
-                await socket.recv()
+        unreadable = keep_navigation(tmp_path, "nav-unreadable")
+        desk.station.navigations.library.remember(unreadable)
+        desk.station.navigations.library.recording(unreadable.id).write_bytes(b"no recording")
+        refused = {"nowhere": (4404, "nowhere"), unreadable.id: (4409, unreadable.id)}
+        for wanted, (code, words) in refused.items():
+            async with websockets.connect(desk.socket(f"/ws/replay?navigation={wanted}")) as socket:
+                await socket.wait_closed()
+            assert socket.close_code == code and words in (socket.close_reason or "")
 
 
 async def test_slam_runs_again_over_a_recording_whose_slam_crashed(tmp_path: Path) -> None:

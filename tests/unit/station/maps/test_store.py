@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -137,7 +138,7 @@ def test_a_failed_save_leaves_what_was_there(
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    for target, method in ((bucket_module, "replace_file"), (store_module.versions, "add")):
+    for target, method in ((bucket_module, "replace_files"), (store_module.versions, "add")):
         with monkeypatch.context() as patch:
             patch.setattr(target, method, fail)
             with pytest.raises(DataError, match="No space left"):
@@ -145,6 +146,22 @@ def test_a_failed_save_leaves_what_was_there(
             with pytest.raises(DataError, match="No space left"):
                 rename_place(store, place_map.id, place_map.places[0].id, "Sofa")
         assert holds(MapStore(address), place_map)
+
+
+def test_a_folder_is_flushed_once_for_all_files_that_are_put_into_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tuple[str, int]] = []  # what was flushed, and how many files had their names then
+
+    def flush(descriptor: int) -> None:
+        path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        named = sum(1 for file in (tmp_path / "a").glob("[0-9]"))
+        seen.append((path.name if path.is_dir() else "file", named))
+
+    (tmp_path / "a").mkdir()
+    monkeypatch.setattr(os, "fsync", flush)
+    bucket_module.FolderBucket(tmp_path).put({f"a/{number}": b"x" for number in range(4)})
+    assert seen == [*(("file", number) for number in range(4)), ("a", 4)]
 
 
 def test_every_version_names_the_station_that_wrote_it(place_map: PlaceMap, address: StoreAddress) -> None:
@@ -172,6 +189,8 @@ def test_maps_of_the_old_format_are_imported(place_map: PlaceMap, address: Store
     save_map_folder(place_map, address.root / "broken.000001")
     (address.root / "broken.000001" / "navigation" / "landmarks.ply").write_bytes(b"x")
     store = MapStore(address)
+    with pytest.raises(DataError, match=f"its maps: broken, {place_map.id}$"):
+        store.load("elsewhere")
     assert [(s.id, bool(s.damaged)) for s in store.list()] == [(place_map.id, False), ("broken", True)]
     assert store.load(place_map.id).name == place_map.name
     assert {p.name for p in (address.root / "imported").iterdir()} == {
