@@ -63,7 +63,7 @@ def map_with_odometry(
     camera: CameraCalibration,
     config: MappingConfig,
 ) -> OdometryMap:
-    """Reconstruct one drive.
+    """Reconstruct one navigation.
 
     Args:
         features, t_imu_ns: of the N keyframes; times on the IMU's clock.
