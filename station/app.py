@@ -33,8 +33,8 @@ from station.recordings.recorder import Recorder
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.session import RobotSession, Shared
 from station.workers.jobs import Job, Jobs, JobWorker
-from station.workers.library_requests import LIBRARY, LibraryProgram
-from station.workers.place_requests import PLACES, PlaceEvent, PlaceProgram
+from station.workers.library_interface import LIBRARY, LibraryProgram
+from station.workers.place_interface import PLACES, PlaceEvent, PlaceProgram
 from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
 from station.workers.worker import warm_up

@@ -24,7 +24,7 @@ from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.build import build_map
-from station.workers.place_requests import PlaceEvent
+from station.workers.place_interface import PlaceEvent
 from station.workers.places import PlaceFinder
 from station.workers.repeatable import repeatable
 from station.workers.slam import NavigationSlam
