@@ -125,6 +125,6 @@ def bias_at_rest(imu: ImuBatch, drive: list[DriveSample]) -> FloatArray | None:
 def level(imu: ImuBatch, track: InertialTrack, drive: list[DriveSample]) -> FloatArray:
     """R_world_start (3, 3): z up at the first sample, x axis of the body at yaw 0."""
     rest = resting_samples(imu, drive)
-    use = rest if rest.sum() > 50 else np.ones(len(imu), dtype=bool)  # a whole drive's mean: accelerations cancel
+    use = rest if rest.sum() > 50 else np.ones(len(imu), dtype=bool)  # a whole navigation's mean: accelerations cancel
     up = np.einsum("nij,nj->i", track.R[use], imu.accel_imu[use])
     return upright(up, np.eye(3))

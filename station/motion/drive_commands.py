@@ -74,7 +74,8 @@ class WheelSpeed:
 def wheel_motion(drive: list[DriveSample], t_ns: IntArray) -> tuple[FloatArray, FloatArray]:
     """Forward speed (M,) m/s and way (M,) m of a recorded navigation at increasing times, as if nothing slipped.
 
-    Who has the whole drive finds by itself how much of the commanded way was made: the scale is fused with the IMU's.
+    Who has the whole navigation finds by itself how much of the commanded way was made: the scale is fused with the
+    IMU's.
     """
     wheels = WheelSpeed(hold_s=math.inf, efficiency=1.0)
     speed, way = np.empty(len(t_ns)), np.empty(len(t_ns))

@@ -1,4 +1,4 @@
-"""Inertial samples of a whole drive integrated once, so that any two times can be compared at once.
+"""Inertial samples of a whole navigation integrated once, so that any two times can be compared at once.
 
 For a recorded navigation, many pairs of times, and one bias. Of each pair it says the motion and how the motion
 depends on the bias, not how sure it is: preintegration.py gives one interval with its covariance.

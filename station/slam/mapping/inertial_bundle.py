@@ -3,7 +3,7 @@
 Unknown per pose: (phi, v, x, b_omega, b_a) with R = exp(phi) R_mean and the rest added; preintegrated readings link the
 poses. Points are solved for given the poses in every iteration and projected out of the Jacobian (variable projection),
 so that only poses remain: dense, for windows of some twenty poses, with their joint covariance. odometry_bundle.py
-adjusts whole drives of hundreds of keyframes and their landmarks, with relative motions in place of readings.
+adjusts whole navigations of hundreds of keyframes and their landmarks, with relative motions in place of readings.
 """
 
 from __future__ import annotations
