@@ -11,5 +11,9 @@ $bin/ruff check --quiet .
 $bin/bandit -q -c pyproject.toml -r robot station shared
 $bin/mypy
 $bin/lint-imports --no-cache
-$bin/python station/web/build_hook.py --check || [ $? -eq 2 ] # no Node, or no registry within reach: it says so
+# Exit code 2: no Node, or npm reaches no registry. Whoever knows that sets NO_NODE=1; else the page would go unchecked.
+checked=0
+$bin/python station/web/build_hook.py --check || checked=$?
+if [ $checked -eq 2 ] && [ -z "${NO_NODE:-}" ]; then echo "Where there is no Node, set NO_NODE=1" >&2; fi
+if [ $checked -ne 0 ] && ! { [ $checked -eq 2 ] && [ -n "${NO_NODE:-}" ]; }; then exit $checked; fi
 exec $bin/pytest -m "not hardware" "$@"

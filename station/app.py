@@ -1,4 +1,4 @@
-"""The running station, wired: sessions of robots, and the maps, drives and jobs that they share. Start reading here.
+"""The running station, wired: sessions of robots, and the maps, navigations and jobs they share. Start reading here.
 
 One object with plain methods; the API is a thin layer over it, and so is a test. Nothing here computes: frames go to
 worker processes, files to threads, and the event loop only carries messages.
@@ -33,8 +33,8 @@ from station.recordings.recorder import Recorder
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.session import RobotSession, Shared
 from station.workers.jobs import Job, Jobs, JobWorker
-from station.workers.library_requests import LIBRARY, LibraryProgram
-from station.workers.place_requests import PLACES, PlaceEvent, PlaceProgram
+from station.workers.library_interface import LIBRARY, LibraryProgram
+from station.workers.place_interface import PLACES, PlaceEvent, PlaceProgram
 from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
 from station.workers.worker import warm_up
@@ -86,7 +86,7 @@ class Station:
             self.robots[robot.name] = RobotSession(robot, events, shared, path)
 
     async def run(self, started: Callable[[], Any] = lambda: None) -> None:
-        """Run until cancelled. The link ends first, and with it the motors; then drives are closed."""
+        """Run until cancelled. The link ends first, and with it the motors; then navigations are closed."""
         await asyncio.to_thread(warm_up)
         interrupted = self.navigations.library.open()
         for navigation in interrupted:

@@ -99,7 +99,7 @@ class LocalizationConfig:
 class RecordingConfig:
     """How much of the disk recordings may take. 0: no limit; then only the free space ends a recording."""
 
-    max_gb: float = 0.0  # beyond, the oldest recordings of finished drives go; what SLAM made of them stays
+    max_gb: float = 0.0  # beyond, the oldest recordings of finished navigations go; what SLAM made of them stays
     max_days: float = 0.0  # older ones go
     keep_free_mb: int = 256  # the disk also holds the maps
 

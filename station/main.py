@@ -22,17 +22,32 @@ COMMANDS = {
     "pair": ("access", "Pair with a robot: its code becomes a token, and its certificate is remembered."),
     "robots": ("access", "The robots this station is paired with."),
     "demo": ("demo", "Simulated robot, robot-server and station: map, hijack, drive again, and name the place."),
-    "doctor": ("doctor", "Say what is missing on this machine, and how to get it."),
-    "experiment": ("experiment", "Map one drive, find its places again in another, and judge the matches."),
-    "export": ("export", "Write a navigation or a map for other tools: tum, euroc, ply, graphml, COLMAP, mcap."),
+    "doctor": (
+        "doctor",
+        "Say what is missing on this machine, and how to get it. Exit code 1 when the station cannot work without it.",
+    ),
+    "experiment": (
+        "experiment",
+        "Map one navigation, find its places again in another, and judge the matches where true poses were recorded.",
+    ),
+    "export": (
+        "export",
+        "Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, or all for Foxglove (mcap).",
+    ),
     "match": ("match", "Register a navigation to a map, match its locations with the places, and write a report."),
-    "register": ("register", "Register SOURCE to TARGET without a guess; exit code 0 only when it is accepted."),
-    "replay": ("replay", "Reconstruct, map and ask for the current place, as the running station would."),
+    "register": (
+        "register",
+        "Register SOURCE to TARGET without a guess; exit code 0 only when the result is accepted.",
+    ),
+    "replay": (
+        "replay",
+        "Reconstruct, map and ask for the current place, as the running station would; prints a hash of each result.",
+    ),
     "serve": ("serve", "Serve the page and the API: drive, map, and ask which place the robot is at."),
-    "slam": ("slam", "Reconstruct trajectory and landmarks of one recorded drive."),
+    "slam": ("slam", "Reconstruct trajectory and landmarks of one recorded navigation."),
     "access": ("access", "Who may use this station."),
     "map": ("map", "Places, their graph and their names."),
-    "recordings": ("recordings", "Recorded drives on disk."),
+    "recordings": ("recordings", "Recordings on disk."),
 }
 
 

@@ -1,4 +1,4 @@
-"""/comparisons: two drives, matched; the same report as `station experiment` writes."""
+"""/comparisons: two navigations, matched; the same report as `station experiment` writes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ async def comparison(comparison_id: str, station: StationDep) -> ComparisonModel
 
 @router.delete("/comparisons/{comparison_id}", summary="Delete a comparison", status_code=204, responses=responses(404))
 async def delete(comparison_id: str, station: StationDep) -> None:
-    """For good: the drives are still there, and can be compared again."""
+    """For good: the navigations are still there, and can be compared again."""
     await asyncio.to_thread(station.comparisons.delete, comparison_id)
 
 

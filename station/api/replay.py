@@ -1,4 +1,4 @@
-"""Recorded drives to look at again: their pictures at the pace they were taken, their cloud, their way."""
+"""Recorded navigations to look at again: their pictures at the pace they were taken, their cloud, their way."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ ROLES: dict[str, Role | None] = {
     "PATCH /places/{place_id}": DRIVE,
     "POST /places/merge": DRIVE,
     "POST /places/repeatability": DRIVE,
-    # Maps and drives
+    # Maps and navigations
     "GET /maps": WATCH,
     "GET /maps/{map_id}/landmarks": WATCH,
     "GET /maps/{map_id}/images/{keyframe}.jpg": WATCH,

@@ -73,7 +73,7 @@ def experiment(
     config = PlacesConfig(mode, thesis, align_by)
 
     if preset is not None:
-        navigation1, navigation2 = make_drives(chosen, out / "data")
+        navigation1, navigation2 = make_datasets(chosen, out / "data")
     assert navigation1 is not None and navigation2 is not None
     inputs = [
         open_input(path, frames, truth, step=step)
@@ -124,12 +124,12 @@ def reconstruct(
     return navigations
 
 
-def make_drives(preset: Preset, folder: Path) -> tuple[Path, Path]:
-    """The two datasets of a preset; one where both navigations are parts of one drive."""
+def make_datasets(preset: Preset, folder: Path) -> tuple[Path, Path]:
+    """The two datasets of a preset; one where both navigations are parts of one dataset."""
     first, second = preset.navigations
-    with working("simulating the first drive") as bar:
-        made = make_dataset(first, folder / "drive1")
+    with working("simulating the first navigation") as bar:
+        made = make_dataset(first, folder / "dataset1")
         if first == second:
             return made, made
-        bar.step("simulating the second drive")
-        return made, make_dataset(second, folder / "drive2")
+        bar.step("simulating the second navigation")
+        return made, make_dataset(second, folder / "dataset2")

@@ -31,7 +31,7 @@ def export(
         str,
         typer.Argument(
             metavar="NAVIGATION|MAP",
-            help="Folder of a navigation (station slam, or a drive of the station) or of a map (station map build);"
+            help="Folder of a navigation (station slam, or one of the station's) or of a map (station map build);"
             " or id of a map the station keeps.",
         ),
     ],
@@ -42,7 +42,7 @@ def export(
     data: Data = None,
     config: Config = None,
 ) -> None:
-    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), a COLMAP model, or all for Foxglove (mcap)."""
+    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, or all for Foxglove (mcap)."""
     try:
         is_taken = out.exists()
     except OSError as exc:  # too long a name
@@ -73,7 +73,7 @@ def export(
 
 
 def _navigation_folder(source: Path) -> Path | None:
-    """Where a navigation lies: in this folder, or in this drive of a station. A map's folder holds one too."""
+    """Where a navigation lies: in this folder, or below it, when a station made it. A map's folder holds one too."""
     if (source / "map.json").is_file():
         return None
     return next((folder for folder in (source, source / "navigation") if (folder / "navigation.json").is_file()), None)

@@ -14,7 +14,7 @@ from shared.errors import DataError
 from station.commands.options import Config, Data, Json
 from station.config import load_config
 
-recordings = typer.Typer(no_args_is_help=True, help="Recorded drives on disk.")
+recordings = typer.Typer(no_args_is_help=True, help="Recordings on disk.")
 
 Files = Annotated[list[Path] | None, typer.Argument(metavar="[RECORDING]...", help="By default all of the station's.")]
 

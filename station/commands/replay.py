@@ -1,4 +1,4 @@
-"""`station replay`: a recorded drive through the live code, in recorded time."""
+"""`station replay`: a recorded navigation through the live code, in recorded time."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def slam(
     ] = "own",
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object on stdout.")] = False,
 ) -> None:
-    """Reconstruct trajectory and landmarks of one recorded drive."""
+    """Reconstruct trajectory and landmarks of one recorded navigation."""
     check_out_folder(out)
     check_navigation_folder(out)
     data = open_dataset(dataset, first, last, step)

@@ -1,4 +1,4 @@
-"""One recorded drive, whatever format it lies in: the same calls for every kind of dataset."""
+"""One recorded navigation, whatever format it lies in: the same calls for every kind of dataset."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dataset:
-    """Sensor data of one drive. Frames stay on disk until asked for; everything else is in memory."""
+    """Sensor data of one navigation. Frames stay on disk until asked for; everything else is in memory."""
 
     path: Path
     kind: str  # "asl", "images", "video", "mcap"

@@ -17,7 +17,7 @@ Opener = Callable[[Path, int | None, int | None, int], Dataset]
 
 
 def open_dataset(path: str | Path, first: int | None = None, last: int | None = None, step: int = 1) -> Dataset:
-    """Open a recorded drive: ASL/EuRoC folder, folder of images, video file or MCAP recording.
+    """Open a recorded navigation: ASL/EuRoC folder, folder of images, video file or MCAP recording.
 
     Args:
         path: folder or file.
@@ -29,7 +29,7 @@ def open_dataset(path: str | Path, first: int | None = None, last: int | None = 
     """
     path = Path(path)
     if not path.exists():
-        raise DataError(f"{path} does not exist; give the folder or file of a recorded drive")
+        raise DataError(f"{path} does not exist; give the folder or file of a recorded navigation")
     if path.is_file():
         return _open_file(path, first, last, step)
     if path.name == "mav0" and not (path / "mav0").is_dir():

@@ -160,7 +160,7 @@ def start_driver(demo: Demo, route: str) -> None:
 
 
 def wait_for_slam(demo: Demo, name: str, navigation: str) -> None:
-    """Wait until SLAM has made trajectory and landmarks of the drive."""
+    """Wait until SLAM has made trajectory and landmarks of the navigation."""
 
     def progress() -> object:
         return demo.station.get("/pose")["message"]

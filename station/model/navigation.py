@@ -120,7 +120,7 @@ class NavigationReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Navigation:
-    """One drive, finished."""
+    """One navigation, finished."""
 
     id: str
     calibration: Calibration

@@ -1,7 +1,7 @@
 """Odometry of a robot on wheels: the gyroscope for heading, the drive commands for distance.
 
 Good to a few per cent of the way, whatever the camera sees. `DeadReckoning` follows a robot while it drives, between
-images and where no SLAM runs; `reckon_drive` goes over a recorded drive as a whole, of which bias and vertical are
+images and where no SLAM runs; `reckon_drive` goes over a recorded navigation as a whole, of which bias and vertical are
 known better. How far the wheels roll is said in drive_commands.py for both, and for the filter's coasting.
 """
 
@@ -17,7 +17,7 @@ from station.motion.inertial_track import InertialTrack
 BIAS_TAU_S = 2.0
 LEVEL_TAU_S = 4.0
 SETTLE_S = 1.0  # after the first sample: gravity and bias are learnt faster
-MIN_REST_S = 0.5  # less of a recorded drive says nothing of the gyroscope's bias
+MIN_REST_S = 0.5  # less of a recorded navigation says nothing of the gyroscope's bias
 
 
 def advance_on_floor(
@@ -87,7 +87,7 @@ class DeadReckoning:
 def reckon_drive(
     imu: ImuBatch, drive: list[DriveSample], t_ns: IntArray, gyro_bias: FloatArray | None = None
 ) -> tuple[FloatArray, InertialTrack]:
-    """Where gyroscope and drive commands say the body was in a recorded drive.
+    """Where gyroscope and drive commands say the body was in a recorded navigation.
 
     Args:
         t_ns: (N,) times on the IMU's clock, within its samples.
@@ -125,6 +125,6 @@ def bias_at_rest(imu: ImuBatch, drive: list[DriveSample]) -> FloatArray | None:
 def level(imu: ImuBatch, track: InertialTrack, drive: list[DriveSample]) -> FloatArray:
     """R_world_start (3, 3): z up at the first sample, x axis of the body at yaw 0."""
     rest = resting_samples(imu, drive)
-    use = rest if rest.sum() > 50 else np.ones(len(imu), dtype=bool)  # a whole drive's mean: accelerations cancel
+    use = rest if rest.sum() > 50 else np.ones(len(imu), dtype=bool)  # a whole navigation's mean: accelerations cancel
     up = np.einsum("nij,nj->i", track.R[use], imu.accel_imu[use])
     return upright(up, np.eye(3))

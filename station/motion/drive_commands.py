@@ -20,7 +20,7 @@ MOTOR_LAG_S = 0.16
 # Speed over ground by commanded speed, where nothing measures it: wheels slip a little (0.96 in the simulator).
 SPEED_EFFICIENCY = 0.97
 # While a robot is followed, a command counts this long at most: where none comes any more, the robot has stopped by
-# itself. In a recorded drive every command holds until the next one, since what the robot did is all there.
+# itself. In a recorded navigation every command holds until the next one, since what the robot did is all there.
 COMMAND_HOLD_S = 0.5
 # From the end of motion in the commands to the body at rest: the motors' lag four times over. Longer than the filter
 # waits before it believes a new speed (WheelConfig.settle_s), because here the last centimetre per second counts.
@@ -72,9 +72,10 @@ class WheelSpeed:
 
 
 def wheel_motion(drive: list[DriveSample], t_ns: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Forward speed (M,) m/s and way (M,) m of a recorded drive at increasing times, as if nothing slipped.
+    """Forward speed (M,) m/s and way (M,) m of a recorded navigation at increasing times, as if nothing slipped.
 
-    Who has the whole drive finds by itself how much of the commanded way was made: the scale is fused with the IMU's.
+    Who has the whole navigation finds by itself how much of the commanded way was made: the scale is fused with the
+    IMU's.
     """
     wheels = WheelSpeed(hold_s=math.inf, efficiency=1.0)
     speed, way = np.empty(len(t_ns)), np.empty(len(t_ns))
@@ -106,7 +107,7 @@ class CommandedRest:
 
 
 def resting_samples(imu: ImuBatch, drive: list[DriveSample]) -> npt.NDArray[np.bool_]:
-    """(N,) samples of a recorded drive during which the body rested, as far as the commands say."""
+    """(N,) samples of a recorded navigation during which the body rested, as far as the commands say."""
     begin = np.array([d.t_robot_ns for d in drive], dtype=np.int64)
     moves = np.flatnonzero(np.array([commands_motion(d) for d in drive], dtype=bool))
     if not len(moves):

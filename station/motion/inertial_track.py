@@ -1,7 +1,7 @@
-"""Inertial samples of a whole drive integrated once, so that any two times can be compared at once.
+"""Inertial samples of a whole navigation integrated once, so that any two times can be compared at once.
 
-For a recorded drive, many pairs of times, and one bias. Of each pair it says the motion and how the motion depends on
-the bias, not how sure it is: preintegration.py gives one interval with its covariance.
+For a recorded navigation, many pairs of times, and one bias. Of each pair it says the motion and how the motion
+depends on the bias, not how sure it is: preintegration.py gives one interval with its covariance.
 Source: Forster et al., On-manifold preintegration, IEEE T-RO 33(1), 2017, eqs. 33-38, as cumulative sums: with
 R(t) = R_start_body(t), V = int R a, P = int V, what happened between two times is a difference of V and P.
 """

@@ -1,7 +1,7 @@
 """Inertial readings between two poses as one measurement, with its covariance (docs/slam.md, sec. 7).
 
 For least squares while the robot drives: an interval is integrated once, moved to a nearby bias to first order, joined
-with the next. inertial_track.py compares any two times of a recorded drive.
+with the next. inertial_track.py compares any two times of a recorded navigation.
 Source: Forster et al., IEEE T-RO 33(1), 2017; thesis eq. 2.11.
 """
 

@@ -22,7 +22,7 @@ from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, Pla
 from station.model.place_map import Place, PlaceEdge
 from station.robots.link_events import IgnoringListener
 from station.robots.visits import Visits
-from station.workers.place_requests import PLACES, PlaceEvent, PlaceProgram
+from station.workers.place_interface import PLACES, PlaceEvent, PlaceProgram
 from station.workers.request import ArgumentsP, Limit, Method, ProgramName, WorkerDied
 from station.workers.scheduling import ComputeSlots
 from station.workers.worker import Worker

@@ -13,7 +13,7 @@ from station.robots.link_events import IgnoringListener, LinkListener
 from station.robots.live_slam import LiveSlam
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.slam import SlamWorker
-from station.workers.slam_requests import SlamProgram
+from station.workers.slam_interface import SlamProgram
 
 
 class RunningNavigation(IgnoringListener):

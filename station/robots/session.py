@@ -27,7 +27,7 @@ from station.robots.link import RobotLink
 from station.robots.link_events import IgnoringListener, LinkListeners
 from station.robots.link_state import LinkState
 from station.robots.navigation_files import NavigationRecorder
-from station.workers.place_requests import PlaceEvent, PlaceProgram
+from station.workers.place_interface import PlaceEvent, PlaceProgram
 from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
 

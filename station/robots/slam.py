@@ -17,7 +17,7 @@ from station.events import Notifier
 from station.model.navigation import NavigationReport
 from station.model.slam_update import SlamUpdate
 from station.workers.request import ArgumentsP, Limit, WorkerDied
-from station.workers.slam_requests import SLAM, SlamProgram
+from station.workers.slam_interface import SLAM, SlamProgram
 from station.workers.worker import Worker
 
 LIVE_BACKENDS = ("ukf",)

@@ -1,4 +1,4 @@
-"""Runs a backend over a recorded drive and measures what it cost."""
+"""Runs a backend over a recorded navigation and measures what it cost."""
 
 from __future__ import annotations
 

@@ -38,10 +38,10 @@ class CameraModel:
         return (p_body - self.t_body_cam) @ self.R_body_cam
 
 
-def project_points(
+def normalised_points(
     camera: CameraModel, R: FloatArray, x: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Project points p (..., 3) from body poses R (..., 3, 3), x (..., 3), all in the world.
+    """Points p (..., 3) as seen from body poses R (..., 3, 3), x (..., 3), all in the world.
 
     Returns:
         Normalised image coordinates (..., 2), their derivative by the point in the body frame (..., 2, 3), and

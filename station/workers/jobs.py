@@ -12,7 +12,7 @@ from typing import Any, Generic, Literal
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
-from station.workers.library_requests import Progress
+from station.workers.library_interface import Progress
 from station.workers.request import ProgramName, ProgramT
 from station.workers.worker import Worker
 

@@ -26,7 +26,7 @@ from station.places.making.repeatability import repeatability
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.executors.opening import open_executor
-from station.workers.library_requests import BuiltMap, LibraryProgram, Progress
+from station.workers.library_interface import BuiltMap, LibraryProgram, Progress
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 
 

@@ -84,14 +84,16 @@ def reconstruct_all(
 def packed(path: Path) -> Recorded:
     """A dataset with all its files. Raises DataError when it is too large to travel, or cannot be read."""
     if not path.exists():
-        raise DataError(f"{path} cannot be read: there is no such file or folder; give a recorded drive")
+        raise DataError(f"{path} cannot be read: there is no such file or folder; give a recorded navigation")
     try:
         paths = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
         if sum(p.stat().st_size for p in paths) > MAX_TRAVEL_BYTES:
             raise DataError(f"{path} has more than {MAX_TRAVEL_BYTES >> 30} GB; cut it, or work on this machine")
         files = [("" if p == path else p.relative_to(path).as_posix(), p.read_bytes()) for p in paths]
     except OSError as exc:
-        raise DataError(f"{path} cannot be read ({exc.strerror}); give the file or folder of a recorded drive") from exc
+        raise DataError(
+            f"{path} cannot be read ({exc.strerror}); give the file or folder of a recorded navigation"
+        ) from exc
     return Recorded(path, tuple(files))
 
 

@@ -20,7 +20,7 @@ from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import MapIndex
 from station.places.making.changes import without_hidden
 from station.places.tracking.tracker import PlaceTracker
-from station.workers.place_requests import PlaceEvent, PlaceProgram
+from station.workers.place_interface import PlaceEvent, PlaceProgram
 from station.workers.request import Vectors
 
 REPORT_EVERY = 4  # pictures of the map

@@ -10,9 +10,9 @@ import contextlib
 import gc
 import importlib
 
-from station.workers.library_requests import LIBRARY
-from station.workers.place_requests import PLACES
-from station.workers.slam_requests import SLAM
+from station.workers.library_interface import LIBRARY
+from station.workers.place_interface import PLACES
+from station.workers.slam_interface import SLAM
 
 PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module)
 BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack

@@ -1,4 +1,4 @@
-"""A recorded drive through the code of the live workers, in recorded time: the same input gives the same bits.
+"""A recorded navigation through the code of the live workers, in recorded time: the same input gives the same bits.
 
 What could differ between two runs is held: linear algebra runs on one thread (how sums are split changes their last
 bits), COLMAP's mapper too, and pictures are looked for in the map at fixed times of the recording instead of whenever a
@@ -24,7 +24,7 @@ from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.build import build_map
-from station.workers.place_requests import PlaceEvent
+from station.workers.place_interface import PlaceEvent
 from station.workers.places import PlaceFinder
 from station.workers.repeatable import repeatable
 from station.workers.slam import NavigationSlam
@@ -68,7 +68,7 @@ def replay(
     pace: Pace = lambda _: None,
     say: Say = lambda _: None,
 ) -> Replay:
-    """Run SLAM over a recorded drive, make its map, and ask at every moment which place the robot is at.
+    """Run SLAM over a recorded navigation, make its map, and ask at every moment which place the robot is at.
 
     Raises:
         EstimationError: nothing could be reconstructed; says why.

@@ -21,7 +21,7 @@ from station.places.localisation.described_pictures import DescribedPictures
 from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.workers.request import Vectors
-from station.workers.slam_requests import SlamProgram
+from station.workers.slam_interface import SlamProgram
 
 logger = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from station.errors import Conflict
 from station.events import Events
 from station.workers.executors.opening import open_executor
 from station.workers.jobs import Job, Jobs, JobWorker
-from station.workers.library_requests import Progress
+from station.workers.library_interface import Progress
 from station.workers.request import Program, ProgramName
 
 STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports

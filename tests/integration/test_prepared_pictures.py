@@ -22,7 +22,7 @@ from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import make_index
 from station.vision.features import Features
 from station.workers.library_jobs import LibraryJobs
-from station.workers.place_requests import PlaceEvent
+from station.workers.place_interface import PlaceEvent
 from station.workers.places import PlaceFinder
 from station.workers.slam import NavigationSlam
 from tests.support.made_up_workers import StraightSlam

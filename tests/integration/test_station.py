@@ -16,7 +16,7 @@ import websockets
 from shared.listening import bind
 from station.model.map_store import StoreAddress
 from station.workers.jobs import JobWorker
-from station.workers.library_requests import LibraryProgram
+from station.workers.library_interface import LibraryProgram
 from tests.support.link import until
 from tests.support.paths import ROOT
 from tests.support.station import running_station, store_map

@@ -20,7 +20,7 @@ from station.model.place_map import Place, PlaceEdge, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.changes import without_hidden
 from station.vision.features import Features
-from station.workers.place_requests import PlaceEvent, PlaceProgram
+from station.workers.place_interface import PlaceEvent, PlaceProgram
 from station.workers.request import Vectors
 from tests.support.synthetic_home import drive, furnished_room, navigate
 

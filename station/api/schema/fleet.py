@@ -20,7 +20,7 @@ class RobotEntry(Model):
 
     name: str = Field(description="in this station", examples=["robot-1"])
     path: str = Field(description="put before a call to ask for this robot", examples=["/robots/robot-1"])
-    navigation: str | None = Field(description="id of the drive that is being recorded")
+    navigation: str | None = Field(description="id of the one that is being recorded")
     state: Literal["known", "unknown", "lost"]
     place: PlaceName | None
     robot: RobotModel

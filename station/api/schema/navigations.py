@@ -14,13 +14,13 @@ from station.model.navigation import Navigation
 
 
 class NavigationModel(Model):
-    """One recorded drive and what SLAM made of it."""
+    """One recorded navigation and what SLAM made of it."""
 
     id: str = Field(examples=["nav-20260105-101500"])
     name: str
     state: Literal["recording", "finishing", "ready", "failed"]
     message: str
-    robot: str = Field(description="its name in GET /robots when it drove; empty: an old drive")
+    robot: str = Field(description="its name in GET /robots when it drove; empty: an old navigation")
     started_unix_s: float
     duration_s: float
     backend: str

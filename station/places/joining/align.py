@@ -18,7 +18,7 @@ from station.places.registration.free_space import Rays
 from station.places.registration.register import register_clouds
 from station.places.registration.result import Registration, refused
 
-FREE_SCALE = 1.67  # two drives of one home differ in viewing distance by less than this factor
+FREE_SCALE = 1.67  # two navigations of one home differ in viewing distance by less than this factor
 NEAR_SCALE = 1.05  # images leave a scale open by less
 METRIC_TO = 0.03  # how far a scale by wheels and IMU may be off (docs/registration.md)
 MIN_OVERLAP = 0.15  # images that agree outweigh clouds that see little of each other, but not clouds apart

@@ -1,8 +1,8 @@
 """A map made anew keeps what an earlier one of the same first navigation had: places where some were added, or names.
 
 Twice the landmarks make other hills, so that grouping all of them anew joins or cuts places that somebody named. Where
-only drives were added, the earlier places stay and grow by what was seen of them again; what is new elsewhere becomes
-new places.
+only navigations were added, the earlier places stay and grow by what was seen of them again; what is new elsewhere
+becomes new places.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ def _objection(place_map: PlaceMap, match: PlaceMatch) -> str:
 def _regroup(place_map: PlaceMap, navigation: Navigation, clusters: Clusters, T_map_nav: FloatArray) -> Clusters:
     """Locations cut where the map's places meet, and joined where they are parts of one place.
 
-    Two drives rarely cut one wall at the same spot. Where the clouds lie on each other, the map already says where
+    Two navigations rarely cut one wall at the same spot. Where the clouds lie on each other, the map already says where
     its places end; a location takes part with the landmarks that it saw itself, or keeps its own shape where the map
     has nothing.
     """

@@ -1,4 +1,4 @@
-"""Several drives of one home → one navigation to map: later ones are carried into the first one's frame."""
+"""Several navigations of one home → one to map: later ones are carried into the first one's frame."""
 
 from __future__ import annotations
 

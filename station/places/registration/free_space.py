@@ -20,7 +20,7 @@ class Rays:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """Points of one cloud in the space that the other drive watched: on its surfaces, or where it saw through."""
+    """Points of one cloud in the space that the other navigation watched: on its surfaces, or where it saw through."""
 
     points: int  # all of them
     violating: int  # those where rays went through

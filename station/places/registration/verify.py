@@ -95,7 +95,7 @@ class Verdict:
     covariance: FloatArray | None
     eigenvalues: FloatArray | None
     checked: dict[str, float]  # what the checks measured beside the features, as far as they were made:
-    # "free-space violation": share of the watched points that would hang where the other drive saw through;
+    # "free-space violation": share of the watched points that would hang where the other navigation saw through;
     # "watched points": how many those are;
     # "freed scale": what a known scale becomes where it is left free, relative to what it was;
     # "freed scale's noise": one standard deviation of that, measured only where it moved far.
@@ -146,7 +146,9 @@ def judge(e: Findings) -> Verdict:
     if watched.points:
         checked |= {"free-space violation": watched.share, "watched points": watched.points}
     if watched.points >= MIN_WATCHED and watched.share > MAX_VIOLATION:
-        against.append(f"{watched.share:.0%} of the points would hang where the other drive saw through empty space")
+        against.append(
+            f"{watched.share:.0%} of the points would hang where the other navigation saw through empty space"
+        )
     if not e.problem.free_scale and not against:  # the rest refuses most others without this cost
         freed = _freed_scale(e)
         checked |= freed

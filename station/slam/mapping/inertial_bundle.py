@@ -3,7 +3,7 @@
 Unknown per pose: (phi, v, x, b_omega, b_a) with R = exp(phi) R_mean and the rest added; preintegrated readings link the
 poses. Points are solved for given the poses in every iteration and projected out of the Jacobian (variable projection),
 so that only poses remain: dense, for windows of some twenty poses, with their joint covariance. odometry_bundle.py
-adjusts whole drives of hundreds of keyframes and their landmarks, with relative motions in place of readings.
+adjusts whole navigations of hundreds of keyframes and their landmarks, with relative motions in place of readings.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from station.motion import lie
 from station.motion.error_coordinates import ErrorKind, pose_jacobian
 from station.motion.preintegration import Preintegration
 from station.slam.mapping.rolling_shutter import observation_pose
-from station.vision.camera_model import CameraModel, project_points
+from station.vision.camera_model import CameraModel, normalised_points
 from station.vision.klt import TrackedFrame
 from station.vision.lens import BoolArray
 from station.vision.triangulation import Triangulation, triangulate
@@ -333,7 +333,7 @@ def _add_tracks(
     used = seen & good[:, None]
     p = np.where(good[:, None], points.p, 0.0)
     spread = np.broadcast_to(p[:, None], (F, K, 3))
-    predicted, D, in_front = project_points(camera, R, x, spread)
+    predicted, D, in_front = normalised_points(camera, R, x, spread)
     used = used & in_front
     W = camera.lens.whitening(xy, camera.sigma_px)
     r = (W @ (xy - predicted)[..., None])[..., 0] * used[..., None]

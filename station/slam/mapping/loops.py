@@ -1,4 +1,4 @@
-"""Loop closure for a drive whose poses are nearly right: look where two keyframes should see the same."""
+"""Loop closure for a navigation whose poses are nearly right: look where two keyframes should see the same."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bundle adjustment of a whole drive with odometry: poses, landmarks, drive scale and gyroscope bias together.
+"""Bundle adjustment of a whole navigation with odometry: poses, landmarks, drive scale and gyroscope bias together.
 
 COLMAP's bundle adjustment knows cameras only. A robot that turns on the spot before a blank wall is held together by
 its odometry, so relative motions between keyframes are residuals here, next to the reprojection errors: those of

@@ -63,7 +63,7 @@ def map_with_odometry(
     camera: CameraCalibration,
     config: MappingConfig,
 ) -> OdometryMap:
-    """Reconstruct one drive.
+    """Reconstruct one navigation.
 
     Args:
         features, t_imu_ns: of the N keyframes; times on the IMU's clock.
@@ -159,15 +159,15 @@ def refine(
     """Triangulate all tracks and adjust, with ever stricter residuals; the observations that fit at the end."""
     kept = tracks
     for scale in scales:
-        kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scale)
+        kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * scale)
         used = longest(kept, OBSERVATIONS_PER_KEYFRAME)
         few = kept.only(used[kept.point])
         state = adjust(replace(state, points=points[used]), observations(few, rays, camera), odometry, scale)
-    kept, points = triangulate_tracks(state, tracks, rays, camera, GATE * scales[-1])
+    kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * scales[-1])
     return replace(state, points=points), kept
 
 
-def triangulate_tracks(
+def triangulate_and_prune(
     state: BundleState, tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration, gate_px: float
 ) -> tuple[Tracks, FloatArray]:
     """Points of all tracks from the present poses; observations that do not fit are left out, then whole points."""

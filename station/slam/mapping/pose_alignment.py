@@ -1,9 +1,9 @@
-"""What the IMU says of a whole drive's camera poses: gyroscope bias, gravity, metric scale.
+"""What the IMU says of a whole navigation's camera poses: gyroscope bias, gravity, metric scale.
 
 The poses come from pictures alone, so their scale and the direction of gravity are open. The linear alignment is that
-of VINS-Mono (Qin et al., IEEE T-RO 34(4), 2018, section V-B, eqs. 16-19), over the whole drive instead of its first
-seconds, with the accelerometer's bias among the unknowns. track_alignment.py needs no poses, only a few seconds of
-tracks.
+of VINS-Mono (Qin et al., IEEE T-RO 34(4), 2018, section V-B, eqs. 16-19), over the whole navigation instead of its
+first seconds, with the accelerometer's bias among the unknowns. track_alignment.py needs no poses, only a few seconds
+of tracks.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _bias_prior(n: int, bias_at: int) -> tuple[FloatArray, FloatArray]:
 
 
 def gravity_from_accelerometer(track: InertialTrack, t_ns: IntArray, R_world_body: FloatArray) -> FloatArray | None:
-    """Direction (3,) of gravity, down, from the mean specific force: motion averages out over a drive."""
+    """Direction (3,) of gravity, down, from the mean specific force: motion averages out over a navigation."""
     usable = np.flatnonzero(usable_intervals(track, t_ns, 2 * MAX_INTERVAL_S))
     if not len(usable):
         return None

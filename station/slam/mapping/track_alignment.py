@@ -3,7 +3,7 @@
 1. Gyroscope bias: with the right rotations, the epipolar plane normals of each pair of frames lie in one plane.
 2. Velocity and gravity: linear, once rotations are known; points are eliminated; |g| is given.
 Sources: Kneip and Lynen, ICCV 2013 (step 1); Dong-Si and Mourikis, IROS 2012 (step 2). pose_alignment.py starts from
-the camera poses of a whole drive instead.
+the camera poses of a whole navigation instead.
 """
 
 from __future__ import annotations

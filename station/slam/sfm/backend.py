@@ -229,7 +229,7 @@ def _keyframes(number: int) -> str:
 
 
 def tracking_lost_s(t_frames_ns: np.ndarray, t_keyframes_ns: np.ndarray, max_gap_s: float = 4.0) -> float:
-    """Seconds of the drive without a keyframe near enough to know the pose."""
+    """Seconds of the navigation without a keyframe near enough to know the pose."""
     marks = np.concatenate([[t_frames_ns[0]], t_keyframes_ns, [t_frames_ns[-1]]])
     gaps = np.diff(np.sort(marks)) * 1e-9
     return float(gaps[gaps > max_gap_s].sum())

@@ -1,4 +1,4 @@
-"""The end of a drive: keyframes refined, tracks triangulated, everything as a Navigation (docs/slam.md, sec. 10)."""
+"""The end of a navigation: keyframes refined, tracks triangulated, all as a Navigation (docs/slam.md, sec. 10)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def make_navigation(
     config: UkfConfig,
     report: NavigationReport,
 ) -> Navigation:
-    """Trajectory, keyframes and landmarks of the drive; completes the report."""
+    """Trajectory, keyframes and landmarks of the navigation; completes the report."""
     made = _from_views(memory, camera, calibration) or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
@@ -48,7 +48,7 @@ def make_navigation(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Made:
-    """The map of a drive; the pose log has followed."""
+    """The map of a navigation; the pose log has followed."""
 
     keyframes: Keyframes
     landmarks: Landmarks

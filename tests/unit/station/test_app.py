@@ -21,9 +21,9 @@ PLACES = ("registration", "localisation.localizer", "localisation.map_index", "j
 LOOK = """
 import sys
 import station.api.server  # and with it station.app
-from station.workers.library_requests import LIBRARY
-from station.workers.place_requests import PLACES
-from station.workers.slam_requests import SLAM
+from station.workers.library_interface import LIBRARY
+from station.workers.place_interface import PLACES
+from station.workers.slam_interface import SLAM
 unwanted = {unwanted} | {{program.module for program in (LIBRARY, PLACES, SLAM)}}
 print(*sorted(name for name in sys.modules if any(name == one or name.startswith(one + ".") for one in unwanted)))
 """

@@ -54,3 +54,11 @@ def test_every_command_is_listed() -> None:
 def test_what_is_listed_can_be_called(name: str) -> None:
     command = load_command(name)
     assert command.name == name and command.help
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_is_listed_is_how_the_commands_own_help_begins(name: str) -> None:
+    _, listed = COMMANDS[name]
+    own = (load_command(name).help or "").partition("\n")[0]
+    start = listed.removesuffix(".")
+    assert own.startswith(start) and own[len(start) :][:1] in (".", ";", "")

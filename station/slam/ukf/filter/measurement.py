@@ -12,7 +12,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, skew
 from station.motion.error_coordinates import ErrorKind, pose_jacobian, retract_group
-from station.vision.camera_model import CameraModel, project_points
+from station.vision.camera_model import CameraModel, normalised_points
 from station.vision.lens import BoolArray
 
 
@@ -44,7 +44,7 @@ def linearise(
     camera: CameraModel, kind: ErrorKind, R: FloatArray, x: FloatArray, p: FloatArray, xy: FloatArray, W: FloatArray
 ) -> Regression:
     """Analytic version (invariant EKF): observations xy (N, 2) of landmarks p (N, 3) from the current pose R, x."""
-    predicted, D, in_front = project_points(camera, R, x, p)
+    predicted, D, in_front = normalised_points(camera, R, x, p)
     by_pose = pose_jacobian(kind, np.broadcast_to(R, (len(p), 3, 3)), x, p)
     by_phi, by_xi = point_coordinates(kind, R, p)
     H = np.empty((len(p), 2, 9))
@@ -78,8 +78,8 @@ def regress(
     steps = np.concatenate([L, -L], axis=2).swapaxes(1, 2) * spread  # (N, 18, 9)
     X = np.stack([np.broadcast_to(x, p.shape), p], axis=1)[:, None]  # (N, 1, 2, 3)
     R_pts, X_pts = retract_group(kind, R, X, steps[..., :3], steps[..., 3:].reshape(N, 18, 2, 3))
-    points, _, front = project_points(camera, R_pts, X_pts[..., 0, :], X_pts[..., 1, :])
-    mean, _, in_front = project_points(camera, R, x, p)
+    points, _, front = normalised_points(camera, R_pts, X_pts[..., 0, :], X_pts[..., 1, :])
+    mean, _, in_front = normalised_points(camera, R, x, p)
     y_mean = (W @ mean[..., None])[..., 0]
     y = (W[:, None] @ points[..., None])[..., 0] - y_mean[:, None]  # (N, 18, 2)
     odd = (y[:, :9] - y[:, 9:]) / (2.0 * spread)  # (N, 9, 2): P_zy in whitened coordinates

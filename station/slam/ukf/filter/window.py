@@ -15,7 +15,7 @@ from station.motion.error_coordinates import ErrorKind, pose_jacobian
 from station.slam.mapping.rolling_shutter import observation_pose
 from station.slam.ukf.filter.state import CORE, FilterState
 from station.slam.ukf.filter.update import Gate, Measurements, mahalanobis, select
-from station.vision.camera_model import CameraModel, project_points
+from station.vision.camera_model import CameraModel, normalised_points
 from station.vision.lens import BoolArray
 from station.vision.triangulation import Triangulation, triangulate
 
@@ -61,7 +61,7 @@ def window_rows(
     F, M = seen.shape
     R, x = window_poses(camera, state, uv_px)
     points = np.broadcast_to(p[:, None], (F, M, 3))
-    predicted, D, in_front = project_points(camera, R, x, points)
+    predicted, D, in_front = normalised_points(camera, R, x, points)
     W = camera.lens.whitening(xy, camera.sigma_px) * (seen & in_front)[..., None, None]
     WD = W @ D
     r = (W @ (xy - predicted)[..., None])[..., 0].reshape(F, 2 * M)

@@ -59,10 +59,10 @@ class TrackObservations:
         return TrackObservations(self.track[keep], self.keyframe[keep], self.uv_px[keep], self.xy[keep], self.rgb[keep])
 
 
-def triangulate_tracks(
+def triangulate_with_covariance(
     keyframes: list[Keyframe], observations: TrackObservations, camera: CameraModel
 ) -> tuple[IntArray, Triangulation]:
-    """Track ids (F,) with enough views, and their points."""
+    """Track ids (F,) with enough views, and their points with covariances: also the bad ones, which say so."""
     ids, start, count = np.unique(observations.track, return_index=True, return_counts=True)
     enough = count >= MIN_VIEWS
     ids, start, count = ids[enough], start[enough], count[enough]
@@ -106,7 +106,7 @@ def make_landmarks(
 ) -> Landmarks:
     """All tracks of the keyframes that are good enough, as the map's landmarks."""
     observations = TrackObservations.of(keyframes)
-    ids, points = triangulate_tracks(keyframes, observations, camera)
+    ids, points = triangulate_with_covariance(keyframes, observations, camera)
     good = points.is_good & (points.rms < quality.max_rms) & (points.depth_sigma < quality.max_depth_sigma)
     return assemble(ids[good], points.p[good], points.cov[good], observations)
 
@@ -157,7 +157,7 @@ class LiveMap:
         ended = np.setdiff1d(self._recent[-1].tracked.ids, keyframe.tracked.ids)
         table = TrackObservations.of(self._recent)
         table = table.select(np.isin(table.track, ended))
-        ids, points = triangulate_tracks(self._recent, table, self._camera)
+        ids, points = triangulate_with_covariance(self._recent, table, self._camera)
         self._recent = [*self._recent, keyframe][-MAX_VIEWS:]
         quality = self._quality
         good = points.is_good & (points.rms < quality.max_rms) & (points.depth_sigma < quality.max_depth_sigma)

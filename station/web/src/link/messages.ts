@@ -292,13 +292,13 @@ export interface NavigationMessage {
   navigation: NavigationModel | null;
 }
 
-/** One recorded drive and what SLAM made of it. */
+/** One recorded navigation and what SLAM made of it. */
 export interface NavigationModel {
   id: string;
   name: string;
   state: "recording" | "finishing" | "ready" | "failed";
   message: string;
-  /** its name in GET /robots when it drove; empty: an old drive */
+  /** its name in GET /robots when it drove; empty: an old navigation */
   robot: string;
   started_unix_s: number;
   duration_s: number;
@@ -448,7 +448,7 @@ export interface RobotEntry {
   name: string;
   /** put before a call to ask for this robot */
   path: string;
-  /** id of the drive that is being recorded */
+  /** id of the one that is being recorded */
   navigation: string | null;
   state: "known" | "unknown" | "lost";
   place: PlaceName | null;

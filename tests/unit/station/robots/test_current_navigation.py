@@ -23,7 +23,7 @@ from station.robots.current_navigation import CANCELLED, CurrentNavigation
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.slam import MAX_DEATHS, SlamWorker
 from station.workers.request import Limit, Method, WorkerDied
-from station.workers.slam_requests import SlamProgram
+from station.workers.slam_interface import SlamProgram
 from tests.support.link import Notes, hello, until
 
 

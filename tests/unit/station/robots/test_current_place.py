@@ -20,7 +20,7 @@ from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
 from station.robots.current_place import CurrentPlace
-from station.workers.place_requests import PlaceProgram
+from station.workers.place_interface import PlaceProgram
 from station.workers.request import Limit, Method, WorkerFailed
 from tests.support.link import hello, until
 

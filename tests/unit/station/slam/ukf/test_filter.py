@@ -28,7 +28,7 @@ from station.slam.ukf.filter.state import (
     retract,
 )
 from station.slam.ukf.filter.update import Gate, Measurements, update
-from station.vision.camera_model import CameraModel, project_points
+from station.vision.camera_model import CameraModel, normalised_points
 from station.vision.triangulation import triangulate
 from tests.support.synthetic_run import observe, room_points, sine_path
 
@@ -167,7 +167,7 @@ def test_camera_jacobians_are_finite_differences(kind: ErrorKind) -> None:
     camera = CameraModel.of(CAMERA, 1.0)
     state = random_state(11)
     p = state.landmark_p
-    xy, _, _ = project_points(camera, state.R, state.x, p)
+    xy, _, _ = normalised_points(camera, state.R, state.x, p)
     W = np.broadcast_to(np.eye(2), (len(p), 2, 2))
     fit = linearise(camera, kind, state.R, state.x, p, xy, W)
     h = 1e-6
@@ -180,7 +180,7 @@ def test_camera_jacobians_are_finite_differences(kind: ErrorKind) -> None:
             R, X = retract_group(
                 kind, state.R, X, np.broadcast_to(d[:3], p.shape), np.tile(d[3:].reshape(2, 3), (3, 1, 1))
             )
-            values.append(project_points(camera, R, X[:, 0], X[:, 1])[0])
+            values.append(normalised_points(camera, R, X[:, 0], X[:, 1])[0])
         assert np.allclose(fit.H[..., column], (values[0] - values[1]) / (2 * h), atol=1e-6)
 
 
@@ -203,7 +203,7 @@ def test_small_sigma_points_give_the_jacobian(kind: ErrorKind) -> None:
     camera = CameraModel.of(CAMERA, 1.0)
     state = random_state(12)
     p = state.landmark_p
-    xy = project_points(camera, state.R, state.x, p)[0] + 0.001
+    xy = normalised_points(camera, state.R, state.x, p)[0] + 0.001
     W = camera.lens.whitening(xy, 1.0)
     L = np.tile(np.tril(np.random.default_rng(1).normal(size=(9, 9)) + 2 * np.eye(9)) * 1e-5, (len(p), 1, 1))
     exact = linearise(camera, kind, state.R, state.x, p, xy, W)
@@ -273,7 +273,7 @@ def test_triangulation_recovers_points_and_their_spread() -> None:
     p = np.column_stack([rng.uniform(3, 8, 200), rng.uniform(-2, 2, 200), rng.uniform(-1, 1, 200)])
     x = np.array([[0.0, 0.3 * k, 0.05 * k] for k in range(6)])
     R = so3_exp(rng.normal(size=(6, 3)) * 0.05)
-    xy = np.stack([project_points(camera, R[k], x[k], p)[0] for k in range(6)], axis=1)
+    xy = np.stack([normalised_points(camera, R[k], x[k], p)[0] for k in range(6)], axis=1)
     uv = camera.lens.project(xy) + rng.normal(size=xy.shape)
     seen = np.ones((200, 6), dtype=bool)
     R_all, x_all = np.broadcast_to(R, (200, 6, 3, 3)), np.broadcast_to(x, (200, 6, 3))

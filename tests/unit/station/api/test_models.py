@@ -1,0 +1,102 @@
+"""Every value that the API turns into a model by `Model.of` has the fields that the model takes from it."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import pytest
+
+import station.api
+from shared.messages import Capabilities, DriveApplied
+from shared.token_book import TokenRecord
+from station.api.access import TokenModel
+from station.api.schema.base import Model
+from station.api.schema.comparisons import ComparisonModel
+from station.api.schema.jobs import JobModel
+from station.api.schema.navigations import BinModel, NavigationModel
+from station.api.schema.places import EdgeModel, PlaceModel, PlacesChangeModel, RouteModel, VisitModel
+from station.api.schema.robot import AppliedModel, CapabilitiesModel, ClockModel, LossesModel, RobotModel
+from station.api.schema.station import LogModel
+from station.events import LogLine
+from station.library.bin import BinEntry
+from station.library.comparisons import Comparison
+from station.library.navigation_records import NavigationRecord
+from station.library.place_changes import PlacesChange
+from station.model.place_map import Place, PlaceEdge
+from station.places.making.graph import Route
+from station.robots.link_state import LinkState
+from station.robots.visits import Visit
+from station.workers.jobs import Job
+
+MADE_OF: dict[type[Model], type] = {
+    AppliedModel: DriveApplied,
+    BinModel: BinEntry,
+    CapabilitiesModel: Capabilities,
+    ClockModel: LinkState,
+    ComparisonModel: Comparison,
+    EdgeModel: PlaceEdge,
+    JobModel: Job,
+    LogModel: LogLine,
+    LossesModel: LinkState,
+    NavigationModel: NavigationRecord,
+    PlaceModel: Place,
+    PlacesChangeModel: PlacesChange,
+    RobotModel: LinkState,
+    RouteModel: Route,
+    TokenModel: TokenRecord,
+    VisitModel: Visit,
+}
+
+
+class Conversion(NamedTuple):
+    """One call of `Model.of` in the source."""
+
+    model: type[Model]
+    others: set[str]
+    where: str
+
+
+def conversions() -> list[Conversion]:
+    """All calls of `Model.of` below station/api."""
+    found = []
+    root = Path(station.api.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        name = ".".join(["station.api", *path.relative_to(root).with_suffix("").parts])
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "of"):
+                continue
+            assert isinstance(node.func.value, ast.Name), f"{name}:{node.lineno}: name the model in the call"
+            model = getattr(importlib.import_module(name), node.func.value.id)
+            assert issubclass(model, Model)
+            others = {keyword.arg for keyword in node.keywords if keyword.arg is not None}
+            assert len(others) == len(node.keywords), f"{name}:{node.lineno}: write out what is given"
+            found.append(Conversion(model, others, f"{name}:{model.__name__}"))
+    return found
+
+
+def fields(kind: type) -> set[str]:
+    """What can be read from a value of this type: its fields and properties."""
+    if dataclasses.is_dataclass(kind):
+        names = {field.name for field in dataclasses.fields(kind)}
+    else:
+        names = {field.name for field in msgspec.structs.fields(kind)}
+    return names | {name for name in dir(kind) if isinstance(getattr(kind, name), property)}
+
+
+CONVERSIONS = conversions()
+
+
+def test_every_model_made_of_a_value_is_listed_here() -> None:
+    assert {conversion.model for conversion in CONVERSIONS} == MADE_OF.keys()
+
+
+@pytest.mark.parametrize("conversion", CONVERSIONS, ids=lambda conversion: conversion.where)
+def test_a_value_has_all_fields_that_its_model_takes(conversion: Conversion) -> None:
+    model, others, _ = conversion
+    assert others <= model.model_fields.keys()
+    assert model.model_fields.keys() - others <= fields(MADE_OF[model])

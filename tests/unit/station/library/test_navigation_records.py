@@ -1,0 +1,43 @@
+"""Records of navigations, also those that a dead station or an older version left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
+
+
+def test_a_navigation_that_a_dead_station_left_is_kept_as_failed(tmp_path: Path) -> None:
+    library = NavigationLibrary(tmp_path)
+    assert library.open() == []
+    library.store(NavigationRecord(id="nav-1", name="one", state="recording", started_wall_s=1.0, backend="sfm"))
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "record.json").write_text("{")
+    again = NavigationLibrary(tmp_path)
+    assert [navigation.id for navigation in again.open()] == ["nav-1"]
+    assert again.get("nav-1").state == "failed"
+
+
+def test_a_record_under_its_old_name_still_opens(tmp_path: Path) -> None:
+    library = NavigationLibrary(tmp_path)
+    library.store(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
+    (tmp_path / "nav-1" / "record.json").rename(tmp_path / "nav-1" / "drive.json")
+    again = NavigationLibrary(tmp_path)
+    assert again.open() == []
+    assert again.get("nav-1").name == "one"
+    again.store(replace(again.get("nav-1"), name="two"))
+    assert [path.name for path in (tmp_path / "nav-1").iterdir()] == ["record.json"]
+    reopened = NavigationLibrary(tmp_path)
+    reopened.open()
+    assert reopened.get("nav-1").name == "two"
+
+
+def test_a_navigation_whose_record_is_lost_is_known_by_its_recording(tmp_path: Path) -> None:
+    for name in ("nav-a", "nav-b", ".bin"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "nav-a" / "recording.mcap").write_bytes(b"x")
+    (tmp_path / "nav-a" / "record.json").write_text('{"id": "nav-a", "na')
+    interrupted = NavigationLibrary(tmp_path).open()
+    assert [(navigation.id, navigation.state) for navigation in interrupted] == [("nav-a", "failed")]
+    assert [navigation.id for navigation in NavigationLibrary(tmp_path).open()] == []  # it has a record again

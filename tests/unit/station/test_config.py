@@ -1,0 +1,66 @@
+"""The station's configuration: read, checked, and the backend that it means for a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
+from shared.errors import ConfigError
+from station.config import (
+    StationConfig,
+    check_backend,
+    choose_backend,
+    load_config,
+    parse_address,
+)
+
+
+def test_config_file_is_read_and_unknown_keys_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "station.toml"
+    path.write_text('data_dir = "/tmp/x"\n[robot]\nhost = "pi"\n[slam]\nbackend = "ukf"\n')
+    config = load_config(path)
+    assert (config.robot.host, config.slam.backend, config.data_dir) == ("pi", "ukf", Path("/tmp/x"))
+    assert load_config(None) == StationConfig()
+    path.write_text("[slam]\nbackened = 'ukf'\n")
+    with pytest.raises(ConfigError, match=r"slam\.backened"):
+        load_config(path)
+    path.write_text("[api]\nport = 'many'\n")
+    with pytest.raises(ConfigError, match="port"):
+        load_config(path)
+    path.write_text("[drive]\nlease_s = 0\n")
+    with pytest.raises(ConfigError, match="lease_s"):
+        load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"), [("pi:7", ("pi", 7)), ("pi", ("pi", 7400)), ("[::1]:9", ("::1", 9)), ("[::1]", ("::1", 7400))]
+)
+def test_addresses_are_read(text: str, address: tuple[str, int]) -> None:
+    assert parse_address(text, "--robot") == address
+
+
+@pytest.mark.parametrize("text", ["", ":7", "pi:", "pi:0", "pi:70000", "pi:x"])
+def test_wrong_addresses_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="--robot"):
+        parse_address(text, "--robot")
+
+
+def test_a_robot_on_wheels_with_an_imu_is_followed_by_the_filter_and_others_by_their_images() -> None:
+    assert choose_backend("auto", REFERENCE_ROBOT) == "ukf"
+    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, imu=None)) == "sfm"
+    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, robot_kind="generic")) == "sfm"
+    guessed = msgspec.structs.replace(REFERENCE_CAMERA, is_measured=False)
+    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, camera=guessed)) == "sfm"
+    assert choose_backend("ukf", msgspec.structs.replace(REFERENCE_ROBOT, camera=guessed)) == "ukf"
+    assert choose_backend("sfm", REFERENCE_ROBOT) == "sfm"
+
+
+def test_a_backend_that_does_not_exist_is_named_before_anything_starts() -> None:
+    check_backend("sfm")
+    check_backend("tests.support.made_up_workers:StraightSlam")
+    for name in ("nonsense", "", "tests.support.made_up_workers:Nothing", "no_such_module:Slam", ":Slam"):
+        with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf"):
+            check_backend(name)
