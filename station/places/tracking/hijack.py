@@ -8,6 +8,7 @@ Pure: times come with the data. docs/localisation.md has the thresholds' origin 
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +36,9 @@ class HijackConfig:
     turn_rad_s: float = 0.35
     turn_bins: int = 15
     still_s: float = 0.5  # put down: this long without motion
-    still_gyro_rad_s: float = 0.06
+    still_gyro_rad_s: float = 0.06  # rates and forces stay this near to their mean
     still_accel_m_s2: float = 0.6
+    still_bias_rad_s: float = 0.2  # a gyroscope at rest may show as much
     view_features: int = 60  # fewer: the view says nothing
     view_rich_features: int = 300  # a view of fewer may be gone after a hand's breadth: a door's frame passed closely
     view_ratio: float = 0.7  # nearest against second nearest descriptor
@@ -102,7 +104,7 @@ class _InertialCue:
         self._velocity = 0.0
         self._tilt = np.zeros(3)
         self._lift_count = self._turn_count = 0
-        self._still_s = 0.0
+        self._recent: deque[tuple[float, FloatArray, FloatArray]] = deque()  # while carried: seconds, gyro, accel
         self._rest = CommandedRest()
 
     def command(self, drive: DriveSample) -> None:
@@ -143,12 +145,13 @@ class _InertialCue:
         resting = self._rest.is_resting(t)
         self._turn_count = self._turn_count + 1 if resting and abs(float(vertical @ rate)) > c.turn_rad_s else 0
         if self.is_carried:
-            self._wait_for_rest(seconds, rate, surplus)
+            self._wait_for_rest(t, seconds, gyro, accel)
             return None
         reason = self._reason()
         if reason is None:
             return None
-        self.is_carried, self._still_s = True, 0.0
+        self.is_carried = True
+        self._recent.clear()
         return HijackEvent(t, "imu", reason, 0.99)
 
     def _reason(self) -> str | None:
@@ -171,12 +174,23 @@ class _InertialCue:
         if self._rest.is_resting(t) and float(np.linalg.norm(gyro - self._bias)) < (0.2 if settling else 0.05):
             self._bias = self._bias + share * (gyro - self._bias)
 
-    def _wait_for_rest(self, seconds: float, rate: FloatArray, surplus: float) -> None:
+    def _wait_for_rest(self, t: int, seconds: float, gyro: FloatArray, accel: FloatArray) -> None:
+        """Put down: for half a second nothing changes. Gravity and bias are learnt anew then, as at the start.
+
+        What is believed of them is not asked: where hands came before it was learnt, no rest would ever look like one.
+        """
         c = self._c
-        still = float(np.linalg.norm(rate)) < c.still_gyro_rad_s and abs(surplus) < c.still_accel_m_s2
-        self._still_s = self._still_s + seconds if still else 0.0
-        if self._still_s >= c.still_s:
-            self.is_carried = False
+        self._recent.append((seconds, gyro, accel))
+        while sum(s for s, _, _ in self._recent) - self._recent[0][0] >= c.still_s:
+            self._recent.popleft()
+        rates, forces = (np.array([one[k] for one in self._recent]) for k in (1, 2))
+        if (
+            sum(s for s, _, _ in self._recent) >= c.still_s
+            and float(np.linalg.norm(rates.mean(axis=0))) < c.still_bias_rad_s
+            and float(np.linalg.norm(rates - rates.mean(axis=0), axis=1).max()) < c.still_gyro_rad_s
+            and float(np.linalg.norm(forces - forces.mean(axis=0), axis=1).max()) < c.still_accel_m_s2
+        ):
+            self.is_carried, self._start_ns = False, t
             self._velocity, self._tilt = 0.0, np.zeros(3)
             self._lift_count = self._turn_count = 0
 

@@ -116,3 +116,18 @@ def test_a_poor_view_that_is_gone_after_a_hand_s_breadth_is_no_hijack() -> None:
     rng = np.random.default_rng(2)
     detector, door_frame, room = HijackDetector(), features(rng, 230), features(rng)
     assert not any(detector.on_view(k * SECOND // 2, view) for k, view in enumerate([door_frame, room, room, room]))
+
+
+@pytest.mark.parametrize("begun_s", [0.0, 0.3, 0.6, 0.9, 5.0])
+def test_a_robot_put_down_is_carried_no_more_even_where_hands_came_before_gravity_was_learnt(begun_s: float) -> None:
+    detector = HijackDetector()
+    accel = np.concatenate([seconds(begun_s), lift(), -lift(), seconds(2.0)])
+    assert feed(detector, imu(np.zeros_like(accel), accel))
+    assert not detector.is_carried
+
+
+def test_a_robot_in_moving_hands_stays_carried() -> None:
+    detector = HijackDetector()
+    accel = np.concatenate([seconds(5.0), lift(), *[sign * lift() for sign in (1, -1) * 4]])
+    assert feed(detector, imu(np.zeros_like(accel), accel))
+    assert detector.is_carried
