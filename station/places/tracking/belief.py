@@ -146,6 +146,7 @@ class Hypothesis:
         gain_heading = self.sigma_rad**2 / (self.sigma_rad**2 + doubt * c.pose_floor_rad**2)
         z = m.localization
         before = self.recognised.lately(z.t_robot_ns, c.landmark_memory_s)
+        recognised = before.and_then(z.landmarks, z.t_robot_ns)
         T_map_body = _between(self.pose(T_nav_body), m.T_map_body, gain, gain_heading)
         return replace(
             self.moved_to(T_map_body, T_nav_body),
@@ -154,7 +155,7 @@ class Hypothesis:
             evidence_t_robot_ns=z.t_robot_ns,
             evidence_keyframe=z.keyframe_index,
             inliers=z.num_inliers,
-            recognised=before.and_then(z.landmarks, z.t_robot_ns),
+            recognised=recognised,
             counted_log_odds=(self.counted_log_odds if before.seen else 0.0) + counted,
             look_alike=1.0,
         )

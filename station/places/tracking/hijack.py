@@ -36,8 +36,8 @@ class HijackConfig:
     turn_rad_s: float = 0.35
     turn_bins: int = 15
     still_s: float = 0.5  # put down: this long without motion
-    still_gyro_rad_s: float = 0.06  # rates and forces stay this near to their mean
-    still_accel_m_s2: float = 0.6
+    still_gyro_rad_s: float = 0.03  # roll, pitch and the force along the vertical stay this near to their mean
+    still_accel_m_s2: float = 0.3
     still_bias_rad_s: float = 0.2  # a gyroscope at rest may show as much
     view_features: int = 60  # fewer: the view says nothing
     view_rich_features: int = 300  # a view of fewer may be gone after a hand's breadth: a door's frame passed closely
@@ -175,24 +175,33 @@ class _InertialCue:
             self._bias = self._bias + share * (gyro - self._bias)
 
     def _wait_for_rest(self, t: int, seconds: float, gyro: FloatArray, accel: FloatArray) -> None:
-        """Put down: for half a second nothing changes. Gravity and bias are learnt anew then, as at the start.
+        """Put down: for half a second nothing changes but the rate about the vertical; wheels may drive on at once.
 
-        What is believed of them is not asked: where hands came before it was learnt, no rest would ever look like one.
+        Gravity and bias are learnt anew then, as at the start. What was believed of them is not asked: where hands came
+        before it was learnt, no rest would ever look like one.
         """
         c = self._c
         self._recent.append((seconds, gyro, accel))
         while sum(s for s, _, _ in self._recent) - self._recent[0][0] >= c.still_s:
             self._recent.popleft()
+        if sum(s for s, _, _ in self._recent) < c.still_s:
+            return
         rates, forces = (np.array([one[k] for one in self._recent]) for k in (1, 2))
+        vertical = forces.mean(axis=0) / max(float(np.linalg.norm(forces.mean(axis=0))), 1e-9)
+        level = rates - np.outer(rates @ vertical, vertical)
         if (
-            sum(s for s, _, _ in self._recent) >= c.still_s
-            and float(np.linalg.norm(rates.mean(axis=0))) < c.still_bias_rad_s
-            and float(np.linalg.norm(rates - rates.mean(axis=0), axis=1).max()) < c.still_gyro_rad_s
-            and float(np.linalg.norm(forces - forces.mean(axis=0), axis=1).max()) < c.still_accel_m_s2
+            float(np.linalg.norm(level.mean(axis=0))) < c.still_bias_rad_s
+            and _spread(level) < c.still_gyro_rad_s
+            and _spread(forces @ vertical) < c.still_accel_m_s2
         ):
             self.is_carried, self._start_ns = False, t
             self._velocity, self._tilt = 0.0, np.zeros(3)
             self._lift_count = self._turn_count = 0
+
+
+def _spread(x: FloatArray) -> float:
+    """Root mean square distance of values or vectors (n, ...) from their mean."""
+    return float(np.sqrt(np.square(x - x.mean(axis=0)).reshape(len(x), -1).sum(axis=1).mean()))
 
 
 class _ViewCue:

@@ -131,3 +131,12 @@ def test_a_robot_in_moving_hands_stays_carried() -> None:
     accel = np.concatenate([seconds(5.0), lift(), *[sign * lift() for sign in (1, -1) * 4]])
     assert feed(detector, imu(np.zeros_like(accel), accel))
     assert detector.is_carried
+
+
+def test_a_robot_that_drives_on_as_soon_as_it_is_put_down_is_carried_no_more() -> None:
+    detector = HijackDetector()
+    accel = np.concatenate([seconds(5.0), lift(), -lift(), seconds(2.0)])
+    gyro = np.zeros_like(accel)
+    gyro[-len(seconds(2.0)) :, 2] = np.linspace(0.0, 0.8, len(seconds(2.0)))  # into a turn
+    assert feed(detector, imu(gyro, accel))
+    assert not detector.is_carried
