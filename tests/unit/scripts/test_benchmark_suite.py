@@ -16,12 +16,13 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[3]
+from tests.support.paths import ROOT
+
 PROGRAMS = ("__init__", "result", "results_page", "run_suite", "suite")
 BENCHMARK = """
 import argparse, sys
 from pathlib import Path
-from benchmarks.result import Figure, Run, add_results_option, share
+from PACKAGE.result import Figure, Run, add_results_option, share
 parser = argparse.ArgumentParser()
 add_results_option(parser, "made_up")
 options, others = parser.parse_known_args()
@@ -37,7 +38,7 @@ run.write(options.results, [
     share("right answers", 3999, 4000, at_least=99),
 ])
 sys.exit(EXIT_CODE)
-"""
+""".replace("PACKAGE", "benchmarks")
 
 
 class MadeUpRepository:

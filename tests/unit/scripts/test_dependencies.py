@@ -6,11 +6,11 @@ import ast
 import re
 import tomllib
 from importlib.metadata import packages_distributions
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[3]
+from tests.support.paths import ROOT
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 IMPORTED_BY_OTHERS = {"lz4"}  # by mcap, for the chunks of recordings
 EXTRAS = ("robot", "simulation", "station")  # the others: only tools, and a driver that SQLAlchemy imports

@@ -23,8 +23,8 @@ from shared.advice import PROJECT, complete, install, option
 from shared.command_line import USAGE_ERROR
 from station.main import app as station
 from station.main import main as station_main
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[3]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
 
