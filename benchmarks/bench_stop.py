@@ -264,10 +264,6 @@ async def run(options: argparse.Namespace, counts: dict[str, int], rows: Path, c
                     stop_report.append(rows, replace(judged, commit=commit))
 
 
-if __name__ == "__main__":
-    sys.exit(asyncio.run(main()))
-
-
 def figures(results: list[Judged]) -> list[Figure]:
     """What is asked of every fault, over all kinds of them."""
     judged = [r for r in results if not r.not_judged]
@@ -289,3 +285,7 @@ def figures(results: list[Judged]) -> list[Figure]:
         Figure("faults after which the motors never stopped", never, at_most=0, of=n),
         Figure("faults that could not be judged", len(results) - n, at_most=0, of=len(results)),
     ]
+
+
+if __name__ == "__main__":
+    sys.exit(asyncio.run(main()))
