@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
 
+Rig = Literal["wheels", "hand-held", "unknown"]
+RIGS: tuple[str, ...] = get_args(Rig)
 MAX_SHIFT_S = 10.0  # between the clocks of one robot's sensors; more is a mistake of units
 MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
 
@@ -92,11 +94,12 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     imu: ImuNoise | None
     robot_kind: str = "generic"  # "sentinel": our own robot; anything else is a rig of which only the sensors are known
     gravity: float = 9.81
+    rig: Rig = "unknown"  # what carries the sensors
 
     @property
     def has_wheels(self) -> bool:
         """Whether it stands upright on driven wheels, so that drive commands and a level floor tell how it moves."""
-        return self.robot_kind == "sentinel"
+        return self.rig == "wheels" or (self.rig == "unknown" and self.robot_kind == "sentinel")
 
 
 # Thesis eqs. 3.2-3.5. The printed rotation has 4 digits; the nearest true rotation is used.
@@ -126,4 +129,4 @@ REFERENCE_IMU = ImuNoise(
     gyro_range=math.radians(500.0),
     accel_range=4 * 9.81,
 )
-REFERENCE_ROBOT = Calibration(camera=REFERENCE_CAMERA, imu=REFERENCE_IMU, robot_kind="sentinel")
+REFERENCE_ROBOT = Calibration(camera=REFERENCE_CAMERA, imu=REFERENCE_IMU, robot_kind="sentinel", rig="wheels")

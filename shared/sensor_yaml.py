@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import yaml
 
-from shared.calibration import CameraCalibration, ImuNoise
+from shared.calibration import RIGS, CameraCalibration, ImuNoise, Rig
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, orthonormal, se3
 
@@ -44,6 +44,14 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise DataError(f"{path} holds no `key: value` lines; write a calibration into it")
     return content
+
+
+def read_rig(content: dict[str, Any], path: Path) -> Rig:
+    """What carries the sensors: `rig: wheels` or `rig: hand-held`; unknown where the file does not say."""
+    rig = content.get("rig", "unknown")
+    if rig not in RIGS:
+        raise DataError(f"{path}: rig is {rig!r}; write one of {', '.join(RIGS)}")
+    return cast(Rig, rig)
 
 
 def _first_line(exc: yaml.YAMLError) -> str:

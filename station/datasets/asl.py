@@ -16,7 +16,7 @@ from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, inverse, rotation_from_quat, se3
 from shared.recorded_files import asl_numbers, asl_rows, exposures_ns
-from shared.sensor_yaml import number, read_camera, read_exposure_ns, read_imu_noise, read_mounting, read_yaml
+from shared.sensor_yaml import number, read_camera, read_exposure_ns, read_imu_noise, read_mounting, read_rig, read_yaml
 from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frames
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
@@ -70,6 +70,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
 
     gravity = number(camera_yaml, "gravity", 9.81, mav / "cam0" / "sensor.yaml")
     kind = str(camera_yaml.get("robot_kind", "sentinel" if drive else "generic"))  # only ours record commands
+    rig = read_rig(camera_yaml, mav / "cam0" / "sensor.yaml")
 
     def read_frames() -> Iterator[ImageFrame]:
         for index, (t_ns, name, exposure_ns) in enumerate(zip(times, names, exposures, strict=True)):
@@ -78,7 +79,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
     return Dataset(
         path=path,
         kind="asl",
-        calibration=Calibration(camera=camera, imu=noise, robot_kind=kind, gravity=gravity),
+        calibration=Calibration(camera=camera, imu=noise, robot_kind=kind, gravity=gravity, rig=rig),
         intrinsics_known=not bool(camera_yaml.get("approximate", False)),
         frame_times_ns=times,
         read_frames=read_frames if has_images else None,

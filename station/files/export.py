@@ -49,6 +49,7 @@ def export_euroc(nav: Navigation, folder: Path) -> None:
             f"distortion_model: {'radial-tangential' if camera.model == 'radtan' else 'equidistant'}\n"
             f"distortion_coefficients: {list(camera.distortion)}\n"
             f"time_shift_s: {camera.time_shift_s}\nline_delay_s: {camera.line_delay_s}\n"
+            f"robot_kind: {nav.calibration.robot_kind}\nrig: {nav.calibration.rig}\n"
         )
     header = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
     (truth / "data.csv").write_text("\n".join([header, *(_asl_pose(t, T) for t, T in _poses(nav.trajectory))]) + "\n")

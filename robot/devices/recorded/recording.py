@@ -25,6 +25,7 @@ from shared.sensor_yaml import (
     read_folder_camera,
     read_imu_noise,
     read_mounting,
+    read_rig,
     read_yaml,
 )
 
@@ -127,7 +128,8 @@ def _open_asl(path: Path) -> Recording:
     gravity, kind = number(content, "gravity", 9.81, camera_yaml), str(content.get("robot_kind", "generic"))
     if samples:
         imu, camera = _place_on_imu(imu_yaml, camera)
-    calibration = Calibration(camera=camera, imu=imu, robot_kind=kind, gravity=gravity)
+    rig = read_rig(content, camera_yaml)
+    calibration = Calibration(camera=camera, imu=imu, robot_kind=kind, gravity=gravity, rig=rig)
     return Recording(path, calibration, frames, samples, tuple(remarks))
 
 

@@ -8,6 +8,7 @@ from shared.geometry import FloatArray, median_radius, upright
 from station.model.navigation import Navigation
 
 WITHIN = 90.0  # per cent of the landmarks: single stragglers do not make a place larger
+USUAL_VIEWING_M = 2.0  # how far cameras in homes see, for maps whose scale nobody knows
 UP_PRIOR = 0.02  # weight of the cameras' mean up against their lack of roll
 
 
@@ -32,6 +33,12 @@ def viewing_distance(navigation: Navigation) -> float | None:
     # Without observations: half the cloud's radius is about how far one stands from what one looks at in one room.
     radius = median_radius(finite)
     return radius if radius > 0 else None
+
+
+def units_per_metre(navigation: Navigation) -> float:
+    """Map units per metre; where nobody knows the scale, as if the navigation saw as far as cameras in homes do."""
+    length = None if navigation.is_metric else viewing_distance(navigation)
+    return 1.0 if length is None else length / USUAL_VIEWING_M
 
 
 def observation_distances(navigation: Navigation) -> FloatArray:

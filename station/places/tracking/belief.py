@@ -150,8 +150,9 @@ class Hypothesis:
         T_map_body = _between(self.pose(T_nav_body), m.T_map_body, gain, gain_heading)
         return replace(
             self.moved_to(T_map_body, T_nav_body),
-            sigma_m=float(np.sqrt(max(1 - gain, 0.05))) * self.sigma_m,
-            sigma_rad=float(np.sqrt(max(1 - gain_heading, 0.05))) * self.sigma_rad,
+            # Errors of the map are the same in every image: no number of images averages them away.
+            sigma_m=max(float(np.sqrt(1 - gain)) * self.sigma_m, c.pose_floor_m),
+            sigma_rad=max(float(np.sqrt(1 - gain_heading)) * self.sigma_rad, c.pose_floor_rad),
             evidence_t_robot_ns=z.t_robot_ns,
             evidence_keyframe=z.keyframe_index,
             inliers=z.num_inliers,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 # The values of its figures at which an image has the odds called `usual` below: what the coefficients are counted
 # from, not what is most frequent. The median image there has 670 features.
@@ -70,15 +70,6 @@ class BeliefConfig:
     same_view: float = 0.03  # weight of an image of an unchanged view
     same_landmarks: float = 0.02  # ... of an image that recognises nothing new
     same_view_per_s: float = 0.25  # without odometry: how fast views become independent
-    # What the map reaches: all within `surely_covered_m` of the mapping drive's path, and up to `covered_m` what has
-    # nearly as many recognisable views as the path itself (`Coverage.views`): it separates mapped rooms from unmapped
-    # ones, but corners of mapped rooms where nobody drove are no better than doorways.
-    covered_m: float = 1.0
-    covered_softness_m: float = 0.15
-    surely_covered_m: float = 0.4
-    surely_covered_softness_m: float = 0.04
-    covered_views: float = 0.72
-    covered_views_softness: float = 0.02
     # Odometry's error is a random walk, and beside it there is what wheels and gyro are wrongly calibrated by: that
     # adds up, and is a guess.
     walk_m_per_root_m: float = 0.04
@@ -88,11 +79,19 @@ class BeliefConfig:
     drift_per_m: float = 0.01
     drift_rad_per_rad: float = 0.003
     drift_per_s: float = 0.001
-    blind_speed_m_s: float = 0.3  # how fast the robot may go while nothing measures it
+    blind_speed_m_s: float = 0.3  # how fast a robot on wheels may go while nothing measures it
     blind_turn_rad_s: float = 0.5
+    carried_speed_m_s: float = 1.2  # the same of a rig in somebody's hands, who walks
+    carried_turn_rad_s: float = 1.5
     pose_floor_m: float = 0.04  # map errors that no image's covariance knows
     pose_floor_rad: float = 0.03
     max_hypotheses: int = 8
     believed_from: float = 0.9  # weight of a hypothesis that counts as where the robot is
     jump_m: float = 1.0  # two believed positions this far apart are a jump
     jump_rad: float = 0.7
+
+    def for_rig(self, has_wheels: bool) -> BeliefConfig:
+        """For what carries the sensors."""
+        if has_wheels:
+            return self
+        return replace(self, blind_speed_m_s=self.carried_speed_m_s, blind_turn_rad_s=self.carried_turn_rad_s)

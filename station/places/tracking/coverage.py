@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
 from station.model.place_map import PlaceMap
-from station.places.tracking.config import BeliefConfig
 
 # A keyframe recognises views from about this near and this parallel (33 degrees of view, SIFT's limits).
 VIEW_DISTANCE = 1.2
@@ -22,12 +21,7 @@ MOST_ASKED = 400  # of those, for one image: 4000 (a room driven through all day
 HIDDEN_M = 0.5  # behind other landmarks of one direction: not to be seen from here
 HIDDEN_RAD = np.radians(10.0)
 NEAREST_M = 0.05  # in front of the camera
-HEADINGS = 24
-FULL_VIEW = 0.3  # of what a keyframe sees: enough in a view to be recognised surely
 THINNED_VIEW = 60  # landmarks of a keyframe that are looked at
-CELL_M = 0.2  # positions nearer than this are one
-MAX_CELLS = 50_000  # remembered; forgotten all at once beyond
-TYPICAL_OF = 24  # keyframes that say what share of headings this map knows where it was made
 
 
 class Coverage:
@@ -43,36 +37,11 @@ class Coverage:
         self._tree = cKDTree(self._position) if len(poses) else None
         self._shuffled = np.random.default_rng(0).permutation(len(poses))
         self._seen = _Seen(place_map)
-        camera = navigation.calibration.camera
-        self._half_view = float(np.arctan(camera.width / 2 / camera.fx)) if camera else VIEW_ANGLE_RAD
-        self._shares: dict[tuple[int, int, int], float] = {}
-        self._typical = 0.0
-        if navigation.is_gravity_aligned and self._seen.is_enough:
-            some = self._position[:: max(1, len(poses) // TYPICAL_OF)]
-            self._typical = float(np.median([self._share_of_headings(p) for p in some]))
 
     @property
     def knows_views(self) -> bool:
         """Whether the map says what its keyframes saw, so that what should be in view can be counted."""
         return self._seen.is_enough
-
-    def covers(self, p_map: FloatArray, c: BeliefConfig) -> FloatArray:
-        """(n,) probability that the map reaches the points (n, 3): it went there, or nearly, and knows the views."""
-        distance = self.distance(p_map)
-        within = _below(distance, c.covered_m, c.covered_softness_m)
-        surely = _below(distance, c.surely_covered_m, c.surely_covered_softness_m)
-        views = np.zeros(len(p_map))
-        asked = np.flatnonzero((within > 1e-3) & (surely < 1 - 1e-3))  # elsewhere views change nothing
-        if len(asked):
-            known = self.views(p_map[asked])
-            views[asked] = _below(-known, -c.covered_views, c.covered_views_softness)
-        return np.asarray(surely + (1 - surely) * within * views, dtype=np.float64)
-
-    def distance(self, p_map: FloatArray) -> FloatArray:
-        """(n,) m from points (n, 3) to the nearest camera position of the mapping drive; inf without keyframes."""
-        if self._tree is None:
-            return np.full(len(p_map), np.inf)
-        return np.asarray(self._tree.query(p_map)[0], dtype=np.float64) / self._unit
 
     def in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> float:
         """How many landmarks a camera should recognise at this pose (4, 4), in those that a usual keyframe saw.
@@ -96,44 +65,9 @@ class Coverage:
         inside = (right >= 0) & (right < camera.width) & (down >= 0) & (down < camera.height)
         return float(np.count_nonzero(inside) / self._seen.per_keyframe)
 
-    def views(self, p_map: FloatArray) -> FloatArray:
-        """(n,) how much of what is around the points (n, 3) the map could recognise, against where its drive went.
-
-        1: as many headings as from a typical keyframe; 0: none. In a doorway to a room that was never entered a robot
-        is near the drive's path and recognises what lies behind it, but nothing to its sides. 1 everywhere where the
-        map cannot tell (which way is up, or what was seen from where, is not known).
-        """
-        if self._tree is None or self._typical <= 0:
-            return np.ones(len(p_map))
-        cells, of = np.unique(np.floor(p_map / (CELL_M * self._unit)).astype(np.int64), axis=0, return_inverse=True)
-        shares = np.array([self._remembered((int(c[0]), int(c[1]), int(c[2]))) for c in cells])
-        return np.asarray(np.minimum(shares / self._typical, 1.0)[of.reshape(-1)], dtype=np.float64)
-
     def in_usual_views(self, landmarks: int) -> float:
         """A number of landmarks in those that a usual keyframe saw."""
         return landmarks / self._seen.usual
-
-    def _remembered(self, cell: tuple[int, int, int]) -> float:
-        share = self._shares.get(cell)
-        if share is None:
-            if len(self._shares) >= MAX_CELLS:
-                self._shares.clear()
-            share = self._share_of_headings((np.array(cell) + 0.5) * (CELL_M * self._unit))
-            self._shares[cell] = share
-        return share
-
-    def _share_of_headings(self, p_map: FloatArray) -> float:
-        """Share of the directions a camera could look from here (3,) in which it would see enough known landmarks."""
-        assert self._tree is not None
-        near = np.array(self._tree.query_ball_point(p_map, LANDMARK_REACH * self._unit), dtype=np.int64)
-        if not len(near):
-            return 0.0
-        known = self._known_from(np.array([p_map[0], p_map[1], self._position[near, 2].mean()]), near)
-        azimuth = np.arctan2(known[:, 1], known[:, 0])
-        heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
-        off = np.abs((azimuth[None, :] - heading[:, None] + np.pi) % (2 * np.pi) - np.pi)
-        count = np.count_nonzero(off < self._half_view, axis=1)
-        return float(np.minimum(count / (FULL_VIEW * self._seen.per_keyframe), 1.0).mean())
 
     def _known_from(self, eye: FloatArray, near: IntArray) -> FloatArray:
         """(n, 3) from a position (3,) to the landmarks that these keyframes (k,) saw and that look alike from there."""
@@ -146,11 +80,6 @@ class Coverage:
         alike &= ~_hidden(landmark, now, far_now, HIDDEN_M * self._unit)
         _, once = np.unique(landmark[alike], return_index=True)
         return np.asarray(now[alike][once])
-
-
-def _below(value: FloatArray, limit: float, softness: float) -> FloatArray:
-    """0..1, a soft value < limit."""
-    return np.asarray(1.0 / (1.0 + np.exp(np.clip((value - limit) / softness, -50, 50))), dtype=np.float64)
 
 
 def _hidden(landmark: IntArray, d: FloatArray, far: FloatArray, margin: float) -> npt.NDArray[np.bool_]:

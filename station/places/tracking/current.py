@@ -64,10 +64,12 @@ class CurrentPlaceEstimator:
         seed: int = 0,
     ) -> None:
         """`calibration`: of the robot that drives now; by default that of the first map's navigation."""
-        self.config = config or BeliefConfig()
+        if calibration is None and maps:
+            calibration = maps[0].navigation.calibration
+        self.config = (config or BeliefConfig()).for_rig(calibration is None or calibration.has_wheels)
         self._maps = tuple(MapView.of(m) for m in maps)
         self._map_ids = {m.id for m in maps}
-        camera = (calibration or maps[0].navigation.calibration).camera if maps else None
+        camera = calibration.camera if calibration else None
         self._image_model = ImageModel(self._maps, camera, self.config)
         self._reporter = Reporter(self._maps, self.config, seed)
         self._belief = prior(self.config)

@@ -1,6 +1,7 @@
 """Hijack: the robot is picked up and put down elsewhere. Noticed by IMU, by vision, and by where images say it is.
 
-- IMU: lifted (velocity along the vertical), tilted, or turned while the motors rest. A robot on a floor does none.
+- IMU: lifted (velocity along the vertical), tilted, or turned while the motors rest. A robot on a floor does none; what
+  has no wheels does all of it all the time, and is only seen to be moved by vision and position.
 - Vision: what was seen a moment ago is gone although the gyro says it did not turn, and the new view stays.
 - Position: the estimate of the current place goes over to where the robot cannot have driven (`current.py`).
 Pure: times come with the data. docs/localisation.md has the thresholds' origin and false alarm rates.
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, rotation_angle, so3_exp
 from station.model.frames import DriveSample, ImuBatch
 from station.model.place_answer import HijackEvent
 from station.motion.drive_commands import CommandedRest
@@ -46,15 +47,17 @@ class HijackConfig:
     view_stays: int = 25
     view_turn_rad: float = 0.15
     view_gap_s: float = 3.0
+    view_gap_carried_s: float = 1.0  # without wheels: hands are three times as fast
 
 
 class HijackDetector:
     """Feed it what arrives; each call returns an event or None. One hijack gives one event."""
 
-    def __init__(self, config: HijackConfig | None = None) -> None:
+    def __init__(self, config: HijackConfig | None = None, has_wheels: bool = True) -> None:
         self.config = config or HijackConfig()
-        self._inertial = _InertialCue(self.config)
-        self._views = _ViewCue(self.config)
+        self._inertial = _InertialCue(self.config, has_wheels)
+        gap_s = self.config.view_gap_s if has_wheels else self.config.view_gap_carried_s
+        self._views = _ViewCue(self.config, gap_s)
         self._quiet_until_ns = 0
 
     @property
@@ -69,11 +72,11 @@ class HijackDetector:
         self._inertial.command(drive)
 
     def on_view(self, t_robot_ns: int, features: Features) -> HijackEvent | None:
-        """Features of an image; a few per second are enough."""
-        if self.is_carried:
+        """Features of an image; a few per second are enough. Without a gyroscope nobody knows whether it turned."""
+        if self.is_carried or self._inertial.R_start_body is None:
             self._views.forget()
             return None
-        return self._once(self._views.add(t_robot_ns, features, self._inertial.turned))
+        return self._once(self._views.add(_View(t_robot_ns, features, self._inertial.R_start_body)))
 
     def on_jump(self, t_robot_ns: int, distance_m: float, is_other_map: bool) -> HijackEvent | None:
         """The current place's estimate went over to a position where the robot cannot have driven."""
@@ -90,12 +93,13 @@ class HijackDetector:
 
 
 class _InertialCue:
-    """Lifted, tilted, or turned while the motors rest."""
+    """Lifted, tilted, or turned while the motors rest: of a robot on wheels. And how far it turned, of any rig."""
 
-    def __init__(self, config: HijackConfig) -> None:
+    def __init__(self, config: HijackConfig, has_wheels: bool) -> None:
         self._c = config
+        self._has_wheels = has_wheels
         self.is_carried = False
-        self.turned = 0.0  # rad about the vertical since the start, for the view cue
+        self.R_start_body: FloatArray | None = None  # (3, 3) by the gyroscope; None before its first sample
         self._start_ns: int | None = None
         self._end_ns = 0
         self._pending: list[tuple[int, FloatArray, FloatArray]] = []
@@ -128,14 +132,14 @@ class _InertialCue:
     def _bin(self, t: int, seconds: float, gyro: FloatArray, accel: FloatArray) -> HijackEvent | None:
         c = self._c
         assert self._start_ns is not None
-        if self._up is None:
-            self._up = accel.copy()
+        if self._up is None or self.R_start_body is None:
+            self._up, self.R_start_body = accel.copy(), np.eye(3)
         settling = t - self._start_ns < c.settle_s * 1e9
         self._learn(t, seconds, gyro, accel, settling)
         vertical = self._up / max(float(np.linalg.norm(self._up)), 1e-9)
         rate = gyro - self._bias
-        self.turned += float(vertical @ rate) * seconds
-        if settling:
+        self.R_start_body = self.R_start_body @ so3_exp(rate * seconds)
+        if settling or not self._has_wheels:
             return None
         surplus = float(vertical @ (accel - self._up))
         self._velocity = (self._velocity + surplus * seconds) * float(np.exp(-seconds / c.velocity_tau_s))
@@ -204,42 +208,47 @@ def _spread(x: FloatArray) -> float:
     return float(np.sqrt(np.square(x - x.mean(axis=0)).reshape(len(x), -1).sum(axis=1).mean()))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    t_robot_ns: int
+    features: Features
+    R_start_body: FloatArray  # (3, 3)
+
+
 class _ViewCue:
     """The old view is gone without a turn, and the new one stays."""
 
-    def __init__(self, config: HijackConfig) -> None:
+    def __init__(self, config: HijackConfig, gap_s: float) -> None:
         self._c = config
-        self._before: tuple[int, Features, float] | None = None  # the last trusted view
-        self._after: tuple[int, Features, float] | None = None  # a view that does not match it
+        self._gap_s = gap_s
+        self._before: _View | None = None  # the last trusted view
+        self._after: _View | None = None  # a view that does not match it
 
     def forget(self) -> None:
         self._before = self._after = None
 
-    def add(self, t: int, features: Features, turned: float) -> HijackEvent | None:
+    def add(self, now: _View) -> HijackEvent | None:
         c = self._c
-        if len(features) < c.view_features:
+        if len(now.features) < c.view_features:
             return None  # dark or covered: the last good view stays the reference
-        now = (t, features, turned)
         before = self._before
-        if before is None or not self._compares(before, t, turned):
+        if before is None or not self._compares(before, now):
             self._before, self._after = now, None
             return None
-        if _common(before[1], features, c.view_ratio) >= c.view_gone:
+        if _common(before.features, now.features, c.view_ratio) >= c.view_gone:
             self._before, self._after = now, None
             return None
-        if self._after is None:
+        if self._after is None or _common(self._after.features, now.features, c.view_ratio) < c.view_stays:
             self._after = now
             return None
-        if _common(self._after[1], features, c.view_ratio) < c.view_stays:
-            self._after = now
-            return None
-        return HijackEvent(t, "vision", "another view from one moment to the next, without a turn", 0.9)
+        return HijackEvent(now.t_robot_ns, "vision", "another view from one moment to the next, without a turn", 0.9)
 
-    def _compares(self, before: tuple[int, Features, float], t: int, turned: float) -> bool:
+    def _compares(self, before: _View, now: _View) -> bool:
         """Whether something of that view must still be there now."""
-        c = self._c
-        is_recent = t - before[0] <= c.view_gap_s * 1e9 and abs(turned - before[2]) <= c.view_turn_rad
-        return is_recent and len(before[1]) >= c.view_rich_features
+        is_recent = now.t_robot_ns - before.t_robot_ns <= self._gap_s * 1e9
+        turned = rotation_angle(before.R_start_body.T @ now.R_start_body)
+        is_rich = len(before.features) >= self._c.view_rich_features
+        return is_recent and is_rich and bool(turned <= self._c.view_turn_rad)
 
 
 def _common(a: Features, b: Features, ratio: float) -> int:

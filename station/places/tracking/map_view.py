@@ -1,4 +1,4 @@
-"""One active map with what is asked of it for every image and answer: its places' tree, its unit, what it covers."""
+"""One active map with what is asked of it for every image and answer: its places' tree, its unit, what it saw."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from scipy.spatial import cKDTree
 
 from shared.geometry import FloatArray
 from station.model.place_map import PlaceMap
+from station.places.making.scale import units_per_metre
+from station.places.space.space import Space
 from station.places.tracking.coverage import Coverage
 
 
@@ -19,15 +21,24 @@ class MapView:
     tree: cKDTree | None  # of the centroids; None without places
     unit: float  # map units per metre
     area_m2: float
+    space: Space
     coverage: Coverage
 
     @classmethod
     def of(cls, place_map: PlaceMap) -> MapView:
-        unit = _units_per_metre(place_map)
+        unit = units_per_metre(place_map.navigation)
         positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
         size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
         centroids = _centroids(place_map)
-        return cls(place_map, centroids, _tree(centroids), unit, float(np.prod(size)), Coverage(place_map, unit))
+        return cls(
+            place_map=place_map,
+            centroids=centroids,
+            tree=_tree(centroids),
+            unit=unit,
+            area_m2=float(np.prod(size)),
+            space=Space.of(place_map.navigation),
+            coverage=Coverage(place_map, unit),
+        )
 
     def regrouped(self, place_map: PlaceMap) -> MapView:
         """The same map with other places or names."""
@@ -60,13 +71,3 @@ def _centroids(place_map: PlaceMap) -> FloatArray:
 
 def _tree(centroids: FloatArray) -> cKDTree | None:
     return cKDTree(centroids) if len(centroids) else None
-
-
-def _units_per_metre(place_map: PlaceMap) -> float:
-    """Map units per metre; of an arbitrary scale a guess: a drive through a flat spans about five metres."""
-    if place_map.navigation.is_metric:
-        return 1.0
-    positions = place_map.navigation.keyframes.T_world_cam[:, :3, 3]
-    if len(positions) < 2:
-        return 1.0
-    return max(float(np.max(np.ptp(positions, axis=0))) / 5.0, 1e-6)

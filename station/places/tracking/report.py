@@ -138,7 +138,7 @@ class Reporter:
         spread = self._draws * np.array([1.0, 1.0, 0.2]) * min(sigma_m, 20.0) * view.unit
         p = p_body + spread
         share, tied = view.nearest(p, TIE)
-        return share, tied, float(view.coverage.covers(p, self.config).mean())
+        return share, tied, float(view.space.knows(p).mean())
 
     def _place(self, number: int) -> Place:
         """By its number in `PlaceProbabilities`."""
@@ -169,7 +169,7 @@ class Reporter:
             return "the active maps hold no places"
         if is_unknown:
             if best is not None and best.weight > 0.5:
-                return "the robot is farther from where the mapping drive went than the map is sure to reach"
+                return "the robot is where the mapping navigation saw no free space, or beyond a door it did not pass"
             return f"images match nothing in the map ({found.unmapped:.0%} that this place is not in it)"
         if best is not None and best.weight > 0.5 and found.tie.max() < self.config.known_from * best.weight:
             return "the robot is between places, or its position has become too uncertain"

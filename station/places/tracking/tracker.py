@@ -32,7 +32,7 @@ class PlaceTracker:
         self._calibration = calibration
         self.localizer = localizer or Localizer(maps)
         self.estimator = CurrentPlaceEstimator(maps, calibration)
-        self.hijacks = HijackDetector()
+        self.hijacks = HijackDetector(has_wheels=calibration.has_wheels)
         self._reckoning = DeadReckoning()
         self._blended = BlendedOdometry()
         self._odometry_t_ns: int | None = None
@@ -47,6 +47,8 @@ class PlaceTracker:
         event = self.hijacks.on_imu(imu)
         if event is not None:
             self._on_hijack(event)
+        if not self._calibration.has_wheels:
+            return  # neither speed nor level floor: between images only SLAM knows how it moves
         self._reckoning.add_imu(imu)
         t, last = self._reckoning.t_robot_ns, self._odometry_t_ns
         if t is not None and (last is None or t - last >= ODOMETRY_EVERY_NS):

@@ -1,0 +1,61 @@
+"""How far a keyframe saw in each direction over the ground: up to the landmarks that it observes there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.geometry import FloatArray, IntArray
+from station.model.navigation import Navigation
+
+SECTORS = 72  # of 5 degrees
+BESIDE = 1  # sectors to either side whose landmarks count, too: in a plain room they are few
+SHORT_OF = 0.95  # a sight ends this share of the way to its landmark: depths err
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What was seen from one position."""
+
+    eye: FloatArray  # (2,)
+    reach: FloatArray  # (SECTORS,) how far; 0 where nothing was seen
+    farthest: float  # of all sights
+
+    def sees_through(self, p: FloatArray) -> npt.NDArray[np.bool_]:
+        """(n,) whether points (n, 2) lie in front of what was seen in their direction."""
+        d = p - self.eye
+        return np.asarray(np.hypot(d[:, 0], d[:, 1]) < self.reach[_sectors(d)], dtype=np.bool_)
+
+
+def sights(navigation: Navigation, R_ground_map: FloatArray, farthest: float) -> Iterator[Sight]:
+    """One for each keyframe that observed landmarks; `farthest`: a landmark beyond counts as this far."""
+    landmarks, keyframes = navigation.landmarks, navigation.keyframes
+    by_keyframe = landmarks.observations_by_keyframe(len(keyframes))
+    for T, rows in zip(keyframes.T_world_cam, by_keyframe, strict=True):
+        d = ((landmarks.p_world[landmarks.observed_landmark[rows]] - T[:3, 3]) @ R_ground_map.T)[:, :2]
+        d = d[np.isfinite(d).all(axis=1)]
+        if len(d):
+            reach = SHORT_OF * np.minimum(_second_farthest(d), farthest)
+            yield Sight((R_ground_map @ T[:3, 3])[:2], reach, farthest)
+
+
+def _second_farthest(d: FloatArray) -> FloatArray:
+    """(SECTORS,) of the landmarks (n, 2) in and beside each sector: the farthest one may be false. 0 where fewer."""
+    beside = np.arange(-BESIDE, BESIDE + 1)
+    sector = ((_sectors(d)[:, None] + beside) % SECTORS).ravel()
+    far = np.repeat(np.hypot(d[:, 0], d[:, 1]), len(beside))
+    order = np.lexsort((-far, sector))
+    sector, far = sector[order], far[order]
+    rank = np.arange(len(sector)) - np.searchsorted(sector, sector)
+    out = np.zeros(SECTORS)
+    out[sector[rank == 1]] = far[rank == 1]
+    return out
+
+
+def _sectors(d: FloatArray) -> IntArray:
+    """(n,) the sector of each direction (n, 2)."""
+    turn = np.arctan2(d[:, 1], d[:, 0]) / (2 * np.pi) % 1.0
+    return np.floor(turn * SECTORS).astype(np.int64) % SECTORS
