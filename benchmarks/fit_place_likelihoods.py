@@ -62,14 +62,14 @@ def image_row(
         "p": [float(v) for v in true_p],
         "heading": float(np.arctan2(T_world_body[1, 0], T_world_body[0, 0])),
         "features": attempt.num_features,
-        "in_view": view.coverage.in_view(T_world_body @ inverse(camera.T_cam_body_matrix), camera),
+        "in_view": view.sightings.in_view(T_world_body @ inverse(camera.T_cam_body_matrix), camera),
         "poses": [
             {
                 "error_m": float(np.linalg.norm((z.T_map_cam @ camera.T_cam_body_matrix)[:3, 3] - true_p)),
                 "extent": z.extent,
                 "inliers": z.num_inliers,
                 "support": support(
-                    view.coverage.in_usual_views(len(z.landmarks)), view.coverage.in_view(z.T_map_cam, camera)
+                    view.sightings.in_usual_views(len(z.landmarks)), view.sightings.in_view(z.T_map_cam, camera)
                 ),
             }
             for z in attempt.candidates

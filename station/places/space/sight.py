@@ -11,8 +11,8 @@ import numpy.typing as npt
 from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Navigation
 
-SECTORS = 72  # of 5 degrees
-BESIDE = 1  # sectors to either side whose landmarks count, too: in a plain room they are few
+SECTORS = 120  # of 3 degrees
+GAP = 4  # sectors without landmarks that are bridged: a plain wall shows few
 SHORT_OF = 0.95  # a sight ends this share of the way to its landmark: depths err
 
 
@@ -38,20 +38,29 @@ def sights(navigation: Navigation, R_ground_map: FloatArray, farthest: float) ->
         d = ((landmarks.p_world[landmarks.observed_landmark[rows]] - T[:3, 3]) @ R_ground_map.T)[:, :2]
         d = d[np.isfinite(d).all(axis=1)]
         if len(d):
-            reach = SHORT_OF * np.minimum(_second_farthest(d), farthest)
+            reach = SHORT_OF * np.minimum(_bridged(_second_farthest(d)), farthest)
             yield Sight((R_ground_map @ T[:3, 3])[:2], reach, farthest)
 
 
 def _second_farthest(d: FloatArray) -> FloatArray:
-    """(SECTORS,) of the landmarks (n, 2) in and beside each sector: the farthest one may be false. 0 where fewer."""
-    beside = np.arange(-BESIDE, BESIDE + 1)
-    sector = ((_sectors(d)[:, None] + beside) % SECTORS).ravel()
-    far = np.repeat(np.hypot(d[:, 0], d[:, 1]), len(beside))
+    """(SECTORS,) of the landmarks (n, 2) in each sector: of several the farthest may be false. 0 where there is none."""
+    sector, far = _sectors(d), np.hypot(d[:, 0], d[:, 1])
     order = np.lexsort((-far, sector))
     sector, far = sector[order], far[order]
-    rank = np.arange(len(sector)) - np.searchsorted(sector, sector)
+    own, begin, count = np.unique(sector, return_index=True, return_counts=True)
     out = np.zeros(SECTORS)
-    out[sector[rank == 1]] = far[rank == 1]
+    out[own] = far[begin + np.minimum(count - 1, 1)]
+    return out
+
+
+def _bridged(reach: FloatArray) -> FloatArray:
+    """(SECTORS,) with narrow gaps closed: as far as the nearer of the two neighbours."""
+    found = np.flatnonzero(reach)
+    out = reach.copy()
+    for left, right in zip(found, np.roll(found, -1), strict=True):
+        gap = (right - left - 1) % SECTORS
+        if 0 < gap <= GAP:
+            out[(left + 1 + np.arange(gap)) % SECTORS] = min(reach[left], reach[right])
     return out
 
 

@@ -97,11 +97,11 @@ def _within(cells: Cells, distance: float) -> Cells:
 
 
 def _reached(free: Cells, driven: Cells, radius: float) -> Cells:
-    """The free cells that a disc of this radius (cells) covers on its way from the path, which itself is wide enough.
+    """The free cells that a disc of this radius (cells) covers wherever it can roll to from where the robot drove.
 
     Opening by reconstruction (Vincent, IEEE Trans. Image Processing 1993).
     """
-    wide = (ndimage.distance_transform_edt(free) > radius) | driven
+    wide = ndimage.distance_transform_edt(free) > radius
     labels, _ = ndimage.label(wide, np.ones((3, 3)))
-    at_path = np.unique(labels[driven])
-    return np.asarray(free & _within(np.isin(labels, at_path), radius + 1.0), dtype=np.bool_)
+    entered = np.unique(labels[driven & wide])
+    return np.asarray(free & _within(np.isin(labels, entered) & wide, radius + 1.0), dtype=np.bool_)

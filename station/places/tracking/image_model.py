@@ -141,10 +141,10 @@ class ImageModel:
         return PoseMeasurement(z, index, unit, z.T_map_cam @ self._T_cam_body, sigma_m)
 
     def _figures(self, m: PoseMeasurement) -> MatchFigures:
-        z, coverage = m.localization, self._maps[m.map_index].coverage
+        z, sightings = m.localization, self._maps[m.map_index].sightings
         share = USUAL_SUPPORT
-        if self._camera is not None and coverage.knows_views:
-            share = support(coverage.in_usual_views(len(z.landmarks)), coverage.in_view(z.T_map_cam, self._camera))
+        if self._camera is not None and sightings.knows_views:
+            share = support(sightings.in_usual_views(len(z.landmarks)), sightings.in_view(z.T_map_cam, self._camera))
         return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
 
     def _rarer(self, figures: MatchFigures) -> float:
@@ -232,12 +232,12 @@ class ImageModel:
         )
 
     def _in_view(self, h: Hypothesis, T_nav_body: FloatArray) -> float | None:
-        """How many landmarks should be in view, were a hypothesis true (`Coverage.in_view`); None: nobody knows."""
+        """How many landmarks should be in view, were a hypothesis true (`Sightings.in_view`); None: nobody knows."""
         c = self.config
         if self._camera is None or h.sigma_m > c.uncertain_m or h.sigma_rad > c.uncertain_rad:
             return None
         T_map_cam = h.pose(T_nav_body) @ self._camera.T_body_cam_matrix
-        return self._maps[h.map_index].coverage.in_view(T_map_cam, self._camera)
+        return self._maps[h.map_index].sightings.in_view(T_map_cam, self._camera)
 
 
 def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:
@@ -252,7 +252,7 @@ def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:
 def support(recognised: float, expected: float) -> float:
     """The share of what should be in view that was recognised, small counts drawn to what is not surprising.
 
-    Both in the number of landmarks that a usual keyframe of the map saw (`Coverage.in_view`).
+    Both in the number of landmarks that a usual keyframe of the map saw (`Sightings.in_view`).
     """
     return (recognised + NONE_RECOGNISED) / (expected + FEW_EXPECTED)
 
@@ -266,7 +266,7 @@ def log_odds(odds: RecognisedOdds, figures: MatchFigures) -> float:
 
 
 def failure_probability(odds: FailureOdds, num_features: int, failed_before: float, in_view: float = 1.0) -> float:
-    """That an image is not recognised; `in_view`: as `Coverage.in_view` counts."""
+    """That an image is not recognised; `in_view`: as `Sightings.in_view` counts."""
     log = odds.usual + odds.features * np.log(max(num_features, 1) / USUAL_FEATURES)
     log += odds.again * failed_before + odds.in_view * np.log(in_view + NONE_IN_VIEW)
     return float(1.0 / (1.0 + np.exp(-log)))

@@ -11,7 +11,7 @@ from shared.geometry import FloatArray
 from station.model.place_map import PlaceMap
 from station.places.making.scale import units_per_metre
 from station.places.space.space import Space
-from station.places.tracking.coverage import Coverage
+from station.places.tracking.sightings import Sightings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +22,7 @@ class MapView:
     unit: float  # map units per metre
     area_m2: float
     space: Space
-    coverage: Coverage
+    sightings: Sightings
 
     @classmethod
     def of(cls, place_map: PlaceMap) -> MapView:
@@ -37,7 +37,7 @@ class MapView:
             unit=unit,
             area_m2=float(np.prod(size)),
             space=Space.of(place_map.navigation),
-            coverage=Coverage(place_map, unit),
+            sightings=Sightings(place_map, unit),
         )
 
     def regrouped(self, place_map: PlaceMap) -> MapView:

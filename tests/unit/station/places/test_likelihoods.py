@@ -13,9 +13,9 @@ from shared.calibration import Calibration
 from shared.geometry import se3, yaw_rotation
 from station.places.tracking.belief import Hypothesis
 from station.places.tracking.config import FAILS_AT_POSE, FAILS_IN_MAP, FAILS_UNMAPPED, RIGHT, BeliefConfig
-from station.places.tracking.coverage import Coverage
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.image_model import MatchFigures, failure_probability, log_odds, support
+from station.places.tracking.sightings import Sightings
 from tests.support.places import R_BODY_CAM, SECOND, make_map, pose, seen
 from tests.support.rooms import CAMERA, room_with_a_door
 
@@ -56,16 +56,16 @@ def test_a_failure_speaks_for_a_room_that_no_map_knows_and_against_a_known_view(
 
 def test_what_should_be_in_view_is_counted_where_the_camera_looks() -> None:
     place_map = room_with_a_door()
-    coverage = Coverage(place_map, 1.0)
+    sightings = Sightings(place_map, 1.0)
 
     def at(x: float, y: float, yaw: float) -> float:
         T = se3(yaw_rotation(yaw), np.array([x, y, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
-        return coverage.in_view(T, CAMERA)
+        return sightings.in_view(T, CAMERA)
 
     assert at(3.2, 2.0, np.pi) > 0.5  # across the room, from the ring
     assert at(50.0, 2.0, 0.0) == 0.0
     assert at(5.0, 2.0, np.pi / 2) < 0.3 * at(3.2, 2.0, np.pi)  # beyond the door, looking aside
-    assert coverage.in_usual_views(0) == 0.0
+    assert sightings.in_usual_views(0) == 0.0
 
 
 @pytest.mark.parametrize("turned_rad", [0.0, 0.3])

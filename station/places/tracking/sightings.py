@@ -1,4 +1,4 @@
-"""What part of space a map knows: where its drive went, and which views it could recognise from where."""
+"""What the keyframes of a map saw and from where: so much should be in view of a camera at a pose."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ NEAREST_M = 0.05  # in front of the camera
 THINNED_VIEW = 60  # landmarks of a keyframe that are looked at
 
 
-class Coverage:
-    """What the keyframes of one map saw, and from where."""
+class Sightings:
+    """Of one map."""
 
     def __init__(self, place_map: PlaceMap, unit: float) -> None:
         """`unit`: map units per metre."""
