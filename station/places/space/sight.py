@@ -43,7 +43,7 @@ def sights(navigation: Navigation, R_ground_map: FloatArray, farthest: float) ->
 
 
 def _second_farthest(d: FloatArray) -> FloatArray:
-    """(SECTORS,) of the landmarks (n, 2) in each sector: of several the farthest may be false. 0 where there is none."""
+    """(SECTORS,) of the landmarks (n, 2) in each sector; of several the farthest may be false. 0: there is none."""
     sector, far = _sectors(d), np.hypot(d[:, 0], d[:, 1])
     order = np.lexsort((-far, sector))
     sector, far = sector[order], far[order]
