@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -23,7 +22,7 @@ from shared.geometry import FloatArray
 from station.demo.judge import TIE
 from station.model.place_answer import HijackEvent
 from station.model.place_map import PlaceMap
-from tests.support.calibration_curve import CERTAINTY_Z, calibration_bins, calibration_error
+from tests.support.calibration_curve import calibration_bins, calibration_error, wilson_interval
 from tests.support.drives.playback import Played
 from tests.support.drives.recorded import LookedAt, RecordedDrive, TrueHijack
 
@@ -71,7 +70,7 @@ def right_places(place_map: PlaceMap, p_map: FloatArray) -> set[str]:
 
 def where_taken(image: LookedAt) -> Where:
     """What is asked of an answer to this image."""
-    if image.p_map is None or image.beyond_m > DOORWAY_M:
+    if image.T_map_body is None or image.beyond_m > DOORWAY_M:
         return "unmapped"
     if image.is_carried:
         return "hand"
@@ -85,9 +84,9 @@ def judge_drive(place_map: PlaceMap, drive: RecordedDrive, played: Played) -> Ju
         where, place = where_taken(image), answer.place if answer.state == "known" else None
         is_right = (
             place is not None
-            and image.p_map is not None
+            and image.T_map_body is not None
             and where != "unmapped"
-            and place.id in right_places(place_map, image.p_map)
+            and place.id in right_places(place_map, image.T_map_body[:3, 3])
         )
         probability = place.probability if place else 0.0
         answers.append(JudgedAnswer(image.t_robot_ns, answer.state, where, is_right, probability))
@@ -132,13 +131,7 @@ class Share:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Where the true share lies with 95 % (Wilson, JASA 22, 1927), were the trials independent; 0 to 1 of none."""
-        if not self.of:
-            return 0.0, 1.0
-        share, n, z2 = self.count / self.of, self.of, CERTAINTY_Z**2
-        middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-        half = CERTAINTY_Z / (1 + z2 / n) * math.sqrt(share * (1 - share) / n + z2 / (4 * n * n))
-        return min(max(0.0, middle - half), share), max(min(1.0, middle + half), share)
+        return wilson_interval(self.count, self.of)
 
     def __str__(self) -> str:
         if self.value is None:

@@ -58,3 +58,8 @@ def graded(percent: float, seed: int) -> Misfit:
     sign = 1 if seed % 2 == 0 else -1
     part = percent / 2
     return Misfit(sign * percent, part, part, 5 * part, -sign * percent, seed)
+
+
+def wrong_percent(name: str) -> float:
+    """By a misfit's name: how wrong the told focal length is, either way."""
+    return abs(float(name.removeprefix("focal"))) if name.startswith("focal") else 0.0

@@ -109,7 +109,7 @@ def _drive(data: Dataset, part: Part, localizer: Localizer, T_world_map: FloatAr
     shift_ns = round(1e9 * camera.time_shift_s) if camera else 0
     times = data.frame_times_ns + shift_ns
     T_true, kept = interpolate_poses(_trajectory(data.truth), times)
-    p_world = {int(times[k]): T[:3, 3] for k, T in zip(kept, T_true, strict=True)}
+    T_world_body = {int(times[k]): T for k, T in zip(kept, T_true, strict=True)}
     period_ns = 0 if part.every_image else round(1e9 / LIVE_RATE_HZ)
     next_ns = int(times[0])
     events: list[Event] = []
@@ -118,11 +118,11 @@ def _drive(data: Dataset, part: Part, localizer: Localizer, T_world_map: FloatAr
             events.append(item)
             continue
         t_ns = item.t_robot_ns + shift_ns
-        if t_ns < next_ns or (T_world_map is not None and t_ns not in p_world):
+        if t_ns < next_ns or (T_world_map is not None and t_ns not in T_world_body):
             continue
         next_ns = t_ns + period_ns
-        p_map = None if T_world_map is None else in_map(T_world_map, p_world[t_ns])
-        events.append(LookedAt(item.t_robot_ns, localizer.attempt(item, data.calibration), p_map, 0.0, False))
+        T_map_body = None if T_world_map is None else in_map(T_world_map, T_world_body[t_ns])
+        events.append(LookedAt(item.t_robot_ns, localizer.attempt(item, data.calibration), T_map_body, 0.0, False))
     seconds = float(times[-1] - times[0]) / 1e9
     return RecordedDrive(part.folder, data.calibration, tuple(events), None, seconds)
 

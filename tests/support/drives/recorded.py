@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from shared.calibration import Calibration
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, carry_poses, inverse_sim3
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.model.place_map import PlaceMap
@@ -30,7 +28,7 @@ class LookedAt:
 
     t_robot_ns: int  # the camera's clock, as sent
     attempt: Attempt  # the real localiser's
-    p_map: FloatArray | None  # (3,) the body, by the alignment of the map to the truth; None: the map does not hold it
+    T_map_body: FloatArray | None  # (4, 4) by the alignment of the map to the truth; None: the map does not hold it
     beyond_m: float  # from the door of the room left out, when in it; 0 in a mapped room
     is_carried: bool  # in a hand
 
@@ -88,7 +86,6 @@ class RecordedWorld:
     cpu_s: dict[str, float] = field(default_factory=dict)  # what making it cost
 
 
-def in_map(T_world_map: FloatArray, p_world: FloatArray) -> FloatArray:
-    """A true position (3,) in the map's frame."""
-    inverse: FloatArray = np.linalg.inv(T_world_map)
-    return inverse[:3, :3] @ p_world + inverse[:3, 3]
+def in_map(T_world_map: FloatArray, T_world_body: FloatArray) -> FloatArray:
+    """A true pose (4, 4) in the map's frame; `T_world_map` is a similarity."""
+    return carry_poses(inverse_sim3(T_world_map), T_world_body[None])[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import msgspec
 
@@ -21,6 +21,7 @@ from shared.geometry import FloatArray
 from station.experiments.alignment import align_points
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
+from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
@@ -57,32 +58,32 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
     """The world of this kind and seed, mapped and driven through."""
     spent = Spent()
     with spent.on("world"):
-        flat = _Flat(kind, seed, misfit, options)
-    world, left_out = flat.world, room_left_out(flat.world)
-    route = mapping_route(world, left_out, seed)
-    robot = flat.robot(Plan("mapping", route, None, options.max_seconds), seed)
+        flat = SimulatedFlat(kind, seed, misfit, options)
+        left_out = room_left_out(flat.world)
+    empty = RecordedWorld(kind, str(seed), misfit.name, left_out, None, "", None, None, (), spent.cpu_s)
     with spent.on("mapping"):
         try:
-            navigation = _navigation(f"{kind}-{seed}", flat.told, robot.sent(options.mapping_rate_hz), seed)
-            place_map = build_map(navigation)
+            mapped = flat.mapped(left_out)
         except EstimationError as exc:
-            return RecordedWorld(
-                kind, str(seed), misfit.name, left_out, None, str(exc), None, robot.truth, (), spent.cpu_s
-            )
-        quality = compare(navigation, robot.truth)
+            return replace(empty, failure=str(exc))
     with spent.on("index"):
-        localizer = Localizer([place_map])
+        localizer = Localizer([mapped.place_map])
     drives = []
     for number, name in enumerate(options.plans):
-        plan = plan_drive(world, left_out, name, seed + number)
+        plan = plan_drive(flat.world, left_out, name, seed + number)
         with spent.on(name):
-            drives.append(flat.drive(plan, seed + 1 + number, localizer, quality.T_world_map, left_out))
-    return RecordedWorld(
-        kind, str(seed), misfit.name, left_out, place_map, "", quality, robot.truth, tuple(drives), spent.cpu_s
-    )
+            drives.append(flat.drive(plan, seed + 1 + number, localizer, mapped.quality.T_world_map, left_out))
+    return replace(empty, place_map=mapped.place_map, quality=mapped.quality, truth=mapped.truth, drives=tuple(drives))
 
 
-class _Flat:
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedFlat:
+    place_map: PlaceMap
+    quality: MapQuality
+    truth: Trajectory  # of the mapping drive
+
+
+class SimulatedFlat:
     """A world with the robot that drives in it."""
 
     def __init__(self, kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> None:
@@ -91,6 +92,7 @@ class _Flat:
         assert self.told.camera is not None
         self._built = msgspec.structs.replace(self.told, camera=misfit.built(self.told.camera))
         assert self._built.camera is not None
+        self.shift_ns = round(1e9 * self._built.camera.time_shift_s)  # true, from the camera's clock to the IMU's
         self._config, self._options = misfit.built_body(config), options
         self.world: World = make_world(kind, seed, config)
         self._renderer = Renderer(self.world, self._built.camera, default_cache_dir())
@@ -98,13 +100,22 @@ class _Flat:
     def robot(self, plan: Plan, seed: int) -> SimulatedRobot:
         return SimulatedRobot(self._renderer, self._built, self._config, plan, seed)
 
+    def mapped(self, left_out: str = "") -> MappedFlat:
+        """Drive through all rooms but one, and map them with the `ukf` backend. Raises EstimationError if it cannot."""
+        seed, name = self.world.seed, f"{self.world.name}-{self.world.seed}"
+        route = mapping_route(self.world, left_out, seed)
+        robot = self.robot(Plan("mapping", route, None, self._options.max_seconds), seed)
+        slam = RunningSlam(self.told, seed)
+        for item in robot.sent(self._options.mapping_rate_hz):
+            slam.add(item)
+        navigation = slam.complete(name)
+        return MappedFlat(build_map(navigation), compare(navigation, robot.truth), robot.truth)
+
     def drive(
         self, plan: Plan, seed: int, localizer: Localizer, T_world_map: FloatArray, left_out: str
     ) -> RecordedDrive:
         """One drive, every image of it looked for in the map."""
         robot, options = self.robot(plan, seed), self._options
-        assert self._built.camera is not None
-        shift_ns = round(1e9 * self._built.camera.time_shift_s)
         slam = RunningSlam(self.told, seed) if options.with_slam else None
         every = max(1, round(options.mapping_rate_hz / options.image_rate_hz)) if slam else 1
         events: list[Event] = []
@@ -114,11 +125,11 @@ class _Flat:
             if not isinstance(item, ImageFrame):
                 events.append(item)
             elif item.index % every == 0:
-                T, is_carried = robot.true_at(item.t_robot_ns + shift_ns)
+                T, is_carried = robot.true_at(item.t_robot_ns + self.shift_ns)
                 beyond_m = beyond_door_m(self.world, left_out, T[:3, 3])
                 attempt = localizer.attempt(item, self.told)
-                p_map = in_map(T_world_map, T[:3, 3])
-                events.append(LookedAt(item.t_robot_ns, attempt, p_map, beyond_m, is_carried))
+                T_map_body = in_map(T_world_map, T)
+                events.append(LookedAt(item.t_robot_ns, attempt, T_map_body, beyond_m, is_carried))
         seconds = (robot.truth.t_robot_ns[-1] - robot.truth.t_robot_ns[0]) / 1e9
         return RecordedDrive(plan.name, self.told, tuple(events), robot.hijack, float(seconds))
 
@@ -150,13 +161,6 @@ class RunningSlam:
     def complete(self, navigation_id: str) -> Navigation:
         """Raises EstimationError, with the reason, when nothing came out."""
         return self._slam.complete(navigation_id)
-
-
-def _navigation(name: str, told: Calibration, sent: Iterator[Sent], seed: int) -> Navigation:
-    slam = RunningSlam(told, seed)
-    for item in sent:
-        slam.add(item)
-    return slam.complete(name)
 
 
 def compare(navigation: Navigation, truth: Trajectory) -> MapQuality:
