@@ -1,412 +1,228 @@
-"""The current place in simulated flats: drives with a hijack in the middle, one room left unmapped.
+"""The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
-    python -m benchmarks.bench_current_place [--world small] [--flats 3] [--drives 5] [--seed 0] [--out FILE.json]
-        [--figure FILE.png] [--from FILE.json …] [--results FILE]
+    python -m benchmarks.bench_current_place [--worlds home:600-624 lookalike:600-604 real] [--wrong-focal 2]
+        [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
 
-`--figure` draws the calibration curve of the drives; `--from` takes them from what earlier runs left by `--out`, and
-drives nothing; no results are written then, since they would not be those of the present code.
-
-Stand-in: the map's keyframe poses and landmark depths are the simulator's (depths with 1 % noise), so that the
-figures are those of localisation and of the estimator, not of a SLAM backend. Drives, images, IMU, slip and hijacks are
-the simulated robot's with all imperfections; the tracker sees only what a robot sends. Truth judges: a known answer is
-right when the place is nearest to the true position, ties within 10 %; in the room left unmapped the right answer is
-"unknown" (or "lost", counted apart). In a doorway both are right: answers in the unmapped room nearer than 0.5 m to
-where the mapping drive went are left out of the unmapped ones, and counted.
+Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
+left out of the map; the recordings of `real` must lie beside the repository). The tracker then runs over each drive as
+it was sent, with the images' poses as the localiser found them when the drive was made. `--stored` judges all that is
+in the cache and makes nothing. How an answer is judged: tests/support/drives/judging.py.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
-import cv2
-import numpy as np
-
-from benchmarks.result import Figure, Run, add_results_option, share
-from robot.simulation.atlas import default_cache_dir
-from robot.simulation.body import Body
-from robot.simulation.config import Faults, SimulationConfig
-from robot.simulation.driver import RouteDriver
-from robot.simulation.imaging import SimulatedCamera
-from robot.simulation.recording import simulated_calibration
-from robot.simulation.renderer import Renderer, unproject_pixels
-from robot.simulation.routes import plan_route
-from robot.simulation.sensors import ImuModel
-from robot.simulation.trajectory import MotionHistory
-from robot.simulation.world import World
-from robot.simulation.worlds import make_world
-from shared.calibration import Calibration
-from shared.geometry import FloatArray, inverse
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
-from station.model.place_map import PlaceMap
-from station.places.localisation.localizer import Localizer
-from station.places.making.build import build_map
-from station.places.tracking.tracker import PlaceTracker
-from station.vision.features import FeatureExtractor, to_floats
+from benchmarks.drive_cache import load, stored
+from benchmarks.make_drives import Job, jobs_of, make_missing
+from benchmarks.result import Figure, Run, add_results_option, share, work_folder
+from station.workers.repeatable import repeatable
 from tests.support.calibration_curve import calibration_bins, draw_calibration
+from tests.support.drives import real
+from tests.support.drives.judging import JudgedDrive, Share, Summary, judge_drive, summarise
+from tests.support.drives.misfit import wrong_percent
+from tests.support.drives.playback import play_back
+from tests.support.drives.simulated import DriveOptions
+from tests.support.likelihood_fit import numbers
 
-START_NS = 1_000_000_000
-KEYFRAME_M, KEYFRAME_RAD = 0.2, 0.2
-MERGE_M = 0.06
-DOORWAY_M = 0.5
-
-
-def no_faults(_t_s: float) -> Faults:
-    return Faults()
-
-
-class Robot:
-    """A simulated robot on a route; `sense` yields what it would send."""
-
-    def __init__(self, world: World, renderer: Renderer, calibration: Calibration, kind: str, seed: int) -> None:
-        self.world, self._calibration = world, calibration
-        self._config = SimulationConfig()
-        assert calibration.camera is not None and calibration.imu is not None
-        self._camera_calibration = calibration.camera
-        self.route = plan_route(world, kind, seed)
-        self.body = Body(world, self._config.body, (*self.route.points[0], self.route.start_yaw_rad), seed)
-        self._imu = ImuModel(calibration.imu, self._config.imu, calibration.gravity, seed)
-        self._camera = SimulatedCamera(renderer, calibration.camera, self._config.camera, seed)
-        self.history = MotionHistory(keep_s=2.0)
-
-    def sense(
-        self,
-        seconds: float,
-        frame_period_s: float,
-        hijack: tuple[float, FloatArray] | None,
-        faults_at: Callable[[float], Faults] = no_faults,
-    ) -> Iterator[Any]:
-        """Yields ImuBatch, DriveSample, ImageFrame, and ("hijack", t_ns) when hands take the robot."""
-        driver = RouteDriver(self.route)
-        state, ticks, next_frame_s, index = self.body.state(), 0, 0.2, 0
-        batch: list[tuple[int, FloatArray, FloatArray]] = []
-        hijacked = False
-        camera = self._camera_calibration
-        while state.t_s < seconds and not (driver.is_done and hijack is None):
-            self.history.append(state)
-            t_ns = START_NS + round(state.t_s * 1e9)
-            m = self._imu.measure(state)
-            batch.append((t_ns, m.gyro_imu, m.accel_imu))
-            if len(batch) == 10:
-                yield ImuBatch(*(np.array(column) for column in zip(*batch, strict=True)))
-                batch = []
-            if state.t_s - next_frame_s > camera.line_delay_s * camera.height + 0.02:
-                carried = self.history.carried(next_frame_s)
-                exposure = self._camera.expose(self.history.pose, next_frame_s, faults_at(next_frame_s), carried)
-                stamp = START_NS + round((next_frame_s - camera.time_shift_s) * 1e9)
-                yield ImageFrame(index, stamp, round(exposure.exposure_s * 1e9), exposure.jpeg)
-                index += 1
-                next_frame_s += frame_period_s
-            if ticks % 15 == 0 and state.t_s > 1.5 and not hijacked:
-                command = driver.command(*self.body.pose, float(state.omega_body[2]))
-                self.body.command(command.linear_m_s, command.angular_rad_s)
-                yield DriveSample(t_ns, command.linear_m_s, command.angular_rad_s)
-            elif ticks % 15 == 0 and hijacked and hijack is not None:
-                # Put down, the driver looks around: turns on the spot.
-                turning = 1.5 if state.t_s > hijack[0] + 5.0 else 0.0
-                self.body.command(0.0, turning)
-                yield DriveSample(t_ns, 0.0, turning)
-            if hijack is not None and not hijacked and state.t_s >= hijack[0]:
-                hijacked = True
-                self.body.command(0.0, 0.0)
-                self.body.hijack(*(float(v) for v in hijack[1]))
-                yield "hijack", t_ns
-            state = self.body.step()
-            ticks += 1
+WEAKEST = 5
+# Asked, per cent. Recall is of the answers in mapped rooms, by kind or by recording.
+PRECISION, SILENT, FOUND_AGAIN, NOTICED = 99.0, 95.0, 90.0, 95.0
+RECALL = {"home": 85.0, "small": 85.0, "plain": 80.0, "kitchen": 85.0, "v101_halves": 75.0, "v102": 80.0}
+WORST_RECALL = 70.0  # of a single flat
+BADLY_WRONG, BADLY_WRONG_PRECISION = 2.0, 98.0  # with more per cent wrong it may be silent
+CALIBRATION_ERROR, FALSE_ALARMS_PER_HOUR = 0.05, 1.0
+ELSEWHERE = "other buildings"
 
 
-def map_flat(world: World, renderer: Renderer, calibration: Calibration, seed: int, unmapped: str | None) -> PlaceMap:
-    """A map along the mapping route with the simulator's poses and depths, without keyframes in one room."""
-    camera = calibration.camera
-    assert camera is not None
-    robot = Robot(world, renderer, calibration, "mapping", seed)
-    extractor, rays = FeatureExtractor(), unproject_pixels(camera)
-    rng = np.random.default_rng(seed)
-    T_body_cam = camera.T_body_cam_matrix
-    poses: list[FloatArray] = []
-    frames: list[ImageFrame] = []
-    points: list[FloatArray] = []
-    landmark, keyframe, uv_all = [], [], []
-    previous: list[tuple[np.ndarray, list[int]]] = []  # descriptors and landmark numbers of the last keyframes
-    for item in robot.sense(300.0, 0.25, None):
-        if not isinstance(item, ImageFrame):
-            continue
-        middle = camera.line_delay_s * camera.height / 2
-        T_body = robot.history.pose((item.t_robot_ns - START_NS) / 1e9 + camera.time_shift_s + middle)
-        if unmapped is not None and world.room_at(*T_body[:2, 3]) == unmapped:
-            continue
-        T = T_body @ T_body_cam
-        if poses:
-            moved = inverse(poses[-1]) @ T
-            turn = math.acos(float(np.clip((np.trace(moved[:3, :3]) - 1) / 2, -1, 1)))
-            if np.linalg.norm(moved[:3, 3]) < KEYFRAME_M and turn < KEYFRAME_RAD:
-                continue
-        features = extractor.extract(item.grey())
-        if len(features) < 30:
-            continue  # a view of nothing
-        at = np.clip(np.round(features.uv_px).astype(int), 0, [camera.width - 1, camera.height - 1])
-        inverse_depth = renderer.render(T[None]).inverse_depth[at[:, 1], at[:, 0]]
-        depth = 1.0 / np.maximum(inverse_depth, 1e-3) * rng.normal(1, 0.01, len(at))
-        p = (rays[at[:, 1], :, at[:, 0]] * depth[:, None]) @ T[:3, :3].T + T[:3, 3]
-        numbers = []
-        mine = to_floats(features.descriptors)
-        nearest = [np.argmax(mine @ descriptors.T, axis=1) for descriptors, _ in previous]
-        for k in range(len(p)):
-            number = -1
-            if inverse_depth[k] > 0.1:
-                for best, (_, ids) in zip(nearest[::-1], previous[::-1], strict=True):
-                    j = int(best[k])
-                    if ids[j] >= 0 and np.linalg.norm(points[ids[j]] - p[k]) < MERGE_M:
-                        number = ids[j]
-                        break
-                if number < 0:
-                    number = len(points)
-                    points.append(p[k])
-                landmark.append(number)
-                keyframe.append(len(poses))
-                uv_all.append(features.uv_px[k])
-            numbers.append(number)
-        previous = [*previous[-2:], (mine, numbers)]
-        poses.append(T)
-        frames.append(item)
-    seen = np.bincount(landmark, minlength=len(points))
-    keep = seen >= 2
-    new_number = np.cumsum(keep) - 1
-    observed = keep[np.array(landmark)]
-    t = np.array([f.t_robot_ns for f in frames])
-    T_all = np.stack(poses)
-    count = int(keep.sum())
-    return build_map(
-        Navigation(
-            id=f"truth-{world.name}-{world.seed}-{unmapped}",
-            calibration=calibration,
-            trajectory=Trajectory(t, T_all @ inverse(T_body_cam)),
-            keyframes=Keyframes(
-                np.arange(len(t)), t, T_all, tuple(f.encoded for f in frames), np.zeros(len(t), np.int64)
-            ),
-            landmarks=Landmarks(
-                np.array(points)[keep],
-                np.full((count, 3), 128, np.uint8),
-                np.zeros((count, 3, 3)),
-                new_number[np.array(landmark)[observed]],
-                np.array(keyframe)[observed],
-                np.array(uv_all)[observed],
-            ),
-            report=NavigationReport("simulator", len(t), 0.0, 0.0, 0.0, 0.0, count, 0.0, "metric", True, seed, {}, {}),
-        )
+@dataclass(frozen=True, slots=True)
+class JudgedWorld:
+    """What became of one world."""
+
+    kind: str
+    name: str
+    wrong_percent: float  # of the calibration
+    failure: str  # why there is no map; "" where there is one
+    map_scale: float | None  # true length per length of the map
+    map_error_m: float | None
+    drives: tuple[JudgedDrive, ...]
+
+    @property
+    def group(self) -> str:
+        """What is counted together."""
+        if self.kind == real.KIND:
+            return ELSEWHERE if self.name.startswith("elsewhere") else self.name
+        return f"{self.kind}, calibration {self.wrong_percent:g} % wrong" if self.wrong_percent else self.kind
+
+
+def judge_world(path: Path) -> JudgedWorld:
+    """Run the tracker over all drives of a stored world."""
+    with repeatable(1):
+        world = load(path)
+        place_map, quality = world.place_map, world.quality
+        drives: list[JudgedDrive] = []
+        if place_map is not None:
+            drives += [judge_drive(place_map, drive, play_back(place_map, drive)) for drive in world.drives]
+    scale, error_m = (quality.scale, quality.error_m) if quality else (None, None)
+    wrong = wrong_percent(world.misfit)
+    return JudgedWorld(world.kind, world.name, wrong, world.failure, scale, error_m, tuple(drives))
+
+
+def described(summary: Summary) -> str:
+    per_hour = summary.false_alarms_per_hour
+    return (
+        f"  precision {summary.precision}\n  recall in mapped rooms {summary.recall}\n"
+        f"  not known where no map is {summary.silent}\n  calibration error {summary.calibration_error:.3f}\n"
+        f"  found again within 10 s {summary.found_again}, hijack noticed within 2 s {summary.noticed}\n"
+        f"  false alarms {summary.false_alarms} in {summary.undisturbed_h:.2f} h"
+        f"{'' if per_hour is None else f', {per_hour:.1f} an hour'}\n  left out in doorways {summary.left_out}"
     )
 
 
-def unmapped_room(world: World) -> str:
-    """The room that the mapping drive leaves out."""
-    return world.rooms[world.seed % len(world.rooms)].name
-
-
-def flat_to_drive(
-    name: str, flat: int, calibration: Calibration, *, whole: bool
-) -> tuple[World, Renderer, PlaceMap, Localizer]:
-    """A flat, its renderer, a map of it (`whole`, or without its unmapped room), and the localiser of that map."""
-    assert calibration.camera is not None
-    world = make_world(name, flat)
-    renderer = Renderer(world, calibration.camera, default_cache_dir())
-    place_map = map_flat(world, renderer, calibration, flat, None if whole else unmapped_room(world))
-    return world, renderer, place_map, Localizer([place_map])
-
-
-def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
-    """Ids of the places nearest to the true position, ties within 10 %."""
-    distance = np.linalg.norm([p.centroid_map - T_world_body[:3, 3] for p in place_map.places], axis=1)
-    return {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlannedHijack:
-    """When and where hands will put the robot down."""
-
-    at_s: float
-    target: FloatArray  # (3,) x, y, yaw in the world
-    to_unmapped: bool
-
-
-def planned_hijack(world: World, robot: Robot, unmapped: str, seed: int) -> PlannedHijack:
-    """Somewhere on its route, at any yaw; every fourth drive ends in the unmapped room, where its route enters it."""
-    rng = np.random.default_rng([world.seed, seed, 5])
-    spots = robot.route.points
-    in_unmapped = np.array([world.room_at(*p) == unmapped for p in spots])
-    to_unmapped = bool(seed % 4 == 3 and in_unmapped.any())
-    spot = spots[rng.choice(np.flatnonzero(in_unmapped if to_unmapped else ~in_unmapped))]
-    at_s = float(rng.uniform(12, 20))
-    return PlannedHijack(at_s, np.array([*spot, rng.uniform(-np.pi, np.pi)]), to_unmapped)
-
-
-def judge_drive(
-    world: World, renderer: Renderer, calibration: Calibration, place_map: PlaceMap, localizer: Localizer,
-    unmapped: str, seed: int,
-) -> dict[str, Any]:  # fmt: skip
-    """One drive with a hijack; answers once per image."""
-    robot = Robot(world, renderer, calibration, "second", seed)
-    hijack = planned_hijack(world, robot, unmapped, seed)
-    tracker = PlaceTracker([place_map], calibration, localizer)
-    driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
-    rows: list[tuple[str, bool, float, bool, float | None, bool]] = []
-    hijack_ns: int | None = None
-    noticed: tuple[int, str, str] | None = None
-    for item in robot.sense(hijack.at_s + 17.0, 0.4, (hijack.at_s, hijack.target)):
-        if isinstance(item, ImuBatch):
-            tracker.on_imu(item)
-        elif isinstance(item, DriveSample):
-            tracker.on_drive(item)
-        elif isinstance(item, ImageFrame):
-            tracker.on_frame(item)
-            assert calibration.camera is not None
-            t_ns = item.t_robot_ns + round(1e9 * calibration.camera.time_shift_s)  # the simulator's and the IMU's clock
-            T = robot.history.pose((t_ns - START_NS) / 1e9)
-            right = right_places(place_map, T)
-            answer = tracker.answer(t_ns)
-            since = None if hijack_ns is None else (t_ns - hijack_ns) / 1e9
-            is_mapped = world.room_at(*T[:2, 3]) != unmapped
-            in_doorway = not is_mapped and float(np.linalg.norm(driven - T[:2, 3], axis=1).min()) < DOORWAY_M
-            place = answer.place
-            rows.append(
-                (answer.state, place is not None and place.id in right, place.probability if place else 0.0,
-                 is_mapped, since, in_doorway)
-            )  # fmt: skip
-        else:
-            hijack_ns = item[1]
-        for event in tracker.take_events():
-            noticed = noticed or (event.t_robot_ns, event.cue, event.reason)
-    # The first seconds belong to no answer yet: the robot has seen one or two images.
-    settled = [r for r in rows[5:] if r[4] is None or r[4] > 10.0]
-    after = [r for r in rows if r[4] is not None and r[4] > 3.0]
-    first_right = next((r[4] for r in after if r[0] == "known" and r[1]), None)
-    return {
-        "flat": world.seed,
-        "drive": seed,
-        "target": "unmapped" if hijack.to_unmapped else "mapped",
-        "noticed_s": None if noticed is None or hijack_ns is None else (noticed[0] - hijack_ns) / 1e9,
-        "cue": None if noticed is None else noticed[1],
-        "right_after_s": first_right,
-        "wrong_known_after": sum(r[0] == "known" and not (r[1] and (r[3] or r[5])) for r in after),
-        "answers_after": len(after),
-        "rows": [(r[0], bool(r[1]), float(r[2]), bool(r[3]), bool(r[5])) for r in settled],
-    }
-
-
-def summarise(drives: list[dict[str, Any]]) -> dict[str, Any]:
-    rows = [r for d in drives for r in d["rows"]]
-    mapped = [r for r in rows if r[3]]
-    known = [r for r in mapped if r[0] == "known"]
-    unmapped = [r for r in rows if not r[3] and not r[4]]
-    to_mapped = [d for d in drives if d["target"] == "mapped"]
-    probability = np.array([r[2] for r in known])
-    correct = np.array([r[1] for r in known], dtype=float)
-    bins = np.clip((probability * 10).astype(int), 0, 9)
-    ece = sum(
-        (bins == b).mean() * abs(correct[bins == b].mean() - probability[bins == b].mean()) for b in np.unique(bins)
+def line(world: JudgedWorld) -> str:
+    """One world in a row."""
+    if world.failure:
+        return f"{world.group} {world.name}: no map: {world.failure}"
+    s = summarise(world.drives)
+    return (
+        f"{world.group} {world.name}: recall {s.recall}, right when known {s.precision}, silent {s.silent}, "
+        f"scale {world.map_scale:.3f}, ATE {world.map_error_m:.3f}"
     )
-    return {
-        "drives": len(drives),
-        "answers_mapped": len(mapped),
-        "precision_when_known": float(correct.mean()) if len(known) else None,
-        "recall": float(sum(r[1] for r in known) / max(len(mapped), 1)),
-        "answers_unmapped": len(unmapped),
-        "answers_in_doorway": sum(r[4] for r in rows),
-        "unmapped_unknown": float(np.mean([r[0] == "unknown" for r in unmapped])) if unmapped else None,
-        "unmapped_known": float(np.mean([r[0] == "known" for r in unmapped])) if unmapped else None,
-        "expected_calibration_error": float(ece),
-        "hijacks_noticed_2s": float(np.mean([d["noticed_s"] is not None and 0 <= d["noticed_s"] <= 2 for d in drives])),
-        "right_within_10s": float(
-            np.mean([d["right_after_s"] is not None and d["right_after_s"] <= 12.0 for d in to_mapped])
-        ) if to_mapped else None,
-        "wrong_known_after_hijack": sum(d["wrong_known_after"] for d in drives)
-        / max(1, sum(d["answers_after"] for d in drives)),
-    }  # fmt: skip
 
 
-def figures(drives: list[dict[str, Any]], summary: dict[str, Any]) -> list[Figure]:
-    """What is asked of the current place."""
-    rows = [r for d in drives for r in d["rows"]]
-    known = sum(r[3] and r[0] == "known" for r in rows)
-    to_mapped = sum(d["target"] == "mapped" for d in drives)
-    answers_after = sum(d["answers_after"] for d in drives)
-    mapped, unmapped = summary["answers_mapped"], summary["answers_unmapped"]
+def recall_of(world: JudgedWorld) -> float:
+    """0 without a map: nothing is known then."""
+    return 0.0 if world.failure else (summarise(world.drives).recall.value or 0.0)
 
-    def part(what: str, key: str, of: int, **bound: float) -> Figure:
-        return share(what, (summary[key] or 0.0) * of, of, **bound)
 
+def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
+    """What is asked of a group of worlds."""
+    summary = summarise([drive for world in worlds for drive in world.drives])
+    kind = worlds[0].name if worlds[0].kind == real.KIND else worlds[0].kind
+    is_badly_wrong = worlds[0].wrong_percent > BADLY_WRONG
+    least_recall = None if is_badly_wrong else RECALL.get(kind)
+
+    def part(what: str, of: Share, at_least: float | None) -> Figure:
+        return share(f"{group}: {what}", of.count, of.of, at_least=at_least)
+
+    def asked(value: float) -> float | None:
+        return None if is_badly_wrong else value
+
+    known = part(
+        "right of all that is known", summary.precision, BADLY_WRONG_PRECISION if is_badly_wrong else PRECISION
+    )
+    silent = part("not known where the map has nothing", summary.silent, asked(SILENT))
+    if group == ELSEWHERE:
+        return [part("not known", summary.silent, 100.0)]
+    alarms, hours = summary.false_alarms_per_hour, summary.undisturbed_h
+    found = [
+        known,
+        part("known and right in mapped rooms", summary.recall, least_recall),
+        Figure(
+            f"{group}: expected calibration error",
+            summary.calibration_error,
+            at_most=asked(CALIBRATION_ERROR),
+            of=summary.precision.of,
+        ),
+        Figure(
+            f"{group}: false hijack alarms an hour, in {60 * hours:.0f} minutes",
+            alarms,
+            at_most=asked(FALSE_ALARMS_PER_HOUR),
+        ),
+    ]
+    if worlds[0].kind == real.KIND:
+        return found
     return [
-        part("known in a mapped room: right", "precision_when_known", known, at_least=99),
-        part("answers in mapped rooms: known and right", "recall", mapped, at_least=85),
-        part("answers in a room that no map knows: unknown", "unmapped_unknown", unmapped, at_least=95),
-        Figure("expected calibration error", summary["expected_calibration_error"], at_most=0.05, of=known),
-        part("hijack noticed within 2 s", "hijacks_noticed_2s", len(drives), at_least=95),
-        part("right place within 10 s after a hijack to a mapped room", "right_within_10s", to_mapped, at_least=90),
-        part("known and wrong after a hijack", "wrong_known_after_hijack", answers_after, at_most=1),
+        *found,
+        silent,
+        part("right place within 10 s after a hijack to a mapped room", summary.found_again, asked(FOUND_AGAIN)),
+        part("hijack noticed within 2 s", summary.noticed, asked(NOTICED)),
+        part("answers left out in doorways", summary.left_out, None),
+        Figure(
+            f"{group}: known and right in mapped rooms, weakest world",
+            100 * min(recall_of(world) for world in worlds),
+            "%",
+            at_least=asked(WORST_RECALL) if kind == "home" else None,
+            of=len(worlds),
+        ),
+        Figure(f"{group}: worlds without a map", sum(bool(world.failure) for world in worlds), of=len(worlds)),
     ]
 
 
-def draw(drives: list[dict[str, Any]], path: Path) -> None:
-    """The calibration curve: of answers "known" in mapped rooms, which the error in the summary is made of, and of all.
-
-    In a doorway to the unmapped room an answer is judged like in a mapped one; beyond it every "known" is wrong.
-    """
-    known = [r for d in drives for r in d["rows"] if r[0] == "known"]
-    mapped = calibration_bins((r[2], r[1]) for r in known if r[3])
-    anywhere = calibration_bins((r[2], r[1] and (r[3] or r[4])) for r in known)
-    draw_calibration([("mapped rooms", mapped), ("unmapped room included", anywhere)], path)
+def grouped(worlds: Iterable[JudgedWorld]) -> dict[str, list[JudgedWorld]]:
+    groups: dict[str, list[JudgedWorld]] = {}
+    for world in worlds:
+        groups.setdefault(world.group, []).append(world)
+    return groups
 
 
-def drive_flats(name: str, flats: range, num_drives: int) -> list[dict[str, Any]]:
-    """All drives through these flats, judged; each is told as it ends."""
-    cv2.setNumThreads(1)
-    calibration = simulated_calibration(SimulationConfig())
-    assert calibration.camera is not None
-    drives: list[dict[str, Any]] = []
-    for flat in flats:
-        world, renderer, place_map, localizer = flat_to_drive(name, flat, calibration, whole=False)
-        unmapped = unmapped_room(world)
-        print(f"flat {flat}: {len(place_map.navigation.keyframes)} keyframes, {len(place_map.places)} places, "
-              f"{len(place_map.navigation.landmarks)} landmarks, without the {unmapped}", flush=True)  # fmt: skip
-        for drive in range(1, num_drives + 1):
-            result = judge_drive(world, renderer, calibration, place_map, localizer, unmapped, drive)
-            drives.append(result)
-            print(json.dumps({k: v for k, v in result.items() if k != "rows"}), flush=True)
-    return drives
+def draw(groups: dict[str, list[JudgedWorld]], path: Path) -> None:
+    """The calibration curve of each group, over all of its known answers."""
+    curves = []
+    for group, worlds in groups.items():
+        answers = [a for world in worlds for drive in world.drives for a in drive.answers]
+        known = [(a.probability, a.is_right) for a in answers if a.is_known and not a.is_left_out]
+        if known:
+            curves.append((group, calibration_bins(known)))
+    draw_calibration(curves, path)
 
 
-def main() -> None:
+def print_report(groups: dict[str, list[JudgedWorld]]) -> None:
+    for group, worlds in groups.items():
+        print(f"{group}: {len(worlds)} worlds")
+        print(described(summarise([drive for world in worlds for drive in world.drives])))
+        print("  weakest:")
+        for world in sorted(worlds, key=recall_of)[:WEAKEST]:
+            print(f"  - {line(world)}")
+
+
+def jobs_asked(worlds: Sequence[str], wrong_focal: float, cache: Path) -> list[Job]:
+    """`home:600-624` or `real`."""
+    jobs: list[Job] = []
+    for text in worlds:
+        kind, _, seeds = text.partition(":")
+        jobs += jobs_of(kind, numbers(seeds) if seeds else [], wrong_focal, DriveOptions(), cache)
+    return jobs
+
+
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--world", default="small")
-    parser.add_argument("--flats", type=int, default=3)
-    parser.add_argument("--drives", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=None)
-    parser.add_argument("--figure", type=Path, default=None, help="draw the calibration curve into this file")
-    parser.add_argument(
-        "--from", dest="earlier", nargs="+", type=Path, help="draw and count earlier runs, drive nothing"
-    )
+    parser.add_argument("--worlds", nargs="+", default=["small:0-2"])
+    parser.add_argument("--wrong-focal", type=float, default=0.0, help="per cent; what goes with it: make_drives")
+    parser.add_argument("--cache", type=Path, help="folder of drives; by default one of the present code")
+    parser.add_argument("--stored", action="store_true", help="all that is in the cache, and nothing else")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, help="every judged answer")
+    parser.add_argument("--figure", type=Path, help="draw the calibration curves into this file")
     add_results_option(parser, "current_place")
     a = parser.parse_args()
     run = Run.begin()
-    if a.earlier:
-        drives = [drive for path in a.earlier for drive in json.loads(path.read_text())["drives"]]
-    else:
-        drives = drive_flats(a.world, range(a.seed, a.seed + a.flats), a.drives)
-    summary = summarise(drives)
-    print(json.dumps(summary, indent=1))
-    if not a.earlier:
-        run.write(a.results, figures(drives, summary))
+    cache: Path = a.cache or work_folder() / "drives"
+    jobs = [] if a.stored else jobs_asked(a.worlds, a.wrong_focal, cache)
+    is_complete = make_missing(jobs, a.jobs)
+    paths = stored(cache) if a.stored else [job.path for job in jobs if job.path.exists()]
+    worlds: list[JudgedWorld] = []
+    with ProcessPoolExecutor(a.jobs, get_context("spawn")) as pool:
+        for world in pool.map(judge_world, paths):
+            worlds.append(world)
+            print(line(world), flush=True)
+    groups = grouped(worlds)
+    print_report(groups)
+    run.write(a.results, [figure for group, some in groups.items() for figure in figures_of(group, some)])
     if a.out:
-        a.out.write_text(json.dumps({"summary": summary, "drives": drives}))
+        a.out.write_text(json.dumps([asdict(world) for world in worlds]))
     if a.figure:
-        draw(drives, a.figure)
+        draw(groups, a.figure)
+    return 0 if is_complete else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -3,7 +3,7 @@
     python -m benchmarks.bench_false_alarms [--flats 6] [--seed 250] [--drives 2] [--out FILE.json] [--results FILE]
 
 Nobody touches the robot, so that every hijack event is a false alarm; what the current place says meanwhile is judged
-as in `bench_current_place` (its stand-in for a map, too). Conditions, each for whole drives: `plain`; `lens`, covered
+as in `bench_current_place`, on a map that SLAM made. Conditions, each for whole drives: `plain`; `lens`, covered
 for 5 s of every 20; `light`, which goes to 40 %, 160 % and back every 7 s while exposure follows; `person`, who walks
 through the picture.
 """
@@ -18,18 +18,20 @@ from typing import Any
 
 import cv2
 
-from benchmarks.bench_current_place import START_NS, Robot, flat_to_drive, no_faults, right_places
 from benchmarks.result import Figure, Run, add_results_option, share
-from robot.simulation.config import Faults, SimulationConfig
-from robot.simulation.recording import simulated_calibration
-from robot.simulation.renderer import Renderer
-from robot.simulation.world import World
-from shared.calibration import Calibration
+from robot.simulation.config import Faults
+from robot.simulation.routes import plan_route
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from station.model.place_map import PlaceMap
 from station.places.localisation.localizer import Localizer
 from station.places.tracking.tracker import PlaceTracker
+from tests.support.drives.judging import right_places
+from tests.support.drives.misfit import Misfit
+from tests.support.drives.recorded import in_map
+from tests.support.drives.robot import START_NS, no_faults
+from tests.support.drives.routes import Plan
+from tests.support.drives.simulated import DriveOptions, MappedFlat, SimulatedFlat
 
+IMAGE_RATE_HZ, MAX_S = 2.5, 120.0
 LIGHTS = (1.0, 0.4, 1.0, 1.6)
 CONDITIONS: dict[str, Callable[[float], Faults]] = {
     "plain": no_faults,
@@ -40,30 +42,32 @@ CONDITIONS: dict[str, Callable[[float], Faults]] = {
 
 
 def undisturbed_drive(
-    world: World, renderer: Renderer, calibration: Calibration, place_map: PlaceMap, localizer: Localizer,
-    condition: str, seed: int,
-) -> dict[str, Any]:  # fmt: skip
+    flat: SimulatedFlat, mapped: MappedFlat, localizer: Localizer, condition: str, seed: int
+) -> dict[str, Any]:
     """One drive to its end, at most 2 minutes; answers once per image."""
-    assert calibration.camera is not None
-    robot = Robot(world, renderer, calibration, "second" if seed % 2 else "tour", seed)
-    tracker = PlaceTracker([place_map], calibration, localizer)
+    place_map = mapped.place_map
+    route = plan_route(flat.world, "second" if seed % 2 else "tour", seed)
+    robot = flat.robot(Plan(condition, route, None, MAX_S), seed)
+    tracker = PlaceTracker([place_map], flat.told, localizer)
     states = {"known": 0, "unknown": 0, "lost": 0}
     alarms, wrong, seconds = [], 0, 0.0
-    for item in robot.sense(120.0, 0.4, None, CONDITIONS[condition]):
+    for item in robot.sent(IMAGE_RATE_HZ, CONDITIONS[condition]):
         if isinstance(item, ImuBatch):
             tracker.on_imu(item)
         elif isinstance(item, DriveSample):
             tracker.on_drive(item)
         elif isinstance(item, ImageFrame):
             tracker.on_frame(item)
-            t_ns = item.t_robot_ns + round(1e9 * calibration.camera.time_shift_s)
+            t_ns = item.t_robot_ns + flat.shift_ns
             seconds = (t_ns - START_NS) / 1e9
             answer = tracker.answer(t_ns)
             states[answer.state] += 1
             if answer.state == "known" and answer.place is not None:
-                wrong += answer.place.id not in right_places(place_map, robot.history.pose(seconds))
+                T_world_body, _ = robot.true_at(t_ns)
+                T_map_body = in_map(mapped.quality.T_world_map, T_world_body)
+                wrong += answer.place.id not in right_places(place_map, T_map_body[:3, 3])
         alarms += [(round((e.t_robot_ns - START_NS) / 1e9, 1), e.cue, e.reason) for e in tracker.take_events()]
-    return {"flat": world.seed, "drive": seed, "condition": condition, "seconds": seconds, "alarms": alarms,
+    return {"flat": flat.world.seed, "drive": seed, "condition": condition, "seconds": seconds, "alarms": alarms,
             "states": states, "wrong_known": wrong}  # fmt: skip
 
 
@@ -104,13 +108,14 @@ def main() -> None:
     a = parser.parse_args()
     run = Run.begin()
     cv2.setNumThreads(1)
-    calibration = simulated_calibration(SimulationConfig())
     drives: list[dict[str, Any]] = []
-    for flat in range(a.seed, a.seed + a.flats):
-        world, renderer, place_map, localizer = flat_to_drive("small", flat, calibration, whole=True)
+    for seed in range(a.seed, a.seed + a.flats):
+        flat = SimulatedFlat("small", seed, Misfit(seed=seed), DriveOptions())
+        mapped = flat.mapped()
+        localizer = Localizer([mapped.place_map])
         for drive in range(1, a.drives + 1):
             for condition in CONDITIONS:
-                drives.append(undisturbed_drive(world, renderer, calibration, place_map, localizer, condition, drive))
+                drives.append(undisturbed_drive(flat, mapped, localizer, condition, drive))
                 print(json.dumps(drives[-1]), flush=True)
     print(json.dumps(summarise(drives), indent=1))
     run.write(a.results, figures(drives))

@@ -24,12 +24,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.bench_current_place import START_NS, Robot, map_flat
 from benchmarks.result import Figure, Run, add_results_option, share
+from benchmarks.true_map import map_truly
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.config import SimulationConfig
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
+from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
@@ -40,6 +41,8 @@ from station.places.localisation.keyframe_features import KeyframeFeatures, desc
 from station.places.localisation.localizer import Localizer
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.vision.features import DescriptorArray, FeatureExtractor, Features, extract_encoded
+from tests.support.drives.robot import START_NS, SimulatedRobot
+from tests.support.drives.routes import Plan
 
 BASE_ROOMS = 2
 SPACING_M = 12.0  # between the copies
@@ -64,7 +67,7 @@ def make_room(seed: int, calibration: Calibration) -> Room:
     world = make_world("room", seed)
     assert calibration.camera is not None
     renderer = Renderer(world, calibration.camera, default_cache_dir())
-    place_map = map_flat(world, renderer, calibration, seed, unmapped="")
+    place_map = map_truly(renderer, calibration, seed)
     described = describe_keyframes(place_map, partial(extract_encoded, extractor=FeatureExtractor()))
     keyframes = place_map.navigation.keyframes
     kept = np.unique(np.linspace(0, len(keyframes) - 1, KEYFRAMES_PER_ROOM).round().astype(int))
@@ -86,13 +89,15 @@ def make_room(seed: int, calibration: Calibration) -> Room:
             keyframes.segment[kept],
         ),
     )
-    robot = Robot(world, renderer, calibration, "second", seed + 1)
+    plan = Plan("second", plan_route(world, "second", seed + 1), None, 60.0)
+    robot = SimulatedRobot(renderer, calibration, SimulationConfig(), plan, seed + 1)
     frames: list[ImageFrame] = []
     poses: list[FloatArray] = []
-    for item in robot.sense(60.0, 0.5, None):
+    for item in robot.sent(2.0):
         if isinstance(item, ImageFrame):  # at once: the history forgets
             frames.append(item)
-            poses.append(robot.history.pose((item.t_robot_ns - START_NS) / 1e9 + calibration.camera.time_shift_s))
+            T_world_body, _ = robot.true_at(item.t_robot_ns + round(1e9 * calibration.camera.time_shift_s))
+            poses.append(T_world_body)
     return Room(
         place_map=replace(place_map, navigation=thinned),
         # Only features with a position: they are what is matched, and what the index is made from here.

@@ -1,116 +1,86 @@
 """Measure the rates behind the current place (`places/tracking/config.py`), and print them as it takes them.
 
-    python -m benchmarks.fit_place_likelihoods [--rows FILE.jsonl] [--flats 101-120] [--drives 1 3]
+    python -m benchmarks.fit_place_likelihoods --cache DIR [--kinds home,small,lookalike]
 
-Drives those of `bench_current_place` (its stand-in for a map, too) through development flats, tries to recognise every
-image, and compares with the truth: which pose was right, how many landmarks should have been in view, whether the room
-is mapped. Then fits logistic regressions and says their log loss with each flat left out in turn. `--rows` keeps what
-was recognised and goes on from there. None of these flats may be used to judge the result.
+Reads the drives that `make_drives` stored: what the localiser made of every image, on maps that SLAM made, beside the
+truth: which pose was right, how many landmarks should have been in view, whether the room is mapped. Then fits logistic
+regressions and says their log loss with each world left out in turn. None of these worlds may be used to judge the
+result.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from benchmarks.bench_current_place import (
-    DOORWAY_M,
-    START_NS,
-    Robot,
-    flat_to_drive,
-    planned_hijack,
-    unmapped_room,
-)
-from robot.simulation.config import SimulationConfig
-from robot.simulation.recording import simulated_calibration
+from benchmarks.drive_cache import load, stored
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, inverse
-from station.model.frames import ImageFrame
-from station.places.localisation.localizer import Attempt
+from shared.geometry import FloatArray
 from station.places.tracking.image_model import support
 from station.places.tracking.map_view import MapView
+from tests.support.drives.judging import where_taken
+from tests.support.drives.recorded import LookedAt
 from tests.support.likelihood_fit import (
     each_left_out,
     failing,
     logistic,
     minimised,
-    numbers,
     recognising,
     right_pose_losses,
     with_previous,
 )
 
-CARRIED_S = 3.0  # after hands took the robot: images until then show anything
 FRESH = 0.7  # of what makes an image independent of the last one
 
 
-def image_row(
-    attempt: Attempt, T_world_body: FloatArray, view: MapView, calibration: Calibration, where: dict[str, Any]
-) -> dict[str, Any]:
-    """What one image showed, and what was true."""
-    camera = calibration.camera
-    assert camera is not None
-    true_p = T_world_body[:3, 3]
+def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: dict[str, Any]) -> dict[str, Any]:
+    """What one image showed, and what was true. Lengths are metres, as the map's unit says."""
+    camera, T_map_body = calibration.camera, image.T_map_body
+    assert camera is not None and T_map_body is not None
+    true_p = T_map_body[:3, 3]
     return {
         **where,
-        "p": [float(v) for v in true_p],
-        "heading": float(np.arctan2(T_world_body[1, 0], T_world_body[0, 0])),
-        "features": attempt.num_features,
-        "in_view": view.sightings.in_view(T_world_body @ inverse(camera.T_cam_body_matrix), camera),
+        "p": [float(v) / view.unit for v in true_p],
+        "heading": float(np.arctan2(T_map_body[1, 0], T_map_body[0, 0])),
+        "features": image.attempt.num_features,
+        "in_view": view.sightings.in_view(T_map_body @ camera.T_body_cam_matrix, camera),
         "poses": [
             {
-                "error_m": float(np.linalg.norm((z.T_map_cam @ camera.T_cam_body_matrix)[:3, 3] - true_p)),
-                "extent": z.extent,
+                "error_m": float(np.linalg.norm((z.T_map_cam @ camera.T_cam_body_matrix)[:3, 3] - true_p)) / view.unit,
+                "extent": z.extent / view.unit,
                 "inliers": z.num_inliers,
                 "support": support(
                     view.sightings.in_usual_views(len(z.landmarks)), view.sightings.in_view(z.T_map_cam, camera)
                 ),
             }
-            for z in attempt.candidates
+            for z in image.attempt.candidates
         ],
     }
 
 
-def record(flats: Sequence[int], drives: Sequence[int], path: Path | None) -> list[dict[str, Any]]:
-    """Rows of all drives; those in the file are not driven again."""
-    calibration = simulated_calibration(SimulationConfig())
-    assert calibration.camera is not None
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
-    done = {(row["flat"], row["drive"]) for row in rows}
-    for flat in flats:
-        if all((flat, drive) in done for drive in drives):
+def rows_of(cache: Path, kinds: Sequence[str]) -> list[dict[str, Any]]:
+    """Images of all stored drives of these kinds that no hand held."""
+    rows = []
+    for path in stored(cache):
+        world = load(path)
+        if world.kind not in kinds or world.place_map is None:
             continue
-        world, renderer, place_map, localizer = flat_to_drive("small", flat, calibration, whole=False)
-        view, unmapped = MapView.of(place_map), unmapped_room(world)
-        driven = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
-        for drive in [d for d in drives if (flat, d) not in done]:
-            robot = Robot(world, renderer, calibration, "second", drive)
-            hijack = planned_hijack(world, robot, unmapped, drive)
-            mine = []
-            for item in robot.sense(hijack.at_s + 17.0, 0.4, (hijack.at_s, hijack.target)):
-                if not isinstance(item, ImageFrame):
+        view = MapView.of(world.place_map)
+        for drive in world.drives:
+            put_down_ns = drive.hijack.put_down_ns if drive.hijack else np.inf
+            for image in drive.images:
+                where = where_taken(image)
+                if where == "hand" or image.T_map_body is None:
                     continue
-                t_s = (item.t_robot_ns - START_NS) / 1e9 + calibration.camera.time_shift_s
-                if 0 <= t_s - hijack.at_s < CARRIED_S:
-                    continue
-                T = robot.history.pose(t_s)
-                where = {"flat": flat, "drive": drive, "t_s": t_s, "after": t_s > hijack.at_s}
-                where["mapped"] = world.room_at(*T[:2, 3]) != unmapped
-                where["doorway"] = bool(
-                    not where["mapped"] and np.linalg.norm(driven - T[:2, 3], axis=1).min() < DOORWAY_M
-                )
-                mine.append(image_row(localizer.attempt(item, calibration), T, view, calibration, where))
-            rows += mine
-            if path is not None:
-                with path.open("a") as file:
-                    file.writelines(json.dumps(row) + "\n" for row in mine)
-            print(f"flat {flat}, drive {drive}: {len(mine)} images", flush=True)
+                told = {"flat": path.name, "drive": drive.name, "t_s": image.t_robot_ns / 1e9}
+                told["after"] = image.t_robot_ns > put_down_ns
+                told |= {"mapped": where == "mapped", "doorway": where == "doorway"}
+                rows.append(image_row(image, view, drive.calibration, told))
+        print(f"{path.name}: {len(rows)} images so far", flush=True)
     return rows
 
 
@@ -179,12 +149,10 @@ def fit_failing(rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flats", type=numbers, default=numbers("101-120"))
-    parser.add_argument("--drives", type=int, nargs="+", default=[1, 3])
-    parser.add_argument("--rows", type=Path, default=None)
+    parser.add_argument("--cache", type=Path, required=True, help="of make_drives")
+    parser.add_argument("--kinds", default="home,small,lookalike", help="with commas between")
     a = parser.parse_args()
-    cv2.setNumThreads(1)
-    rows = with_previous(record(a.flats, a.drives, a.rows))
+    rows = with_previous(rows_of(a.cache, a.kinds.split(",")))
     fit_right(rows)
     fit_unmapped(rows)
     fit_failing(rows)

@@ -57,7 +57,13 @@ SUITE = (
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
     Benchmark(
-        "current_place", CURRENT, "bench_current_place", "--seed 500 --flats 25 --drives 4", "--flats 1 --drives 1"
+        "current_place", CURRENT, "bench_current_place",
+        "--worlds home:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
+    ),
+    Benchmark("current_place_3", CURRENT, "bench_current_place", "--worlds home:600-604 --wrong-focal 3", None),
+    Benchmark("current_place_5", CURRENT, "bench_current_place", "--worlds home:600-604 --wrong-focal 5", None),
+    Benchmark(
+        "current_place_real", CURRENT, "bench_current_place", "--worlds real", None, data=f"{DATA}/redkitchen"
     ),
     Benchmark("false_alarms", CURRENT, "bench_false_alarms", "--seed 270", "--flats 1 --drives 1"),
     Benchmark("hijack", CURRENT, "bench_hijack", "--trials 100", "--trials 2 --plain-minutes 0.5"),

@@ -25,15 +25,22 @@ class Bin:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Where the true share lies with 95 % (Wilson, JASA 22, 1927): a few right answers prove little.
+        """Of the share, with 95 %: a few right answers prove little."""
+        return wilson_interval(self.right, self.count)
 
-        Answers count as independent of each other here; those of one drive are not, so it is wider in truth.
-        """
-        n, z2 = self.count, CERTAINTY_Z**2
-        middle = (self.share + z2 / (2 * n)) / (1 + z2 / n)
-        half = CERTAINTY_Z / (1 + z2 / n) * math.sqrt(self.share * (1 - self.share) / n + z2 / (4 * n * n))
-        # Where all or none are right the interval ends there; the sums above round to a hair beside it.
-        return min(max(0.0, middle - half), self.share), max(min(1.0, middle + half), self.share)
+
+def wilson_interval(count: int, of: int) -> tuple[float, float]:
+    """Where the true share lies with 95 % (Wilson, JASA 22, 1927); anywhere from 0 to 1 where nothing was tried.
+
+    Trials count as independent of each other here; answers of one drive are not, so it is wider in truth.
+    """
+    if of == 0:
+        return 0.0, 1.0
+    share, z2 = count / of, CERTAINTY_Z**2
+    middle = (share + z2 / (2 * of)) / (1 + z2 / of)
+    half = CERTAINTY_Z / (1 + z2 / of) * math.sqrt(share * (1 - share) / of + z2 / (4 * of * of))
+    # Where all or none are right the interval ends there; the sums above round to a hair beside it.
+    return min(max(0.0, middle - half), share), max(min(1.0, middle + half), share)
 
 
 def calibration_bins(answers: Iterable[tuple[float, bool]]) -> tuple[Bin, ...]:

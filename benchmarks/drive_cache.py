@@ -1,0 +1,57 @@
+"""Recorded drives on disk: one file per world, so that making them goes on where it ended.
+
+Pickled, for benchmarks only: a file from elsewhere must not be read. Values are stored by the names of their fields, so
+that a class may gain fields with defaults, or lose some, without the files being lost.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import pickle
+from pathlib import Path
+from typing import Any
+
+from tests.support.drives.recorded import RecordedWorld
+
+# Counted up by hand when the localiser, SLAM or the simulator give something else; files of other numbers stay unread.
+VERSION = 1
+
+
+def path_of(cache: Path, kind: str, name: str, misfit: str) -> Path:
+    parts = [kind, name, misfit, f"v{VERSION}.pickle.gz"]
+    return cache / "-".join(part for part in parts if part)
+
+
+def store(world: RecordedWorld, path: Path) -> None:
+    """Write a world's file, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".part")
+    with gzip.open(unfinished, "wb", compresslevel=1) as file:
+        _Pickler(file, protocol=5).dump(world)
+    unfinished.replace(path)
+
+
+def load(path: Path) -> RecordedWorld:
+    with gzip.open(path, "rb") as file:
+        world: RecordedWorld = pickle.load(file)
+    return world
+
+
+def stored(cache: Path) -> list[Path]:
+    """All files of this version."""
+    return sorted(cache.glob(f"*-v{VERSION}.pickle.gz"))
+
+
+class _Pickler(pickle.Pickler):
+    def reducer_override(self, value: Any) -> Any:
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
+            return rebuild, (type(value), fields)
+        return NotImplemented
+
+
+def rebuild(cls: Any, fields: dict[str, Any]) -> Any:
+    """A dataclass from those of its fields that it has today."""
+    known = {f.name for f in dataclasses.fields(cls)}
+    return cls(**{name: value for name, value in fields.items() if name in known})

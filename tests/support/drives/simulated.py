@@ -1,0 +1,186 @@
+"""Makes the recorded drives of one simulated flat: a map by SLAM without one room, then drives that are localised."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import msgspec
+
+from robot.simulation.atlas import default_cache_dir
+from robot.simulation.config import SimulationConfig
+from robot.simulation.recording import simulated_calibration
+from robot.simulation.renderer import Renderer
+from robot.simulation.world import World
+from robot.simulation.worlds import make_world
+from shared.calibration import Calibration
+from shared.errors import EstimationError
+from shared.geometry import FloatArray
+from station.experiments.alignment import align_points
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation, Trajectory
+from station.model.place_map import PlaceMap
+from station.model.slam_update import SlamUpdate
+from station.places.localisation.localizer import Localizer
+from station.places.making.build import build_map
+from station.workers.slam import NavigationSlam
+from tests.support.drives.misfit import Misfit
+from tests.support.drives.recorded import (
+    Event,
+    LookedAt,
+    MapQuality,
+    RecordedDrive,
+    RecordedWorld,
+    SlamPose,
+    in_map,
+)
+from tests.support.drives.robot import Sent, SimulatedRobot
+from tests.support.drives.routes import PLANS, Plan, beyond_door_m, mapping_route, plan_drive, room_left_out
+from tests.support.trajectory import interpolate_poses
+
+MAX_MAPPING_S = 150.0
+
+
+@dataclass(frozen=True, slots=True)
+class DriveOptions:
+    """How much is made of each world."""
+
+    mapping_rate_hz: float = 15.0  # frames a second that SLAM is given
+    image_rate_hz: float = 3.0  # ... and that are looked for in the map
+    plans: tuple[str, ...] = PLANS
+    with_slam: bool = False  # a running SLAM gives odometry on the drives, too: needs all its frames
+    max_seconds: float = MAX_MAPPING_S  # of the mapping drive
+
+
+def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> RecordedWorld:
+    """The world of this kind and seed, mapped and driven through."""
+    spent = Spent()
+    with spent.on("world"):
+        flat = SimulatedFlat(kind, seed, misfit, options)
+        left_out = room_left_out(flat.world)
+    empty = RecordedWorld(kind, str(seed), misfit.name, left_out, None, "", None, None, (), spent.cpu_s)
+    with spent.on("mapping"):
+        try:
+            mapped = flat.mapped(left_out)
+        except EstimationError as exc:
+            return replace(empty, failure=str(exc))
+    with spent.on("index"):
+        localizer = Localizer([mapped.place_map])
+    drives = []
+    for number, name in enumerate(options.plans):
+        plan = plan_drive(flat.world, left_out, name, seed + number)
+        with spent.on(name):
+            drives.append(flat.drive(plan, seed + 1 + number, localizer, mapped.quality.T_world_map, left_out))
+    return replace(empty, place_map=mapped.place_map, quality=mapped.quality, truth=mapped.truth, drives=tuple(drives))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedFlat:
+    place_map: PlaceMap
+    quality: MapQuality
+    truth: Trajectory  # of the mapping drive
+
+
+class SimulatedFlat:
+    """A world with the robot that drives in it."""
+
+    def __init__(self, kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> None:
+        config = SimulationConfig(camera_rate_hz=options.mapping_rate_hz)
+        self.told = simulated_calibration(config)
+        assert self.told.camera is not None
+        self._built = msgspec.structs.replace(self.told, camera=misfit.built(self.told.camera))
+        assert self._built.camera is not None
+        self.shift_ns = round(1e9 * self._built.camera.time_shift_s)  # true, from the camera's clock to the IMU's
+        self._config, self._options = misfit.built_body(config), options
+        self.world: World = make_world(kind, seed, config)
+        self._renderer = Renderer(self.world, self._built.camera, default_cache_dir())
+
+    def robot(self, plan: Plan, seed: int) -> SimulatedRobot:
+        return SimulatedRobot(self._renderer, self._built, self._config, plan, seed)
+
+    def mapped(self, left_out: str = "") -> MappedFlat:
+        """Drive through all rooms but one, and map them with the `ukf` backend. Raises EstimationError if it cannot."""
+        seed, name = self.world.seed, f"{self.world.name}-{self.world.seed}"
+        route = mapping_route(self.world, left_out, seed)
+        robot = self.robot(Plan("mapping", route, None, self._options.max_seconds), seed)
+        slam = RunningSlam(self.told, seed)
+        for item in robot.sent(self._options.mapping_rate_hz):
+            slam.add(item)
+        navigation = slam.complete(name)
+        return MappedFlat(build_map(navigation), compare(navigation, robot.truth), robot.truth)
+
+    def drive(
+        self, plan: Plan, seed: int, localizer: Localizer, T_world_map: FloatArray, left_out: str
+    ) -> RecordedDrive:
+        """One drive, every image of it looked for in the map."""
+        robot, options = self.robot(plan, seed), self._options
+        slam = RunningSlam(self.told, seed) if options.with_slam else None
+        every = max(1, round(options.mapping_rate_hz / options.image_rate_hz)) if slam else 1
+        events: list[Event] = []
+        for item in robot.sent(options.mapping_rate_hz if slam else options.image_rate_hz):
+            if slam is not None:
+                events += slam.poses_after(item)
+            if not isinstance(item, ImageFrame):
+                events.append(item)
+            elif item.index % every == 0:
+                T, is_carried = robot.true_at(item.t_robot_ns + self.shift_ns)
+                beyond_m = beyond_door_m(self.world, left_out, T[:3, 3])
+                attempt = localizer.attempt(item, self.told)
+                T_map_body = in_map(T_world_map, T)
+                events.append(LookedAt(item.t_robot_ns, attempt, T_map_body, beyond_m, is_carried))
+        seconds = (robot.truth.t_robot_ns[-1] - robot.truth.t_robot_ns[0]) / 1e9
+        return RecordedDrive(plan.name, self.told, tuple(events), robot.hijack, float(seconds))
+
+
+class RunningSlam:
+    """The SLAM worker's part of a live drive."""
+
+    def __init__(self, told: Calibration, seed: int, backend: str = "ukf") -> None:
+        self._updates: list[SlamUpdate] = []
+        self._slam = NavigationSlam(self._updates.append)
+        self._slam.begin(backend, told, seed, 1, True)
+        self._shift_ns = round(1e9 * told.camera.time_shift_s) if told.camera else 0
+
+    def add(self, item: Sent) -> None:
+        if isinstance(item, ImuBatch):
+            self._slam.add_imu(item.t_robot_ns.tolist(), item.gyro_imu.tolist(), item.accel_imu.tolist())
+        elif isinstance(item, DriveSample):
+            self._slam.add_drive(item)
+        else:
+            self._slam.add_frame(item)
+
+    def poses_after(self, item: Sent) -> Sequence[SlamPose]:
+        """The poses that it gives on receiving this."""
+        self.add(item)
+        updates = [u for u in self._updates if u.T_world_body is not None]
+        self._updates.clear()
+        return [SlamPose(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
+
+    def complete(self, navigation_id: str) -> Navigation:
+        """Raises EstimationError, with the reason, when nothing came out."""
+        return self._slam.complete(navigation_id)
+
+
+def compare(navigation: Navigation, truth: Trajectory) -> MapQuality:
+    """The mapping navigation aligned to the truth by a similarity."""
+    T_true, kept = interpolate_poses(truth, navigation.trajectory.t_robot_ns)
+    mapped = navigation.trajectory.T_world_body[kept]
+    aligned = align_points(T_true[:, :3, 3], mapped[:, :3, 3], "sim3")
+    return MapQuality(aligned.T_target_source, aligned.scale, aligned.rms, navigation.report.tracking_lost_s)
+
+
+@dataclass
+class Spent:
+    """CPU seconds of this process by what they went into."""
+
+    cpu_s: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def on(self, what: str) -> Iterator[None]:
+        begin = time.process_time()
+        try:
+            yield
+        finally:
+            self.cpu_s[what] = round(time.process_time() - begin, 1)
