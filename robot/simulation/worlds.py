@@ -8,8 +8,9 @@ import numpy as np
 
 from robot.simulation.building import Builder, Pose2, TexturePicker
 from robot.simulation.config import SimulationConfig
-from robot.simulation.flat import FlatOptions, furnish_room, make_flat, wall_obstacles
+from robot.simulation.flat import FlatOptions, furnish_room, make_flat
 from robot.simulation.textures import TextureSpec
+from robot.simulation.walls import wall_obstacles
 from robot.simulation.world import Room, World
 from shared.errors import ConfigError
 
