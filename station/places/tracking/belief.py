@@ -108,13 +108,12 @@ class Hypothesis:
         """The hypothesis whose pose is T_map_body while odometry says T_nav_body."""
         return replace(self, T_map_nav=_nav_in_map(T_map_body, T_nav_body, self.unit))
 
-    def grown(self, distance_m: float, turn_rad: float, seconds: float, c: BeliefConfig) -> Hypothesis:
+    def grown(self, distance_m: float, turn_rad: float, c: BeliefConfig) -> Hypothesis:
         """After odometry moved it: noise adds up in squares, wrong calibration and heading linearly."""
-        walk_m = c.walk_m_per_root_m**2 * distance_m + c.walk_m_per_root_rad**2 * turn_rad
-        walk_rad = c.walk_rad_per_root_m**2 * distance_m + c.walk_rad_per_root_rad**2 * turn_rad
-        sigma_m = float(np.sqrt(self.sigma_m**2 + walk_m)) + (c.drift_per_m + 0.5 * self.sigma_rad) * distance_m
-        sigma_m += c.drift_per_s * seconds
-        sigma_rad = float(np.sqrt(self.sigma_rad**2 + walk_rad)) + c.drift_rad_per_rad * turn_rad
+        walk_m = c.walk_m_per_root_m**2 * distance_m
+        walk_rad = c.walk_rad_per_root_rad**2 * turn_rad
+        sigma_m = float(np.sqrt(self.sigma_m**2 + walk_m)) + (c.drift + 0.5 * self.sigma_rad) * distance_m
+        sigma_rad = float(np.sqrt(self.sigma_rad**2 + walk_rad)) + c.drift * turn_rad
         return replace(self, sigma_m=sigma_m, sigma_rad=min(sigma_rad, np.pi))
 
     def blurred(self, seconds: float, c: BeliefConfig) -> Hypothesis:

@@ -2,7 +2,7 @@
 
 The robot is in a map at a tracked pose (several hypotheses), somewhere in a map ("lost"), or where no map knows
 ("unmapped"). Every event predicts the belief up to its time; an image then weighs and prunes it (`filter.py`, with the
-likelihoods of `image_model.py`); a report says which place that is (`report.py`). docs/localisation.md has the rules.
+likelihoods of `image_evidence.py`); a report says which place that is (`report.py`). docs/localisation.md explains it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse, so3_log
 from station.model.place_answer import Localization, PlaceAnswer
 from station.model.place_map import PlaceMap
+from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.belief import Hypothesis
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.filter import (
@@ -30,7 +31,7 @@ from station.places.tracking.filter import (
     prune,
     weigh,
 )
-from station.places.tracking.image_model import ImageLikelihood, ImageModel
+from station.places.tracking.image_evidence import ImageEvidence, ImageLikelihood
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import Past, PlaceProbabilities, Reporter
 
@@ -70,7 +71,7 @@ class CurrentPlaceEstimator:
         self._maps = tuple(MapView.of(m) for m in maps)
         self._map_ids = {m.id for m in maps}
         camera = calibration.camera if calibration else None
-        self._image_model = ImageModel(self._maps, camera, self.config)
+        self._evidence = ImageEvidence(self._maps, camera, self.config)
         self._reporter = Reporter(self._maps, self.config, seed)
         self._belief = prior(self.config)
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
@@ -103,7 +104,7 @@ class CurrentPlaceEstimator:
         distance, turn = _motion(previous.T_nav_body, T_nav_body)
         if seconds > ODOMETRY_GAP_S:
             self._belief = predict_blind(self._belief, seconds, self.config)
-        self._belief = predict_motion(self._belief, distance, turn, seconds, self.config)
+        self._belief = predict_motion(self._belief, distance, turn, self.config)
         self._pass_time(t_robot_ns)
 
     def on_candidates(self, candidates: Sequence[Localization], t_robot_ns: int | None = None) -> Jump | None:
@@ -118,8 +119,7 @@ class CurrentPlaceEstimator:
         t = ours[0].t_robot_ns if t_robot_ns is None else t_robot_ns
         self._predict(t)
         T_nav_body = self._nav_body_at(t)
-        freshness = self._freshness(t, T_nav_body, at_least=self.config.same_view)
-        image = self._image_model.of_candidates(ours, self._belief, T_nav_body, freshness)
+        image = self._evidence.of_candidates(ours, self._belief, T_nav_body)
         self._update(image, t, T_nav_body)
         self._failed_before = 0.0
         return self._believe(T_nav_body)
@@ -132,8 +132,8 @@ class CurrentPlaceEstimator:
             return
         features = least if num_features is None else num_features
         T_nav_body = self._nav_body_at(t_robot_ns)
-        freshness = self._freshness(t_robot_ns, T_nav_body, at_least=0.0)  # not found again in the same view: no news
-        image = self._image_model.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness)
+        freshness = self._freshness(T_nav_body)
+        image = self._evidence.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness)
         self._update(image, t_robot_ns, T_nav_body)
         self._failed_before = 1.0
 
@@ -199,7 +199,7 @@ class CurrentPlaceEstimator:
         """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere."""
         c = self.config
         best = max(self._belief.hypotheses, key=lambda h: h.weight, default=None)
-        if best is None or best.weight < c.believed_from:
+        if best is None or best.weight < c.known_from:
             return None
         before, self._believed = self._believed, best
         self._hijack_reason = ""  # found again
@@ -211,16 +211,12 @@ class CurrentPlaceEstimator:
         distance_m = distance / best.unit
         return Jump(distance_m, is_other_map=False) if distance_m > c.jump_m or turn > c.jump_rad else None
 
-    def _freshness(self, t_robot_ns: int, T_nav_body: FloatArray, at_least: float) -> float:
-        """0..1: how far the view is another one than the last image's; `at_least` while it is the same."""
-        c = self.config
-        if self._last_view is None:
+    def _freshness(self, T_nav_body: FloatArray) -> float:
+        """0..1: how far the view is another one than the last image's; without odometry nobody knows that it is not."""
+        if self._last_view is None or not self._odometry:
             return 1.0
         distance, turn = _motion(self._last_view.T_nav_body, T_nav_body)
-        moved = distance / c.new_view_m + turn / c.new_view_rad
-        if not self._odometry:
-            moved = c.same_view_per_s * max(0.0, (t_robot_ns - self._last_view.t_robot_ns) / 1e9)
-        return float(np.clip(moved, at_least, 1.0))
+        return float(min((distance / USUAL_VIEWING_M + turn) / self.config.new_view_rad, 1.0))
 
     def _nav_body_at(self, t_robot_ns: int) -> FloatArray:
         """The odometry pose nearest in time; identity without odometry."""

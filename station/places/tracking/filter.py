@@ -1,7 +1,7 @@
 """The filter of the current place: predict, weigh, prune. Pure functions from one belief to the next.
 
 Odometry and time move hypotheses and let weight flow between them, "lost" and "unmapped"; an image multiplies all
-weights (`image_model.py`), corrects the hypotheses that it fits and starts new ones; what has no weight left goes.
+weights (`image_evidence.py`), corrects the hypotheses that it fits and starts new ones; what has no weight left goes.
 `current.py` calls these in the order of events.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from shared.geometry import FloatArray
 from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
-from station.places.tracking.image_model import ImageLikelihood
+from station.places.tracking.image_evidence import ImageLikelihood
 
 
 def prior(c: BeliefConfig) -> Belief:
@@ -26,12 +26,12 @@ def prior(c: BeliefConfig) -> Belief:
 # -- predict ------------------------------------------------------------------------------------------------------
 
 
-def predict_motion(before: Belief, distance_m: float, turn_rad: float, seconds: float, c: BeliefConfig) -> Belief:
+def predict_motion(before: Belief, distance_m: float, turn_rad: float, c: BeliefConfig) -> Belief:
     """The belief after odometry moved the robot: poses become less certain.
 
     A robot whose pose nobody knows may have driven out of the map, or into it.
     """
-    grown = tuple(h.grown(distance_m, turn_rad, seconds, c) for h in before.hypotheses)
+    grown = tuple(h.grown(distance_m, turn_rad, c) for h in before.hypotheses)
     left = 1 - float(np.exp(-c.other_room_per_m * distance_m))
     in_either = before.lost + before.unmapped
     lost = before.lost + left * (c.prior_lost * in_either - before.lost)

@@ -10,10 +10,7 @@ from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
 from station.model.place_map import PlaceMap
 
-# A keyframe recognises views from about this near and this parallel (33 degrees of view, SIFT's limits).
-VIEW_DISTANCE = 1.2
-VIEW_ANGLE_RAD = np.radians(30.0)
-# The same of a single landmark: seen from another side, or far smaller or larger, it does not look like itself.
+# A landmark seen from another side, or far smaller or larger, it does not look like itself.
 LANDMARK_ANGLE_RAD = np.radians(35.0)
 LANDMARK_ZOOM = 2.0
 LANDMARK_REACH = 2.5  # m around a position in which keyframes are asked what they saw
@@ -39,23 +36,17 @@ class Sightings:
         self._seen = _Seen(place_map)
 
     @property
-    def knows_views(self) -> bool:
+    def is_enough(self) -> bool:
         """Whether the map says what its keyframes saw, so that what should be in view can be counted."""
         return self._seen.is_enough
 
     def in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> float:
-        """How many landmarks a camera should recognise at this pose (4, 4), in those that a usual keyframe saw.
-
-        Where the map's keyframes saw next to nothing: whether one of them stands near and looks the same way, 0 or 1.
-        """
+        """How many landmarks a camera should recognise at this pose (4, 4), in those that a usual keyframe saw."""
         if self._tree is None:
             return 0.0
         near = np.array(self._tree.query_ball_point(T_map_cam[:3, 3], LANDMARK_REACH * self._unit), dtype=np.int64)
         if not len(near):
             return 0.0
-        if not self._seen.is_enough:
-            is_near = np.linalg.norm(self._position[near] - T_map_cam[:3, 3], axis=1) < VIEW_DISTANCE * self._unit
-            return float(np.any(self._forward[near[is_near]] @ T_map_cam[:3, 2] > np.cos(VIEW_ANGLE_RAD)))
         if len(near) > MOST_ASKED:  # not every n-th one: drives repeat themselves
             near = near[np.argsort(self._shuffled[near])[:MOST_ASKED]]
         p_cam = self._known_from(T_map_cam[:3, 3], near) @ T_map_cam[:3, :3]

@@ -1,8 +1,8 @@
-"""How probable an image is, wherever the robot may be: the one place that knows what images say.
+"""How probable an image is, wherever the robot may be: the one model of images' evidence.
 
 An image gives verified poses, of which at most one is true, or it is not recognised. Either becomes an
-`ImageLikelihood`, and that is all the filter (`filter.py`) ever sees of an image; another model of images is another
-content of this file. docs/localisation.md explains the rules, docs/studies/places_notes.md where the rates come from.
+`ImageLikelihood`, and that is all the filter (`filter.py`) ever sees of an image: its likelihood at each hypothesis,
+somewhere in a map, and where no map knows. Its fitted numbers lie in `fitted.json`; docs/localisation.md explains it.
 
 Images are not independent: a piece of furniture that looks like another one deceives every image of it. So an image
 counts for what it recognises that was not recognised before, and small things together have one budget.
@@ -18,22 +18,13 @@ import numpy as np
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, so3_log
 from station.model.place_answer import Localization
+from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.belief import NOTHING, Belief, Hypothesis, PoseMeasurement, Recognised
-from station.places.tracking.config import (
-    USUAL_EXTENT_M,
-    USUAL_FEATURES,
-    USUAL_INLIERS,
-    USUAL_SUPPORT,
-    BeliefConfig,
-    FailureOdds,
-    RecognisedOdds,
-)
+from station.places.tracking.config import BeliefConfig
+from station.places.tracking.fitted import FailureOdds, RecognisedOdds
 from station.places.tracking.map_view import MapView
 
-LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
-# Added, in what a usual keyframe saw, so that a view of nothing has a logarithm.
-NONE_IN_VIEW = 0.05
-NONE_RECOGNISED, FEW_EXPECTED = 0.015, 0.1
+LITTLE = 0.05  # added to what has a logarithm, so that nothing has one too: of what a usual keyframe saw, and metres
 SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
 FREEDOM = 3.0  # of Student's t: errors of right poses have longer tails than a normal density
 
@@ -76,7 +67,7 @@ class ImageLikelihood:
     counted_log_odds: float = 0.0  # how much the image counts for what it recognises
 
 
-class ImageModel:
+class ImageEvidence:
     """Likelihoods of one robot's images in the active maps."""
 
     def __init__(self, maps: Sequence[MapView], camera: CameraCalibration | None, config: BeliefConfig) -> None:
@@ -84,24 +75,24 @@ class ImageModel:
         self._index = {view.place_map.id: i for i, view in enumerate(maps)}
         self._camera = camera
         self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
+        self._half_view = float(np.arctan(0.5 * camera.width / camera.fx)) if camera else 0.0
         self.config = config
 
     # -- an image that was recognised -----------------------------------------------------------------------------
 
     def of_candidates(
-        self, localizations: Sequence[Localization], before: Belief, T_nav_body: FloatArray, freshness: float
+        self, localizations: Sequence[Localization], before: Belief, T_nav_body: FloatArray
     ) -> ImageLikelihood:
         """The likelihood of an image that was taken at one of several poses, or at none of them ("false").
 
         At a hypothesis it is a mixture: the candidates' densities (Student's t) there; a uniform one; and,
         as what looks alike deceives again and again, the candidates' densities at the pose of another hypothesis, as
         far as that one is a look-alike's. Where no map knows, a first candidate is as likely as strays are there.
-        `freshness`: 0..1, how far the view is another one than the last image's.
         """
         c = self.config
         candidates = [self._measured(z) for z in localizations]
         figures = [self._figures(m) for m in candidates]
-        odds = np.exp([log_odds(c.right, f) for f in figures])
+        odds = np.exp([log_odds(c.fitted.right, f) for f in figures])
         false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
         share = odds / odds.sum()
         fits = [[self._fit(h, m, T_nav_body) for m in candidates] for h in before.hypotheses]
@@ -111,7 +102,7 @@ class ImageModel:
         again = c.deceived_again
         worth = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
         expected_by = [_expected_by(fits, j) for j in range(len(candidates))]
-        freshness = min(freshness, self._novelty(candidates, figures, before, expected_by, share, worth))
+        freshness = self._novelty(candidates, figures, before, expected_by, share, worth)
         factors, corrects = [], []
         for i in range(len(before.hypotheses)):
             elsewhere = float(np.delete(repeats, i).max(initial=0.0))
@@ -142,15 +133,16 @@ class ImageModel:
 
     def _figures(self, m: PoseMeasurement) -> MatchFigures:
         z, sightings = m.localization, self._maps[m.map_index].sightings
-        share = USUAL_SUPPORT
-        if self._camera is not None and sightings.knows_views:
-            share = support(sightings.in_usual_views(len(z.landmarks)), sightings.in_view(z.T_map_cam, self._camera))
-        return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
+        recognised = sightings.in_usual_views(len(z.landmarks))
+        expected = recognised  # where nobody knows what is in view, all that is was recognised
+        if self._camera is not None and sightings.is_enough:
+            expected = sightings.in_view(z.T_map_cam, self._camera)
+        return MatchFigures(z.extent / m.unit, z.num_inliers, support(recognised, expected), z.num_features)
 
     def _rarer(self, figures: MatchFigures) -> float:
         """How much rarer an image whose best candidate has these is where no map knows than somewhere in a map."""
         c = self.config
-        return float(np.clip(np.exp(log_odds(c.unmapped, figures)), c.false_localization_floor, 1.0))
+        return float(np.clip(np.exp(log_odds(c.fitted.unmapped, figures)), c.false_localization_floor, 1.0))
 
     def _fit(self, h: Hypothesis, m: PoseMeasurement, T_nav_body: FloatArray) -> Agreement:
         """How well a candidate fits a hypothesis; in another map not at all.
@@ -195,7 +187,7 @@ class ImageModel:
             had = NOTHING if h is None else self._recognised_before((h,), m)
             together = had.and_then(z.landmarks, z.t_robot_ns)
             extent_m = together.extent(self._maps[m.map_index].place_map.navigation.landmarks.p_world) / m.unit
-            worth = max(0.0, log_odds(c.right, replace(figures[j], extent_m=extent_m)))
+            worth = max(0.0, log_odds(c.fitted.right, replace(figures[j], extent_m=extent_m)))
             worth -= float(np.log(c.deceived_again))  # as for the image alone: half of the look-alikes fit nothing
             if h is not None and had.seen and image_worth > 0 and worth < surely:
                 new = min(new, max(0.0, worth - h.counted_log_odds) / image_worth)
@@ -218,26 +210,31 @@ class ImageModel:
     ) -> ImageLikelihood:
         """The likelihood of an image that was not recognised; `failed_before`: nor was the last one, 0 to 1."""
         c = self.config
-        somewhere = failure_probability(c.fails_in_map, num_features, failed_before)
+        somewhere = failure_probability(c.fitted.fails_in_map, num_features, failed_before)
         factors = []
         for h in before.hypotheses:
             count = self._in_view(h, T_nav_body)
             at = (
-                somewhere if count is None else failure_probability(c.fails_at_pose, num_features, failed_before, count)
+                somewhere
+                if count is None
+                else failure_probability(c.fitted.fails_at_pose, num_features, failed_before, count)
             )
             factors.append(at**freshness)
-        nowhere = failure_probability(c.fails_unmapped, num_features, failed_before)
+        nowhere = failure_probability(c.fitted.fails_unmapped, num_features, failed_before)
         return ImageLikelihood(
             factors, somewhere**freshness, nowhere**freshness, corrects=(None,) * len(before.hypotheses)
         )
 
     def _in_view(self, h: Hypothesis, T_nav_body: FloatArray) -> float | None:
-        """How many landmarks should be in view, were a hypothesis true (`Sightings.in_view`); None: nobody knows."""
-        c = self.config
-        if self._camera is None or h.sigma_m > c.uncertain_m or h.sigma_rad > c.uncertain_rad:
+        """How many landmarks should be in view, were a hypothesis true (`Sightings.in_view`); None: nobody knows.
+
+        Nobody does where the pose is uncertain by half of what a camera sees.
+        """
+        sightings = self._maps[h.map_index].sightings
+        is_uncertain = h.sigma_rad + h.sigma_m / USUAL_VIEWING_M > self._half_view
+        if self._camera is None or is_uncertain or not sightings.is_enough:
             return None
-        T_map_cam = h.pose(T_nav_body) @ self._camera.T_body_cam_matrix
-        return self._maps[h.map_index].sightings.in_view(T_map_cam, self._camera)
+        return sightings.in_view(h.pose(T_nav_body) @ self._camera.T_body_cam_matrix, self._camera)
 
 
 def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:
@@ -254,19 +251,17 @@ def support(recognised: float, expected: float) -> float:
 
     Both in the number of landmarks that a usual keyframe of the map saw (`Sightings.in_view`).
     """
-    return (recognised + NONE_RECOGNISED) / (expected + FEW_EXPECTED)
+    return (recognised + LITTLE) / (expected + LITTLE)
 
 
 def log_odds(odds: RecognisedOdds, figures: MatchFigures) -> float:
     """Log odds of a verified pose with these figures."""
-    log = odds.usual + odds.extent * np.log(max(figures.extent_m, LEAST_EXTENT_M) / USUAL_EXTENT_M)
-    log += odds.inliers * np.log(max(figures.inliers, 1) / USUAL_INLIERS)
-    log += odds.support * np.log(figures.support / USUAL_SUPPORT)
-    return float(log + odds.features * np.log(max(figures.features, 1) / USUAL_FEATURES))
+    log = odds.constant + odds.extent * np.log(figures.extent_m + LITTLE) + odds.support * np.log(figures.support)
+    return float(log + odds.inliers * np.log1p(figures.inliers) + odds.features * np.log1p(figures.features))
 
 
 def failure_probability(odds: FailureOdds, num_features: int, failed_before: float, in_view: float = 1.0) -> float:
     """That an image is not recognised; `in_view`: as `Sightings.in_view` counts."""
-    log = odds.usual + odds.features * np.log(max(num_features, 1) / USUAL_FEATURES)
-    log += odds.again * failed_before + odds.in_view * np.log(in_view + NONE_IN_VIEW)
+    log = odds.constant + odds.features * np.log1p(num_features)
+    log += odds.again * failed_before + odds.in_view * np.log(in_view + LITTLE)
     return float(1.0 / (1.0 + np.exp(-log)))
