@@ -122,15 +122,18 @@ def lit(surface: Surface, lamps: list[Lamp], ambient: float) -> Surface:
     """The surface as the lamps of its room light it. What stands in between casts no shadow."""
     if surface.texture.kind in LIGHTS_THEMSELVES:
         return surface
-    glows = []
-    for lamp in lamps:
-        to_lamp = np.array(lamp.p_world) - surface.origin
-        distance = float(to_lamp @ surface.normal)
-        if lamp.room != surface.room or distance < 0.02:
-            continue
-        u, v = float(to_lamp @ np.array(surface.eu)) + surface.u0_m, float(to_lamp @ np.array(surface.ev))
-        glows.append(Glow(round(u, 3), round(v + surface.v0_m, 3), round(distance, 3), lamp.intensity))
+    glows = [glow for lamp in lamps if lamp.room == surface.room and (glow := _glow(surface, lamp)) is not None]
     return replace(surface, texture=replace(surface.texture, ambient=ambient, glows=tuple(glows)))
+
+
+def _glow(surface: Surface, lamp: Lamp) -> Glow | None:
+    """The lamp's light in the texture's coordinates; None behind the surface."""
+    to_lamp = np.array(lamp.p_world) - surface.origin
+    distance = float(to_lamp @ surface.normal)
+    if distance < 0.02:
+        return None
+    u, v = float(to_lamp @ np.array(surface.eu)) + surface.u0_m, float(to_lamp @ np.array(surface.ev)) + surface.v0_m
+    return Glow(round(u, 3), round(v, 3), round(distance, 3), lamp.intensity)
 
 
 def _build_frame(builder: Builder, door: Door, style: _Style) -> None:

@@ -119,9 +119,8 @@ def test_other_light_changes_no_geometry() -> None:
 
 
 def test_a_lamp_makes_a_pool_of_light_that_falls_off_as_lambert_says() -> None:
-    wall = Surface(
-        (0.0, 0.0, 2.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0), 3.0, 2.0, TextureSpec("white", 0, 3.0, 2.0, 200.0)
-    )
+    paint_only = TextureSpec("white_ceiling", 0, 3.0, 2.0, 200.0)
+    wall = Surface((0.0, 0.0, 2.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0), 3.0, 2.0, paint_only)
     normal = wall.normal
     lamp = Lamp(0, (1.0, float(0.6 * normal[1]), 1.2), 0.5)
     behind = Lamp(0, (1.0, float(-0.6 * normal[1]), 1.2), 0.5)
