@@ -27,7 +27,14 @@ from station.places.tracking.image_evidence import support
 from station.places.tracking.map_view import MapView
 from tests.support.drives.judging import where_taken
 from tests.support.drives.recorded import LookedAt
-from tests.support.likelihood_fit import Fit, fitted_failing, fitted_right, fitted_unmapped, with_previous
+from tests.support.likelihood_fit import (
+    Fit,
+    fitted_failing,
+    fitted_right,
+    fitted_unmapped,
+    usual_support,
+    with_previous,
+)
 
 
 def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: dict[str, Any]) -> dict[str, Any]:
@@ -102,6 +109,7 @@ def fit(rows: list[dict[str, Any]], worlds: list[str], made_by: str) -> FittedOd
             for name, one in fits.items()
             for kind, loss in one.losses.items()
         },
+        usual_support=round(usual_support(rows), 3),
         right=RecognisedOdds(*numbers["right"]),
         unmapped=RecognisedOdds(*numbers["unmapped"]),
         fails_at_pose=FailureOdds(*numbers["fails_at_pose"]),

@@ -24,7 +24,8 @@ from station.places.tracking.config import BeliefConfig
 from station.places.tracking.fitted import FailureOdds, RecognisedOdds
 from station.places.tracking.map_view import MapView
 
-LITTLE = 0.05  # added to what has a logarithm, so that nothing has one too: of what a usual keyframe saw, and metres
+LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
+LITTLE = 0.05  # of what a usual keyframe saw: added, so that a view of nothing has a logarithm
 SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
 FREEDOM = 3.0  # of Student's t: errors of right poses have longer tails than a normal density
 
@@ -133,11 +134,10 @@ class ImageEvidence:
 
     def _figures(self, m: PoseMeasurement) -> MatchFigures:
         z, sightings = m.localization, self._maps[m.map_index].sightings
-        recognised = sightings.in_usual_views(len(z.landmarks))
-        expected = recognised  # where nobody knows what is in view, all that is was recognised
+        share = self.config.fitted.usual_support
         if self._camera is not None and sightings.is_enough:
-            expected = sightings.in_view(z.T_map_cam, self._camera)
-        return MatchFigures(z.extent / m.unit, z.num_inliers, support(recognised, expected), z.num_features)
+            share = support(sightings.in_usual_views(len(z.landmarks)), sightings.in_view(z.T_map_cam, self._camera))
+        return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
 
     def _rarer(self, figures: MatchFigures) -> float:
         """How much rarer an image whose best candidate has these is where no map knows than somewhere in a map."""
@@ -256,7 +256,11 @@ def support(recognised: float, expected: float) -> float:
 
 def log_odds(odds: RecognisedOdds, figures: MatchFigures) -> float:
     """Log odds of a verified pose with these figures."""
-    log = odds.constant + odds.extent * np.log(figures.extent_m + LITTLE) + odds.support * np.log(figures.support)
+    log = (
+        odds.constant
+        + odds.extent * np.log(max(figures.extent_m, LEAST_EXTENT_M))
+        + odds.support * np.log(figures.support)
+    )
     return float(log + odds.inliers * np.log1p(figures.inliers) + odds.features * np.log1p(figures.features))
 
 
