@@ -42,6 +42,7 @@ from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse
+from station.experiments.calibration_curve import calibration_bins, draw_calibration
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.model.place_map import PlaceMap
@@ -49,7 +50,6 @@ from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.places.tracking.tracker import PlaceTracker
 from station.vision.features import FeatureExtractor, to_floats
-from tests.support.calibration_curve import calibration_bins, draw_calibration
 
 START_NS = 1_000_000_000
 KEYFRAME_M, KEYFRAME_RAD = 0.2, 0.2

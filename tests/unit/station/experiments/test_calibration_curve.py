@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.calibration_curve import Bin, calibration_bins, calibration_error
+from station.experiments.calibration_curve import Bin, calibration_bins, calibration_error
 from tests.support.paths import ROOT
 
 
