@@ -26,6 +26,10 @@ COMMANDS = {
         "doctor",
         "Say what is missing on this machine, and how to get it. Exit code 1 when the station cannot work without it.",
     ),
+    "evaluate": (
+        "evaluate",
+        "Compare a navigation with true poses: ATE, RPE over 1 s, orientation, scale, coverage, and figures over time.",
+    ),
     "experiment": (
         "experiment",
         "Map one navigation, find its places again in another, and judge the matches where true poses were recorded.",
