@@ -38,6 +38,7 @@ COMMANDS = {
         "export",
         "Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, or all for Foxglove (mcap).",
     ),
+    "locate": ("locate", "Ask over recorded data, as the live station does, which place of a map the robot is at."),
     "match": ("match", "Register a navigation to a map, match its locations with the places, and write a report."),
     "register": (
         "register",

@@ -14,7 +14,8 @@ from station.experiments.evaluation import DRIFT_OVER_S, Evaluation
 from station.experiments.figures import COLOURS, FIRST, SECOND, STYLE, save_figure
 
 ERRORS, PATH = "errors.png", "path.png"
-MAX_GAP_NS = 2_000_000_000  # a line is broken where nothing was compared for longer
+MIN_BREAK_NS = 2_000_000_000  # a line is broken where nothing was compared for longer, and for three usual intervals
+FEW = 200  # so few poses are marked one by one: of a single one between two gaps a line shows nothing
 
 
 def draw_evaluation(evaluation: Evaluation, title: str, folder: Path) -> None:
@@ -47,9 +48,7 @@ def _draw_error(ax: Axes, t_ns: IntArray, parts: FloatArray, colour: str, names:
     t_s, broken = _broken(t_ns, parts)
     for k, name in enumerate(names):
         ax.plot(t_s, broken[:, k], c=COLOURS[k + 1], lw=0.8, alpha=0.75, label=name)
-    # Of a single pose between two gaps a line would show nothing.
-    style = ".-" if len(t_ns) < 200 else "-"
-    ax.plot(t_s, np.linalg.norm(broken, axis=1), style, c=colour, lw=1.8, ms=4, label="size")
+    ax.plot(t_s, np.linalg.norm(broken, axis=1), line_style(len(t_ns)), c=colour, lw=1.8, ms=4, label="size")
     ax.axhline(0.0, c="#9AA3AF", lw=0.7, zorder=1)
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
 
@@ -57,8 +56,14 @@ def _draw_error(ax: Axes, t_ns: IntArray, parts: FloatArray, colour: str, names:
 def _broken(t_ns: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Times in s from the first one, and values, with NaN put into gaps: no line is drawn across them."""
     t_s = 1e-9 * (t_ns - t_ns[0])
-    gaps = np.flatnonzero(np.diff(t_ns) > MAX_GAP_NS) + 1
+    intervals_ns = np.diff(t_ns)
+    gaps = np.flatnonzero(intervals_ns > max(MIN_BREAK_NS, 3 * float(np.median(intervals_ns)))) + 1
     return np.insert(t_s, gaps, np.nan), np.insert(values, gaps, np.nan, axis=0)
+
+
+def line_style(count: int) -> str:
+    """Of matplotlib, for a line through so many poses."""
+    return ".-" if count < FEW else "-"
 
 
 def draw_path(evaluation: Evaluation, title: str, path: Path) -> None:
@@ -70,7 +75,16 @@ def draw_path(evaluation: Evaluation, title: str, path: Path) -> None:
     p_truth, p_estimate = truth.T_world_body[during, :3, 3], estimate.T_world_body[:, :3, 3]
     for ax, (i, j) in zip(axes, ((0, 1), (0, 2)), strict=True):
         ax.plot(p_truth[:, i], p_truth[:, j], c="#6B7280", lw=1.4, label="truth")
-        ax.plot(p_estimate[:, i], p_estimate[:, j], c=SECOND, lw=1.2, label=f"estimate, aligned ({evaluation.kind})")
+        style = line_style(len(p_estimate))
+        ax.plot(
+            p_estimate[:, i],
+            p_estimate[:, j],
+            style,
+            c=SECOND,
+            lw=1.2,
+            ms=4,
+            label=f"estimate, aligned ({evaluation.kind})",
+        )
         ax.scatter(*p_truth[0, [i, j]], s=40, c="white", edgecolors="#111827", zorder=5, label="begin")
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=f"{'xyz'[i]} (m)", ylabel=f"{'xyz'[j]} (m)")
