@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, scale_of, transform
+from shared.geometry import FloatArray, transform
 from station.datasets import Dataset
 from station.experiments.alignment import align_most_points, align_poses
 from station.experiments.calibration_curve import Bin, calibration_bins, calibration_error
@@ -90,7 +90,7 @@ def judge_answers(
     """
     p_map = np.array([transform(T, p[None])[0] for T, p in zip(frame.T_map_truth, p_true, strict=True)]).reshape(-1, 3)
     has_truth = np.isfinite(p_map).all(axis=1)
-    units_per_m = np.array([scale_of(T) for T in frame.T_map_truth])
+    units_per_m = np.linalg.norm(frame.T_map_truth[:, :3, 0], axis=1)  # the scale, also NaN where unknown
     said = np.array([np.full(3, np.nan) if a.position_map is None else a.position_map for a in answers]).reshape(-1, 3)
     is_right = [
         bool(true) and a.state == "known" and a.place is not None and a.place.id in nearest_places(places, p)
