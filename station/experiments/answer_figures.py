@@ -22,11 +22,11 @@ KINDS = {"right": RIGHT, "wrong": WRONG, "known, not judged": FIRST, "unknown": 
 
 def draw_answers(judged: JudgedAnswers, hijacks: Sequence[HijackEvent], title: str, folder: Path) -> None:
     """Write both figures; no calibration curve where nothing could be judged."""
-    if judged.answers:
-        with plt.rc_context(STYLE):
+    with plt.rc_context(STYLE):
+        if judged.answers:
             draw_over_time(judged, hijacks, title, folder / OVER_TIME)
-    if bins := judged.bins():
-        draw_calibration([(title, bins)], folder / CALIBRATION)
+        if bins := judged.bins():
+            draw_calibration([(title, bins)], folder / CALIBRATION)
 
 
 def draw_over_time(judged: JudgedAnswers, hijacks: Sequence[HijackEvent], title: str, path: Path) -> None:

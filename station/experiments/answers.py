@@ -21,6 +21,7 @@ from station.model.place_map import Place
 
 TIE = 1.1  # so many times the distance of the nearest place: as near, so right too
 LEVER_M = 1.0  # a true position is good to one or two centimetres, an orientation to as much at this distance
+MAX_MISFIT = 0.5  # of the path's own spread: poses of another drive leave about all of it, of a bent map a tenth
 MIN_POSITIONS = 15  # of answers that the map's frame is fitted to: a similarity takes seven numbers from them
 FOLDS = 5
 
@@ -124,10 +125,14 @@ def frame_of_map(navigation: Navigation, mapping: Dataset, num_answers: int) -> 
 
     Raises:
         DataError: the dataset has no true poses.
-        DegenerateGeometry: map and dataset have too few times in common, or the body did not move.
+        DegenerateGeometry: map and dataset have too few times in common, the body did not move, or the poses are of
+            another drive: folders of images all begin at time zero.
     """
     T_truth, kept = interpolate_poses(truth_of_body(navigation, mapping), navigation.trajectory.t_robot_ns)
-    found = align_poses(navigation.trajectory.T_world_body[kept], T_truth, LEVER_M)
+    T_map = navigation.trajectory.T_world_body[kept]
+    found = align_poses(T_map, T_truth, LEVER_M)
+    if found.rms > MAX_MISFIT * float(np.linalg.norm(T_map[:, :3, 3].std(axis=0))):
+        raise DegenerateGeometry("its true poses are of another drive")
     return MapFrame("map", np.tile(found.T_target_source, (num_answers, 1, 1)))
 
 

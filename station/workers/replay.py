@@ -46,8 +46,8 @@ class ReplayOptions:
     def __post_init__(self) -> None:
         if self.threads < 1:
             raise ConfigError(f"threads = {self.threads} must be at least 1")
-        if not self.rate_hz > 0:
-            raise ConfigError(f"rate = {self.rate_hz:g} must be above 0 pictures a second")
+        if not 1e-3 <= self.rate_hz <= 1e3:
+            raise ConfigError(f"rate = {self.rate_hz:g} must be between 0.001 and 1000 pictures a second")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -173,7 +173,14 @@ def test_mistakes_get_one_sentence_and_leave_nothing(made_up: Path, tmp_path: Pa
     ):
         with pytest.raises(DataError, match=said):
             locate(*words)
-    for option, value in (("--rate", "0"), ("--rate", "-1"), ("--rate", "nan"), ("--backend", "nothing")):
+    for option, value in (
+        ("--rate", "0"),
+        ("--rate", "-1"),
+        ("--rate", "nan"),
+        ("--rate", "1e-300"),
+        ("--rate", "inf"),
+        ("--backend", "nothing"),
+    ):
         with pytest.raises(ConfigError):
             locate(made_up / "map", images, "--out", out, option, value)
     assert {path.name for path in tmp_path.iterdir()} == {"full", "hidden"}

@@ -148,6 +148,11 @@ def test_the_mapping_drives_truth_says_where_the_map_lies() -> None:
     frame = frame_of_map(navigation, dataset(truth), 3)
     assert frame.source == "map"
     np.testing.assert_allclose(frame.T_map_truth, np.tile(T, (3, 1, 1)), atol=1e-9)
+    for seed in range(5):
+        walk = poses.copy()
+        walk[:, :3, 3] = np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (30, 3)), axis=0)
+        with pytest.raises(DegenerateGeometry, match="of another drive|positions contradict orientations"):
+            frame_of_map(navigation, dataset(Truth(truth.t_robot_ns, walk)), 3)
     with pytest.raises(DegenerateGeometry, match="0 poses"):
         frame_of_map(navigation, dataset(Truth(truth.t_robot_ns + 10**15, poses)), 3)
     with pytest.raises(DataError, match="no true poses"):
