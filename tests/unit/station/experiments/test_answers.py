@@ -151,7 +151,7 @@ def test_the_mapping_drives_truth_says_where_the_map_lies() -> None:
     for seed in range(5):
         walk = poses.copy()
         walk[:, :3, 3] = np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (30, 3)), axis=0)
-        with pytest.raises(DegenerateGeometry, match="of another drive|positions contradict orientations"):
+        with pytest.raises(DegenerateGeometry, match=r"of another drive|positions contradict orientations"):
             frame_of_map(navigation, dataset(Truth(truth.t_robot_ns, walk)), 3)
     with pytest.raises(DegenerateGeometry, match="0 poses"):
         frame_of_map(navigation, dataset(Truth(truth.t_robot_ns + 10**15, poses)), 3)
