@@ -42,7 +42,6 @@ from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse
-from station.experiments.answers import nearest_places
 from station.experiments.calibration_curve import calibration_bins, draw_calibration
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
@@ -222,7 +221,8 @@ def flat_to_drive(
 
 def right_places(place_map: PlaceMap, T_world_body: FloatArray) -> set[str]:
     """Ids of the places nearest to the true position, ties within 10 %."""
-    return nearest_places(place_map.places, T_world_body[:3, 3])
+    distance = np.linalg.norm([p.centroid_map - T_world_body[:3, 3] for p in place_map.places], axis=1)
+    return {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
