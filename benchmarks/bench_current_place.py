@@ -24,8 +24,8 @@ from pathlib import Path
 from benchmarks.drive_cache import load, stored
 from benchmarks.make_drives import Job, jobs_of, make_missing
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
+from station.experiments.calibration_curve import calibration_bins, draw_calibration
 from station.workers.repeatable import repeatable
-from tests.support.calibration_curve import calibration_bins, draw_calibration
 from tests.support.drives import real
 from tests.support.drives.judging import JudgedDrive, Share, Summary, judge_drive, summarise
 from tests.support.drives.misfit import wrong_percent

@@ -52,13 +52,14 @@ def draw_figures(experiment: Experiment, folder: Path) -> dict[str, Path]:
             ("trajectories", draw_trajectories),
         ):
             if (figure := draw(scene)) is not None:
-                files[name] = _save(figure, folder / f"{name}.png")
+                files[name] = save_figure(figure, folder / f"{name}.png")
         for name, figure in draw_match_images(scene):
-            files[name] = _save(figure, folder / f"{name}.png")
+            files[name] = save_figure(figure, folder / f"{name}.png")
     return files
 
 
-def _save(figure: Figure, path: Path) -> Path:
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure, and free what it took."""
     figure.savefig(path)
     plt.close(figure)
     return path

@@ -19,6 +19,7 @@ from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.experiments.alignment import align_points
+from station.experiments.trajectory_error import interpolate_poses
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
@@ -38,7 +39,6 @@ from tests.support.drives.recorded import (
 )
 from tests.support.drives.robot import Sent, SimulatedRobot
 from tests.support.drives.routes import PLANS, Plan, beyond_door_m, mapping_route, plan_drive, room_left_out
-from tests.support.trajectory import interpolate_poses
 
 MAX_MAPPING_S = 150.0
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log
+from station.experiments.trajectory_error import relative_pose_error
 from station.model.frames import ImageFrame
 from station.model.navigation import Trajectory
 from station.motion.imu_buffer import ImuBuffer
@@ -18,7 +19,6 @@ from station.slam.ukf.map.pose_log import PoseLog, follow_poses
 from station.slam.ukf.map.refine import refine_segment
 from station.vision.camera_model import CameraModel
 from tests.support.synthetic_run import observe, room_points, sine_path
-from tests.support.trajectory import relative_pose_error
 
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 CAMERA = msgspec.structs.replace(REFERENCE_CAMERA, fx=458.0, fy=457.0, line_delay_s=0.0, time_shift_s=0.0)
