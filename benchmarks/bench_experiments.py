@@ -239,11 +239,18 @@ def summarise(results: dict[int, dict[str, Any]]) -> dict[str, Any]:
         "precision": sum(correct) / len(correct) if correct else None,
         "found/co-visible": f"{found:.0f} / {sum(co_visible)}",
         "recall": found / sum(co_visible) if sum(co_visible) else None,
+        "rmse, normalised": median_rmse(rows),
         "rand index": float(np.median(rand)) if rand else None,
         "duplicates": sum(row["duplicate_places"] or 0 for row in rows) / places if places else None,
         "wrong seeds": wrong,
         "recall < 0.85 seeds": missed,
     }
+
+
+def median_rmse(rows: list[dict[str, Any]]) -> float | None:
+    """Of the accepted registrations; the map's cloud fills the unit ball, as in the thesis. None without any."""
+    found = [row["registration"]["rmse_normalised"] for row in rows if row["registration"]["accepted"]]
+    return float(np.median([rmse for rmse in found if rmse is not None])) if found else None
 
 
 def results_in(work: Path, name: str, mode: str) -> dict[int, dict[str, Any]]:
@@ -267,6 +274,7 @@ def figures(work: Path, seeds: range) -> list[Figure]:
             seen = sum((row["recall"] or 0.0) * n for row, n in zip(rows, co_visible, strict=True))
             title = f"{name}, {mode} mode, {len(rows)} worlds"
             found.append(share(f"{title}: co-visible places found", seen, sum(co_visible), at_least=bounds.found))
+            found.append(Figure(f"{title}: RMSE of the registration, normalised, median", median_rmse(rows)))
             if mode == "default":
                 found.append(
                     share(f"{title}: matches that are right", sum(correct), len(correct), at_least=bounds.right)
@@ -294,7 +302,7 @@ def print_summary(work: Path) -> None:
                 header = list(row)
                 print("| set | mode | " + " | ".join(header) + " |")
                 print("|" + " --- |" * (len(header) + 2))
-            cells = (f"{v:.3f}" if isinstance(v, float) else "–" if v is None else str(v) for v in row.values())
+            cells = (f"{v:.3g}" if isinstance(v, float) else "–" if v is None else str(v) for v in row.values())
             print(f"| {name} | {mode} | " + " | ".join(cells) + " |")
     for name in SETS:
         for factor in sorted({path.stem.removeprefix("eps_") for path in work.glob(f"{name}_*/eps_*.json")}):

@@ -76,10 +76,16 @@ def test_an_experiment_writes_results_report_and_figures(data: Path, tmp_path: P
     assert results["truth"] == "groundtruth" and results["registration"]["accepted"]
     assert results["precision"] == 1.0 and results["recall"] >= 0.7
     assert 0 < results["registration"]["uncertainty"]["position"] < 0.1
+    rmse, normalised = results["registration"]["rmse"], results["registration"]["rmse_normalised"]
+    cloud = load_navigation(data / "nav1").landmarks.p_world
+    assert normalised == pytest.approx(rmse / np.linalg.norm(cloud - cloud.mean(axis=0), axis=1).max())
     for match in results["matches"]:
         assert {"place", "location", "distance", "correct"} <= match.keys()
     figures = {path.stem for path in (out / "figures").glob("*.png")}
     assert {
+        "frames",
+        "routes",
+        "coloured_clouds",
         "clouds_before",
         "clouds_after",
         "clusters_above",
