@@ -57,6 +57,10 @@ SUITE = (
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
     Benchmark(
+        "registration_open3d", PLACES, "bench_registration", "--backend open3d --first 14000 --pairs 200",
+        "--backend open3d --pairs 1 --set known",
+    ),
+    Benchmark(
         "current_place", CURRENT, "bench_current_place", "--seed 500 --flats 25 --drives 4", "--flats 1 --drives 1"
     ),
     Benchmark("false_alarms", CURRENT, "bench_false_alarms", "--seed 270", "--flats 1 --drives 1"),
