@@ -45,6 +45,7 @@ class Experiment:
     seconds: dict[str, float]
     not_judged: str = ""  # why there is no judgement, where there is none
     truths: tuple[Truth | None, Truth | None] = (None, None)  # for the judge and for drawing
+    as_thesis: Experiment | None = None  # the same data as the thesis ran it, to stand beside this
 
     def found_again(self, place_id: str) -> bool | None:
         """Whether a match was accepted for this place; None where nothing could be matched at all."""
@@ -155,4 +156,5 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
         "seed": experiment.seed,
         "seconds": experiment.seconds,
         "config": place_map.config,
+        "as_thesis": None if experiment.as_thesis is None else results_dict(experiment.as_thesis),
     }

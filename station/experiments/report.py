@@ -122,23 +122,34 @@ def _verdict(results: Mapping[str, Any]) -> tuple[str, str]:
     return kind, f"{right} of {n} matches are right by the recorded poses."
 
 
-def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Rows (what, thesis, here); empty for an experiment that the thesis did not make."""
-    thesis = experiment.story.thesis
-    if not thesis:
-        return []
+def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Column title → what is compared → its value; empty for an experiment that the thesis did not make."""
+    if not experiment.story.thesis:
+        return {}
+    columns = {"the thesis": dict(experiment.story.thesis)}
+    if experiment.as_thesis is not None:
+        columns["its settings, here"] = _compared(experiment.as_thesis, results["as_thesis"])
+    return columns | {"here": _compared(experiment, results)}
+
+
+def _compared(experiment: Experiment, results: Mapping[str, Any]) -> dict[str, str]:
     effective = results["config"].get("effective", {})
     right = sum(bool(m["correct"]) for m in results["matches"]) if results["truth"] != "none" else None
-    rmse = results["registration"]["rmse"]
-    here = {
+    registration = results["registration"]
+    return {
+        "landmarks": " / ".join(
+            f"{len(n.landmarks):,}" for n in (experiment.place_map.navigation, experiment.navigation)
+        ),
         "places / locations": f"{results['places']} / {results['locations']}",
-        "cluster lengths": ", ".join(f"{key} {_number(value)}" for key, value in effective.items()),
-        "inlier ratio": _number(results["registration"]["inlier_ratio"]),
-        "registration RMSE": f"{_number(rmse)} {_rmse_unit(experiment)}",
-        "registration RMSE, normalised": _number(results["registration"]["rmse_normalised"]),
+        "cluster lengths": ", ".join(f"{key.replace('_', ' ')} {_number(value)}" for key, value in effective.items()),
+        "inlier ratio": _number(registration["inlier_ratio"]),
+        "registration RMSE": f"{_number(registration['rmse'])} {_rmse_unit(experiment)}",
+        "registration RMSE, normalised": _number(registration["rmse_normalised"]),
+        "true error of the registration": "–"
+        if results["truth"] == "none"
+        else f"{_number(registration['error_m'])} m",
         "matches": str(len(results["matches"])) + ("" if right is None else f", of them right by truth: {right}"),
     }
-    return [(what, thesis.get(what, "–"), here.get(what, "–")) for what in here]
 
 
 def _rmse_unit(experiment: Experiment) -> str:
