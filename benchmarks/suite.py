@@ -56,6 +56,7 @@ SUITE = (
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
+    Benchmark("appearance", PLACES, "bench_appearance", "--step 2", "--step 20", data=f"{DATA}/redkitchen"),
     Benchmark(
         "registration_open3d", PLACES, "bench_registration", "--backend open3d --first 14000 --pairs 200",
         "--backend open3d --pairs 1 --set known",

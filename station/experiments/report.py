@@ -141,7 +141,11 @@ def _compared(experiment: Experiment, results: Mapping[str, Any]) -> dict[str, s
             f"{len(n.landmarks):,}" for n in (experiment.place_map.navigation, experiment.navigation)
         ),
         "places / locations": f"{results['places']} / {results['locations']}",
-        "cluster lengths": ", ".join(f"{key.replace('_', ' ')} {_number(value)}" for key, value in effective.items()),
+        "cluster lengths": ", ".join(
+            f"{key.replace('_', ' ')} {_number(value)}"
+            for key, value in effective.items()
+            if value is not None and value is not False
+        ),
         "inlier ratio": _number(registration["inlier_ratio"]),
         "registration RMSE": f"{_number(registration['rmse'])} {_rmse_unit(experiment)}",
         "registration RMSE, normalised": _number(registration["rmse_normalised"]),
