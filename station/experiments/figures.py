@@ -155,7 +155,7 @@ def draw_trajectories(scene: Scene) -> Figure:
     """Each trajectory among the map's places: Navigation1's, and Navigation2's carried into the map (fig. 5.4)."""
     t_first = scene.first.trajectory.T_world_body[:, :3, 3] @ scene.R_first.T
     t_second = scene.experiment.result.position_map @ scene.R_first.T
-    window = limits([scene.p_first, t_first, t_second])
+    window = _holding(limits([scene.p_first]), np.concatenate([t_first, t_second]))
     figure, axes = plt.subplots(
         1, 2 if len(t_second) else 1, figsize=(11 if len(t_second) else 6.5, 5.6), squeeze=False
     )
@@ -179,6 +179,14 @@ def draw_trajectories(scene: Scene) -> Figure:
     figure.tight_layout(w_pad=2.0)
     figure.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=3, columnspacing=1.6)
     return figure
+
+
+def _holding(window: tuple[FloatArray, FloatArray], path: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A window with all of a path in it, however far from the cloud a wrong registration puts that."""
+    if not len(path):
+        return window
+    margin = 0.05 * np.ptp(path, axis=0).max()
+    return np.minimum(window[0], path.min(axis=0) - margin), np.maximum(window[1], path.max(axis=0) + margin)
 
 
 def _draw_places(ax: Axes, scene: Scene) -> None:

@@ -137,7 +137,8 @@ def draw_coloured_clouds(scene: Scene) -> Figure:
     """Both clouds in their landmarks' colours, seen from one side where they are registered (figs. 5.7, 5.10 a, b)."""
     second = scene.p_second if scene.T is None else scene.carried(scene.second.landmarks.p_world)
     clouds = (scene.p_first, second)
-    views = [Viewpoint.of(scene.p_first), Viewpoint.of(scene.p_first if scene.T is not None else second)]
+    view = Viewpoint.of(scene.p_first, _cameras(scene.first, scene.R_first))
+    views = [view, view if scene.T is not None else Viewpoint.of(second, _cameras(scene.second, scene.R_second))]
     seen = [view.project(p) for view, p in zip(views, clouds, strict=True)]
     windows = [_window(seen if scene.T is not None else [one]) for one in seen]
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.6))
@@ -148,6 +149,11 @@ def draw_coloured_clouds(scene: Scene) -> Figure:
         _draw_cloud(ax, seen[k], navigation.landmarks.rgb / 255.0, windows[k])
     figure.tight_layout(w_pad=1.5)
     return figure
+
+
+def _cameras(navigation: Navigation, R_drawn_world: FloatArray) -> FloatArray:
+    """(F, 3) where the pictures were taken, in axes whose z is up."""
+    return navigation.keyframes.T_world_cam[:, :3, 3] @ R_drawn_world.T
 
 
 def _draw_cloud(ax: Axes, seen: FloatArray, rgb: FloatArray, window: FloatArray) -> None:
@@ -172,15 +178,15 @@ def _window(seen: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Viewpoint:
-    """Where a cloud whose z is up is looked at from: slightly from above, its longer side across the picture."""
+    """Where a cloud whose z is up is looked at from: the cameras' side, slightly above, its longer side across."""
 
     R_eye_cloud: FloatArray  # (3, 3); x to the right, y up, z towards the eye
     centre: FloatArray  # (3,)
     radius: float  # that holds nearly all of it
 
     @classmethod
-    def of(cls, p: FloatArray) -> Viewpoint:
-        """For a cloud (N, 3)."""
+    def of(cls, p: FloatArray, cameras: FloatArray) -> Viewpoint:
+        """For a cloud (N, 3) that was seen from (F, 3)."""
         p = p[np.isfinite(p).all(axis=1)]
         if len(p) < 3:
             return cls(np.eye(3), np.zeros(3), 1.0)
@@ -189,6 +195,8 @@ class Viewpoint:
         centre = (low + high) / 2
         right = np.append(np.linalg.eigh(np.cov(inside[:, :2].T))[1][:, 1], 0.0)
         up = np.array([0.0, 0.0, 1.0])
+        if len(cameras) and np.cross(right, up) @ (cameras.mean(axis=0) - inside.mean(axis=0)) < 0:
+            right = -right
         towards = np.cos(ELEVATION_RAD) * np.cross(right, up) + np.sin(ELEVATION_RAD) * up
         radius = max(float(np.linalg.norm(inside - centre, axis=1).max()), 1e-9)
         return cls(np.stack([right, np.cross(towards, right), towards]), centre, radius)

@@ -214,6 +214,14 @@ def test_a_map_that_the_station_keeps_is_matched_by_its_id(data: Path, tmp_path:
             ["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--truth1", "{imu_only}"],
             "holds no true poses",
         ),
+        (
+            ["experiment", "--navigation1", "{images}", "--navigation2", "{images}", "--initial-state", "given"],
+            "has no true velocity and biases",
+        ),
+        (
+            ["experiment", "--navigation1", "{images}", "--navigation2", "{images}", "--landmarks", "thesis"],
+            "use --backend ukf for them",
+        ),
         (["match", "{map1}", "{nav1}", "--truth2", "{truth1}"], "--truth1 and --truth2"),
         (["match", "{nav1}", "{nav1}"], "holds no map"),
         (["map", "build", "{nav1}", "/nowhere"], "holds no navigation"),
@@ -222,7 +230,7 @@ def test_a_map_that_the_station_keeps_is_matched_by_its_id(data: Path, tmp_path:
 def test_mistakes_get_one_sentence_and_leave_nothing(
     data: Path, tmp_path: Path, arguments: list[str], sentence: str
 ) -> None:
-    names = ("nav1", "map1", "truth1", "imu_only")
+    names = ("nav1", "map1", "truth1", "imu_only", "images")
     filled = [a.format(**{name: data / name for name in names}) for a in arguments]
     with pytest.raises(RobotSystemError, match=re.escape(sentence)):
         run(*filled, "--out", tmp_path / "out")

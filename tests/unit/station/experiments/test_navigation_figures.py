@@ -67,11 +67,19 @@ def test_every_figure_is_drawn_also_without_pictures(poses: tuple[FloatArray, Fl
 def test_a_cloud_is_seen_from_above_with_its_longer_side_across() -> None:
     rng = np.random.default_rng(0)
     p = rng.uniform([-1, -4, 0], [1, 4, 2], (500, 3))
-    view = Viewpoint.of(p)
+    view = Viewpoint.of(p, p[:0])
     np.testing.assert_allclose(np.abs(view.R_eye_cloud[0]), [0, 1, 0], atol=0.1)
     assert np.linalg.det(view.R_eye_cloud) == pytest.approx(1.0)
     high, low = view.project(np.array([[0.0, 0, 2], [0.0, 0, 0]]))
     assert high[1] > low[1] and high[2] > low[2]  # up in the picture, and nearer to an eye above
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_wall_is_seen_from_the_side_of_the_cameras(side: float) -> None:
+    rng = np.random.default_rng(0)
+    wall = rng.uniform([-3, 0, 0], [3, 0.1, 2], (500, 3))
+    view = Viewpoint.of(wall, np.array([[0.0, 2 * side, 1.0]]))
+    assert np.sign(view.R_eye_cloud[2, 1]) == side  # towards the eye
 
 
 def test_what_is_nearer_is_larger_and_what_is_behind_the_eye_is_not_drawn() -> None:
