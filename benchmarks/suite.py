@@ -56,6 +56,11 @@ SUITE = (
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
+    Benchmark("appearance", PLACES, "bench_appearance", "--step 2", "--step 20", data=f"{DATA}/redkitchen"),
+    Benchmark(
+        "registration_open3d", PLACES, "bench_registration", "--backend open3d --first 14000 --pairs 200",
+        "--backend open3d --pairs 1 --set known",
+    ),
     Benchmark(
         "current_place", CURRENT, "bench_current_place",
         "--worlds home:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
