@@ -21,6 +21,7 @@ from robot.announce import Announcement, announced_addresses, may_be_announced
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.server import RobotServer
+from robot.simulation.config import load_config as load_simulation
 from robot.systemd import Systemd
 from shared.advice import install
 from shared.errors import ConfigError, DeviceUnavailable
@@ -82,7 +83,9 @@ def open_devices(kind: DeviceKind, config: RobotConfig) -> DeviceSet:
     """The devices asked for; never others in their place. Imported only then: each kind needs other packages."""
     if kind == "simulated":
         simulated = config.simulated
-        devices = _adapter("simulated", "open_simulated")(simulated.world, simulated.seed, simulated.sim_port)
+        settings = load_simulation(Path(simulated.settings)) if simulated.settings else None
+        place = (simulated.world, simulated.seed, simulated.sim_port)
+        devices = _adapter("simulated", "open_simulated")(*place, config=settings)
         return _adapter("emulated", "open_emulated")(devices) if simulated.imu == "emulated" else devices
     if kind == "recorded":
         recorded = config.recorded

@@ -63,6 +63,9 @@ class SimulatedConfig(Section, frozen=True, kw_only=True):
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
     # emulated: IMU and motors go through the real firmware in an emulated Mega (docs/firmware.md)
     imu: Literal["simulated", "emulated"] = "simulated"
+    settings: str = (
+        ""  # TOML file of imperfections, faults and build errors (docs/simulator.md), as robot-sim's --config
+    )
     sim_port: Annotated[int, Meta(ge=0, le=65535)] | None = None  # where tests and the demo ask for the truth
 
 

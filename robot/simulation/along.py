@@ -12,6 +12,7 @@ import numpy as np
 from robot.simulation.asl import AslWriter
 from robot.simulation.body import MotionState
 from robot.simulation.config import SimulationConfig
+from robot.simulation.construction import built_camera
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
 from robot.simulation.sensors import ImuMeasurement, ImuModel
@@ -89,6 +90,7 @@ def render_along(
     cv2.setNumThreads(1)
     table = read_states(states)
     lens = read_camera(camera_file)
+    built = built_camera(lens, config.build)
     noise = DEFAULT_IMU
     if imu_folder:
         noise = read_imu_noise(imu_folder / "sensor.yaml", read_yaml(imu_folder / "sensor.yaml"))
@@ -99,13 +101,13 @@ def render_along(
     end_s = min(begin_s + duration_s, path.end_s)
     stamps = _frame_stamps(camera_file.parent / "data.csv", lens, first, begin_s, end_s)
     last_s = end_s - lens.line_delay_s * lens.height - 0.01  # every exposed row needs a pose
-    stamps = [s for s in stamps if begin_s <= (s - first) * 1e-9 + lens.time_shift_s <= last_s]
+    stamps = [s for s in stamps if begin_s <= (s - first) * 1e-9 + built.time_shift_s <= last_s]
     if not stamps:
         raise DataError(f"no frame stamp lies between {begin_s:.2f} s and {end_s:.2f} s of {states}")
-    camera = SimulatedCamera(Renderer(world, lens, cache_dir), lens, config.camera, seed)
+    camera = SimulatedCamera(Renderer(world, built, cache_dir), built, config.camera, seed)
     with AslWriter(out, calibration) as writer:
         for k, stamp in enumerate(stamps):
-            exposure = camera.expose(path.pose, (stamp - first) * 1e-9 + lens.time_shift_s, config.faults)
+            exposure = camera.expose(path.pose, (stamp - first) * 1e-9 + built.time_shift_s, config.faults)
             writer.add_frame(stamp, exposure.jpeg, exposure.exposure_s)
             if on_progress:
                 on_progress((k + 1) / len(stamps))

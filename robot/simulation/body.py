@@ -21,6 +21,7 @@ TICK_S = 1.0 / TICK_RATE_HZ
 CARRY_HEIGHT_M = 0.45
 CARRY_SPEED_M_S = 2.0
 MIN_CARRY_S = 1.6
+MAX_YAW_SPREAD = (-0.09, 0.07)  # of the yaw efficiency between drives: no carpet and no tiles go further
 GRAB_S = 1.0  # a hand holds the wheels until they rest; the lag of the motors decays to nothing in it
 
 
@@ -61,9 +62,10 @@ class Body:
         self._plane = _Plane(*start)
         self._ticks = 0
         self._command = (0.0, 0.0)
-        spread = parameters.yaw_efficiency_spread
-        self._yaw_efficiency = parameters.yaw_efficiency + (spread * rng.standard_normal() if parameters.slip else 0.0)
-        self._yaw_efficiency = float(np.clip(self._yaw_efficiency, 0.24, 0.4)) if parameters.slip else 1.0
+        self._yaw_efficiency = 1.0
+        if parameters.slip:
+            spread = float(np.clip(parameters.yaw_efficiency_spread * rng.standard_normal(), *MAX_YAW_SPREAD))
+            self._yaw_efficiency = parameters.yaw_efficiency + spread
         self._slip_phase = rng.uniform(0, 2 * np.pi, 3)
         self._bumps = _Bumps(parameters, rng)
         self._carry: _Carry | None = None

@@ -55,6 +55,21 @@ class BodyParameters(Section, frozen=True, kw_only=True):
     heave_mm: float = 0.4
 
 
+class BuildErrors(Section, frozen=True, kw_only=True):
+    """How the robot's camera was built other than its calibration tells; what it tells stays as it is.
+
+    Of its wheels it tells nothing: other ones are `BodyParameters`.
+    """
+
+    focal_percent: Annotated[float, Meta(gt=-50, lt=50)] = 0.0  # longer than told
+    pitch_deg: float = 0.0  # mounting: turned about the camera's x axis, looking further up
+    yaw_deg: float = 0.0  # mounting: turned about the camera's y axis, looking further to the right
+    forward_cm: float = 0.0  # mounting: shifted along the body's axes
+    left_cm: float = 0.0
+    up_cm: float = 0.0
+    time_shift_ms: float = 0.0  # stamps come that much earlier than told
+
+
 class Faults(Section, frozen=True, kw_only=True):
     """Things that go wrong; can be changed while the robot runs."""
 
@@ -71,6 +86,7 @@ class SimulationConfig(Section, frozen=True, kw_only=True):
     camera: CameraImperfections = CameraImperfections()
     imu: ImuImperfections = ImuImperfections()
     body: BodyParameters = BodyParameters()
+    build: BuildErrors = BuildErrors()
     faults: Faults = Faults()
     lookalike_rooms: bool = False
     moved_chairs_seed: int | None = None

@@ -10,6 +10,7 @@ import numpy as np
 
 from robot.simulation.body import PoseFunction
 from robot.simulation.config import SimulationConfig
+from robot.simulation.construction import built_camera
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
 from robot.simulation.routes import Route, plan_route
@@ -26,7 +27,8 @@ PLAN_PX_PER_M = 110
 
 def draw_contact_sheet(world: World, config: SimulationConfig, out: Path, cache_dir: Path | None) -> None:
     """Write the sheet. Raises DataError when the file cannot be written."""
-    camera = SimulatedCamera(Renderer(world, REFERENCE_CAMERA, cache_dir), REFERENCE_CAMERA, config.camera, 0)
+    built = built_camera(REFERENCE_CAMERA, config.build)
+    camera = SimulatedCamera(Renderer(world, built, cache_dir), built, config.camera, 0)
     rows = []
     for room in world.rooms:
         views = []

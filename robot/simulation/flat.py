@@ -9,8 +9,8 @@ import numpy as np
 
 from robot.simulation.building import DOOR_HEIGHT_M, Builder, Pose2, TexturePicker
 from robot.simulation.furniture import PIECES, Piece, Site
-from robot.simulation.textures import TextureSpec
-from robot.simulation.world import WALL_HEIGHT_M, WALL_THICKNESS_M, Door, Obstacle, Room, World
+from robot.simulation.walls import WallRun, build_wall, wall_boxes, wall_runs
+from robot.simulation.world import WALL_HEIGHT_M, WALL_THICKNESS_M, Door, Room, World
 
 MIN_SIDE_M = 2.6
 DOOR_WIDTH_M = 0.9
@@ -36,25 +36,6 @@ class FlatOptions:
     lookalike_rooms: bool = False  # two rooms differ in nothing but their pictures
     moved_chairs_seed: int | None = None  # chairs, boxes and baskets stand elsewhere
     light_seed: int | None = None  # rooms are lit differently
-
-
-@dataclass(frozen=True, slots=True)
-class _WallRun:
-    """One side of one room: from `left` to `right` as seen from inside."""
-
-    left: tuple[float, float]
-    right: tuple[float, float]
-    length_m: float
-    openings: tuple[tuple[float, float], ...]  # m along the wall
-
-    @property
-    def yaw_rad(self) -> float:
-        """Direction of a piece's local x axis: its y axis then looks into the room."""
-        return math.atan2(self.left[1] - self.right[1], self.left[0] - self.right[0])
-
-    def at(self, s_m: float) -> tuple[float, float]:
-        f = s_m / self.length_m
-        return (self.left[0] + f * (self.right[0] - self.left[0]), self.left[1] + f * (self.right[1] - self.left[1]))
 
 
 def make_flat(name: str, seed: int, options: FlatOptions) -> World:
@@ -181,27 +162,6 @@ def _place_doors(rng: np.random.Generator, cells: list[Cell]) -> list[Door] | No
 # --- one room -----------------------------------------------------------------------------------------------------
 
 
-def _wall_runs(room: Room, index: int, doors: list[Door]) -> list[_WallRun]:
-    """The four walls as seen from inside: south, east, north, west."""
-    x0, y0, x1, y1 = room.x0_m, room.y0_m, room.x1_m, room.y1_m
-    # Seen from inside, the left end of the south wall (y0) is at x1.
-    ends = [((x1, y0), (x0, y0)), ((x1, y1), (x1, y0)), ((x0, y1), (x1, y1)), ((x0, y0), (x0, y1))]
-    runs = []
-    for left, right in ends:
-        length = math.hypot(right[0] - left[0], right[1] - left[1])
-        direction = ((right[0] - left[0]) / length, (right[1] - left[1]) / length)
-        openings = []
-        for door in doors:
-            if index not in door.rooms:
-                continue
-            s = (door.x_m - left[0]) * direction[0] + (door.y_m - left[1]) * direction[1]
-            off = abs(-(door.x_m - left[0]) * direction[1] + (door.y_m - left[1]) * direction[0])
-            if off < WALL_THICKNESS_M and 0 < s < length:
-                openings.append((s - door.width_m / 2, s + door.width_m / 2))
-        runs.append(_WallRun(left, right, length, tuple(sorted(openings))))
-    return runs
-
-
 def furnish_room(
     builder: Builder,
     room: Room,
@@ -227,42 +187,13 @@ def furnish_room(
     pictures = TexturePicker(np.random.default_rng([seed, 9, index]))  # also of twins, no two pictures are the same
     deepest = 0.5 * min(width, depth) - 0.65 + 0.2  # m, of a piece: the robot passes between two of them
     furnisher = _Furnisher(builder, rng, pick, pictures, index, list(ROOM_KINDS[kind]), deepest, moved_seed)
-    for side, run in enumerate(_wall_runs(room, index, doors)):
+    for side, run in enumerate(wall_runs(room, index, doors)):
         is_plain = side == featureless_side
         texture = pick.new("plain_wall" if is_plain else style, run.length_m, WALL_HEIGHT_M, 350)
-        _build_wall(builder, run, texture, index)
-        builder.obstacles += _wall_boxes(run, index)
+        build_wall(builder, run, texture, index)
+        builder.obstacles += wall_boxes(run, index)
         if not is_plain:
             furnisher.furnish(run)
-
-
-def _build_wall(builder: Builder, run: _WallRun, texture: TextureSpec, room: int) -> None:
-    """A wall with its door openings cut out."""
-    s = 0.0
-    for low, high in [*run.openings, (run.length_m, run.length_m)]:
-        builder.upright(run.at(s), run.at(low), (0.0, WALL_HEIGHT_M), texture, room, (s, 0.0))
-        if high > low:
-            builder.upright(run.at(low), run.at(high), (DOOR_HEIGHT_M, WALL_HEIGHT_M), texture, room, (low, 0.0))
-        s = high
-
-
-def wall_obstacles(room: Room, index: int, doors: list[Door]) -> list[Obstacle]:
-    """The solid parts of a room's four walls."""
-    return [box for run in _wall_runs(room, index, doors) for box in _wall_boxes(run, index)]
-
-
-def _wall_boxes(run: _WallRun, room: int) -> list[Obstacle]:
-    """Half a wall's thickness per room, so that nothing sticks into the neighbouring room."""
-    boxes = []
-    s = -_HALF_WALL
-    outward = math.sin(run.yaw_rad), -math.cos(run.yaw_rad)
-    for low, high in [*run.openings, (run.length_m + _HALF_WALL, 0.0)]:
-        if low - s > 1e-6:
-            x, y = run.at((s + low) / 2)
-            x, y = x + outward[0] * _HALF_WALL / 2, y + outward[1] * _HALF_WALL / 2
-            boxes.append(Obstacle(x, y, (low - s) / 2, _HALF_WALL / 2, run.yaw_rad, WALL_HEIGHT_M, "wall", room))
-        s = high
-    return boxes
 
 
 def _build_jambs(builder: Builder, door: Door, rng: np.random.Generator) -> None:
@@ -296,7 +227,7 @@ class _Furnisher:
     deepest_m: float
     moved_seed: int | None
 
-    def furnish(self, run: _WallRun) -> None:
+    def furnish(self, run: WallRun) -> None:
         """Stand pieces side by side along the free parts of a wall, and hang pictures between and above them."""
         corner = 0.45  # keeps the pieces of two walls apart in the corners
         spans = []
@@ -320,7 +251,7 @@ class _Furnisher:
     def _fits(self, name: str, length_m: float) -> bool:
         return PIECES[name].width_m[0] <= length_m and PIECES[name].depth_m <= self.deepest_m
 
-    def _stand(self, piece: Piece, run: _WallRun, low: float, s: float, high: float) -> float:
+    def _stand(self, piece: Piece, run: WallRun, low: float, s: float, high: float) -> float:
         """Stand a piece at s of the free part low..high of a wall; returns its width."""
         width = float(min(self.rng.uniform(*piece.width_m), high - s))
         position = s + width / 2
@@ -332,7 +263,7 @@ class _Furnisher:
         piece.build(Site(self.builder, self.pick, rng, pose, width, piece.depth_m, self.room, piece.name))
         return width
 
-    def _hang_pictures(self, run: _WallRun, low: float, high: float) -> None:
+    def _hang_pictures(self, run: WallRun, low: float, high: float) -> None:
         """Posters and pictures, low enough that a robot's camera sees some of them."""
         rng, s = self.rng, low
         off = 0.012  # the frame stands off the wall

@@ -12,6 +12,7 @@ import msgspec
 from robot.simulation.asl import AslWriter
 from robot.simulation.body import TICK_RATE_HZ, Body
 from robot.simulation.config import SimulationConfig
+from robot.simulation.construction import built_camera
 from robot.simulation.driver import RouteDriver
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
@@ -63,16 +64,15 @@ def record_drive(
     """
     cv2.setNumThreads(1)
     calibration = simulated_calibration(config)
-    camera_calibration, imu_noise = calibration.camera, calibration.imu
-    assert camera_calibration is not None and imu_noise is not None
+    told_camera, imu_noise = calibration.camera, calibration.imu
+    assert told_camera is not None and imu_noise is not None
+    built = built_camera(told_camera, config.build)
     yaw = route.start_yaw_rad if start_yaw_rad is None else start_yaw_rad
     body = Body(world, config.body, (*route.points[0], yaw), drive_seed)
     imu = ImuModel(imu_noise, config.imu, calibration.gravity, drive_seed)
-    camera = SimulatedCamera(
-        Renderer(world, camera_calibration, cache_dir), camera_calibration, config.camera, drive_seed
-    )
+    camera = SimulatedCamera(Renderer(world, built, cache_dir), built, config.camera, drive_seed)
     driver, history = RouteDriver(route), MotionHistory(keep_s=2.0)
-    readout_s = camera_calibration.line_delay_s * camera_calibration.height
+    readout_s = built.line_delay_s * built.height
     frame_period = 1.0 / config.camera_rate_hz
     next_frame_s, ticks, path_m, blocked, done_at = 0.1, 0, 0.0, 0, float("inf")
     rooms: list[str] = []
@@ -86,7 +86,7 @@ def record_drive(
             writer.add_truth(t_ns, state, (measurement.gyro_bias, measurement.accel_bias))
             if state.t_s - next_frame_s > readout_s + 0.02:  # all poses the exposure needs are known
                 exposure = camera.expose(history.pose, next_frame_s, config.faults, history.carried(next_frame_s))
-                stamp_ns = START_NS + round((next_frame_s - camera_calibration.time_shift_s) * 1e9)
+                stamp_ns = START_NS + round((next_frame_s - built.time_shift_s) * 1e9)
                 writer.add_frame(stamp_ns, exposure.jpeg, exposure.exposure_s)
                 next_frame_s += frame_period
                 if on_progress:

@@ -8,19 +8,22 @@ import numpy as np
 
 from robot.simulation.building import Builder, Pose2, TexturePicker
 from robot.simulation.config import SimulationConfig
-from robot.simulation.flat import FlatOptions, furnish_room, make_flat, wall_obstacles
+from robot.simulation.flat import FlatOptions, furnish_room, make_flat
+from robot.simulation.plain import make_plain
 from robot.simulation.textures import TextureSpec
+from robot.simulation.walls import wall_obstacles
 from robot.simulation.world import Room, World
 from shared.errors import ConfigError
 
-WORLD_NAMES = ("home", "small", "lookalike", "room", "vicon", "checker")
+WORLD_NAMES = ("home", "small", "lookalike", "plain", "room", "vicon", "checker")
 
 
 def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> World:
     """Build a world by name: the same name, seed and options give the same world.
 
     `home`: a flat of 3-5 rooms. `small`: 3 rooms, mapped in about a minute. `lookalike`: a home in
-    which two rooms differ in nothing but their pictures. `room`: one room for the triangle routes.
+    which two rooms differ in nothing but their pictures. `plain`: another kind of home, with bare walls,
+    equal doors and radiators, by day or by night, some with twin rooms. `room`: one room for the triangle routes.
     `vicon`: an 8x8x4 m hall around EuRoC's V1 paths. `checker`: a box of checkerboards, for geometry tests.
     """
     config = config or SimulationConfig()
@@ -31,6 +34,8 @@ def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> 
         return make_flat(name, seed, options)
     if name == "small":
         return make_flat(name, seed, FlatOptions((3, 3), (8.4, 9.6), config.lookalike_rooms, moved, light))
+    if name == "plain":
+        return make_plain(name, seed, config.lookalike_rooms, moved, light)
     if name == "room":
         return _single_room(seed, moved, light)
     if name == "vicon":

@@ -14,6 +14,7 @@ import cv2
 
 from robot.simulation.body import MotionState
 from robot.simulation.config import Faults, SimulationConfig
+from robot.simulation.construction import built_camera
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
@@ -89,11 +90,12 @@ def serve(connection: Connection, world: str, seed: int, config: SimulationConfi
     """Body of the process: answer requests until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
     cv2.setNumThreads(1)
-    calibration = simulated_calibration(config).camera
-    assert calibration is not None
+    told = simulated_calibration(config).camera
+    assert told is not None
+    built = built_camera(told, config.build)
     try:
-        renderer = Renderer(make_world(world, seed, config), calibration, cache_dir)
-        camera = SimulatedCamera(renderer, calibration, config.camera, seed)
+        renderer = Renderer(make_world(world, seed, config), built, cache_dir)
+        camera = SimulatedCamera(renderer, built, config.camera, seed)
     except Exception as exc:  # whatever it is, the parent must hear of it instead of waiting
         connection.send(f"{type(exc).__name__}: {exc}")
         return

@@ -17,6 +17,7 @@ from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
 from robot.devices.simulated.rendering import CameraProcess, FrameRequest
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
 from robot.simulation.config import Faults, SimulationConfig
+from robot.simulation.construction import built_camera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.routes import FreeSpace, Route, plan_route
 from robot.simulation.sensors import ImuModel
@@ -52,7 +53,7 @@ class SimulatedRobot:
         self.config = config
         self.calibration = simulated_calibration(config)
         assert self.calibration.imu is not None and self.calibration.camera is not None
-        self._camera_calibration = self.calibration.camera
+        self._built_camera = built_camera(self.calibration.camera, config.build)
         self.space = FreeSpace(self.world, config.body.radius_m)
         start = plan_route(self.world, "mapping", 0, config.body.radius_m) if world != "checker" else None
         pose = (
@@ -203,7 +204,7 @@ class SimulatedRobot:
                 process.close()
 
     def _take_pictures_with(self, process: CameraProcess) -> None:
-        camera = self._camera_calibration
+        camera = self._built_camera
         period_s = 1.0 / self.config.camera_rate_hz
         readout_s = camera.line_delay_s * camera.height
         number = 0
