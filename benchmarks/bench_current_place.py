@@ -1,6 +1,6 @@
 """The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
-    python -m benchmarks.bench_current_place [--worlds home:600-624 lookalike:600-604 real] [--wrong-focal 2]
+    python -m benchmarks.bench_current_place [--worlds home:600-624 plain:600-624 real] [--wrong-focal 2]
         [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
 
 Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
