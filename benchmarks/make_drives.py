@@ -4,7 +4,8 @@
 
 Each world is mapped by the `ukf` backend from a simulated mapping drive, one room left out, and driven through again
 three times, each with a hijack. `--wrong-focal P`: the robot is built otherwise than it says, by P % in focal length
-and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's mounting and time (tests/support/drives/misfit.py). One process per core. Every world's line says how true its map is and what it cost.
+and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's mounting and time (tests/support/drives/misfit.py).
+One process per core. Every world's line says how true its map is and what it cost.
 """
 
 from __future__ import annotations
