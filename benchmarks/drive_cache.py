@@ -18,9 +18,9 @@ from tests.support.drives.recorded import RecordedWorld
 VERSION = 1
 
 
-def path_of(cache: Path, kind: str, name: str, misfit: str) -> Path:
-    parts = [kind, name, misfit, f"v{VERSION}.pickle.gz"]
-    return cache / "-".join(part for part in parts if part)
+def path_of(cache: Path, kind: str, name: str, *how: str) -> Path:
+    """`how`: what sets it apart from others of the same world."""
+    return cache / "-".join(part for part in (kind, name, *how, f"v{VERSION}.pickle.gz") if part)
 
 
 def store(world: RecordedWorld, path: Path) -> None:

@@ -17,6 +17,7 @@ import traceback
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -41,7 +42,9 @@ class Job:
 
     @property
     def path(self) -> Path:
-        return path_of(self.cache, self.kind, self.name, "" if self.kind == real.KIND else self.misfit.name)
+        if self.kind == real.KIND:
+            return path_of(self.cache, self.kind, self.name)
+        return path_of(self.cache, self.kind, self.name, self.misfit.name, "slam" if self.options.with_slam else "")
 
     def make(self) -> RecordedWorld:
         if self.kind == real.KIND:
@@ -106,7 +109,9 @@ def main() -> int:
     a = parser.parse_args()
     options = DriveOptions(with_slam=a.with_slam)
     by_kind = [jobs_of(kind, a.seeds, a.wrong_focal, options, a.cache) for kind in a.kinds.split(",")]
-    return 0 if make_missing([job for jobs in by_kind for job in jobs], a.jobs) else 1
+    # Seed by seed, so that what is there when it is ended early has all kinds in it.
+    jobs = [job for same_seed in zip_longest(*by_kind) for job in same_seed if job is not None]
+    return 0 if make_missing(jobs, a.jobs) else 1
 
 
 if __name__ == "__main__":
