@@ -1,6 +1,6 @@
 """The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
-    python -m benchmarks.bench_current_place [--worlds home:600-624 lookalike:600-604 real] [--wrong-focal 2]
+    python -m benchmarks.bench_current_place [--worlds home:600-624 plain:600-624 real] [--wrong-focal 2]
         [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
 
 Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
@@ -157,6 +157,17 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     ]
 
 
+def figures_of_all_real(worlds: Iterable[JudgedWorld]) -> list[Figure]:
+    """Every known answer to a real recording, other buildings included."""
+    drives = [drive for world in worlds if world.kind == real.KIND for drive in world.drives]
+    known = summarise(drives).precision
+    return (
+        [share("real recordings: right of all that is known", known.count, known.of, at_least=PRECISION)]
+        if drives
+        else []
+    )
+
+
 def grouped(worlds: Iterable[JudgedWorld]) -> dict[str, list[JudgedWorld]]:
     groups: dict[str, list[JudgedWorld]] = {}
     for world in worlds:
@@ -216,7 +227,8 @@ def main() -> int:
             print(line(world), flush=True)
     groups = grouped(worlds)
     print_report(groups)
-    run.write(a.results, [figure for group, some in groups.items() for figure in figures_of(group, some)])
+    found = [figure for group, some in groups.items() for figure in figures_of(group, some)]
+    run.write(a.results, [*found, *figures_of_all_real(worlds)])
     if a.out:
         a.out.write_text(json.dumps([asdict(world) for world in worlds]))
     if a.figure:

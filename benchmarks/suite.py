@@ -63,10 +63,16 @@ SUITE = (
     ),
     Benchmark(
         "current_place", CURRENT, "bench_current_place",
-        "--worlds home:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
+        "--worlds home:600-624 plain:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
     ),
-    Benchmark("current_place_3", CURRENT, "bench_current_place", "--worlds home:600-604 --wrong-focal 3", None),
-    Benchmark("current_place_5", CURRENT, "bench_current_place", "--worlds home:600-604 --wrong-focal 5", None),
+    Benchmark(
+        "current_place_3", CURRENT, "bench_current_place",
+        "--worlds home:600-604 plain:600-604 --wrong-focal 3", None,
+    ),
+    Benchmark(
+        "current_place_5", CURRENT, "bench_current_place",
+        "--worlds home:600-604 plain:600-604 --wrong-focal 5", None,
+    ),
     Benchmark(
         "current_place_real", CURRENT, "bench_current_place", "--worlds real", None, data=f"{DATA}/redkitchen"
     ),
