@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -34,6 +35,18 @@ class CalibrationFit:
     time_shift_sigma_s: float
     verdict: FitVerdict
     sentence: str  # for a person
+
+
+def why_misfit(fit: CalibrationFit | None) -> str:
+    """In a sentence; empty where nothing says that the calibration does not fit."""
+    return fit.sentence if fit is not None and fit.verdict == MISFITS else ""
+
+
+def worst(fits: Iterable[CalibrationFit | None]) -> CalibrationFit | None:
+    """One that does not fit, where there is one; else one that is known, else None."""
+    order = (MISFITS, FITS, UNKNOWN)
+    known = [fit for fit in fits if fit is not None]
+    return min(known, key=lambda fit: order.index(fit.verdict), default=None)
 
 
 def judge(

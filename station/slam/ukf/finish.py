@@ -13,7 +13,7 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
-from station.model.calibration_fit import MISFITS, CalibrationFit
+from station.model.calibration_fit import why_misfit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping.assemble import make_keyframes
@@ -41,16 +41,12 @@ def make_navigation(
     report = replace(
         report,
         landmarks=len(made.landmarks),
-        messages=(*report.messages, *made.messages, *_misfit(fit)),
+        messages=tuple(filter(None, (*report.messages, *made.messages, why_misfit(fit)))),
         config=report.config | made.facts,
         calibration_fit=fit,
     )
     trajectory = Trajectory(*memory.poses.arrays())
     return Navigation(navigation_id, calibration, trajectory, made.keyframes, made.landmarks, report)
-
-
-def _misfit(fit: CalibrationFit | None) -> list[str]:
-    return [fit.sentence] if fit is not None and fit.verdict == MISFITS else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
