@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import msgspec
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.geometry import so3_exp
@@ -17,6 +20,13 @@ NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_
 CAMERA = msgspec.structs.replace(REFERENCE_CAMERA, fx=458.0, fy=457.0, line_delay_s=0.0, time_shift_s=0.0)
 CALIBRATION = Calibration(camera=CAMERA, imu=NOISE)
 DURATION_S, RATE_HZ = 21.0, 20.0 / 3.0  # as far apart as keyframes are looked at
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    """As the backend does it: threads that wait for each other cost these small matrices many times their work."""
+    with threadpool_limits(1):
+        yield
 
 
 def told(focal: float = 1.0, turned_deg: tuple[float, float, float] = (0, 0, 0), shift_s: float = 0.0) -> Calibration:
