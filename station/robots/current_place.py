@@ -143,8 +143,8 @@ class CurrentPlace(IgnoringListener):
             self._robot_run, self._calibration = run, hello.calibration
             self._runs += 1
             self._forget()
+            self.calibration_fit = None
             self._post(PlaceProgram.calibrate, hello.calibration)
-            self.receive_fit(None)
             self._events.changed("place")
 
     def on_disconnected(self, reason: str) -> None:
@@ -174,8 +174,8 @@ class CurrentPlace(IgnoringListener):
         """A pose of the running navigation; when they come too quickly the oldest is left out."""
         self._post(PlaceProgram.add_pose, t_robot_ns, T_nav_body, segment)
 
-    def receive_fit(self, fit: CalibrationFit | None) -> None:
-        """What SLAM says of the calibration; None: nothing."""
+    def receive_fit(self, fit: CalibrationFit) -> None:
+        """What SLAM says of the calibration."""
         self.calibration_fit = fit
         self._post(PlaceProgram.use_fit, fit)
 
