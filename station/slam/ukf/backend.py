@@ -76,7 +76,7 @@ class UkfBackend:
         self._monitor = TrackingMonitor(self._config)
         self._messages: list[str] = []
         self._memory = NavigationMemory(
-            self._camera, calibration.imu, self._config.quality, self._config.max_keyframes, self._make_views()
+            self._camera, calibration, self._config.quality, self._config.max_keyframes, self._make_views()
         )
         self._coasting = Coasting(ORIGIN, 0)
         self._is_lifted = False  # the robot was when tracking was lost
@@ -139,8 +139,7 @@ class UkfBackend:
         soft = self._soft_constraints(vio.state, current, is_still)
         keep_previous = self._standstill.began_with_previous
         self._standstill.update(frame.index, is_still)
-        if self._config.refine:  # who does not refine needs no links between keyframes
-            current.link = memory.link_by(segment, vio.state)
+        current.link = memory.link_by(segment, vio.state)
         memory.add(current)
         result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous)
         self._tracker.drop(result.rejected_ids)
@@ -243,9 +242,10 @@ class UkfBackend:
     # ---- the end
 
     def catch_up(self) -> bool:
-        """Describe a view of the map; see SlamBackend."""
+        """Look at a window for the calibration, or describe a view of the map; see SlamBackend."""
+        memory = self._memory
         with self._blas.limit(limits=1):
-            return self._memory.views is not None and self._memory.views.describe_next()
+            return memory.calibration_check.work() or (memory.views is not None and memory.views.describe_next())
 
     def keyframe_pictures(self) -> Sequence[bytes]:
         """The views; of a map from tracks it is not known before the end."""
@@ -305,6 +305,7 @@ class UkfBackend:
             new_points_world=None if points is None else points[0],
             new_points_rgb=None if points is None else points[1],
             segment=self._memory.segment,
+            calibration_fit=self._memory.calibration_check.fit,
         )
 
     def _imu_missing_s(self, t_imu: int) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shared.calibration import ImuNoise
+from shared.calibration import Calibration
 from shared.geometry import FloatArray, se3
 from station.model.frames import ImageFrame
 from station.motion.imu_buffer import ImuBuffer
@@ -16,6 +16,7 @@ from station.motion.preintegration import ImuSegment, Preintegration, chain, pre
 from station.slam.ukf.filter.filter import RetiredClone, VioFilter
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
+from station.slam.ukf.map.calibration_check import CalibrationCheck
 from station.slam.ukf.map.keyframes import Keyframe, KeyframeStore, sample_colours
 from station.slam.ukf.map.landmark_map import LandmarkQuality, LiveMap
 from station.slam.ukf.map.pose_log import PoseLog
@@ -46,14 +47,16 @@ class NavigationMemory:
     def __init__(
         self,
         camera: CameraModel,
-        noise: ImuNoise,
+        calibration: Calibration,
         quality: LandmarkQuality,
         max_keyframes: int,
         views: MapViews | None,
     ) -> None:
         """Args: views: where the map's views are collected; None: the map is made from tracks."""
-        self._noise = noise
+        assert calibration.imu is not None
+        self._noise = calibration.imu
         self.views = views
+        self.calibration_check = CalibrationCheck(camera, calibration.imu, calibration.gravity)
         self.recent: dict[int, RecentFrame] = {}  # by ImageFrame.index, ascending
         self.poses = PoseLog()
         self.keyframes = KeyframeStore(max_keyframes)
@@ -111,6 +114,7 @@ class NavigationMemory:
             wheels=old.wheels,
         )
         self.keyframes.add(keyframe)
+        self.calibration_check.add(keyframe)
         if self.views is not None:
             self.views.add(keyframe)
         return self.live.add(keyframe)
