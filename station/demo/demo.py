@@ -307,6 +307,7 @@ def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, plac
     """`results.json`: for scripts and for benchmarks/bench_demo.py."""
     results = {
         "passed": verdict.passed,
+        "shortfall": verdict.shortfall,
         "seed": options.seed,
         "world": options.world,
         "places": len(places),

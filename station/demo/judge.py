@@ -12,6 +12,11 @@ from station.experiments.alignment import align_points
 from station.model.navigation import Trajectory
 
 TIE = 1.10  # a place is right when no other is nearer by more than this factor: of two at equal distance both are
+# What is asked of a run. A map of the wrong size gives routes of the wrong length, however right its places are;
+# a robot that hardly ever knows its place is of no use, however right it is when it does.
+MIN_RIGHT_OF_KNOWN = 0.9
+MIN_KNOWN_OF_ANSWERS = 0.7
+MAX_SCALE_ERROR = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +60,29 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """The last answer is known and right, and at least nine in ten of the known answers are."""
+        """Whether everything was reached that is asked of a run."""
         return not self.shortfall
 
     @property
     def shortfall(self) -> str:
         """What was not reached, in words; empty when all was."""
-        if self.right < 0.9 * (self.right + self.wrong):
-            return "more than one in ten of the known answers is wrong"
-        if self.final_known_right:
-            return ""
-        return f"the last answer is {'wrong' if self.answers[-1].right is False else 'not known'}"
+        known = self.right + self.wrong
+        checks = (
+            (self.right >= MIN_RIGHT_OF_KNOWN * known, "more than one in ten of the known answers is wrong"),
+            (
+                self.final_known_right,
+                f"the last answer is {'wrong' if self.answers[-1].right is False else 'not known'}",
+            ),
+            (
+                known >= MIN_KNOWN_OF_ANSWERS * len(self.answers),
+                f"only {known} of {len(self.answers)} answers are known, fewer than {MIN_KNOWN_OF_ANSWERS:.0%}",
+            ),
+            (
+                abs(self.map_scale - 1.0) <= MAX_SCALE_ERROR,
+                f"the map's scale is {self.map_scale:.3f}, off by more than {MAX_SCALE_ERROR:.0%}",
+            ),
+        )
+        return "; ".join(words for holds, words in checks if not holds)
 
 
 def positions_at(log: Trajectory, t_robot_ns: FloatArray) -> FloatArray:
