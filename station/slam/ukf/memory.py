@@ -13,6 +13,7 @@ from shared.geometry import FloatArray, se3
 from station.model.frames import ImageFrame
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
+from station.slam.ukf.filter.constraints import BodyVelocity
 from station.slam.ukf.filter.filter import RetiredClone, VioFilter
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
@@ -36,7 +37,7 @@ class RecentFrame:
     tracked: TrackedFrame
     t_imu_ns: int
     link: Preintegration | None  # IMU since the frame before it in the window
-    wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
+    wheels: BodyVelocity | None  # where wheels know it
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
 
 
@@ -108,7 +109,7 @@ class NavigationMemory:
             bias=np.concatenate([state.bias_gyro, state.bias_accel]),
             segment=self.segment,
             link=old.link,
-            wheels=old.wheels,
+            wheels=None if old.wheels is None else (old.wheels.v_body, old.wheels.sigma),
         )
         self.keyframes.add(keyframe)
         if self.views is not None:
