@@ -44,7 +44,7 @@ def drifting_keyframes(seed: int) -> tuple[list[Keyframe], FloatArray]:
         image = ImageFrame(k, int(truth.t_ns[k]), 0, b"")
         rgb = np.zeros((len(frame.ids), 3), dtype=np.uint8)
         v, omega = truth.v_world[k], truth.omega_body[k]
-        keyframes.append(Keyframe(image, frame, rgb, T, v, omega, bias, 0, link, None))
+        keyframes.append(Keyframe(image, frame, rgb, T, v, omega, bias, 0, link, None, None))
     return keyframes, T_true
 
 
