@@ -8,7 +8,7 @@ import numpy as np
 
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, transform
-from station.experiments.alignment import align_points
+from station.experiments.alignment import Alignment, align_points
 from station.model.navigation import Trajectory
 
 TIE = 1.10  # a place is right when no other is nearer by more than this factor: of two at equal distance both are
@@ -93,6 +93,17 @@ def positions_at(log: Trajectory, t_robot_ns: FloatArray) -> FloatArray:
     return np.stack([np.interp(wanted, t, log.T_world_body[:, i, 3]) for i in range(3)], axis=1)
 
 
+def align_map(map_trajectory: Trajectory, log: Trajectory) -> Alignment:
+    """From the map's frame to the world's, by where the mapping drive truly was; with the map's scale and error."""
+    truth = positions_at(log, map_trajectory.t_robot_ns.astype(np.float64))
+    return align_points(truth, map_trajectory.T_world_body[:, :3, 3], kind="sim3")
+
+
+def carried(centroids_map: dict[str, FloatArray], T_world_map: FloatArray) -> dict[str, FloatArray]:
+    """Where the places' centroids (3,) lie in the world."""
+    return {name: transform(T_world_map, c[None])[0] for name, c in centroids_map.items()}
+
+
 def is_right(place: str, centroids_true: dict[str, FloatArray], position_true: FloatArray) -> bool:
     """The answered place is the nearest one by true position, ties within 10 %."""
     distances = {name: float(np.linalg.norm(c - position_true)) for name, c in centroids_true.items()}
@@ -131,10 +142,9 @@ def judge(
     Raises:
         EstimationError: there is no such sample.
     """
-    truth = positions_at(log, map_trajectory.t_robot_ns.astype(np.float64))
-    aligned = align_points(truth, map_trajectory.T_world_body[:, :3, 3], kind="sim3")
+    aligned = align_map(map_trajectory, log)
     T = aligned.T_target_source
-    centroids_true = {name: transform(T, c[None])[0] for name, c in centroids_map.items()}
+    centroids_true = carried(centroids_map, T)
     after = [s for s in samples if s.t_robot_ns >= start_ns]
     if not after:
         raise EstimationError("the station gave no answer after the hijack")
