@@ -18,7 +18,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from tests.support.trajectory import absolute_trajectory_error
 from threadpoolctl import threadpool_limits
 
 from benchmarks.bench_mapping import parse_seeds, render, trajectory_of
@@ -27,6 +26,7 @@ from shared.calibration import Calibration
 from shared.errors import RobotSystemError
 from shared.geometry import so3_exp
 from station.datasets import open_dataset
+from station.experiments.trajectory_error import absolute_trajectory_error
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 

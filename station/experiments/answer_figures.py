@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from shared.geometry import FloatArray, IntArray
 from station.experiments.answers import JudgedAnswers
 from station.experiments.calibration_curve import draw_calibration
-from station.experiments.figures import FIRST, RIGHT, STYLE, WRONG, save_figure
+from station.experiments.figures import save_figure
+from station.experiments.plotting import FIRST, RIGHT, STYLE, WRONG
 from station.model.place_answer import HijackEvent
 
 OVER_TIME, CALIBRATION = "over_time.png", "calibration.png"

@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 
 from shared.geometry import FloatArray, IntArray
 from station.experiments.evaluation import DRIFT_OVER_S, Evaluation
-from station.experiments.figures import COLOURS, FIRST, SECOND, STYLE, save_figure
+from station.experiments.figures import save_figure
+from station.experiments.plotting import COLOURS, FIRST, SECOND, STYLE
 
 ERRORS, PATH = "errors.png", "path.png"
 MIN_BREAK_NS = 2_000_000_000  # a line is broken where nothing was compared for longer, and for three usual intervals

@@ -13,6 +13,7 @@ from shared.geometry import FloatArray, se3
 from station.model.frames import ImageFrame
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
+from station.slam.ukf.filter.constraints import BodyVelocity
 from station.slam.ukf.filter.filter import RetiredClone, VioFilter
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
@@ -37,7 +38,7 @@ class RecentFrame:
     tracked: TrackedFrame
     t_imu_ns: int
     link: Preintegration | None  # IMU since the frame before it in the window
-    wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
+    wheels: BodyVelocity | None  # where wheels know it
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
 
 
@@ -111,7 +112,8 @@ class NavigationMemory:
             bias=np.concatenate([state.bias_gyro, state.bias_accel]),
             segment=self.segment,
             link=old.link,
-            wheels=old.wheels,
+            wheels=None if old.wheels is None else (old.wheels.v_body, old.wheels.sigma),
+            wheels_then=retired.wheels_then,
         )
         self.keyframes.add(keyframe)
         self.calibration_check.add(keyframe)
@@ -129,5 +131,4 @@ class NavigationMemory:
             item = self.recent.get(index)
             if item is not None and outage_since is not None and item.t_imu_ns >= outage_since:
                 continue
-            T = se3(state.clone_R[k], state.clone_x[k])
-            self.retire(RetiredClone(index, T, True, state.clone_v[k], state.clone_omega[k]), state)
+            self.retire(RetiredClone.of(vio.config.error, state, k, is_keyframe=True), state)
