@@ -19,6 +19,7 @@ from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.dead_reckoning import DeadReckoning
 from station.places.localisation.localizer import Attempt, Localizer
+from station.places.tracking.config import BeliefConfig
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.hijack import HijackDetector
 from station.places.tracking.odometry import BlendedOdometry
@@ -29,11 +30,17 @@ ODOMETRY_EVERY_NS = 50_000_000
 class PlaceTracker:
     """Everything between sensor data and `PlaceAnswer`. Not thread-safe: one per worker."""
 
-    def __init__(self, maps: Sequence[PlaceMap], calibration: Calibration, localizer: Localizer | None = None) -> None:
+    def __init__(
+        self,
+        maps: Sequence[PlaceMap],
+        calibration: Calibration,
+        localizer: Localizer | None = None,
+        config: BeliefConfig | None = None,
+    ) -> None:
         """`localizer`: one that was made for these maps, to save describing their keyframes again."""
         self._calibration = calibration
         self.localizer = localizer or Localizer(maps)
-        self.estimator = CurrentPlaceEstimator(maps, calibration)
+        self.estimator = CurrentPlaceEstimator(maps, calibration, config)
         self.hijacks = HijackDetector(has_wheels=calibration.has_wheels)
         self._reckoning = DeadReckoning()
         self._blended = BlendedOdometry()
