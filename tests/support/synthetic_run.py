@@ -195,7 +195,6 @@ def true_keyframes(
                 segment=0,
                 link=None if before is None else preintegrate(buffer.segment(before, t_ns), bias, calibration.imu),
                 wheels=None,
-                wheels_then=None,
             )
         )
     return keyframes

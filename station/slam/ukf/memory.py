@@ -113,7 +113,6 @@ class NavigationMemory:
             segment=self.segment,
             link=old.link,
             wheels=None if old.wheels is None else (old.wheels.v_body, old.wheels.sigma),
-            wheels_then=retired.wheels_then,
         )
         self.keyframes.add(keyframe)
         self.calibration_check.add(keyframe)
@@ -131,4 +130,5 @@ class NavigationMemory:
             item = self.recent.get(index)
             if item is not None and outage_since is not None and item.t_imu_ns >= outage_since:
                 continue
-            self.retire(RetiredClone.of(vio.config.error, state, k, is_keyframe=True), state)
+            T = se3(state.clone_R[k], state.clone_x[k])
+            self.retire(RetiredClone(index, T, True, state.clone_v[k], state.clone_omega[k]), state)

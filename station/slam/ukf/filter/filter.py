@@ -18,7 +18,7 @@ from station.motion.preintegration import ImuSegment
 from station.slam.ukf.filter.config import FilterConfig
 from station.slam.ukf.filter.landmarks import add_landmarks, measure_landmarks
 from station.slam.ukf.filter.propagation import PropagationConfig, propagate
-from station.slam.ukf.filter.state import FilterState, WheelsThen, add_clone, keep_landmarks, remove_clone
+from station.slam.ukf.filter.state import FilterState, add_clone, keep_landmarks, remove_clone
 from station.slam.ukf.filter.tracks import TrackTable
 from station.slam.ukf.filter.update import Gate, Measurements, stack, update
 from station.slam.ukf.filter.window import gated_window_rows, triangulate_window, window_rows
@@ -51,18 +51,6 @@ class RetiredClone:
     is_keyframe: bool
     v_world: FloatArray
     omega_body: FloatArray
-    wheels_then: WheelsThen | None  # None without wheels
-
-    @classmethod
-    def of(cls, kind: ErrorKind, state: FilterState, index: int, is_keyframe: bool) -> RetiredClone:
-        return cls(
-            frame_index=int(state.clone_frame[index]),
-            T_world_body=se3(state.clone_R[index], state.clone_x[index]),
-            is_keyframe=is_keyframe,
-            v_world=state.clone_v[index],
-            omega_body=state.clone_omega[index],
-            wheels_then=WheelsThen.of_clone(kind, state, index),
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,6 +253,12 @@ class VioFilter:
     def _retire(self, state: FilterState, leaving: int | None) -> tuple[FilterState, tuple[RetiredClone, ...]]:
         if leaving is None:
             return state, ()
-        retired = RetiredClone.of(self.config.error, state, leaving, is_keyframe=leaving == 0)
+        retired = RetiredClone(
+            frame_index=int(state.clone_frame[leaving]),
+            T_world_body=se3(state.clone_R[leaving], state.clone_x[leaving]),
+            is_keyframe=leaving == 0,
+            v_world=state.clone_v[leaving],
+            omega_body=state.clone_omega[leaving],
+        )
         self.tracks.remove_column(leaving)
         return remove_clone(state, leaving), (retired,)

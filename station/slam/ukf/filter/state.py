@@ -93,31 +93,6 @@ class FilterState:
         return np.vstack([self.v, self.x, self.landmark_p])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WheelsThen:
-    """What a pose owes to the wheels' constants as they were believed when it left the window."""
-
-    kind: ErrorKind
-    wheels: FloatArray  # (2,)
-    pose_by_wheels: FloatArray  # (6, 2) derivative of the pose's error (phi, xi_x) by them
-
-    @classmethod
-    def of_clone(cls, kind: ErrorKind, state: FilterState, index: int) -> WheelsThen | None:
-        """By the covariance: of what is Gaussian, the mean of one given the other. None without wheels."""
-        if not len(state.wheels):
-            return None
-        S_wheels = state.S[state.wheel_rows]
-        together = state.S[state.clone_rows(index)] @ S_wheels.T
-        by_wheels = np.linalg.solve(S_wheels @ S_wheels.T, together.T).T
-        return cls(kind, state.wheels, np.asarray(by_wheels, dtype=np.float64))
-
-    def with_wheels(self, T_world_body: FloatArray, wheels: FloatArray) -> FloatArray:
-        """The pose (4, 4), had these constants been known then."""
-        error = self.pose_by_wheels @ (wheels - self.wheels)
-        R, X = retract_group(self.kind, T_world_body[:3, :3], T_world_body[None, :3, 3], error[:3], error[None, 3:])
-        return se3(R, X[0])
-
-
 def initial_state(
     t_imu_ns: int,
     R: FloatArray,

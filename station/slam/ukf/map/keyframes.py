@@ -10,7 +10,6 @@ import numpy.typing as npt
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray, ImageFrame
 from station.motion.preintegration import Preintegration, chain
-from station.slam.ukf.filter.state import WheelsThen
 from station.vision.klt import TrackedFrame
 
 
@@ -28,7 +27,6 @@ class Keyframe:
     segment: int
     link: Preintegration | None  # IMU since the previous keyframe of the segment
     wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
-    wheels_then: WheelsThen | None  # None without wheels
 
 
 class KeyframeStore:

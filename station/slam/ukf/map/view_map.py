@@ -62,7 +62,7 @@ def map_views(
             continue
         items = [described[i] for i in at]
         pairs = [(a - at[0], b - at[0], p) for a, b, p in matches if a >= at[0] and b <= at[-1]]
-        motions = relative_motions(items, poses_in_hindsight(items, described[-1]), noise)
+        motions = relative_motions(items, noise)
         features = [v.features for v in items]
         rays = [straight_rays(v, camera) for v in items]
         made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping)
@@ -70,8 +70,7 @@ def map_views(
             continue
         frames = [v.keyframe.image for v in items]
         part = read_odometry_map(made, frames, features, calibration, views.mapping)
-        T_filter = np.array([v.keyframe.T_world_body for v in items])
-        parts.append((level(part, motions.T_world_body, calibration), items, T_filter))
+        parts.append((level(part, motions.T_world_body, calibration), items, motions.T_world_body))
         loops += made.num_loops
         errors.append(made.median_error_px)
     num_views = sum(len(items) for _, items, _ in parts)
@@ -83,22 +82,9 @@ def map_views(
     return ViewMap(*_join(parts), loops, float(np.mean(errors)))
 
 
-def poses_in_hindsight(items: list[View], last: View) -> FloatArray:
-    """T_world_body (N, 4, 4) of the views by the filter, had it known the wheels' constants as it did at the end.
-
-    It learns them along the drive: what it followed before came out too large or too small.
-    """
-    now = last.keyframe.wheels_then
-    keyframes = [v.keyframe for v in items]
-    if now is None:
-        return np.array([k.T_world_body for k in keyframes])
-    return np.array(
-        [k.wheels_then.with_wheels(k.T_world_body, now.wheels) for k in keyframes if k.wheels_then is not None]
-    )
-
-
-def relative_motions(items: list[View], T: FloatArray, noise: ImuNoise) -> RelativeMotions:
-    """The filter's motion from each view to the next by its poses T_world_body (N, 4, 4), and how far to trust it."""
+def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
+    """The filter's motion from each view to the next, and how far to trust it."""
+    T = np.array([v.keyframe.T_world_body for v in items])
     step = np.array([inverse(a) @ b for a, b in itertools.pairwise(T)])
     dt = np.diff([v.keyframe.image.t_robot_ns for v in items]) * 1e-9
     length = np.linalg.norm(step[:, :3, 3], axis=1)

@@ -42,9 +42,7 @@ def keyframe(number: int, moved_px: float, segment: int = 0, T: FloatArray | Non
     image = ImageFrame(number, number * 250_000_000, 0, PICTURE)
     pose = np.eye(4) if T is None else T
     rgb = np.zeros((50, 3), dtype=np.uint8)
-    return Keyframe(
-        image, tracked, rgb, pose, np.zeros(3), np.array([0.0, 0.0, 0.4]), np.zeros(6), segment, None, None, None
-    )
+    return Keyframe(image, tracked, rgb, pose, np.zeros(3), np.array([0.0, 0.0, 0.4]), np.zeros(6), segment, None, None)
 
 
 def test_a_keyframe_becomes_a_view_when_the_picture_has_moved_or_a_segment_begins() -> None:
@@ -113,8 +111,7 @@ def test_relative_motions_chain_to_the_filters_poses() -> None:
     views = MapViews(MODEL.lens, ViewConfig(min_flow=0.0, num_previous=1), 0)
     for number, pose in enumerate(T):
         views.add(keyframe(number, 10.0 * number, 0, pose))
-    items = views.describe_all()[0]
-    motions = relative_motions(items, np.array([v.keyframe.T_world_body for v in items]), NOISE)
+    motions = relative_motions(views.describe_all()[0], NOISE)
     end = T[0]
     for R, p in zip(motions.R, motions.p, strict=True):
         end = end @ se3(R, p)
