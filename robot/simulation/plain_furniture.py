@@ -140,7 +140,7 @@ def build_plant(site: Site) -> None:
     pot, leaves = _board(site, 0.26, 0.26), site.pick.new("house_plant", 0.34, 0.5, 300)
     site.box(0, 0.2, (0.26, 0.26, 0.26), 0.0, pot, pot, pot, has_back=True)
     height = float(site.rng.uniform(0.3, 0.5))
-    site.box(0, 0.2, (0.34, 0.34, height), 0.3, leaves, leaves, leaves, has_back=True, solid=False)
+    site.box(0, 0.2, (0.34, 0.34, height), 0.26, leaves, leaves, leaves, has_back=True, solid=False)
 
 
 def build_pile(site: Site) -> None:

@@ -226,7 +226,7 @@ def paint_window_night(canvas: Canvas) -> None:
     x, y = int(rng.uniform(0.2, 0.6) * width), int(rng.uniform(0.3, 0.7) * height)
     cv2.ellipse(canvas.image, (x, y), (int(0.15 * width), int(0.1 * height)), 0, 0, 360, (44, 52, 58), -1)
     canvas.image[:] = cv2.GaussianBlur(canvas.image, (0, 0), 0.012 * m)
-    _window_frame(canvas, (205, 212, 214))
+    _window_frame(canvas, (88, 92, 94))  # lit by the lamps of the room only
 
 
 def _window_frame(canvas: Canvas, colour: Colour) -> None:
