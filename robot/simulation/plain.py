@@ -22,6 +22,7 @@ PASSAGE_M = 0.95  # between what stands at opposite walls
 PLACE_TRIES = 12
 OFF_WALL_M = 0.012  # what hangs on a wall stands off it
 LIGHTS_THEMSELVES = {"window_day", "window_night", "lamp_shade"}
+STRIP_SHARE = 0.4  # of the walls have a power strip on the floor
 MOVABLE = {"crate", "basket", "shoes", "pile"}
 
 USES: dict[str, tuple[str, ...]] = {
@@ -276,14 +277,16 @@ class _Furnisher:
         """A light switch beside each door, plugs and their cable at a skirting board, a clock or a board for notes."""
         series = TexturePicker.series
         switch = series("switch", self.style.series_seed, 0.08, 0.08, 500)
-        strip, cable = series("power_strip", self.seed, 0.36, 0.06, 500), series("dark_glass", 1, 0.012, 0.3, 400)
+        strip, cable = series("power_strip", self.seed, 0.36, 0.06, 500), series("lacquer", self.seed, 0.008, 0.3, 400)
+        socket = series("socket", self.style.series_seed, 0.15, 0.08, 500)
         for side, run in enumerate(runs):
             for _, high in run.openings:
                 self._hang_if_open(side, run, high + 0.2, (0.08, 1.05), switch)
             s = float(rng.uniform(0.3, run.length_m - 0.7))
-            if self._is_open(side, s + 0.18, 0.36):
+            if rng.random() < STRIP_SHARE and self._is_open(side, s + 0.18, 0.36):
                 self._hang(run, s, s + 0.36, (0.005, 0.065), strip, 0.03)
-                self._hang(run, s + 0.05, s + 0.062, (0.065, 0.3), cable, OFF_WALL_M)
+                self._hang(run, s + 0.05, s + 0.058, (0.065, 0.27), cable, OFF_WALL_M)
+                self._hang(run, s, s + 0.15, (0.26, 0.34), socket, OFF_WALL_M)
         clock, notes = (
             series("clock", self.style.series_seed, 0.26, 0.26, 350),
             series("note_board", self.seed, 0.5, 0.4, 300),

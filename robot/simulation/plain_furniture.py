@@ -1,4 +1,4 @@
-"""Furniture of plain homes: smooth boxes in few colours, things on them. Each piece stands with its back at local y = 0, facing +y."""
+"""Furniture of plain homes, and things on it. Each piece stands with its back at local y = 0, facing +y."""
 
 from __future__ import annotations
 

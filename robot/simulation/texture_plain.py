@@ -46,7 +46,7 @@ def paint_white_paint(canvas: Canvas) -> None:
         x, y = canvas.spot()
         reach = max(2, canvas.length_px(0.01, 0.04))
         cv2.ellipse(canvas.image, (x, y), (2 * reach, reach), 0, 0, 360, scaled(base, 0.96), -1, cv2.LINE_AA)
-    _specks(canvas, 1.8, 4, 10, 0.68)
+    _specks(canvas, 0.8, 4, 10, 0.75)
     board = max(2, int(0.06 * canvas.texels_per_m))
     canvas.image[height - board :] = scaled(base, 1.04)
     canvas.image[height - board - 1 : height - board + 1] = scaled(base, 0.82)
@@ -73,7 +73,7 @@ def paint_laminate(canvas: Canvas) -> None:
             x += length
         cv2.line(canvas.image, (0, top), (width, top), scaled(base, 0.76), 2)
     canvas.speckle((0.02 * m,), 0.04, aspect=14.0)
-    _specks(canvas, 12, 5, 14, 0.65)
+    _specks(canvas, 6, 5, 14, 0.65)
 
 
 def paint_carpet(canvas: Canvas) -> None:
@@ -81,7 +81,7 @@ def paint_carpet(canvas: Canvas) -> None:
     canvas.fill(canvas.muted_colour(120, 180))
     _soft_patches(canvas, 0.6, 0.05)
     canvas.speckle((2.0,), 0.02)
-    _specks(canvas, 14, 6, 20, 0.68)
+    _specks(canvas, 6, 6, 20, 0.68)
 
 
 def paint_lino(canvas: Canvas) -> None:
@@ -89,7 +89,7 @@ def paint_lino(canvas: Canvas) -> None:
     canvas.fill(_tone(canvas, 135, 185))
     _soft_patches(canvas, 0.5, 0.04)
     _soft_patches(canvas, 0.09, 0.05)
-    _specks(canvas, 14, 6, 20, 0.7)
+    _specks(canvas, 6, 6, 20, 0.7)
 
 
 def paint_large_tiles(canvas: Canvas) -> None:
@@ -103,7 +103,7 @@ def paint_large_tiles(canvas: Canvas) -> None:
     for y in range(side, height, side):
         cv2.line(canvas.image, (0, y), (width, y), scaled(base, 0.74), 2)
     _soft_patches(canvas, 0.3, 0.03)
-    _specks(canvas, 12, 6, 16, 0.68)
+    _specks(canvas, 6, 6, 16, 0.68)
 
 
 def paint_plain_rug(canvas: Canvas) -> None:
@@ -111,7 +111,7 @@ def paint_plain_rug(canvas: Canvas) -> None:
     base, m = canvas.muted_colour(80, 190), canvas.texels_per_m
     width, height = canvas.size_px
     canvas.fill(base)
-    draw_pattern(canvas, scaled(base, 0.72), canvas.length_px(0.1, 0.2))
+    draw_pattern(canvas, scaled(base, 0.82), canvas.length_px(0.1, 0.2))
     _soft_patches(canvas, 0.25, 0.05)
     inset = int(0.1 * m)
     cv2.rectangle(canvas.image, (inset, inset), (width - inset, height - inset), scaled(base, 0.75), max(2, inset // 3))
@@ -128,7 +128,7 @@ def paint_lacquer(canvas: Canvas) -> None:
     if tone >= 2:
         draw_wood_grain(canvas, base)
     canvas.speckle((0.03 * canvas.texels_per_m,), 0.03, aspect=12.0)
-    _specks(canvas, 5, 4, 10, 0.7)
+    _specks(canvas, 2, 4, 10, 0.75)
     canvas.edge(scaled(base, 0.85), 1)
 
 
@@ -141,7 +141,7 @@ def paint_fronts(canvas: Canvas) -> None:
     if tone == 3:
         draw_wood_grain(canvas, base)
     _soft_patches(canvas, 0.6, 0.012)
-    _specks(canvas, 4, 4, 10, 0.75)
+    _specks(canvas, 2, 4, 10, 0.75)
     is_low = height < 1.2 * m
     columns, rows = max(1, round(width / m / 0.55)), max(1, round(height / m / 0.28)) if is_low else 1
     for c in range(columns):
@@ -183,7 +183,7 @@ def paint_curtain(canvas: Canvas) -> None:
     width, _ = canvas.size_px
     base = canvas.muted_colour(160, 225)
     canvas.fill(base)
-    draw_pattern(canvas, scaled(base, 0.8), canvas.length_px(0.1, 0.18))
+    draw_pattern(canvas, scaled(base, 0.88), canvas.length_px(0.1, 0.18))
     x = np.arange(width) / canvas.texels_per_m
     wave = np.zeros(width)
     for period in (0.11, 0.17, 0.29):

@@ -114,7 +114,7 @@ def paint_patterned_cloth(canvas: Canvas) -> None:
     """A cover or a cushion with a printed pattern that repeats: stripes, checks, dots or leaves."""
     base = canvas.muted_colour(120, 220)
     canvas.fill(base)
-    draw_pattern(canvas, scaled(base, float(canvas.rng.choice([0.55, 0.7]))), canvas.length_px(0.06, 0.11))
+    draw_pattern(canvas, scaled(base, float(canvas.rng.choice([0.75, 0.85]))), canvas.length_px(0.06, 0.11))
     canvas.image[:] = cv2.GaussianBlur(canvas.image, (0, 0), 0.002 * canvas.texels_per_m + 0.4)
     canvas.edge(scaled(base, 0.75), max(1, int(0.004 * canvas.texels_per_m)))
 
@@ -165,11 +165,11 @@ def paint_wicker(canvas: Canvas) -> None:
     """Woven willow: short strands, over and under by turns, each a little lighter or darker."""
     rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
     base = scaled((96, 142, 176), float(rng.uniform(0.75, 1.15)))
-    canvas.fill(scaled(base, 0.6))
-    long, thick = max(4, int(0.04 * m)), max(3, int(0.018 * m))
+    canvas.fill(scaled(base, 0.86))
+    long, thick = max(4, int(0.06 * m)), max(3, int(0.022 * m))
     for row, y in enumerate(range(0, height, thick)):
         for x in range(-(row % 2) * long // 2, width, long):
-            tone = scaled(base, float(rng.uniform(0.75, 1.2)))
+            tone = scaled(base, float(rng.uniform(0.92, 1.05)))
             cv2.rectangle(canvas.image, (x + 1, y + 1), (x + long - 2, y + thick - 1), tone, -1)
 
 
@@ -244,7 +244,16 @@ def paint_note_board(canvas: Canvas) -> None:
 
 
 def draw_wood_grain(canvas: Canvas, colour: Colour) -> None:
-    """The long dark lines of sawn wood along u, bent around a few knots."""
+    """The long dark lines of sawn wood along the board, bent around a few knots."""
+    if canvas.size_px[1] > canvas.size_px[0]:
+        lying = Canvas(canvas.image.transpose(1, 0, 2).copy(), canvas.rng, canvas.texels_per_m)
+        _draw_lying_grain(lying, colour)
+        canvas.image[:] = lying.image.transpose(1, 0, 2)
+    else:
+        _draw_lying_grain(canvas, colour)
+
+
+def _draw_lying_grain(canvas: Canvas, colour: Colour) -> None:
     rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
     x = np.arange(0, width + 8, 8)
     knots = [(*canvas.spot(), canvas.length_px(0.012, 0.03)) for _ in range(int(canvas.area_m2 * 5))]
@@ -254,7 +263,7 @@ def draw_wood_grain(canvas: Canvas, colour: Colour) -> None:
             away = y - ky
             line += np.sign(away) * reach * np.exp(-(((x - kx) / (2.5 * reach)) ** 2) - (away / (2 * reach)) ** 2)
         points = np.round(np.stack([x, line], axis=1)).astype(np.int32)
-        tone = scaled(colour, float(rng.uniform(0.72, 0.9)))
+        tone = scaled(colour, float(rng.uniform(0.85, 0.95)))
         cv2.polylines(canvas.image, [points], False, tone, max(1, int(0.003 * m)), cv2.LINE_AA)
     for kx, ky, reach in knots:
         cv2.ellipse(canvas.image, (kx, ky), (reach, reach // 2 + 1), 0, 0, 360, scaled(colour, 0.6), -1, cv2.LINE_AA)
