@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from robot.simulation.texture_strokes import Canvas, Colour, scaled
+from shared.geometry import FloatArray
 
 
 def paint_spines(canvas: Canvas) -> None:
@@ -223,7 +224,7 @@ def paint_clock(canvas: Canvas) -> None:
     canvas.edge(ink, max(1, width // 30))
 
 
-def _stroke(canvas: Canvas, start: np.ndarray, end: np.ndarray, colour: Colour, width_px: int) -> None:
+def _stroke(canvas: Canvas, start: FloatArray, end: FloatArray, colour: Colour, width_px: int) -> None:
     ends = [(int(x), int(y)) for x, y in (start, end)]
     cv2.line(canvas.image, ends[0], ends[1], colour, width_px, cv2.LINE_AA)
 
