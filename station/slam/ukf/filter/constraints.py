@@ -112,7 +112,7 @@ class WheelConfig:
     sigma_vertical_m_s: float = 0.02
     # The wheels' constants before the drive; the filter learns them along it (docs/slam.md, sec. 9).
     speed_efficiency: float = SPEED_EFFICIENCY
-    sigma_efficiency: float = 0.05
+    sigma_efficiency: float = 0.02
     sigma_turning_centre_m: float = 0.05
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
