@@ -17,7 +17,8 @@ from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import refine
 from station.places.registration.score import Score
 
-BLOCK_VOXELS = 3.0  # 60 cm in a flat of 9 m: a piece of furniture
+# Voxels: 60 cm in a flat of 9 m, a piece of furniture, and 2 m: a map that bends moves whole corners of rooms.
+BLOCK, WIDE_BLOCK = 3.0, 10.0
 DRAWS = 1000
 REFITS = 12
 REFIT_SUBSET = 2000
@@ -43,7 +44,7 @@ def compare(
     if not rivals:
         return Rivalry(0.0, np.zeros(0))
     landed = transform(T, problem.source.points[subsets[1]])
-    blocks = _blocks_of(np.concatenate([landed, problem.target.points[subsets[0]]]), problem.voxel)
+    blocks = _blocks_of(np.concatenate([landed, problem.target.points[subsets[0]]]), BLOCK * problem.voxel)
     count = int(blocks.max()) + 1
     ahead = [np.bincount(blocks, weights=answer.evidence - rival.evidence, minlength=count) for rival in rivals]
     drawn = problem.rng.multinomial(count, np.full(count, 1 / count), size=DRAWS)
@@ -51,9 +52,9 @@ def compare(
     return Rivalry(float(lost.any(axis=1).mean()), np.asarray(lost.mean(axis=0), dtype=np.float64))
 
 
-def _blocks_of(p: FloatArray, voxel: float) -> IntArray:
+def _blocks_of(p: FloatArray, size: float) -> IntArray:
     """(n,) which block of space each point (n, 3) lies in, counted from 0."""
-    index = np.floor((p - p.min(axis=0)) / (BLOCK_VOXELS * voxel)).astype(np.int64)
+    index = np.floor((p - p.min(axis=0)) / size).astype(np.int64)
     return np.asarray(np.unique(index @ np.array([1, 1 << 20, 1 << 40]), return_inverse=True)[1], dtype=np.int64)
 
 
@@ -71,7 +72,7 @@ def spread_of(problem: RegistrationProblem, T: FloatArray) -> FloatArray | None:
     subset, landed = subset[meets], landed[meets]
     if not len(subset):
         return None
-    blocks = _blocks_of(landed, voxel)
+    blocks = _blocks_of(landed, WIDE_BLOCK * voxel)
     order = np.argsort(blocks, kind="stable")
     members = np.split(subset[order], np.flatnonzero(np.diff(blocks[order])) + 1)
     middle = np.median(problem.source.points[subset], axis=0)

@@ -26,7 +26,7 @@ from station.places.registration.verify import KNOWN_TO, OTHER_VOXELS, Findings,
 from station.places.registration.yaw_search import Candidate, SearchConfig, search_yaw
 
 SCALE_STEP = 1.07  # the refinement's basin in scale is about +-4 %
-MANY_SCALES = SearchConfig(cells=48, coarse_cells=20, promising=1 / 12)  # and axes: they multiply the search
+MANY_TURNS = SearchConfig(cells=36, coarse_cells=20)  # where scales or axes multiply them; the rank suffers little
 NUM_CANDIDATES = 12  # refined; the right one is mostly among the first two
 NUM_BASINS = 6  # of different alignments: refined finely, and rivals of the best one
 BESIDE_VOXELS = 0.75  # farther apart, two alignments are different answers, and not the same optimum
@@ -98,7 +98,7 @@ def register_clouds(
     problem = make_problem(
         p_target, p_source, upright=gravity == "known", free_scale=scale == "free", rng=np.random.default_rng(seed)
     )
-    candidates = _global_start(problem, scales) if search else []
+    candidates, searches = _global_start(problem, scales) if search else ([], 1)
     candidates += [Candidate(T, 0.0) for T in start]
     subsets = problem.draw_subsets(SCORE_SUBSET)
     basins = _basins(problem, candidates, subsets)
@@ -123,6 +123,7 @@ def register_clouds(
         score=best.score,
         subsets=subsets,
         rivals=rivals,
+        searches=searches,
         scale_range=scales,
         known_to=known_to,
         target_rays=target_rays,
@@ -154,16 +155,25 @@ def register_clouds(
     )
 
 
-def _global_start(problem: RegistrationProblem, scales: tuple[float, float]) -> list[Candidate]:
-    """Coarse alignments by our own search, and KISS-Matcher's one where it is installed and the scale is known."""
+def _scales_to_try(scales: tuple[float, float]) -> FloatArray:
+    """(S,) from the smallest to the largest one in steps that the refinement bridges."""
+    low, high = np.log(scales)
+    steps = int(np.ceil((high - low) / np.log(SCALE_STEP)))
+    return np.exp(np.linspace(low, high, steps + 1))
+
+
+def _global_start(problem: RegistrationProblem, scales: tuple[float, float]) -> tuple[list[Candidate], int]:
+    """Coarse alignments by our own search, and KISS-Matcher's one where it is installed and the scale is known.
+
+    And how many searches these are the best ones of.
+    """
     A, B, rng = problem.target, problem.source, problem.rng
-    steps = max(1, int(np.ceil(np.log(scales[1] / scales[0]) / np.log(SCALE_STEP))) + 1) if scales[1] > scales[0] else 1
-    grid = np.exp(np.linspace(np.log(scales[0]), np.log(scales[1]), steps)) if steps > 1 else np.array([scales[0]])
+    grid = _scales_to_try(scales)
     target = A.points if len(A.points) <= 8000 else thin(A.points, 8000, rng)
     source = B.points if len(B.points) <= 8000 else thin(B.points, 8000, rng)
-    config = SearchConfig() if steps == 1 and problem.upright else MANY_SCALES
+    config = SearchConfig() if len(grid) == 1 and problem.upright else MANY_TURNS
     if problem.upright:
-        return search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES, config=config)
+        return search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES, config=config), len(grid)
     found: list[Candidate] = []
     R_up, options = upright_rotations(A, B)
     for R_option in options:  # each puts one of the source's axes upright; the yaw is searched
@@ -177,7 +187,7 @@ def _global_start(problem: RegistrationProblem, scales: tuple[float, float]) -> 
         T_kiss = match_features(target, source, upright=False, voxel=problem.voxel)
         if T_kiss is not None:
             found.append(Candidate(T_kiss, 0.0))
-    return found
+    return found, len(grid) * len(options)
 
 
 def _basins(

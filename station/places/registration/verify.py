@@ -13,10 +13,11 @@ from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import Refined, refine
 from station.places.registration.score import Score
 
-MAX_RIVAL_MASS = 0.02
+MAX_RIVAL_MASS = 0.02  # for one scale and one vertical; more are more chances to find something by accident
+MIN_SCORE = 0.09  # of the best alignments of different flats 3 of 100 reach it
 OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
 MIN_OVERLAP = 0.2
-MAX_SCALE_SIGMA = 0.015  # of a free scale
+MAX_SCALE_SIGMA = 0.015  # of a free scale, and of a known one that moves when it is left free
 MAX_TILT_RAD = np.radians(6.0)  # of two clouds that have z up
 MAX_VIOLATION = 0.5
 MIN_WATCHED = 30  # points in watched space; a share of fewer says nothing
@@ -48,6 +49,7 @@ class Findings:
     score: Score
     subsets: tuple[IntArray, IntArray]  # of target and source: the points that all scores are of
     rivals: list[Rival]
+    searches: int  # scales and verticals tried: each is another chance to find something by accident
     scale_range: tuple[float, float]
     known_to: float  # how far a known scale may be off, relative
     target_rays: Rays | None
@@ -85,7 +87,7 @@ def judge(e: Findings) -> Verdict:
         measured |= {"free-space violation": watched.share, "watched points": watched.points}
     against = [
         *_rivals_against(e, rivals),
-        *_overlap_against(e.score),
+        *_too_little_against(e.score),
         *_scale_against(e, covariance),
         *_tilt_against(e),
         *_free_space_against(watched),
@@ -102,7 +104,8 @@ def judge(e: Findings) -> Verdict:
 
 
 def _rivals_against(e: Findings, rivals: Rivalry) -> list[str]:
-    if rivals.mass <= MAX_RIVAL_MASS:
+    allowed = MAX_RIVAL_MASS / e.searches  # Bonferroni's correction
+    if rivals.mass <= allowed:
         return []
     best = int(np.argmax(rivals.shares))
     away = e.rivals[best].away
@@ -112,15 +115,18 @@ def _rivals_against(e: Findings, rivals: Rivalry) -> list[str]:
         else "the room looks alike from there, or these are different rooms"
     )
     return [
-        f"another alignment explains the clouds better in {rivals.mass:.0%} of the draws of their parts, and "
-        f"{MAX_RIVAL_MASS:.0%} are allowed; the best other one in {rivals.shares[best]:.0%}: {meaning}"
+        f"another alignment explains the clouds better in {rivals.mass:.1%} of the draws of their parts, and "
+        f"{allowed:.2%} are allowed; the best other one in {rivals.shares[best]:.1%}: {meaning}"
     ]
 
 
-def _overlap_against(score: Score) -> list[str]:
-    if score.overlap >= MIN_OVERLAP:
-        return []
-    return [f"the clouds share {score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}"]
+def _too_little_against(score: Score) -> list[str]:
+    against = []
+    if score.total < MIN_SCORE:
+        against.append(f"the score is {score.total:.2f}, needs {MIN_SCORE}: too little in common, or different rooms")
+    if score.overlap < MIN_OVERLAP:
+        against.append(f"the clouds share {score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}")
+    return against
 
 
 def _scale_against(e: Findings, covariance: FloatArray | None) -> list[str]:
@@ -186,7 +192,8 @@ def _freed_scale(e: Findings) -> dict[str, float]:
 def _unit_against(e: Findings, freed: dict[str, float]) -> list[str]:
     moved, scale = freed.get("freed scale", 1.0), scale_of(e.refined.T_target_source)
     off = abs(float(np.log(moved)))
-    if off <= e.known_to or off <= FREED_SIGMAS * freed.get("freed scale's noise", np.inf):
+    noise = freed.get("freed scale's noise", 0.0)
+    if off <= e.known_to or not noise or off <= FREED_SIGMAS * noise <= FREED_SIGMAS * MAX_SCALE_SIGMA:
         return []
     return [
         f"the scale is given as {scale:.4g}, but left free the clouds fit best at {moved * scale:.4f}, "
