@@ -14,7 +14,6 @@ from station.places.registration.refine import Refined, refine
 from station.places.registration.score import Score
 
 MAX_RIVAL_MASS = 0.02  # for one scale and one vertical; more are more chances to find something by accident
-MIN_SCORE = 0.09  # of the best alignments of different flats 3 of 100 reach it
 OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
 MIN_OVERLAP = 0.2
 MAX_SCALE_SIGMA = 0.015  # of a free scale, and of a known one that moves when it is left free
@@ -87,7 +86,7 @@ def judge(e: Findings) -> Verdict:
         measured |= {"free-space violation": watched.share, "watched points": watched.points}
     against = [
         *_rivals_against(e, rivals),
-        *_too_little_against(e.score),
+        *_overlap_against(e.score),
         *_scale_against(e, covariance),
         *_tilt_against(e),
         *_free_space_against(watched),
@@ -107,8 +106,7 @@ def _rivals_against(e: Findings, rivals: Rivalry) -> list[str]:
     allowed = MAX_RIVAL_MASS / e.searches  # Bonferroni's correction
     if rivals.mass <= allowed:
         return []
-    best = int(np.argmax(rivals.shares))
-    away = e.rivals[best].away
+    away = e.rivals[int(np.argmax(rivals.shares))].away
     meaning = (
         f"the clouds can slide, by {away:.2g}"
         if away < OTHER_VOXELS * e.problem.voxel
@@ -116,17 +114,14 @@ def _rivals_against(e: Findings, rivals: Rivalry) -> list[str]:
     )
     return [
         f"another alignment explains the clouds better in {rivals.mass:.1%} of the draws of their parts, and "
-        f"{allowed:.2%} are allowed; the best other one in {rivals.shares[best]:.1%}: {meaning}"
+        f"{allowed:.2%} are allowed: {meaning}"
     ]
 
 
-def _too_little_against(score: Score) -> list[str]:
-    against = []
-    if score.total < MIN_SCORE:
-        against.append(f"the score is {score.total:.2f}, needs {MIN_SCORE}: too little in common, or different rooms")
-    if score.overlap < MIN_OVERLAP:
-        against.append(f"the clouds share {score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}")
-    return against
+def _overlap_against(score: Score) -> list[str]:
+    if score.overlap >= MIN_OVERLAP:
+        return []
+    return [f"the clouds share {score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}"]
 
 
 def _scale_against(e: Findings, covariance: FloatArray | None) -> list[str]:

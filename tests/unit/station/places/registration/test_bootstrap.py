@@ -84,17 +84,6 @@ def test_the_spread_is_about_how_far_the_answer_is_off(pair: CloudPair) -> None:
     assert 0.2 < off / np.linalg.norm(sigma[3:6]) < 5 and turn / np.linalg.norm(sigma[:3]) < 5
 
 
-def test_sides_that_moved_against_each_other_spread_the_answer(pair: CloudPair) -> None:
-    source = pair.source.copy()
-    axis = int(np.argmax(np.ptp(source[:, :2], axis=0)))
-    source[source[:, axis] > np.median(source[:, axis]), axis] += 0.1
-    spread = []
-    for p in (pair.source, source):
-        problem = problem_of(pair, p)
-        spread.append(np.linalg.norm(sigmas(spread_of(problem, settled(problem, pair.T_target_source)))[3:6]))
-    assert spread[1] > 1.5 * spread[0]
-
-
 def test_fewer_points_know_the_alignment_less_well(pair: CloudPair) -> None:
     rng = np.random.default_rng(0)
     spread = []
