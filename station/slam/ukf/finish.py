@@ -13,7 +13,8 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
-from station.model.calibration_fit import why_misfit
+from station.model.best_camera import corrected
+from station.model.calibration_fit import CalibrationFit, why_misfit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping.assemble import make_keyframes
@@ -35,28 +36,55 @@ def make_navigation(
     config: UkfConfig,
     report: NavigationReport,
 ) -> Navigation:
-    """Trajectory, keyframes and landmarks of the navigation; completes the report."""
+    """Trajectory, keyframes and landmarks of the navigation; completes the report.
+
+    Args:
+        calibration: as told; the navigation's is corrected by what the drive says of it.
+    """
     fit = memory.calibration_check.finish()
-    made = _from_views(memory, camera, calibration) or _from_tracks(memory, camera, calibration, config)
+    made = _map(memory, camera, calibration, config, fit)
     report = replace(
         report,
         landmarks=len(made.landmarks),
         messages=tuple(filter(None, (*report.messages, *made.messages, why_misfit(fit)))),
         config=report.config | made.facts,
         calibration_fit=fit,
+        told_camera=None if made.calibration == calibration else calibration.camera,
     )
     trajectory = Trajectory(*memory.poses.arrays())
-    return Navigation(navigation_id, calibration, trajectory, made.keyframes, made.landmarks, report)
+    return Navigation(navigation_id, made.calibration, trajectory, made.keyframes, made.landmarks, report)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Made:
     """The map of a navigation; the pose log has followed."""
 
+    calibration: Calibration  # that it was made with
     keyframes: Keyframes
     landmarks: Landmarks
     facts: dict[str, Any]  # for navigation.json
     messages: list[str]
+
+
+def _map(
+    memory: NavigationMemory,
+    camera: CameraModel,
+    calibration: Calibration,
+    config: UkfConfig,
+    fit: CalibrationFit | None,
+) -> _Made:
+    """From views where there are any, else from tracks; with the camera as it is known now where poses move along."""
+    assert calibration.camera is not None
+    better = msgspec.structs.replace(calibration, camera=corrected(calibration.camera, fit).camera)
+    assert better.camera is not None
+    better_camera = CameraModel.of(better.camera, camera.sigma_px)
+    made = _from_views(memory, better_camera, better)
+    if made is not None:
+        return made
+    if not config.refine or config.landmarks == "thesis":
+        return _from_tracks(memory, camera, calibration, config, [])
+    memory.keyframes.items = [k.seen_through(better_camera.lens) for k in memory.keyframes.items]
+    return _from_tracks(memory, better_camera, better, config, _refine(memory, better_camera, better))
 
 
 def _from_views(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> _Made | None:
@@ -68,22 +96,22 @@ def _from_views(memory: NavigationMemory, camera: CameraModel, calibration: Cali
     if made is None:
         return None
     facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}
-    return _Made(made.keyframes, made.landmarks, facts, [])
+    return _Made(calibration, made.keyframes, made.landmarks, facts, [])
 
 
-def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
-    """Keyframes refined window by window, every good track a landmark; or the landmarks as they entered the filter."""
-    is_thesis = config.landmarks == "thesis"
-    messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
+def _from_tracks(
+    memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig, messages: list[str]
+) -> _Made:
+    """Keyframes as they are, every good track a landmark; or the landmarks as they entered the filter."""
     items = memory.keyframes.items
     T_world_cam = np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam)
     segment = np.array([k.segment for k in items], dtype=np.int64)
     keyframes = replace(make_keyframes([k.image for k in items], T_world_cam), segment=segment)
-    if is_thesis:
+    if config.landmarks == "thesis":
         landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:
         landmarks = make_landmarks(items, camera, config.quality)
-    return _Made(keyframes, landmarks, {"mapped_from": "tracks"}, messages)
+    return _Made(calibration, keyframes, landmarks, {"mapped_from": "tracks"}, messages)
 
 
 def _refine(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> list[str]:

@@ -1,0 +1,65 @@
+"""The camera as it is best known: as told before the drive, corrected by what the drive itself says of it.
+
+What is told is a Gaussian around the truth and so is the fit; their product is the Kalman update of the one by the
+other. There is no threshold: a fit that knows little corrects little.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+
+from shared.calibration import CameraCalibration
+from station.model.calibration_fit import CalibrationFit, why_misfit, why_unsure
+from station.model.navigation import Navigation
+
+# How good a calibration at home is, one standard deviation of the focal length: a chessboard that is printed and held
+# by hand gives it to about a per cent.
+TOLD_FOCAL_SIGMA = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class KnownCamera:
+    """A camera and how well it is known."""
+
+    camera: CameraCalibration
+    focal_sigma: float  # relative, one standard deviation
+
+
+def corrected(told: CameraCalibration, fit: CalibrationFit | None) -> KnownCamera:
+    """The camera after the fit; as told without one.
+
+    Its mounting and time shift stay: corrected too, maps came out no truer (docs/robot.md).
+    """
+    if fit is None:
+        return KnownCamera(told, TOLD_FOCAL_SIGMA)
+    gain = TOLD_FOCAL_SIGMA**2 / (TOLD_FOCAL_SIGMA**2 + fit.focal_sigma**2)
+    longer = fit.focal_scale**gain
+    camera = msgspec.structs.replace(told, fx=longer * told.fx, fy=longer * told.fy)
+    return KnownCamera(camera, TOLD_FOCAL_SIGMA * math.sqrt(1.0 - gain))
+
+
+def best_camera(
+    told: CameraCalibration, navigation: Navigation, fit: CalibrationFit | None = None
+) -> CameraCalibration:
+    """The camera by which to look for an image of a robot in the map that was made from a navigation.
+
+    A robot that tells the numbers that the mapping robot told is taken for that robot: what the mapping drive knew of
+    the camera holds for it, and the map is made with that.
+
+    Args:
+        fit: what the robot's own drive says of what it tells; used where it is better known.
+    """
+    own, report = corrected(told, fit), navigation.report
+    if report.told_camera != told:
+        return own.camera
+    of_map = corrected(told, report.calibration_fit)
+    return own.camera if own.focal_sigma < of_map.focal_sigma else navigation.calibration.camera or told
+
+
+def why_unsure_of(navigation: Navigation) -> str:
+    """Why nothing in its map may be said for sure, in a sentence; empty where it was made with a camera that fits."""
+    report = navigation.report
+    return why_misfit(report.calibration_fit) if report.told_camera is None else why_unsure(report.calibration_fit)
