@@ -13,7 +13,7 @@ import msgspec
 
 from shared.calibration import CameraCalibration
 from station.model.calibration_fit import CalibrationFit, why_misfit, why_unsure
-from station.model.navigation import Navigation
+from station.model.navigation import Navigation, NavigationReport
 
 # How good a calibration at home is, one standard deviation of the focal length: a chessboard that is printed and held
 # by hand gives it to about a per cent.
@@ -53,10 +53,18 @@ def best_camera(
         fit: what the robot's own drive says of what it tells; used where it is better known.
     """
     own, report = corrected(told, fit), navigation.report
-    if report.told_camera != told:
+    if (report.told_camera or navigation.calibration.camera) != told:
         return own.camera
+    if report.told_camera is None:
+        return told  # uncorrected, the map is as this camera saw it
     of_map = corrected(told, report.calibration_fit)
     return own.camera if own.focal_sigma < of_map.focal_sigma else navigation.calibration.camera or told
+
+
+def misfit_of(report: NavigationReport) -> str:
+    """As `why_misfit`, and that the map is corrected for it where it is."""
+    why = why_misfit(report.calibration_fit)
+    return f"{why}; this map is made with the corrected focal length" if why and report.told_camera else why
 
 
 def why_unsure_of(navigation: Navigation) -> str:

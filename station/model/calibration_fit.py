@@ -78,8 +78,7 @@ def judge(
         misfits = [f"the focal length seems {abs(error):.1%} too {'long' if error > 0 else 'short'}", *other]
     if misfits:
         verdict: FitVerdict = MISFITS
-        but = "" if other or _is_far(scale) else "the map is corrected for it, but better "
-        sentence = f"the calibration does not fit: {', '.join(misfits)}; {but}calibrate the camera"
+        sentence = f"the calibration does not fit: {', '.join(misfits)}; calibrate the camera"
     elif is_sure:
         verdict = FITS
         sentence = f"the calibration fits: what the drive says of the focal length is {abs(error):.1%} from it"
@@ -99,6 +98,7 @@ def judge(
 
 
 def _is_far(focal_scale: float) -> bool:
+    """Whether what is told is too far off to correct it."""
     return abs(1.0 / focal_scale - 1.0) > MAX_CORRECTED_FOCAL_ERROR
 
 

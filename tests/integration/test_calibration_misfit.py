@@ -10,7 +10,6 @@ import pytest
 from shared.calibration import CameraCalibration
 from station.datasets import open_dataset
 from station.files.navigation_folder import load_navigation
-from station.model.best_camera import corrected
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
@@ -49,9 +48,7 @@ def test_a_real_flight_says_whether_its_focal_length_is_right(focal: float, verd
     report, used = navigation.report, navigation.calibration.camera
     fit, messages = report.calibration_fit, "; ".join(report.messages)
     assert fit is not None and used is not None
-    assert report.told_camera == told
-    assert used == corrected(told, fit).camera
-    assert abs(focal * used.fx / told.fx - 1.0) < max(0.004, 0.5 * abs(focal - 1.0))  # truer than told
+    assert used == told and report.told_camera is None  # a map from tracks is not corrected
     assert fit.verdict == verdict
     assert fit.focal_scale == pytest.approx(1.0 / focal, abs=0.015)  # four seconds, one window
     assert (fit.sentence in messages) == (verdict == "does not fit")

@@ -13,8 +13,8 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
-from station.model.best_camera import corrected
-from station.model.calibration_fit import CalibrationFit, why_misfit
+from station.model.best_camera import corrected, misfit_of
+from station.model.calibration_fit import CalibrationFit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping.assemble import make_keyframes
@@ -39,18 +39,18 @@ def make_navigation(
     """Trajectory, keyframes and landmarks of the navigation; completes the report.
 
     Args:
-        calibration: as told; the navigation's is corrected by what the drive says of it.
+        calibration: as told; that of a map from views is corrected by what the drive says of it.
     """
     fit = memory.calibration_check.finish()
-    made = _map(memory, camera, calibration, config, fit)
+    made = _from_views(memory, camera, calibration, fit) or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
         landmarks=len(made.landmarks),
-        messages=tuple(filter(None, (*report.messages, *made.messages, why_misfit(fit)))),
         config=report.config | made.facts,
         calibration_fit=fit,
         told_camera=None if made.calibration == calibration else calibration.camera,
     )
+    report = replace(report, messages=tuple(filter(None, (*report.messages, *made.messages, misfit_of(report)))))
     trajectory = Trajectory(*memory.poses.arrays())
     return Navigation(navigation_id, made.calibration, trajectory, made.keyframes, made.landmarks, report)
 
@@ -66,48 +66,37 @@ class _Made:
     messages: list[str]
 
 
-def _map(
-    memory: NavigationMemory,
-    camera: CameraModel,
-    calibration: Calibration,
-    config: UkfConfig,
-    fit: CalibrationFit | None,
-) -> _Made:
-    """From views where there are any, else from tracks; with the camera as it is known now where poses move along."""
-    assert calibration.camera is not None
-    better = msgspec.structs.replace(calibration, camera=corrected(calibration.camera, fit).camera)
-    assert better.camera is not None
-    better_camera = CameraModel.of(better.camera, camera.sigma_px)
-    made = _from_views(memory, better_camera, better)
-    if made is not None:
-        return made
-    if not config.refine or config.landmarks == "thesis":
-        return _from_tracks(memory, camera, calibration, config, [])
-    memory.keyframes.items = [k.seen_through(better_camera.lens) for k in memory.keyframes.items]
-    return _from_tracks(memory, better_camera, better, config, _refine(memory, better_camera, better))
+def _from_views(
+    memory: NavigationMemory, camera: CameraModel, calibration: Calibration, fit: CalibrationFit | None
+) -> _Made | None:
+    """Loops closed and everything refined, by the camera as the drive's end knows it.
 
-
-def _from_views(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> _Made | None:
-    """Loops closed and everything refined; None where there are no views, or they share too little."""
+    None where there are no views, or they share too little.
+    """
     if memory.views is None:
         return None
     assert calibration.camera is not None and calibration.imu is not None
-    made = map_views(memory.views, memory.poses, camera, calibration.camera, calibration.imu)
+    better = corrected(calibration.camera, fit).camera
+    made = map_views(memory.views, memory.poses, CameraModel.of(better, camera.sigma_px), better, calibration.imu)
     if made is None:
         return None
     facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}
+    calibration = msgspec.structs.replace(calibration, camera=better)
     return _Made(calibration, made.keyframes, made.landmarks, facts, [])
 
 
-def _from_tracks(
-    memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig, messages: list[str]
-) -> _Made:
-    """Keyframes as they are, every good track a landmark; or the landmarks as they entered the filter."""
+def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
+    """Keyframes refined window by window, every good track a landmark; or the landmarks as they entered the filter.
+
+    By the told camera: a short flight, whose map this often is, knows its focal length no better (docs/robot.md).
+    """
+    is_thesis = config.landmarks == "thesis"
+    messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
     items = memory.keyframes.items
     T_world_cam = np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam)
     segment = np.array([k.segment for k in items], dtype=np.int64)
     keyframes = replace(make_keyframes([k.image for k in items], T_world_cam), segment=segment)
-    if config.landmarks == "thesis":
+    if is_thesis:
         landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:
         landmarks = make_landmarks(items, camera, config.quality)

@@ -12,7 +12,6 @@ from station.model.frames import ImageArray, ImageFrame
 from station.motion.preintegration import Preintegration, chain
 from station.slam.ukf.filter.state import WheelsThen
 from station.vision.klt import TrackedFrame
-from station.vision.lens import Lens
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,10 +29,6 @@ class Keyframe:
     link: Preintegration | None  # IMU since the previous keyframe of the segment
     wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
     wheels_then: WheelsThen | None  # None without wheels
-
-    def seen_through(self, lens: Lens) -> Keyframe:
-        """The same pixels, by another lens than the one that was told."""
-        return replace(self, tracked=replace(self.tracked, xy=lens.unproject(self.tracked.uv_px)))
 
 
 class KeyframeStore:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
-from station.model.best_camera import TOLD_FOCAL_SIGMA, best_camera, corrected
+from station.model.best_camera import TOLD_FOCAL_SIGMA, best_camera, corrected, misfit_of
 from station.model.calibration_fit import CalibrationFit, judge
 from station.model.navigation import Navigation
 from tests.support.places import make_map
@@ -70,7 +70,15 @@ def test_another_camera_is_corrected_by_its_own_drive_only() -> None:
     assert best_camera(other, navigation, own) == corrected(other, own).camera
 
 
-def test_in_a_map_from_before_cameras_were_corrected_the_told_one_is_used() -> None:
+def test_in_a_map_that_was_not_corrected_the_told_camera_is_used() -> None:
     navigation = make_map().navigation
-    assert navigation.calibration.camera is not None
-    assert best_camera(navigation.calibration.camera, navigation) == navigation.calibration.camera
+    told = navigation.calibration.camera
+    assert told is not None
+    assert best_camera(told, navigation, focal_fit(0.97, 0.003)) == told
+
+
+def test_a_message_says_that_the_map_is_corrected_only_where_it_is() -> None:
+    report = mapped(REFERENCE_CAMERA, focal_fit(0.97, 0.003)).report
+    assert "too long" in misfit_of(report) and "corrected" in misfit_of(report)
+    assert "corrected" not in misfit_of(replace(report, told_camera=None))
+    assert misfit_of(mapped(REFERENCE_CAMERA, focal_fit(0.995, 0.003)).report) == ""
