@@ -10,14 +10,17 @@ import math
 from dataclasses import dataclass
 
 import msgspec
+import numpy as np
 
 from shared.calibration import CameraCalibration
+from shared.geometry import so3_exp
 from station.model.calibration_fit import CalibrationFit, why_misfit, why_unsure
 from station.model.navigation import Navigation, NavigationReport
 
-# How good a calibration at home is, one standard deviation of the focal length: a chessboard that is printed and held
-# by hand gives it to about a per cent.
+# How good a calibration at home is, one standard deviation: a chessboard that is printed and held by hand gives the
+# focal length to about a per cent, and a camera is mounted by eye.
 TOLD_FOCAL_SIGMA = 0.01
+TOLD_MOUNTING_SIGMA_DEG = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +34,18 @@ class KnownCamera:
 def corrected(told: CameraCalibration, fit: CalibrationFit | None) -> KnownCamera:
     """The camera after the fit; as told without one.
 
-    Its mounting and time shift stay: corrected too, maps came out no truer (docs/robot.md).
+    Its time shift stays: the filter's poses, which a map starts from, have the told one in their times.
     """
     if fit is None:
         return KnownCamera(told, TOLD_FOCAL_SIGMA)
     gain = TOLD_FOCAL_SIGMA**2 / (TOLD_FOCAL_SIGMA**2 + fit.focal_sigma**2)
     longer = fit.focal_scale**gain
-    camera = msgspec.structs.replace(told, fx=longer * told.fx, fy=longer * told.fy)
+    gain_mounting = 1.0 / (1.0 + (np.array(fit.mounting_sigma_deg) / TOLD_MOUNTING_SIGMA_DEG) ** 2)
+    T = told.T_body_cam_matrix
+    T[:3, :3] = T[:3, :3] @ so3_exp(np.radians(gain_mounting * np.array(fit.mounting_deg)))
+    camera = msgspec.structs.replace(
+        told, fx=longer * told.fx, fy=longer * told.fy, T_body_cam=tuple(T.ravel().tolist())
+    )
     return KnownCamera(camera, TOLD_FOCAL_SIGMA * math.sqrt(1.0 - gain))
 
 
@@ -64,7 +72,7 @@ def best_camera(
 def misfit_of(report: NavigationReport) -> str:
     """As `why_misfit`, and that the map is corrected for it where it is."""
     why = why_misfit(report.calibration_fit)
-    return f"{why}; this map is made with the corrected focal length" if why and report.told_camera else why
+    return f"{why}; this map is made with the corrected camera" if why and report.told_camera else why
 
 
 def why_unsure_of(navigation: Navigation) -> str:

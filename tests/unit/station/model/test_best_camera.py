@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
-from station.model.best_camera import TOLD_FOCAL_SIGMA, best_camera, corrected, misfit_of
+from shared.geometry import so3_log
+from station.model.best_camera import TOLD_FOCAL_SIGMA, TOLD_MOUNTING_SIGMA_DEG, best_camera, corrected, misfit_of
 from station.model.calibration_fit import CalibrationFit, judge
 from station.model.navigation import Navigation
 from tests.support.places import make_map
@@ -49,6 +50,16 @@ def test_the_better_the_fit_the_more_it_corrects() -> None:
     assert moved == sorted(moved)
     assert moved[0] == pytest.approx(REFERENCE_CAMERA.fx, rel=1e-4)
     assert moved[-1] == pytest.approx(1.05 * REFERENCE_CAMERA.fx, rel=1e-4)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_turned_camera_is_turned_back_by_as_much_as_is_known(axis: int) -> None:
+    turned, sigma = np.eye(3)[axis] * 2.0, np.full(3, 10.0)
+    sigma[axis] = TOLD_MOUNTING_SIGMA_DEG
+    camera = corrected(REFERENCE_CAMERA, judge((1.0, 0.01), turned, sigma, (0.0, 0.001))).camera
+    R_told_now = REFERENCE_CAMERA.T_body_cam_matrix[:3, :3].T @ camera.T_body_cam_matrix[:3, :3]
+    assert np.degrees(so3_log(R_told_now)) == pytest.approx(turned / 2.0)
+    assert camera.T_body_cam_matrix[:3, 3] == pytest.approx(REFERENCE_CAMERA.T_body_cam_matrix[:3, 3])
 
 
 def test_images_of_a_robot_that_tells_the_same_are_looked_for_with_the_camera_of_the_map() -> None:
