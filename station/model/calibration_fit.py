@@ -21,6 +21,8 @@ UNKNOWN: Final = "not known yet"
 MAX_FOCAL_ERROR = 0.0225
 MAX_MOUNTING_DEG = 2.0
 MAX_TIME_SHIFT_S = 0.010
+# Of 5 % a fit has said 3: corrected by that (best_camera.py), more is left than is borne. Below this at most 2 % is.
+MAX_CORRECTED_FOCAL_ERROR = 0.0275
 SURE = 1.0 / 3.0  # an error is known when its standard deviation is at most this share of what is borne
 
 
@@ -43,6 +45,15 @@ def why_misfit(fit: CalibrationFit | None) -> str:
     return fit.sentence if fit is not None and fit.verdict == MISFITS else ""
 
 
+def why_unsure(fit: CalibrationFit | None) -> str:
+    """As `why_misfit`, but empty too where the focal length is all that does not fit, and near enough to correct it."""
+    if fit is None:
+        return ""
+    shift = fit.time_shift_s, fit.time_shift_sigma_s
+    other = _other_misfits(np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg), shift)
+    return why_misfit(fit) if other or _is_far(fit.focal_scale) else ""
+
+
 def worst(fits: Iterable[CalibrationFit | None]) -> CalibrationFit | None:
     """One that does not fit, where there is one; else one that is known, else None."""
     order = (MISFITS, FITS, UNKNOWN)
@@ -62,15 +73,9 @@ def judge(
     scale, sigma = focal
     error = 1.0 / scale - 1.0  # of what is told
     is_sure = sigma <= SURE * MAX_FOCAL_ERROR
-    misfits = []
+    misfits = other = _other_misfits(mounting_deg, mounting_sigma_deg, shift_s)
     if is_sure and abs(error) > MAX_FOCAL_ERROR:
-        misfits.append(f"the focal length seems {abs(error):.1%} too {'long' if error > 0 else 'short'}")
-    turned = mounting_deg[(np.abs(mounting_deg) > MAX_MOUNTING_DEG) & (mounting_sigma_deg <= SURE * MAX_MOUNTING_DEG)]
-    if len(turned):
-        misfits.append(f"the camera seems turned by {np.linalg.norm(turned):.1f} degrees")
-    if abs(shift_s[0]) > MAX_TIME_SHIFT_S and shift_s[1] <= SURE * MAX_TIME_SHIFT_S:
-        when = "later" if shift_s[0] > 0 else "earlier"
-        misfits.append(f"images seem taken {1e3 * abs(shift_s[0]):.0f} ms {when} than told")
+        misfits = [f"the focal length seems {abs(error):.1%} too {'long' if error > 0 else 'short'}", *other]
     if misfits:
         verdict: FitVerdict = MISFITS
         sentence = f"the calibration does not fit: {', '.join(misfits)}; calibrate the camera"
@@ -90,6 +95,23 @@ def judge(
         verdict=verdict,
         sentence=sentence,
     )
+
+
+def _is_far(focal_scale: float) -> bool:
+    """Whether what is told is too far off to correct it."""
+    return abs(1.0 / focal_scale - 1.0) > MAX_CORRECTED_FOCAL_ERROR
+
+
+def _other_misfits(mounting_deg: FloatArray, mounting_sigma_deg: FloatArray, shift_s: tuple[float, float]) -> list[str]:
+    """What does not fit beside the focal length."""
+    misfits = []
+    turned = mounting_deg[(np.abs(mounting_deg) > MAX_MOUNTING_DEG) & (mounting_sigma_deg <= SURE * MAX_MOUNTING_DEG)]
+    if len(turned):
+        misfits.append(f"the camera seems turned by {np.linalg.norm(turned):.1f} degrees")
+    if abs(shift_s[0]) > MAX_TIME_SHIFT_S and shift_s[1] <= SURE * MAX_TIME_SHIFT_S:
+        when = "later" if shift_s[0] > 0 else "earlier"
+        misfits.append(f"images seem taken {1e3 * abs(shift_s[0]):.0f} ms {when} than told")
+    return misfits
 
 
 def _three(values: FloatArray) -> tuple[float, float, float]:

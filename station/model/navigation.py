@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from shared.calibration import Calibration
+from shared.calibration import Calibration, CameraCalibration
 from shared.geometry import FloatArray, IntArray, transform
 from station.model.calibration_fit import CalibrationFit
 
@@ -118,6 +118,7 @@ class NavigationReport:
     config: dict[str, Any]
     messages: tuple[str, ...] = ()  # what a person should know, in sentences
     calibration_fit: CalibrationFit | None = None  # None: not asked, or too little was followed
+    told_camera: CameraCalibration | None = None  # before the fit corrected it; None: the calibration's is as told
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +126,7 @@ class Navigation:
     """One navigation, finished."""
 
     id: str
-    calibration: Calibration
+    calibration: Calibration  # that the map was made with: as told, its camera corrected where the drive knew better
     trajectory: Trajectory
     keyframes: Keyframes
     landmarks: Landmarks

@@ -7,10 +7,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from shared.calibration import CameraCalibration
 from station.datasets import open_dataset
 from station.files.navigation_folder import load_navigation
-from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImuBatch
+from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.workers.slam import NavigationSlam
 from tests.support.paths import RECORDINGS
@@ -19,8 +20,8 @@ from tests.support.station_at_work import at_work, wait_for
 FLIGHT = RECORDINGS / "euroc_v1_01_flight"
 
 
-def fly(focal: float, folder: Path) -> tuple[CalibrationFit | None, str]:
-    """What four seconds of a real flight say of a focal length that is told `focal` times as long, and the messages."""
+def fly(focal: float, folder: Path) -> tuple[CameraCalibration, Navigation]:
+    """Four seconds of a real flight with a focal length that is told `focal` times as long: told, and what came out."""
     data = open_dataset(FLIGHT, None, None, 1)
     camera = data.calibration.camera
     assert camera is not None
@@ -37,15 +38,17 @@ def fly(focal: float, folder: Path) -> tuple[CalibrationFit | None, str]:
         else:
             slam.add_frame(event)
     slam.finish("flight", folder)
-    report = load_navigation(folder).report
-    return report.calibration_fit, "; ".join(report.messages)
+    return camera, load_navigation(folder)
 
 
 @pytest.mark.skipif(not FLIGHT.exists(), reason="the recorded flight is not here")
 @pytest.mark.parametrize(("focal", "verdict"), [(1.0, "fits"), (0.95, "does not fit"), (1.05, "does not fit")])
 def test_a_real_flight_says_whether_its_focal_length_is_right(focal: float, verdict: str, tmp_path: Path) -> None:
-    fit, messages = fly(focal, tmp_path / "navigation")
-    assert fit is not None
+    told, navigation = fly(focal, tmp_path / "navigation")
+    report, used = navigation.report, navigation.calibration.camera
+    fit, messages = report.calibration_fit, "; ".join(report.messages)
+    assert fit is not None and used is not None
+    assert used == told and report.told_camera is None  # a map from tracks is not corrected
     assert fit.verdict == verdict
     assert fit.focal_scale == pytest.approx(1.0 / focal, abs=0.015)  # four seconds, one window
     assert (fit.sentence in messages) == (verdict == "does not fit")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from station.model.best_camera import corrected
 from tests.support.drives.judging import judge_drive, summarise
 from tests.support.drives.misfit import Misfit
 from tests.support.drives.playback import play_back
@@ -17,7 +18,11 @@ def test_a_drive_is_recorded_once_and_judged_as_often_as_wanted() -> None:
     world = make_drives("small", 3, Misfit(1.0, 3), options)
     assert world.place_map is not None and world.quality is not None
     assert abs(world.quality.scale - 1.0) < 0.06 and world.quality.error_m < 0.2
+    report, camera = world.place_map.navigation.report, world.place_map.navigation.calibration.camera
     (drive,) = world.drives
+    told = drive.calibration.camera
+    assert told is not None and report.calibration_fit is not None and report.told_camera == told
+    assert camera == corrected(told, report.calibration_fit).camera != told
     assert drive.hijack is not None and not drive.hijack.to_unmapped
     assert all(image.attempt.features is not None for image in drive.images)
     played = play_back(world.place_map, drive)

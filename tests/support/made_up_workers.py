@@ -31,6 +31,11 @@ def focal_fit(scale: float) -> CalibrationFit:
     return judge((scale, 0.002), np.zeros(3), np.full(3, 0.2), (0.0, 0.001))
 
 
+def turned_fit(degrees: float) -> CalibrationFit:
+    """Of a drive that knows that the camera is turned, and that its focal length is right."""
+    return judge((1.0, 0.002), np.array([degrees, 0.0, 0.0]), np.full(3, 0.2), (0.0, 0.001))
+
+
 class StraightSlam:
     """A SlamBackend that takes every robot to drive straight on; ten landmarks per frame."""
 

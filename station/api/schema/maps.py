@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from station.api.schema.base import Model, Question
 from station.config import MAX_ACTIVE_MAPS
 from station.library.active_maps import ActiveMaps
-from station.model.calibration_fit import why_misfit
+from station.model.best_camera import misfit_of
 from station.model.map_store import MapSummary
 
 
@@ -60,6 +60,6 @@ def map_model(summary: MapSummary, active: ActiveMaps) -> MapModel:
         places=summary.places,
         active=found is not None,
         first=first is not None and first.place_map.id == summary.id,
-        misfit="" if found is None else why_misfit(found.place_map.navigation.report.calibration_fit),
+        misfit="" if found is None else misfit_of(found.place_map.navigation.report),
         damaged=summary.damaged,
     )

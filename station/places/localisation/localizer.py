@@ -15,6 +15,8 @@ import numpy as np
 from shared.calibration import Calibration, CameraCalibration
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, IntArray, rotation_angle
+from station.model.best_camera import best_camera
+from station.model.calibration_fit import CalibrationFit
 from station.model.frames import ImageFrame
 from station.model.place_answer import Localization
 from station.model.place_map import PlaceMap
@@ -100,14 +102,19 @@ class Localizer:
         """A verified pose, or None. Raises DataError for an undecodable image, ConfigError without a camera."""
         return self.attempt(frame, calibration).localization
 
-    def attempt(self, frame: ImageFrame, calibration: Calibration) -> Attempt:
-        """A verified pose and the reason, or why there is none. Raises as `localize` does."""
+    def attempt(self, frame: ImageFrame, calibration: Calibration, fit: CalibrationFit | None = None) -> Attempt:
+        """A verified pose and the reason, or why there is none. Raises as `localize` does.
+
+        `fit`: what the robot's drive so far says of its calibration.
+        """
         camera = calibration.camera
         if camera is None:
             raise ConfigError("calibration has no camera; localisation needs one")
-        return self.attempt_features(self._extractor.extract(frame.grey()), frame.t_robot_ns, camera)
+        return self.attempt_features(self._extractor.extract(frame.grey()), frame.t_robot_ns, camera, fit)
 
-    def attempt_features(self, features: Features, t_robot_ns: int, camera: CameraCalibration) -> Attempt:
+    def attempt_features(
+        self, features: Features, t_robot_ns: int, told: CameraCalibration, fit: CalibrationFit | None = None
+    ) -> Attempt:
         """As `attempt`, from the features of an image."""
         n = len(features)
         if n < self.config.min_inliers:
@@ -115,14 +122,15 @@ class Localizer:
         proposed = [index.query(features.descriptors, self.config.num_proposals) for index in self.appearances]
         if not any(len(images) for images, _ in proposed):
             return _nothing("nothing in the map resembles the image", features)
-        rays = to_rays(camera, features.uv_px)
+        cameras = [best_camera(told, one.navigation, fit) for one in self.maps]
         poses = []
         # Similarities by the words of different maps cannot be compared (a small map has few words, which more images
         # share), so that they must not compete for being tried.
         for m, (first, (images, _)) in enumerate(zip(self._first, proposed, strict=True)):
+            rays = to_rays(cameras[m], features.uv_px)
             for group in self._groups(first + images):
                 members = [self._keyframes[i].features for i in group]
-                pose = find_pose(m, members, features, rays, camera, self.config.matching)
+                pose = find_pose(m, members, features, rays, cameras[m], self.config.matching)
                 if pose is not None:
                     poses.append(pose)
         best_similarity = max(float(similarity[0]) for _, similarity in proposed if len(similarity))
@@ -130,7 +138,7 @@ class Localizer:
             return _nothing("no keyframe that resembles the image agrees with it in space", features, best_similarity)
         poses = self._distinct(poses)
         best_inliers = poses[0].pose.num_inliers
-        objections = [self._objection(pose, features, camera) for pose in poses]
+        objections = [self._objection(pose, features, cameras[pose.map_index]) for pose in poses]
         verified = [pose for pose, objection in zip(poses, objections, strict=True) if objection is None]
         candidates = tuple(self._answer(pose, n, t_robot_ns) for pose in verified)
         if not candidates:

@@ -13,7 +13,8 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
-from station.model.calibration_fit import CalibrationFit, why_misfit
+from station.model.best_camera import why_unsure_of
+from station.model.calibration_fit import CalibrationFit, why_unsure
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
@@ -49,7 +50,7 @@ class PlaceTracker:
         self._moved_ns: int | None = None  # when somebody moved the robot last
         self.last_attempt: Attempt | None = None
         self._fit: CalibrationFit | None = None  # of the robot that drives now
-        self._misfit_of_map = {m.id: why for m in maps if (why := why_misfit(m.navigation.report.calibration_fit))}
+        self._unsure_map = {m.id: why for m in maps if (why := why_unsure_of(m.navigation))}
         camera = calibration.camera
         self._shift_ns = round(camera.time_shift_s * 1e9) if camera else 0
         self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
@@ -83,7 +84,7 @@ class PlaceTracker:
         t = frame.t_robot_ns + self._shift_ns
         if self.hijacks.is_carried or (self._moved_ns is not None and t < self._moved_ns):
             return None
-        attempt = self.localizer.attempt(frame, self._calibration)
+        attempt = self.localizer.attempt(frame, self._calibration, self._fit)
         self.last_attempt = attempt
         seen = self.hijacks.on_view(t, attempt.features) if attempt.features is not None else None
         if seen is not None:
@@ -98,10 +99,10 @@ class PlaceTracker:
         return attempt
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:
-        """The current place at this time (robot clock); with a calibration that does not fit it is not known."""
+        """The current place at this time (robot clock); with a calibration that nobody can correct it is not known."""
         answer = self.estimator.answer(t_robot_ns)
-        why = why_misfit(self._fit)
-        if not why and (of_map := self._misfit_of_map.get(answer.map_id or "")):
+        why = why_unsure(self._fit)
+        if not why and (of_map := self._unsure_map.get(answer.map_id or "")):
             why = f"of the navigation that the map was made from, {of_map}"
         if answer.state != "known" or not why:
             return answer

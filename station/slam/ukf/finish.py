@@ -13,7 +13,8 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
-from station.model.calibration_fit import why_misfit
+from station.model.best_camera import corrected, misfit_of
+from station.model.calibration_fit import CalibrationFit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping.assemble import make_keyframes
@@ -35,44 +36,60 @@ def make_navigation(
     config: UkfConfig,
     report: NavigationReport,
 ) -> Navigation:
-    """Trajectory, keyframes and landmarks of the navigation; completes the report."""
+    """Trajectory, keyframes and landmarks of the navigation; completes the report.
+
+    Args:
+        calibration: as told; that of a map from views is corrected by what the drive says of it.
+    """
     fit = memory.calibration_check.finish()
-    made = _from_views(memory, camera, calibration) or _from_tracks(memory, camera, calibration, config)
+    made = _from_views(memory, camera, calibration, fit) or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
         landmarks=len(made.landmarks),
-        messages=tuple(filter(None, (*report.messages, *made.messages, why_misfit(fit)))),
         config=report.config | made.facts,
         calibration_fit=fit,
+        told_camera=None if made.calibration == calibration else calibration.camera,
     )
+    report = replace(report, messages=tuple(filter(None, (*report.messages, *made.messages, misfit_of(report)))))
     trajectory = Trajectory(*memory.poses.arrays())
-    return Navigation(navigation_id, calibration, trajectory, made.keyframes, made.landmarks, report)
+    return Navigation(navigation_id, made.calibration, trajectory, made.keyframes, made.landmarks, report)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Made:
     """The map of a navigation; the pose log has followed."""
 
+    calibration: Calibration  # that it was made with
     keyframes: Keyframes
     landmarks: Landmarks
     facts: dict[str, Any]  # for navigation.json
     messages: list[str]
 
 
-def _from_views(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> _Made | None:
-    """Loops closed and everything refined; None where there are no views, or they share too little."""
+def _from_views(
+    memory: NavigationMemory, camera: CameraModel, calibration: Calibration, fit: CalibrationFit | None
+) -> _Made | None:
+    """Loops closed and everything refined, by the camera as the drive's end knows it.
+
+    None where there are no views, or they share too little.
+    """
     if memory.views is None:
         return None
     assert calibration.camera is not None and calibration.imu is not None
-    made = map_views(memory.views, memory.poses, camera, calibration.camera, calibration.imu)
+    better = corrected(calibration.camera, fit).camera
+    made = map_views(memory.views, memory.poses, CameraModel.of(better, camera.sigma_px), better, calibration.imu)
     if made is None:
         return None
     facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}
-    return _Made(made.keyframes, made.landmarks, facts, [])
+    calibration = msgspec.structs.replace(calibration, camera=better)
+    return _Made(calibration, made.keyframes, made.landmarks, facts, [])
 
 
 def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
-    """Keyframes refined window by window, every good track a landmark; or the landmarks as they entered the filter."""
+    """Keyframes refined window by window, every good track a landmark; or the landmarks as they entered the filter.
+
+    By the told camera: a short flight, whose map this often is, knows its focal length no better (docs/robot.md).
+    """
     is_thesis = config.landmarks == "thesis"
     messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
     items = memory.keyframes.items
@@ -83,7 +100,7 @@ def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Cal
         landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:
         landmarks = make_landmarks(items, camera, config.quality)
-    return _Made(keyframes, landmarks, {"mapped_from": "tracks"}, messages)
+    return _Made(calibration, keyframes, landmarks, {"mapped_from": "tracks"}, messages)
 
 
 def _refine(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> list[str]:

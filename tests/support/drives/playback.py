@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from shared.calibration import Calibration
+from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
@@ -27,7 +28,7 @@ class PlayedBackLocalizer(Localizer):
         self.maps = tuple(maps)
         self._attempts = {image.t_robot_ns: image.attempt for image in images}
 
-    def attempt(self, frame: ImageFrame, calibration: Calibration) -> Attempt:
+    def attempt(self, frame: ImageFrame, calibration: Calibration, fit: CalibrationFit | None = None) -> Attempt:
         return self._attempts[frame.t_robot_ns]
 
 

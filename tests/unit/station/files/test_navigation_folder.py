@@ -66,6 +66,18 @@ def test_a_sensor_range_without_limit_survives_the_disk(tmp_path: Path) -> None:
     assert load_navigation(tmp_path / "nav").calibration == calibration
 
 
+def test_the_told_camera_survives_beside_the_corrected_one(tmp_path: Path) -> None:
+    nav = small_navigation()
+    told = REFERENCE_ROBOT.camera
+    save_navigation(replace(nav, report=replace(nav.report, told_camera=told)), tmp_path / "nav")
+    assert load_navigation(tmp_path / "nav").report.told_camera == told
+    path = tmp_path / "nav" / "navigation.json"
+    content = json.loads(path.read_text())
+    del content["told_camera"]  # as it was before cameras were corrected
+    path.write_text(json.dumps(content))
+    assert load_navigation(tmp_path / "nav").report.told_camera is None
+
+
 def test_navigation_survives_the_disk(tmp_path: Path) -> None:
     nav = small_navigation()
     save_navigation(nav, tmp_path / "nav")
