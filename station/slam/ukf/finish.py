@@ -35,7 +35,7 @@ def make_navigation(
     report: NavigationReport,
 ) -> Navigation:
     """Trajectory, keyframes and landmarks of the navigation; completes the report."""
-    made = _from_views(memory, camera, calibration) or _from_tracks(memory, camera, calibration, config)
+    made = _from_views(memory, camera, calibration, config) or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
         landmarks=len(made.landmarks),
@@ -56,12 +56,21 @@ class _Made:
     messages: list[str]
 
 
-def _from_views(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> _Made | None:
+def _from_views(
+    memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig
+) -> _Made | None:
     """Loops closed and everything refined; None where there are no views, or they share too little."""
     if memory.views is None:
         return None
     assert calibration.camera is not None and calibration.imu is not None
-    made = map_views(memory.views, memory.poses, camera, calibration.camera, calibration.imu)
+    made = map_views(
+        memory.views,
+        memory.poses,
+        camera,
+        calibration.camera,
+        calibration.imu,
+        lambda: len(make_landmarks(memory.keyframes.items, camera, config.quality)),
+    )
     if made is None:
         return None
     facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}
