@@ -51,6 +51,7 @@ firmware:
 
 bench: $(VENV)/.dev
 	@firmware/install-deps.sh
+	@scripts/open3d-need.sh
 	@$(BIN)/python -m benchmarks.run_suite $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY))
 
 results: $(VENV)/.dev
@@ -58,6 +59,7 @@ ifdef RENDER
 	@$(BIN)/python -m benchmarks.results_page
 else
 	@firmware/install-deps.sh
+	@scripts/open3d-need.sh
 	@$(BIN)/python -m benchmarks.run_suite --publish $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY))
 endif
 

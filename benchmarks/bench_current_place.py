@@ -1,12 +1,13 @@
 """The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
-    python -m benchmarks.bench_current_place [--worlds home:600-624 lookalike:600-604 real] [--wrong-focal 2]
-        [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
+    python -m benchmarks.bench_current_place [--worlds home:600-624 plain:600-624 real] [--wrong-focal 2]
+        [--leave-kind-out] [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
 
 Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
 left out of the map; the recordings of `real` must lie beside the repository). The tracker then runs over each drive as
 it was sent, with the images' poses as the localiser found them when the drive was made. `--stored` judges all that is
-in the cache and makes nothing. How an answer is judged: tests/support/drives/judging.py.
+in the cache and makes nothing. `--leave-kind-out`: the evidence of images in flats, plain homes and real recordings is
+what the two other kinds say (`fit_image_evidence`). How an answer is judged: tests/support/drives/judging.py.
 """
 
 from __future__ import annotations
@@ -18,18 +19,24 @@ import sys
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks.drive_cache import load, stored
+from benchmarks.fit_image_evidence import without
 from benchmarks.make_drives import Job, jobs_of, make_missing
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
+from station.experiments.calibration_curve import calibration_bins, draw_calibration
+from station.places.tracking.config import BeliefConfig
+from station.places.tracking.fitted import read_fitted
+from station.places.tracking.tracker import PlaceTracker
 from station.workers.repeatable import repeatable
-from tests.support.calibration_curve import calibration_bins, draw_calibration
 from tests.support.drives import real
 from tests.support.drives.judging import JudgedDrive, Share, Summary, judge_drive, summarise
 from tests.support.drives.misfit import wrong_percent
 from tests.support.drives.playback import play_back
+from tests.support.drives.recorded import generator_of
 from tests.support.drives.simulated import DriveOptions
 from tests.support.likelihood_fit import numbers
 
@@ -63,14 +70,16 @@ class JudgedWorld:
         return f"{self.kind}, calibration {self.wrong_percent:g} % wrong" if self.wrong_percent else self.kind
 
 
-def judge_world(path: Path) -> JudgedWorld:
+def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
     """Run the tracker over all drives of a stored world."""
     with repeatable(1):
         world = load(path)
+        fitted = read_fitted(without(generator_of(world.kind))) if leave_kind_out else read_fitted()
+        make_tracker = partial(PlaceTracker, config=BeliefConfig(fitted=fitted))
         place_map, quality = world.place_map, world.quality
         drives: list[JudgedDrive] = []
         if place_map is not None:
-            drives += [judge_drive(place_map, drive, play_back(place_map, drive)) for drive in world.drives]
+            drives += [judge_drive(place_map, d, play_back(place_map, d, make_tracker)) for d in world.drives]
     scale, error_m = (quality.scale, quality.error_m) if quality else (None, None)
     wrong = wrong_percent(world.misfit)
     return JudgedWorld(world.kind, world.name, wrong, world.failure, scale, error_m, tuple(drives))
@@ -157,6 +166,17 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     ]
 
 
+def figures_of_all_real(worlds: Iterable[JudgedWorld]) -> list[Figure]:
+    """Every known answer to a real recording, other buildings included."""
+    drives = [drive for world in worlds if world.kind == real.KIND for drive in world.drives]
+    known = summarise(drives).precision
+    return (
+        [share("real recordings: right of all that is known", known.count, known.of, at_least=PRECISION)]
+        if drives
+        else []
+    )
+
+
 def grouped(worlds: Iterable[JudgedWorld]) -> dict[str, list[JudgedWorld]]:
     groups: dict[str, list[JudgedWorld]] = {}
     for world in worlds:
@@ -199,6 +219,7 @@ def main() -> int:
     parser.add_argument("--wrong-focal", type=float, default=0.0, help="per cent; what goes with it: make_drives")
     parser.add_argument("--cache", type=Path, help="folder of drives; by default one of the present code")
     parser.add_argument("--stored", action="store_true", help="all that is in the cache, and nothing else")
+    parser.add_argument("--leave-kind-out", action="store_true", help="fitted to the other kinds of worlds only")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, help="every judged answer")
     parser.add_argument("--figure", type=Path, help="draw the calibration curves into this file")
@@ -211,12 +232,13 @@ def main() -> int:
     paths = stored(cache) if a.stored else [job.path for job in jobs if job.path.exists()]
     worlds: list[JudgedWorld] = []
     with ProcessPoolExecutor(a.jobs, get_context("spawn")) as pool:
-        for world in pool.map(judge_world, paths):
+        for world in pool.map(partial(judge_world, leave_kind_out=a.leave_kind_out), paths):
             worlds.append(world)
             print(line(world), flush=True)
     groups = grouped(worlds)
     print_report(groups)
-    run.write(a.results, [figure for group, some in groups.items() for figure in figures_of(group, some)])
+    found = [figure for group, some in groups.items() for figure in figures_of(group, some)]
+    run.write(a.results, [*found, *figures_of_all_real(worlds)])
     if a.out:
         a.out.write_text(json.dumps([asdict(world) for world in worlds]))
     if a.figure:

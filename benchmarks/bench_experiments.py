@@ -1,9 +1,9 @@
 """The thesis' experiments I, II and III on many simulated worlds, and the real kitchen: default and thesis mode, and
 what geometry and appearance give alone.
 
-    python -m benchmarks.bench_experiments [--seeds 30] [--first-seed 0] [--only I II III kitchen kitchen-little]
-        [--modes default geometry appearance thesis] [--eps 0.5 1.5] [--hours 1.0] [--work FOLDER]
-        [--data ../shared/data] [--summary] [--results FILE]
+    python -m benchmarks.bench_experiments [--seeds 30] [--first-seed 0]
+        [--only I II III I-thesis kitchen kitchen-little] [--modes default geometry appearance thesis] [--eps 0.5 1.5]
+        [--hours 1.0] [--work FOLDER] [--data ../shared/data] [--summary] [--results FILE]
 
 Can be ended at any moment and started again: every world's navigations and results are files in the work folder
 (usually in benchmarks/results/work), and what is there is not made again by the same code. `--hours` begins no further
@@ -33,17 +33,16 @@ import numpy as np
 from benchmarks.places import changed_share
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
-from station.commands.experiment import reconstruct
+from station.commands.experiment import backend_for, reconstruct
 from station.datasets import Dataset, Truth
 from station.experiments.experiment import Experiment, Story, results_dict, run_experiment
 from station.experiments.inputs import FrameRange, Input, is_navigation, open_input, open_truth
-from station.experiments.presets import PRESETS, Preset, find_preset, make_dataset
+from station.experiments.presets import PRESETS, Preset, SlamChoice, find_preset, make_dataset
 from station.experiments.report import write_experiment
 from station.files.navigation_folder import load_navigation, save_navigation
 from station.model.frames import ImageFrame
 from station.model.navigation import Navigation
 from station.places.making.config import PlacesConfig, ThesisConfig
-from station.slam.backends import make_backend
 from station.slam.run import Events, run_backend
 
 MODES = {  # by name: what is otherwise than in the default configuration
@@ -59,6 +58,7 @@ KITCHEN = {
 # Numbers with which the thesis' method finds any clusters in this cloud, tried by hand.
 KITCHEN_THESIS = ThesisConfig(eps=0.05, min_pts=20, inlier_ratio=0.6)
 SETS = (*PRESETS, *KITCHEN)
+FLIGHTS = ("I", "I-thesis")
 SAME_FIRST_DRIVE = {"III": "II"}
 
 
@@ -73,6 +73,7 @@ class Bounds:
 
 BOUNDS = {
     **dict.fromkeys(PRESETS, Bounds(right=95, found=85, rand=0.8)),
+    "I-thesis": Bounds(),  # the thesis' own settings, to stand beside ours
     "kitchen": Bounds(right=95, found=70),
     "kitchen-little": Bounds(right=100),  # where little overlaps no match may be wrong
 }
@@ -105,21 +106,21 @@ def open_world(name: str, seed: int, data: Path, folder: Path) -> World:
     """Both navigations and their truth, from an earlier start where they were finished."""
     seconds: dict[str, float] = {}
     if name in KITCHEN:
-        thesis, story, backend = KITCHEN_THESIS, Story(title=f"Kitchen, {name}"), "sfm"
+        thesis, story, choice = KITCHEN_THESIS, Story(title=f"Kitchen, {name}"), SlamChoice("sfm")
         inputs = [open_input(data / "redkitchen", frames, None) for frames in KITCHEN[name]]
         for number, opened in enumerate(inputs):
             navigation = folder / f"navigation{number + 1}"
             if is_navigation(navigation):
                 inputs[number] = replace(opened, source=load_navigation(navigation))
     else:
-        preset = find_preset(name, seed, data / "euroc_v1_02_imu" if name == "I" else None)
-        thesis, story, backend = preset.thesis, preset.story, preset.backend
+        preset = find_preset(name, seed, data / "euroc_v1_02_imu" if name in FLIGHTS else None)
+        thesis, story, choice = preset.thesis, preset.story, preset.slam
         if name in SAME_FIRST_DRIVE:
             _take_first_navigation(folder.with_name(f"{SAME_FIRST_DRIVE[name]}_{seed}"), folder)
         inputs = [_open_navigation(preset, number, folder) for number in (0, 1)]
         if preset.navigations[0] == preset.navigations[1] and isinstance(inputs[0].source, Dataset):
             inputs = _reconstruct_with_prefix(inputs[0], inputs[1], preset, seed, folder, seconds)
-    navigations = reconstruct(inputs, backend, seed, 1, folder, seconds)
+    navigations = reconstruct(inputs, choice, seed, 1, folder, seconds)
     for path in folder.glob("drive*/mav0/cam0/data"):
         shutil.rmtree(path)  # images, made again from the seed when wanted; the truth stays
     return World(navigations, (inputs[0].truth, inputs[1].truth), thesis, story, seconds)
@@ -169,7 +170,7 @@ def _reconstruct_with_prefix(
                 has_branched = True
             yield event
 
-    backend = make_backend(preset.backend, data.calibration, seed, 1, data.intrinsics_known)
+    backend = backend_for(data, preset.slam, seed, 1)
     try:
         made = run_backend(backend, events())
         made = replace(made, id=f"{whole.path.name}-{made.id}")
@@ -239,11 +240,18 @@ def summarise(results: dict[int, dict[str, Any]]) -> dict[str, Any]:
         "precision": sum(correct) / len(correct) if correct else None,
         "found/co-visible": f"{found:.0f} / {sum(co_visible)}",
         "recall": found / sum(co_visible) if sum(co_visible) else None,
+        "rmse, normalised": median_rmse(rows),
         "rand index": float(np.median(rand)) if rand else None,
         "duplicates": sum(row["duplicate_places"] or 0 for row in rows) / places if places else None,
         "wrong seeds": wrong,
         "recall < 0.85 seeds": missed,
     }
+
+
+def median_rmse(rows: list[dict[str, Any]]) -> float | None:
+    """Of the accepted registrations; the map's cloud fills the unit ball, as in the thesis. None without any."""
+    found = [row["registration"]["rmse_normalised"] for row in rows if row["registration"]["accepted"]]
+    return float(np.median([rmse for rmse in found if rmse is not None])) if found else None
 
 
 def results_in(work: Path, name: str, mode: str) -> dict[int, dict[str, Any]]:
@@ -267,6 +275,7 @@ def figures(work: Path, seeds: range) -> list[Figure]:
             seen = sum((row["recall"] or 0.0) * n for row, n in zip(rows, co_visible, strict=True))
             title = f"{name}, {mode} mode, {len(rows)} worlds"
             found.append(share(f"{title}: co-visible places found", seen, sum(co_visible), at_least=bounds.found))
+            found.append(Figure(f"{title}: RMSE of the registration, normalised, median", median_rmse(rows)))
             if mode == "default":
                 found.append(
                     share(f"{title}: matches that are right", sum(correct), len(correct), at_least=bounds.right)
@@ -294,7 +303,7 @@ def print_summary(work: Path) -> None:
                 header = list(row)
                 print("| set | mode | " + " | ".join(header) + " |")
                 print("|" + " --- |" * (len(header) + 2))
-            cells = (f"{v:.3f}" if isinstance(v, float) else "–" if v is None else str(v) for v in row.values())
+            cells = (f"{v:.3g}" if isinstance(v, float) else "–" if v is None else str(v) for v in row.values())
             print(f"| {name} | {mode} | " + " | ".join(cells) + " |")
     for name in SETS:
         for factor in sorted({path.stem.removeprefix("eps_") for path in work.glob(f"{name}_*/eps_*.json")}):

@@ -32,6 +32,7 @@ from station.config import BACKENDS
 from station.datasets import Dataset, open_dataset
 from station.demo.judge import is_right
 from station.experiments.alignment import align_points
+from station.experiments.trajectory_error import absolute_trajectory_error, interpolate_poses, path_length
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
@@ -40,7 +41,6 @@ from station.places.making.build import build_map
 from station.places.tracking.tracker import PlaceTracker
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
-from tests.support.trajectory import absolute_trajectory_error, interpolate_poses, path_length
 
 LOOK_EVERY_NS = 250_000_000
 SECOND_DRIVE_S = 30.0

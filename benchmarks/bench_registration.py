@@ -1,7 +1,8 @@
 """Registration of random pairs of SfM-like clouds from furnished flats: success, false accepts, times, beside others.
 
     python -m benchmarks.bench_registration [--pairs 200] [--seeds test|train] [--set known|free|low|mis-scaled ...]
-                                            [--baselines] [--rows FILE.jsonl] [--results FILE]
+                                            [--backend small_gicp|open3d] [--baselines]
+                                            [--rows FILE.jsonl] [--results FILE]
 
 Training seeds (0..999) were used to develop and to set thresholds; test seeds (10 000 ...) only to report. Every seed
 is another flat. Half of the pairs (odd seeds) share landmarks between the drives, as feature detectors do; the other
@@ -20,7 +21,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from shared.geometry import FloatArray, scale_of
 from station.places.registration.gicp import align_gicp
 from station.places.registration.kiss import kiss_is_available, match_features
 from station.places.registration.register import register_clouds
+from station.places.registration.result import Backend
 from tests.support.registration_clouds import CloudPair, errors, make_pair
 
 SETS: dict[str, dict[str, Any]] = {
@@ -62,11 +64,12 @@ def is_right(e: tuple[float, float, float]) -> bool:
     return e[0] <= 2.0 and e[1] <= 0.05 and e[2] <= 0.01
 
 
-def run_pair(name: str, seed: int, points: tuple[int, int]) -> dict[str, Any]:
+def run_pair(name: str, seed: int, points: tuple[int, int], backend: Backend) -> dict[str, Any]:
     """Our registration of one pair."""
     pair = make_pair(seed, points=points, shared_landmarks=bool(seed % 2), **SETS[name])
     start, cpu = time.perf_counter(), time.process_time()
-    result = register_clouds(pair.target, pair.source, scale="free" if "scale_range" in SETS[name] else "known")
+    scale: Literal["known", "free"] = "free" if "scale_range" in SETS[name] else "known"
+    result = register_clouds(pair.target, pair.source, scale=scale, backend=backend)
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
     e = None
     if pair.T_target_source is not None and result.T_target_source is not None:
@@ -76,6 +79,7 @@ def run_pair(name: str, seed: int, points: tuple[int, int]) -> dict[str, Any]:
         unit_error = 1 / scale_of(pair.T_target_source) - 1
     return {
         "set": name,
+        "backend": backend,
         "seed": seed,
         "unit_error": unit_error,
         "points": list(points),
@@ -96,6 +100,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     found = [r["errors"] for r in rows if r["accepted"] and r["right"]]
     return {
         "set": rows[0]["set"],
+        "backend": rows[0]["backend"],
         "pairs": len(rows),
         "first_seed": rows[0]["seed"],
         "success": float(np.mean(accepted & right)),
@@ -125,18 +130,19 @@ def _by_unit_error(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def run_set(name: str, seeds: range, points: tuple[int, int], kept: Path) -> list[dict[str, Any]]:
+def run_set(name: str, seeds: range, points: tuple[int, int], kept: Path, backend: Backend) -> list[dict[str, Any]]:
     """Our registration on one set, in the order of the seeds; pairs that `kept` has already are not run again."""
     rows: list[dict[str, Any]] = []
     kept.parent.mkdir(parents=True, exist_ok=True)
     if kept.exists():
         rows = [json.loads(line) for line in kept.read_text().splitlines()]
-        rows = [r for r in rows if r["set"] == name and r["seed"] in seeds and r["points"] == list(points)]
+        asked = (name, backend, list(points))
+        rows = [r for r in rows if (r["set"], r["backend"], r["points"]) == asked and r["seed"] in seeds]
     done = {r["seed"] for r in rows}
     for seed in seeds:
         if seed in done:
             continue
-        rows.append(run_pair(name, seed, points))
+        rows.append(run_pair(name, seed, points, backend))
         with kept.open("a") as out:
             out.write(json.dumps(rows[-1]) + "\n")
     return sorted(rows, key=lambda r: int(r["seed"]))
@@ -144,7 +150,7 @@ def run_set(name: str, seeds: range, points: tuple[int, int], kept: Path) -> lis
 
 def figures(name: str, rows: list[dict[str, Any]]) -> list[Figure]:
     """What is asked of one set: that right pairs are found and accepted, and nothing else is."""
-    title, n = TITLES[name], len(rows)
+    title, n = TITLES[name] + (", GICP by Open3D" if rows[0]["backend"] == "open3d" else ""), len(rows)
     accepted = sum(r["accepted"] for r in rows)
     right = sum(r["accepted"] and r["right"] for r in rows)
     if name in ("different", "different-free"):
@@ -252,6 +258,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=None, help="seed of the first pair, instead of --seeds")
     parser.add_argument("--set", nargs="*", default=list(SETS), choices=list(SETS))
     parser.add_argument("--points", nargs=2, type=int, default=(3000, 20000))
+    parser.add_argument("--backend", default="small_gicp", choices=["small_gicp", "open3d"])
     parser.add_argument("--baselines", action="store_true")
     parser.add_argument("--rows", type=Path, default=None)
     add_results_option(parser, "registration")
@@ -262,7 +269,7 @@ def main() -> None:
     kept = a.rows or work_folder() / "registration.jsonl"
     found: list[Figure] = []
     for name in a.set:
-        rows = run_set(name, range(first, first + a.pairs), points, kept)
+        rows = run_set(name, range(first, first + a.pairs), points, kept, a.backend)
         print(json.dumps(summarise(rows)), flush=True)
         found += figures(name, rows)
     if a.baselines:

@@ -23,9 +23,9 @@ from benchmarks.bench_mapping import parse_seeds, render
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
 from station.datasets import open_dataset
+from station.experiments.trajectory_error import absolute_trajectory_error, path_length
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
-from tests.support.trajectory import absolute_trajectory_error, path_length
 
 
 def judge(path: Path, first: int | None, last: int | None, backend_name: str, threads: int) -> dict[str, object]:

@@ -33,6 +33,7 @@ from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.commands.slam import given_state
 from station.datasets import open_dataset
+from station.experiments.trajectory_error import absolute_trajectory_error, path_length, relative_pose_error
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.motion.error_coordinates import ErrorKind, difference_group
@@ -47,7 +48,6 @@ from station.slam.ukf.start.starter import ORIGIN, GivenState, Starter, WaitingF
 from station.vision.camera_model import CameraModel
 from tests.support.datasets import imu_of
 from tests.support.synthetic_run import TruePath, observe, room_points, sine_path
-from tests.support.trajectory import absolute_trajectory_error, path_length, relative_pose_error
 
 VARIANTS = {
     "right Lie UKF": FilterConfig(),

@@ -12,15 +12,17 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from tests.support.drives.recorded import RecordedWorld
 
 # Counted up by hand when the localiser, SLAM or the simulator give something else; files of other numbers stay unread.
 VERSION = 1
 
 
-def path_of(cache: Path, kind: str, name: str, misfit: str) -> Path:
-    parts = [kind, name, misfit, f"v{VERSION}.pickle.gz"]
-    return cache / "-".join(part for part in parts if part)
+def path_of(cache: Path, kind: str, name: str, *how: str) -> Path:
+    """`how`: what sets it apart from others of the same world."""
+    return cache / "-".join(part for part in (kind, name, *how, f"v{VERSION}.pickle.gz") if part)
 
 
 def store(world: RecordedWorld, path: Path) -> None:
@@ -46,12 +48,14 @@ def stored(cache: Path) -> list[Path]:
 class _Pickler(pickle.Pickler):
     def reducer_override(self, value: Any) -> Any:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
-            return rebuild, (type(value), fields)
+            return rebuild, (type(value), {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init})
+        if isinstance(value, msgspec.Struct):
+            return rebuild, (type(value), msgspec.structs.asdict(value))
         return NotImplemented
 
 
-def rebuild(cls: Any, fields: dict[str, Any]) -> Any:
-    """A dataclass from those of its fields that it has today."""
-    known = {f.name for f in dataclasses.fields(cls)}
-    return cls(**{name: value for name, value in fields.items() if name in known})
+def rebuild(cls: Any, values: dict[str, Any]) -> Any:
+    """A dataclass or a msgspec structure from those of its fields that it has today."""
+    fields = msgspec.structs.fields(cls) if issubclass(cls, msgspec.Struct) else dataclasses.fields(cls)
+    known = {f.name for f in fields}
+    return cls(**{name: value for name, value in values.items() if name in known})

@@ -1,11 +1,12 @@
 """Fit the evidence of images (`station/places/tracking/fitted.json`) to recorded drives, and write the file.
 
-    python -m benchmarks.fit_image_evidence --cache DIR [--kinds home,plain,real] [--out FILE.json]
+    python -m benchmarks.fit_image_evidence --cache DIR [--kinds home,plain,real]
 
 Reads the drives that `make_drives` stored: what the localiser made of every image, on maps that SLAM made, beside the
 truth: which pose was right, how many landmarks should have been in view, whether the map knows the place. Every kind of
 world counts the same, however many images there are of it. The log loss is that of each kind by what the other kinds
-say. None of these worlds may be used to judge the result.
+say, and what they say lies in `benchmarks/fitted_without/`, for `bench_current_place --leave-kind-out`. None of these
+worlds may be used to judge the result.
 """
 
 from __future__ import annotations
@@ -26,8 +27,15 @@ from station.places.tracking.fitted import GENERATED, FailureOdds, FittedOdds, R
 from station.places.tracking.image_evidence import support
 from station.places.tracking.map_view import MapView
 from tests.support.drives.judging import where_taken
-from tests.support.drives.recorded import LookedAt
-from tests.support.likelihood_fit import Fit, fitted_failing, fitted_right, fitted_unmapped, with_previous
+from tests.support.drives.recorded import LookedAt, generator_of
+from tests.support.likelihood_fit import (
+    Fit,
+    fitted_failing,
+    fitted_right,
+    fitted_unmapped,
+    usual_support,
+    with_previous,
+)
 
 
 def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: dict[str, Any]) -> dict[str, Any]:
@@ -76,7 +84,12 @@ def rows_of(cache: Path, kinds: Sequence[str]) -> tuple[list[dict[str, Any]], li
                 where = where_taken(image)
                 if where == "hand":
                     continue
-                told = {"kind": world.kind, "world": path.name, "drive": drive.name, "t_s": image.t_robot_ns / 1e9}
+                told = {
+                    "kind": generator_of(world.kind),
+                    "world": path.name,
+                    "drive": drive.name,
+                    "t_s": image.t_robot_ns / 1e9,
+                }
                 told["after"] = image.t_robot_ns > put_down_ns
                 told |= {"mapped": where == "mapped", "doorway": where == "doorway"}
                 rows.append(image_row(image, view, drive.calibration, told))
@@ -102,6 +115,7 @@ def fit(rows: list[dict[str, Any]], worlds: list[str], made_by: str) -> FittedOd
             for name, one in fits.items()
             for kind, loss in one.losses.items()
         },
+        usual_support=round(usual_support(rows), 3),
         right=RecognisedOdds(*numbers["right"]),
         unmapped=RecognisedOdds(*numbers["unmapped"]),
         fails_at_pose=FailureOdds(*numbers["fails_at_pose"]),
@@ -110,17 +124,27 @@ def fit(rows: list[dict[str, Any]], worlds: list[str], made_by: str) -> FittedOd
     )
 
 
+def without(kind: str) -> Path:
+    """The file of what the other kinds of worlds say."""
+    return Path(__file__).with_name("fitted_without") / f"{kind}.json"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cache", type=Path, required=True, help="of make_drives")
     parser.add_argument("--kinds", default="home,plain,real", help="with commas between")
-    parser.add_argument("--out", type=Path, default=GENERATED)
     a = parser.parse_args()
     rows, worlds = rows_of(a.cache, a.kinds.split(","))
+    rows = with_previous(rows)
     made_by = f"python -m benchmarks.fit_image_evidence --kinds {a.kinds}"
-    fitted = fit(with_previous(rows), worlds, made_by)
-    replace_file(a.out, msgspec.json.format(msgspec.json.encode(fitted), indent=1) + b"\n")
-    print(a.out.read_text())
+    fits = {GENERATED: fit(rows, worlds, made_by)}
+    for kind in sorted({row["kind"] for row in rows}):
+        others = [name for name in worlds if generator_of(name.split()[0]) != kind]
+        fits[without(kind)] = fit([row for row in rows if row["kind"] != kind], others, f"{made_by}, without {kind}")
+    for path, fitted in fits.items():
+        path.parent.mkdir(exist_ok=True)
+        replace_file(path, msgspec.json.format(msgspec.json.encode(fitted), indent=1) + b"\n")
+    print(GENERATED.read_text())
 
 
 if __name__ == "__main__":

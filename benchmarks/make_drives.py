@@ -4,8 +4,8 @@
 
 Each world is mapped by the `ukf` backend from a simulated mapping drive, one room left out, and driven through again
 three times, each with a hijack. `--wrong-focal P`: the robot is built otherwise than it says, by P % in focal length
-(the sign alternates with the seed), P % in its wheels, and P/2 of 1 degree, 1 cm and 5 ms in the camera's mounting and
-time. One process per core. Every world's line says how true its map is and what it cost.
+and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's mounting and time (tests/support/drives/misfit.py).
+One process per core. Every world's line says how true its map is and what it cost.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ import traceback
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks.drive_cache import path_of, store
 from station.workers.repeatable import repeatable
 from tests.support.drives import real
-from tests.support.drives.misfit import Misfit, graded
+from tests.support.drives.misfit import Misfit
 from tests.support.drives.recorded import RecordedWorld
 from tests.support.drives.simulated import DriveOptions, make_drives
 from tests.support.likelihood_fit import numbers
@@ -41,7 +42,9 @@ class Job:
 
     @property
     def path(self) -> Path:
-        return path_of(self.cache, self.kind, self.name, "" if self.kind == real.KIND else self.misfit.name)
+        if self.kind == real.KIND:
+            return path_of(self.cache, self.kind, self.name)
+        return path_of(self.cache, self.kind, self.name, self.misfit.name, "slam" if self.options.with_slam else "")
 
     def make(self) -> RecordedWorld:
         if self.kind == real.KIND:
@@ -64,8 +67,7 @@ def jobs_of(kind: str, seeds: Sequence[int], wrong_focal: float, options: DriveO
     """Worlds of a kind; of real ones all recordings, whatever the seeds."""
     if kind == real.KIND:
         return [Job(kind, name, Misfit(), options, cache) for name in real.CASES]
-    misfits = [graded(wrong_focal, seed) if wrong_focal else Misfit(seed=seed) for seed in seeds]
-    return [Job(kind, str(seed), misfit, options, cache) for seed, misfit in zip(seeds, misfits, strict=True)]
+    return [Job(kind, str(seed), Misfit(wrong_focal, seed), options, cache) for seed in seeds]
 
 
 def make_missing(jobs: Iterable[Job], processes: int) -> bool:
@@ -107,7 +109,9 @@ def main() -> int:
     a = parser.parse_args()
     options = DriveOptions(with_slam=a.with_slam)
     by_kind = [jobs_of(kind, a.seeds, a.wrong_focal, options, a.cache) for kind in a.kinds.split(",")]
-    return 0 if make_missing([job for jobs in by_kind for job in jobs], a.jobs) else 1
+    # Seed by seed, so that what is there when it is ended early has all kinds in it.
+    jobs = [job for same_seed in zip_longest(*by_kind) for job in same_seed if job is not None]
+    return 0 if make_missing(jobs, a.jobs) else 1
 
 
 if __name__ == "__main__":

@@ -52,16 +52,28 @@ SUITE = (
     Benchmark(
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
+    Benchmark("calibration_fit", SLAM, "bench_calibration_fit", "--flats 1-8", "--flats 1 --told focal=1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
+    Benchmark("appearance", PLACES, "bench_appearance", "--step 2", "--step 20", data=f"{DATA}/redkitchen"),
+    Benchmark(
+        "registration_open3d", PLACES, "bench_registration", "--backend open3d --first 14000 --pairs 200",
+        "--backend open3d --pairs 1 --set known",
+    ),
     Benchmark(
         "current_place", CURRENT, "bench_current_place",
-        "--worlds home:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
+        "--worlds home:600-624 plain:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
     ),
-    Benchmark("current_place_3", CURRENT, "bench_current_place", "--worlds home:600-604 --wrong-focal 3", None),
-    Benchmark("current_place_5", CURRENT, "bench_current_place", "--worlds home:600-604 --wrong-focal 5", None),
+    Benchmark(
+        "current_place_3", CURRENT, "bench_current_place",
+        "--worlds home:600-604 plain:600-604 --wrong-focal 3", None,
+    ),
+    Benchmark(
+        "current_place_5", CURRENT, "bench_current_place",
+        "--worlds home:600-604 plain:600-604 --wrong-focal 5", None,
+    ),
     Benchmark(
         "current_place_real", CURRENT, "bench_current_place", "--worlds real", None, data=f"{DATA}/redkitchen"
     ),

@@ -5,6 +5,7 @@ cd "$(dirname "$0")/.."
 bin=.venv/bin
 scripts/apt-need.sh "browser tests" chromium fonts-dejavu-core
 scripts/apt-need.sh "database tests" postgresql
+scripts/open3d-need.sh
 [ -x firmware/install-deps.sh ] && firmware/install-deps.sh
 $bin/ruff format --check --quiet .
 $bin/ruff check --quiet .

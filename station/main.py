@@ -26,6 +26,10 @@ COMMANDS = {
         "doctor",
         "Say what is missing on this machine, and how to get it. Exit code 1 when the station cannot work without it.",
     ),
+    "evaluate": (
+        "evaluate",
+        "Compare a navigation with true poses: ATE, RPE over 1 s, orientation, scale, coverage, and figures over time.",
+    ),
     "experiment": (
         "experiment",
         "Map one navigation, find its places again in another, and judge the matches where true poses were recorded.",
@@ -34,6 +38,7 @@ COMMANDS = {
         "export",
         "Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, or all for Foxglove (mcap).",
     ),
+    "locate": ("locate", "Ask over recorded data, as the live station does, which place of a map the robot is at."),
     "match": ("match", "Register a navigation to a map, match its locations with the places, and write a report."),
     "register": (
         "register",

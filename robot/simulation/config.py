@@ -91,6 +91,8 @@ class SimulationConfig(Section, frozen=True, kw_only=True):
     lookalike_rooms: bool = False
     moved_chairs_seed: int | None = None
     light_seed: int | None = None
+    walkers: Annotated[int, Meta(ge=0, le=4)] | None = None  # persons who walk about; None: those of the world's kind
+    walkers_seed: int = 0  # other persons, other ways
     camera_rate_hz: float = 20.0
 
 

@@ -59,7 +59,7 @@ class SimulatedCamera:
         T_body_cam = self._T_body_cam if R_cam_head is None else self._T_body_cam @ se3(R_cam_head, np.zeros(3))
         readout_s = self._calibration.line_delay_s * (self._calibration.height - 1) if i.rolling_shutter else 0.0
         times = t_s + readout_s * np.linspace(0.0, 1.0, SHUTTER_POSES if readout_s > 0 else 1)
-        rendering = self._renderer.render(np.stack([pose(float(t)) @ T_body_cam for t in times]))
+        rendering = self._renderer.render(np.stack([pose(float(t)) @ T_body_cam for t in times]), t_s)
         image = rendering.image
         if faults.person:
             image = self._person.draw(image, t_s)
@@ -119,7 +119,7 @@ class SimulatedCamera:
         field = self._vignette * gain if i.vignetting > 0 else np.full(image.shape[:2], gain, np.float32)
         light = self._renderer.world.room_light
         if light:
-            rooms = np.array([light[s.room] for s in self._renderer.world.surfaces] + [1.0], np.float32)
+            rooms = np.array([light[s.room] for s in self._renderer.surfaces] + [1.0], np.float32)
             surface = np.where(rendering.surface == NO_SURFACE, len(rooms) - 1, rendering.surface)
             field = field * np.take(rooms, surface)
         if i.noise <= 0 and i.vignetting <= 0 and not light and gain == 1.0:

@@ -22,6 +22,7 @@ PASSAGE_M = 0.95  # between what stands at opposite walls
 PLACE_TRIES = 12
 OFF_WALL_M = 0.012  # what hangs on a wall stands off it
 LIGHTS_THEMSELVES = {"window_day", "window_night", "lamp_shade"}
+STRIP_SHARE = 0.4  # of the walls have a power strip on the floor
 MOVABLE = {"crate", "basket", "shoes", "pile"}
 
 USES: dict[str, tuple[str, ...]] = {
@@ -195,6 +196,7 @@ class _Furnisher:
         if self.style.is_night:
             self._build_lamp(runs, rng)
         self._build_sockets(runs, rng)
+        self._hang_small_things(runs, np.random.default_rng([self.seed, 25]))
         own = np.random.default_rng([self.seed, 24, self.index])  # twins have other pictures
         self._hang_prints(runs, own)
 
@@ -270,6 +272,36 @@ class _Furnisher:
             for s in rng.uniform(0.2, run.length_m - 0.3, int(rng.integers(0, 4))):
                 if self._is_open(side, float(s) + 0.08, 0.2):
                     self._hang(run, float(s), float(s) + 0.15, (0.26, 0.34), look, OFF_WALL_M)
+                    self.hung[side].append((float(s), float(s) + 0.15))
+
+    def _hang_small_things(self, runs: list[WallRun], rng: np.random.Generator) -> None:
+        """A light switch beside each door, plugs and their cable at a skirting board, a clock or a board for notes."""
+        series = TexturePicker.series
+        switch = series("switch", self.style.series_seed, 0.08, 0.08, 500)
+        strip, cable = series("power_strip", self.seed, 0.36, 0.06, 500), series("lacquer", self.seed, 0.008, 0.3, 400)
+        socket = series("socket", self.style.series_seed, 0.15, 0.08, 500)
+        for side, run in enumerate(runs):
+            for _, high in run.openings:
+                self._hang_if_open(side, run, high + 0.2, 1.05, switch)
+            s = float(rng.uniform(0.3, run.length_m - 0.7))
+            if rng.random() < STRIP_SHARE and self._is_open(side, s + 0.18, 0.36):
+                self._hang(run, s, s + 0.36, (0.005, 0.065), strip, 0.03)
+                self._hang(run, s + 0.05, s + 0.058, (0.065, 0.27), cable, OFF_WALL_M)
+                self._hang(run, s, s + 0.15, (0.26, 0.34), socket, OFF_WALL_M)
+                self.hung[side].append((s, s + 0.36))
+        clock = series("clock", self.style.series_seed, 0.26, 0.26, 350)
+        notes = series("note_board", self.seed, 0.5, 0.4, 300)
+        for look, z0 in ((clock, 1.5), (notes, 0.75)):
+            side = int(rng.integers(0, 4))
+            middle = float(rng.uniform(0.4, 0.6)) * runs[side].length_m
+            self._hang_if_open(side, runs[side], middle, z0, look)
+
+    def _hang_if_open(self, side: int, run: WallRun, middle: float, z0: float, look: TextureSpec) -> None:
+        """Hang something of its texture's size, its lower edge at z0, where the wall has room for it."""
+        width = look.width_m
+        if middle + width / 2 < run.length_m and self._is_open(side, middle, width):
+            self._hang(run, middle - width / 2, middle + width / 2, (z0, z0 + look.height_m), look, OFF_WALL_M)
+            self.hung[side].append((middle - width / 2, middle + width / 2))
 
     def _hang_prints(self, runs: list[WallRun], rng: np.random.Generator) -> None:
         """At most one picture on a wall, most walls have none."""

@@ -1,6 +1,8 @@
-"""Furniture of plain homes: smooth boxes in few colours. Each piece stands with its back at local y = 0, facing +y."""
+"""Furniture of plain homes, and things on it. Each piece stands with its back at local y = 0, facing +y."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from robot.simulation.furniture import Piece, Site
 from robot.simulation.textures import TextureSpec
@@ -11,6 +13,10 @@ LEG_M = 0.045
 
 def _cloth(site: Site, width_m: float, height_m: float) -> TextureSpec:
     return site.pick.new("soft_cloth", width_m, height_m, 220)
+
+
+def _pattern(site: Site, width_m: float, height_m: float) -> TextureSpec:
+    return site.pick.new("patterned_cloth", width_m, height_m, 250)
 
 
 def _board(site: Site, width_m: float, height_m: float) -> TextureSpec:
@@ -35,23 +41,45 @@ def _on_legs(site: Site, y_m: float, size_m: tuple[float, float, float], top: Te
 
 
 def build_bed(site: Site) -> None:
-    """Along the wall: frame, mattress with a cover, a pillow, a low headboard at one end."""
+    """Along the wall: frame, mattress with a patterned cover, a pillow, a low headboard at one end."""
     w, d = site.width_m, site.depth_m
-    frame, linen, pillow = _board(site, w, 0.28), _cloth(site, w, d), _cloth(site, 0.4, 0.6)
-    side, end = _cloth(site, w, 0.2), float(site.rng.choice([-1.0, 1.0]))
+    frame, linen, pillow = _board(site, w, 0.28), _pattern(site, w, d), _cloth(site, 0.4, 0.6)
+    side, end = _pattern(site, w, 0.2), float(site.rng.choice([-1.0, 1.0]))
     site.box(0, d / 2, (w, d, 0.28), 0.0, frame, frame)
     site.box(0, d / 2, (w - 0.06, d - 0.06, 0.2), 0.28, side, side, linen, solid=False)
     site.box(end * (w / 2 - 0.03), d / 2, (0.05, d, 0.85), 0.0, frame, frame, has_back=True)
     site.box(end * (w / 2 - 0.3), d / 2, (0.36, 0.6, 0.1), 0.48, pillow, pillow, solid=False)
 
 
-def _things_on(site: Site, z_m: float, most: int) -> None:
-    """A vase, a box, a pile of books: a few smooth things on top of a piece."""
-    for _ in range(int(site.rng.integers(1, most + 1))):
-        w, d, h = (float(v) for v in site.rng.uniform([0.07, 0.07, 0.06], [0.25, 0.2, 0.28]))
-        x = float(site.rng.uniform(-0.4, 0.4)) * (site.width_m - w)
-        look, yaw = _board(site, w, h), float(site.rng.uniform(-0.5, 0.5))
-        site.box(x, site.depth_m / 2, (w, d, h), z_m, look, look, look, yaw_rad=yaw, has_back=True, solid=False)
+@dataclass(frozen=True, slots=True)
+class _Thing:
+    """Something that stands on furniture."""
+
+    kind: str  # of the texture in front
+    side: str  # of the texture of the other faces
+    smallest_m: tuple[float, float, float]  # width, depth, height
+    largest_m: tuple[float, float, float]
+
+
+_THINGS = (
+    _Thing("spines", "lacquer", (0.12, 0.13, 0.18), (0.3, 0.18, 0.26)),
+    _Thing("bottle", "bottle", (0.06, 0.06, 0.2), (0.09, 0.09, 0.3)),
+    _Thing("bowl", "bowl", (0.16, 0.16, 0.07), (0.25, 0.2, 0.12)),
+    _Thing("labelled_box", "lacquer", (0.12, 0.12, 0.1), (0.25, 0.2, 0.2)),
+)
+
+
+def _things_on(site: Site, y_m: float, z_m: float, most: int) -> None:
+    """Books, bottles, bowls or boxes in a row on top of a piece, at least one, with gaps."""
+    count = int(site.rng.integers(1, most + 1))
+    for k in range(count):
+        thing = _THINGS[int(site.rng.integers(0, len(_THINGS)))]
+        w, d, h = (float(v) for v in site.rng.uniform(thing.smallest_m, thing.largest_m))
+        room_m = site.width_m / count
+        x = -site.width_m / 2 + (k + 0.5) * room_m + float(site.rng.uniform(-0.5, 0.5)) * max(0.0, room_m - w)
+        front, side = site.pick.new(thing.kind, w, h, 400), site.pick.new(thing.side, max(w, d), max(d, h), 300)
+        yaw = float(site.rng.uniform(-0.3, 0.3))
+        site.box(x, y_m, (w, d, h), z_m, front, side, side, yaw_rad=yaw, has_back=True, solid=False)
 
 
 def build_wardrobe(site: Site) -> None:
@@ -61,12 +89,12 @@ def build_wardrobe(site: Site) -> None:
 def build_dresser(site: Site) -> None:
     height = float(site.rng.choice([0.55, 0.8]))
     site.block(height, ("fronts", 300), ("lacquer", 250), ("lacquer", 200))
-    _things_on(site, height, 3)
+    _things_on(site, site.depth_m / 2, height, 4)
 
 
 def build_nightstand(site: Site) -> None:
     site.block(0.45, ("fronts", 350), ("lacquer", 300), ("lacquer", 250))
-    _things_on(site, 0.45, 2)
+    _things_on(site, site.depth_m / 2, 0.45, 2)
 
 
 def build_sofa(site: Site) -> None:
@@ -76,12 +104,15 @@ def build_sofa(site: Site) -> None:
     site.box(0, 0.1, (w, 0.2, 0.4), 0.4, front, side, seat)
     for x in (-w / 2 + 0.09, w / 2 - 0.09):
         site.box(x, d / 2, (0.18, d, 0.18), 0.4, side, side, side, solid=False)
+    for x in (-0.25 * w, 0.22 * w):
+        cushion, yaw = _pattern(site, 0.4, 0.4), float(site.rng.uniform(-0.2, 0.2))
+        site.box(x, 0.28, (0.4, 0.12, 0.36), 0.4, cushion, cushion, cushion, yaw_rad=yaw, solid=False)
 
 
 def build_low_board(site: Site) -> None:
     """A low cabinet with a television that is off."""
     site.block(0.42, ("fronts", 300), ("lacquer", 250), ("lacquer", 200))
-    _things_on(site, 0.42, 2)
+    _things_on(site, 0.3, 0.42, 4)
     w = 0.75 * site.width_m
     glass = site.pick.new("dark_glass", w, 0.6, 200)
     site.box(0, 0.18, (w, 0.05, 0.6), 0.48, glass, glass, solid=False)
@@ -95,7 +126,8 @@ def build_table(site: Site) -> None:
     """A table on four legs with one or two chairs of the home's set before it."""
     w = site.width_m
     _on_legs(site, 0.38, (w, 0.7, 0.74), _board(site, w, 0.7), _board(site, LEG_M, 0.75))
-    wood, seat = site.pick.series("lacquer", 3, 0.42, 0.5, 300), site.pick.series("soft_cloth", 3, 0.42, 0.42, 250)
+    _things_on(site, 0.45, 0.74, 4)
+    wood, seat = site.pick.series("lacquer", 3, 0.42, 0.5, 300), site.pick.series("patterned_cloth", 3, 0.42, 0.42, 250)
     count = 1 + int(w > 1.2)
     for k in range(count):
         x = (k - (count - 1) / 2) * 0.55 + float(site.rng.uniform(-0.06, 0.06))
@@ -108,12 +140,15 @@ def build_table(site: Site) -> None:
 
 
 def build_kitchen_row(site: Site) -> None:
-    """Equal cupboards with an oven among them, a worktop, equal cupboards above."""
+    """Equal cupboards with an oven among them, things on the worktop, tiles behind it, equal cupboards above."""
     w = site.width_m
     site.block(0.88, ("fronts", 300), ("lacquer", 250), ("lacquer", 200))
     x = float(site.rng.choice([-0.3, 0.3]))
     oven = site.pick.new("dark_glass", 0.5, 0.45, 250)
     site.box(x, site.depth_m, (0.5, 0.02, 0.45), 0.25, oven, oven, solid=False)
+    _things_on(site, 0.35, 0.88, 6)
+    tiles = site.pick.new("wall_tiles", w, 0.62, 250)
+    site.box(0, 0.015, (w, 0.01, 0.62), 0.88, tiles, tiles, solid=False)
     upper, side = site.pick.new("fronts", w, 0.6, 250), _board(site, 0.32, 0.6)
     site.box(0, 0.16, (w, 0.32, 0.6), 1.5, upper, side)
 
@@ -121,17 +156,19 @@ def build_kitchen_row(site: Site) -> None:
 def build_fridge(site: Site) -> None:
     front = site.pick.new("fronts", 0.6, 1.75, 250)
     site.box(0, 0.3, (0.6, 0.6, 1.75), 0.0, front, _board(site, 0.6, 1.75))
+    notes = site.pick.new("note_board", 0.3, 0.4, 300)
+    site.box(0, 0.605, (0.3, 0.004, 0.4), 0.8, notes, notes, solid=False)
 
 
 def build_crate(site: Site) -> None:
-    """A plain box with a lid."""
-    w, look = site.width_m, _board(site, 0.5, 0.4)
+    """A storage box with a label, or a toy box."""
+    w, look = site.width_m, site.pick.new(str(site.rng.choice(["labelled_box", "toy_box"])), 0.5, 0.4, 300)
     yaw = float(site.rng.uniform(-0.4, 0.4))
     site.box(0, 0.25, (w, 0.34, float(site.rng.uniform(0.25, 0.4))), 0.0, look, look, look, yaw_rad=yaw, has_back=True)
 
 
 def build_basket(site: Site) -> None:
-    look, side = _cloth(site, 0.34, 0.4), 0.34
+    look, side = site.pick.new("wicker", 0.34, 0.45, 300), 0.34
     site.box(0, 0.2, (side, side, float(site.rng.uniform(0.3, 0.45))), 0.0, look, look, look, has_back=True)
 
 
@@ -140,7 +177,7 @@ def build_plant(site: Site) -> None:
     pot, leaves = _board(site, 0.26, 0.26), site.pick.new("house_plant", 0.34, 0.5, 300)
     site.box(0, 0.2, (0.26, 0.26, 0.26), 0.0, pot, pot, pot, has_back=True)
     height = float(site.rng.uniform(0.3, 0.5))
-    site.box(0, 0.2, (0.34, 0.34, height), 0.3, leaves, leaves, leaves, has_back=True, solid=False)
+    site.box(0, 0.2, (0.34, 0.34, height), 0.26, leaves, leaves, leaves, has_back=True, solid=False)
 
 
 def build_pile(site: Site) -> None:
@@ -150,14 +187,15 @@ def build_pile(site: Site) -> None:
         for _ in range(int(site.rng.integers(3, 6))):
             w, d, h = (float(v) for v in site.rng.uniform([0.18, 0.16, 0.03], [0.3, 0.24, 0.09]))
             look, yaw = _board(site, w, h), float(site.rng.uniform(-0.3, 0.3))
-            site.box(x, 0.2, (w, d, h), z, look, look, look, yaw_rad=yaw, has_back=True)
+            front = site.pick.new("labelled_box", w, h, 400)
+            site.box(x, 0.2, (w, d, h), z, front, look, look, yaw_rad=yaw, has_back=True)
             z += h
 
 
 def build_shoes(site: Site) -> None:
     """Three pairs, side by side."""
     for k in range(3):
-        look = site.pick.new("lacquer", 0.1, 0.28, 300)
+        look = site.pick.new("shoe", 0.1, 0.28, 300)
         for x in (0.0, 0.12):
             at = (k - 1) * 0.28 + x
             yaw = float(site.rng.uniform(-0.1, 0.1))

@@ -34,7 +34,7 @@ class Rendering:
 
     image: ImageArray  # (H, W, 3) BGR
     inverse_depth: Float32Array  # (H, W) 1/m along the optical axis, 0 where nothing is seen
-    surface: npt.NDArray[np.uint16]  # (H, W) index into world.surfaces, NO_SURFACE where nothing is seen
+    surface: npt.NDArray[np.uint16]  # (H, W) index into Renderer.surfaces, NO_SURFACE where nothing is seen
 
 
 def unproject_pixels(camera: CameraCalibration) -> Float32Array:
@@ -82,7 +82,7 @@ class Renderer:
         self._surface = np.empty(shape, np.uint16)
         self._scratch = [np.empty(shape, np.float32) for _ in range(4)]
         self._id_scratch = np.empty(shape, np.uint16)
-        surfaces = world.surfaces
+        self._surfaces = surfaces = world.surfaces_at(0.0)
         atlas = bake_atlas([s.texture for s in surfaces], cache_dir)
         self.world = world
         self._atlas_image = atlas.image
@@ -99,13 +99,20 @@ class Renderer:
         self._table[: len(surfaces) * NUM_LEVELS, 2] = density.reshape(-1)
         self._log2_density = np.log2(density[:, 0])
 
-    def render(self, T_world_cam_rows: FloatArray) -> Rendering:
+    @property
+    def surfaces(self) -> list[Surface]:
+        """All surfaces as they were drawn last; Rendering.surface counts in them."""
+        return self._surfaces
+
+    def render(self, T_world_cam_rows: FloatArray, t_s: float = 0.0) -> Rendering:
         """Draw the world.
 
         Args:
             T_world_cam_rows: (K, 4, 4) camera poses at evenly spaced rows from the first to the last, K = 1 for a
                 global shutter, K = 3 for a rolling one.
+            t_s: when, for the persons who walk.
         """
+        self._move_walkers(t_s)
         R_rows, t_rows = self._rows(np.asarray(T_world_cam_rows, dtype=np.float64))
         np.matmul(R_rows.astype(np.float32), self._rays, out=self._world_rays)
         self._inverse_depth.fill(0.0)
@@ -115,6 +122,14 @@ class Renderer:
         for index, region, nearest in self._visible(camera_poses):
             self._draw(index, region, nearest, t_rows, level_constant)
         return Rendering(self._colour(level_constant), self._inverse_depth, self._surface)
+
+    def _move_walkers(self, t_s: float) -> None:
+        if not self.world.walkers:
+            return
+        first = len(self.world.surfaces)
+        self._surfaces = self.world.surfaces_at(t_s)
+        for index, surface in enumerate(self._surfaces[first:], first):
+            self._corners[index], self._normals[index] = surface.corners(), surface.normal
 
     # --- geometry -------------------------------------------------------------------------------------------------
 
@@ -179,7 +194,7 @@ class Renderer:
         inverse_depth = self._inverse_depth[region]
         if cv2.minMaxLoc(inverse_depth)[0] > nearest:
             return  # all of it is hidden
-        surface: Surface = self.world.surfaces[index]
+        surface = self._surfaces[index]
         rows, columns = region
         dx, dy, dz = (self._world_rays[rows, k, columns] for k in range(3))
         w, u, v, spare = (s[region] for s in self._scratch)

@@ -1,10 +1,13 @@
-"""Painters of plain homes: soft and faint, so that corners come from the shapes of things, not from their skin."""
+"""Painters of plain homes: walls and large pieces are faint, what people keep in them has print, weave and grain."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
+from robot.simulation.texture_plain_things import draw_pattern, draw_wood_grain, paint_bottle, paint_bowl, paint_spines
 from robot.simulation.texture_strokes import Canvas, Colour, scaled
 
 WHITE: Colour = (226, 230, 231)
@@ -43,7 +46,7 @@ def paint_white_paint(canvas: Canvas) -> None:
         x, y = canvas.spot()
         reach = max(2, canvas.length_px(0.01, 0.04))
         cv2.ellipse(canvas.image, (x, y), (2 * reach, reach), 0, 0, 360, scaled(base, 0.96), -1, cv2.LINE_AA)
-    _specks(canvas, 1.8, 4, 10, 0.68)
+    _specks(canvas, 0.8, 4, 10, 0.75)
     board = max(2, int(0.06 * canvas.texels_per_m))
     canvas.image[height - board :] = scaled(base, 1.04)
     canvas.image[height - board - 1 : height - board + 1] = scaled(base, 0.82)
@@ -70,7 +73,7 @@ def paint_laminate(canvas: Canvas) -> None:
             x += length
         cv2.line(canvas.image, (0, top), (width, top), scaled(base, 0.76), 2)
     canvas.speckle((0.02 * m,), 0.04, aspect=14.0)
-    _specks(canvas, 12, 5, 14, 0.65)
+    _specks(canvas, 6, 5, 14, 0.65)
 
 
 def paint_carpet(canvas: Canvas) -> None:
@@ -78,7 +81,7 @@ def paint_carpet(canvas: Canvas) -> None:
     canvas.fill(canvas.muted_colour(120, 180))
     _soft_patches(canvas, 0.6, 0.05)
     canvas.speckle((2.0,), 0.02)
-    _specks(canvas, 14, 6, 20, 0.68)
+    _specks(canvas, 6, 6, 20, 0.68)
 
 
 def paint_lino(canvas: Canvas) -> None:
@@ -86,7 +89,7 @@ def paint_lino(canvas: Canvas) -> None:
     canvas.fill(_tone(canvas, 135, 185))
     _soft_patches(canvas, 0.5, 0.04)
     _soft_patches(canvas, 0.09, 0.05)
-    _specks(canvas, 14, 6, 20, 0.7)
+    _specks(canvas, 6, 6, 20, 0.7)
 
 
 def paint_large_tiles(canvas: Canvas) -> None:
@@ -100,14 +103,15 @@ def paint_large_tiles(canvas: Canvas) -> None:
     for y in range(side, height, side):
         cv2.line(canvas.image, (0, y), (width, y), scaled(base, 0.74), 2)
     _soft_patches(canvas, 0.3, 0.03)
-    _specks(canvas, 12, 6, 16, 0.68)
+    _specks(canvas, 6, 6, 16, 0.68)
 
 
 def paint_plain_rug(canvas: Canvas) -> None:
-    """One colour, a border, fringed at two ends."""
+    """Woven in two tones of one colour: a pattern inside a border, fringes at two ends."""
     base, m = canvas.muted_colour(80, 190), canvas.texels_per_m
     width, height = canvas.size_px
     canvas.fill(base)
+    draw_pattern(canvas, scaled(base, 0.82), canvas.length_px(0.1, 0.2))
     _soft_patches(canvas, 0.25, 0.05)
     inset = int(0.1 * m)
     cv2.rectangle(canvas.image, (inset, inset), (width - inset, height - inset), scaled(base, 0.75), max(2, inset // 3))
@@ -117,33 +121,44 @@ def paint_plain_rug(canvas: Canvas) -> None:
 
 
 def paint_lacquer(canvas: Canvas) -> None:
-    """A smooth board of white, grey or pale wood."""
-    base = [(224, 228, 229), (176, 180, 182), (150, 182, 204), (84, 100, 118)][int(canvas.rng.integers(0, 4))]
+    """A smooth board of white, grey or wood."""
+    tone = int(canvas.rng.integers(0, 4))
+    base = [(224, 228, 229), (176, 180, 182), (150, 182, 204), (84, 100, 118)][tone]
     canvas.fill(base)
+    if tone >= 2:
+        draw_wood_grain(canvas, base)
     canvas.speckle((0.03 * canvas.texels_per_m,), 0.03, aspect=12.0)
-    _specks(canvas, 5, 4, 10, 0.7)
+    _specks(canvas, 2, 4, 10, 0.75)
     canvas.edge(scaled(base, 0.85), 1)
 
 
 def paint_fronts(canvas: Canvas) -> None:
-    """Equal smooth fronts side by side, thin gaps between them, a small handle each."""
+    """Equal fronts side by side, white or of wood, thin gaps between them, a small handle each; drawers if low."""
     rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
-    base = [WHITE, (205, 214, 218), (172, 178, 180), (150, 180, 200)][int(rng.integers(0, 4))]
+    tone = int(rng.integers(0, 4))
+    base = [WHITE, (205, 214, 218), (172, 178, 180), (150, 180, 200)][tone]
     canvas.fill(base)
+    if tone == 3:
+        draw_wood_grain(canvas, base)
     _soft_patches(canvas, 0.6, 0.012)
-    columns = max(1, round(width / m / 0.55))
-    _specks(canvas, 4, 4, 10, 0.75)
-    gap, handle_half = scaled(base, 0.55), int(0.05 * m)
-    handle_y = int(0.12 * height) if height < 1.2 * m else int(0.5 * height)
+    _specks(canvas, 2, 4, 10, 0.75)
+    is_low = height < 1.2 * m
+    columns, rows = max(1, round(width / m / 0.55)), max(1, round(height / m / 0.28)) if is_low else 1
     for c in range(columns):
-        x0, x1 = c * width // columns, (c + 1) * width // columns
-        cv2.rectangle(canvas.image, (x0, 0), (x1, height - 1), gap, 2)
-        middle = (x0 + x1) // 2
-        if height < 1.2 * m:
-            ends = (middle - handle_half, handle_y), (middle + handle_half, handle_y)
-        else:
-            ends = (x1 - int(0.05 * m), handle_y - handle_half), (x1 - int(0.05 * m), handle_y + handle_half)
-        cv2.line(canvas.image, *ends, scaled(base, 0.62), max(2, int(0.008 * m)), cv2.LINE_AA)
+        for r in range(rows):
+            x0, y0 = c * width // columns, r * height // rows
+            front = canvas.part(x0, y0, (c + 1) * width // columns - x0, (r + 1) * height // rows - y0)
+            _draw_front(front, base, is_low)
+
+
+def _draw_front(canvas: Canvas, base: Colour, is_drawer: bool) -> None:
+    """The gap around one front, its handle: lying on a drawer, upright on a door."""
+    (width, height), m = canvas.size_px, canvas.texels_per_m
+    canvas.edge(scaled(base, 0.55), 1)
+    half, at = int(0.05 * m), (width // 2, height // 3) if is_drawer else (width - int(0.05 * m), height // 2)
+    reach = (half, 0) if is_drawer else (0, half)
+    ends = (at[0] - reach[0], at[1] - reach[1]), (at[0] + reach[0], at[1] + reach[1])
+    cv2.line(canvas.image, *ends, scaled(base, 0.5), max(2, int(0.01 * m)), cv2.LINE_AA)
 
 
 def paint_soft_cloth(canvas: Canvas) -> None:
@@ -164,15 +179,17 @@ def paint_soft_cloth(canvas: Canvas) -> None:
 
 
 def paint_curtain(canvas: Canvas) -> None:
-    """Folds from top to bottom, unevenly spaced."""
+    """A printed pattern that repeats; folds from top to bottom, unevenly spaced."""
     width, _ = canvas.size_px
     base = canvas.muted_colour(160, 225)
+    canvas.fill(base)
+    draw_pattern(canvas, scaled(base, 0.88), canvas.length_px(0.1, 0.18))
     x = np.arange(width) / canvas.texels_per_m
     wave = np.zeros(width)
     for period in (0.11, 0.17, 0.29):
         phase, stretch = canvas.rng.uniform(0, 2 * np.pi), canvas.rng.uniform(0.9, 1.1)
         wave += np.sin(2 * np.pi * x / (period * stretch) + phase)
-    canvas.image[:] = np.clip(np.array(base) * (1 + 0.05 * wave[:, None]), 0, 255).astype(np.uint8)
+    canvas.image[:] = np.clip(canvas.image * (1 + 0.05 * wave[:, None]), 0, 255).astype(np.uint8)
 
 
 def paint_door_leaf(canvas: Canvas) -> None:
@@ -226,7 +243,7 @@ def paint_window_night(canvas: Canvas) -> None:
     x, y = int(rng.uniform(0.2, 0.6) * width), int(rng.uniform(0.3, 0.7) * height)
     cv2.ellipse(canvas.image, (x, y), (int(0.15 * width), int(0.1 * height)), 0, 0, 360, (44, 52, 58), -1)
     canvas.image[:] = cv2.GaussianBlur(canvas.image, (0, 0), 0.012 * m)
-    _window_frame(canvas, (205, 212, 214))
+    _window_frame(canvas, (88, 92, 94))  # lit by the lamps of the room only
 
 
 def _window_frame(canvas: Canvas, colour: Colour) -> None:
@@ -241,16 +258,17 @@ def _window_frame(canvas: Canvas, colour: Colour) -> None:
 
 
 def paint_print(canvas: Canvas) -> None:
-    """A framed print: a few large pale shapes inside a white mount."""
+    """A framed print: large pale shapes and a few small dark ones inside a white mount."""
     rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
     canvas.fill(WHITE)
     mount = int(0.18 * min(width, height))
     inner = canvas.part(mount, mount, width - 2 * mount, height - 2 * mount)
     inner.fill(inner.muted_colour(150, 225))
-    for _ in range(int(rng.integers(3, 6))):
-        size = (inner.length_px(0.04, 0.14), inner.length_px(0.04, 0.14))
-        turn = float(rng.uniform(0, 180))
-        cv2.ellipse(inner.image, inner.spot(), size, turn, 0, 360, inner.muted_colour(90, 220), -1, cv2.LINE_AA)
+    for count, low_m, high_m, low, high in ((int(rng.integers(3, 6)), 0.04, 0.14, 90, 220), (14, 0.008, 0.03, 40, 160)):
+        for _ in range(count):
+            size = (inner.length_px(low_m, high_m), inner.length_px(low_m, high_m))
+            turn, colour = float(rng.uniform(0, 180)), inner.muted_colour(low, high)
+            cv2.ellipse(inner.image, inner.spot(), size, turn, 0, 360, colour, -1, cv2.LINE_AA)
     canvas.edge([(40, 42, 44), (160, 190, 205), (215, 220, 222)][int(rng.integers(0, 3))], int(0.012 * m))
 
 
@@ -281,7 +299,7 @@ def paint_lamp_shade(canvas: Canvas) -> None:
 
 
 def paint_open_shelf(canvas: Canvas) -> None:
-    """A white shelf that is almost empty: a few plain boxes and vases."""
+    """A white shelf, half empty: books, a bottle, a bowl or a plain box on each board."""
     rng, (width, height), m = canvas.rng, canvas.size_px, canvas.texels_per_m
     canvas.fill(scaled(WHITE, 0.8))
     rows = max(1, round(height / m / 0.38))
@@ -289,13 +307,25 @@ def paint_open_shelf(canvas: Canvas) -> None:
     for row in range(rows):
         floor_y, top_y = int((row + 1) * height / rows), int(row * height / rows)
         canvas.image[top_y : top_y + int(0.05 * m)] = scaled(WHITE, 0.7)  # the board's shade
-        for _ in range(int(rng.integers(0, 3))):
-            w, h = canvas.length_px(0.1, 0.3), int(rng.uniform(0.3, 0.7) * (floor_y - top_y))
-            x, colour = int(rng.uniform(board, max(board + 1, width - w))), canvas.muted_colour(110, 210)
-            cv2.rectangle(canvas.image, (x, floor_y - h), (x + w, floor_y), colour, -1)
+        x = board + canvas.length_px(0.0, 0.15)
+        while x < width - board:
+            paint_thing, (low_m, high_m), share = SHELVED[int(rng.integers(0, len(SHELVED)))]
+            w, h = min(canvas.length_px(low_m, high_m), width - board - x), int(share * (floor_y - top_y))
+            if w > 4:
+                paint_thing(canvas.part(x, floor_y - h, w, h))
+            x += w + canvas.length_px(0.03, 0.3)
         cv2.rectangle(canvas.image, (0, floor_y - board), (width, floor_y), WHITE, -1)
-    canvas.image[:] = cv2.GaussianBlur(canvas.image, (0, 0), 0.004 * m)
+    canvas.image[:] = cv2.GaussianBlur(canvas.image, (0, 0), 0.002 * m)
     canvas.edge(WHITE, board // 2)
+
+
+# What may stand on a shelf: its painter, its width in m and its share of the height between the boards.
+SHELVED: tuple[tuple[Callable[[Canvas], None], tuple[float, float], float], ...] = (
+    (paint_spines, (0.12, 0.35), 0.7),
+    (paint_bottle, (0.06, 0.1), 0.65),
+    (paint_bowl, (0.15, 0.25), 0.28),
+    (paint_lacquer, (0.1, 0.3), 0.5),
+)
 
 
 def paint_garment(canvas: Canvas) -> None:

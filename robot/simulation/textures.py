@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from robot.simulation import texture_furniture as furniture
 from robot.simulation import texture_plain as plain
+from robot.simulation import texture_plain_things as things
 from robot.simulation import texture_walls as walls
 from robot.simulation.texture_strokes import Canvas, ImageArray
 
@@ -111,6 +112,19 @@ PAINTERS: dict[str, Callable[[Canvas], None]] = {
     "lamp_shade": plain.paint_lamp_shade,
     "open_shelf": plain.paint_open_shelf,
     "house_plant": plain.paint_house_plant,
+    "spines": things.paint_spines,
+    "bottle": things.paint_bottle,
+    "bowl": things.paint_bowl,
+    "labelled_box": things.paint_labelled_box,
+    "toy_box": things.paint_toy_box,
+    "patterned_cloth": things.paint_patterned_cloth,
+    "wicker": things.paint_wicker,
+    "shoe": things.paint_shoe,
+    "power_strip": things.paint_power_strip,
+    "switch": things.paint_switch,
+    "clock": things.paint_clock,
+    "note_board": things.paint_note_board,
+    "wall_tiles": things.paint_wall_tiles,
     "garment": plain.paint_garment,
     "head": plain.paint_head,
 }

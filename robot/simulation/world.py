@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,6 +84,44 @@ class Door:
 
 
 @dataclass(frozen=True, slots=True)
+class Walker:
+    """A person who walks a closed way again and again, stands a while at its stops and turns there."""
+
+    times_s: tuple[float, ...]  # of the way's points, from 0 to when it begins anew
+    x_m: tuple[float, ...]
+    y_m: tuple[float, ...]
+    yaw_rad: tuple[float, ...]  # unwrapped
+    surfaces: tuple[Surface, ...]  # in the person's own frame: x ahead, z up, the floor at 0
+    swings_m: tuple[float, ...]  # how far each surface swings along x with the steps
+    step_rad_s: float  # of the legs
+
+    def pose(self, t_s: float) -> tuple[float, float, float]:
+        """x m, y m, yaw rad at a time."""
+        t = t_s % self.times_s[-1]
+        x, y, yaw = (float(np.interp(t, self.times_s, values)) for values in (self.x_m, self.y_m, self.yaw_rad))
+        return x, y, yaw
+
+    def surfaces_at(self, t_s: float, room: int) -> list[Surface]:
+        """What is seen of the person at a time, lit as the room is."""
+        x, y, yaw = self.pose(t_s)
+        before, after = self.pose(t_s - 0.05), self.pose(t_s + 0.05)
+        is_walking = math.hypot(after[0] - before[0], after[1] - before[1]) > 0.02
+        swing = math.sin(self.step_rad_s * t_s) if is_walking else 0.0
+        c, s = math.cos(yaw), math.sin(yaw)
+
+        def turned(v: tuple[float, float, float]) -> tuple[float, float, float]:
+            return c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
+
+        placed = []
+        for surface, reach in zip(self.surfaces, self.swings_m, strict=True):
+            ox, oy, oz = surface.origin
+            ox, oy, oz = turned((ox + swing * reach, oy, oz))
+            eu, ev = turned(surface.eu), turned(surface.ev)
+            placed.append(replace(surface, origin=(x + ox, y + oy, oz), eu=eu, ev=ev, room=room))
+        return placed
+
+
+@dataclass(frozen=True, slots=True)
 class World:
     """Everything there is. Frame: z up, metres, origin at a corner of the floor plan."""
 
@@ -95,6 +133,7 @@ class World:
     obstacles: tuple[Obstacle, ...]
     start: tuple[float, float, float]  # x m, y m, yaw rad of the robot
     room_light: tuple[float, ...] = ()  # brightness per room, 1 is normal; empty: all normal
+    walkers: tuple[Walker, ...] = ()
 
     def room_at(self, x_m: float, y_m: float) -> str:
         """Name of the room at a position, "" outside of all (a doorway belongs to the nearer room)."""
@@ -105,6 +144,15 @@ class World:
             return ""
         nearest = min(self.rooms, key=lambda r: _distance_to_room(r, x_m, y_m))
         return nearest.name if _distance_to_room(nearest, x_m, y_m) <= WALL_THICKNESS_M else ""
+
+    def room_index(self, x_m: float, y_m: float) -> int:
+        """Index of the room nearest to a position."""
+        return min(range(len(self.rooms)), key=lambda i: _distance_to_room(self.rooms[i], x_m, y_m))
+
+    def surfaces_at(self, t_s: float) -> list[Surface]:
+        """All that is seen at a time: the surfaces of the world, then those of the walkers, always in one order."""
+        moving = [s for w in self.walkers for s in w.surfaces_at(t_s, self.room_index(*w.pose(t_s)[:2]))]
+        return [*self.surfaces, *moving]
 
     def bounds(self) -> tuple[float, float, float, float]:
         """x0, y0, x1, y1 m of the floor plan."""

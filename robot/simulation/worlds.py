@@ -11,6 +11,7 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.flat import FlatOptions, furnish_room, make_flat
 from robot.simulation.plain import make_plain
 from robot.simulation.textures import TextureSpec
+from robot.simulation.walkers import with_walkers
 from robot.simulation.walls import wall_obstacles
 from robot.simulation.world import Room, World
 from shared.errors import ConfigError
@@ -18,15 +19,26 @@ from shared.errors import ConfigError
 WORLD_NAMES = ("home", "small", "lookalike", "plain", "room", "vicon", "checker")
 
 
+PLAIN_WALKERS = (0, 0, 1, 2)  # persons in a plain home, by chance
+
+
 def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> World:
     """Build a world by name: the same name, seed and options give the same world.
 
     `home`: a flat of 3-5 rooms. `small`: 3 rooms, mapped in about a minute. `lookalike`: a home in
     which two rooms differ in nothing but their pictures. `plain`: another kind of home, with bare walls,
-    equal doors and radiators, by day or by night, some with twin rooms. `room`: one room for the triangle routes.
+    equal doors and radiators, by day or by night,
+    some with twin rooms, some with persons who walk about. `room`: one room for the triangle routes.
     `vicon`: an 8x8x4 m hall around EuRoC's V1 paths. `checker`: a box of checkerboards, for geometry tests.
     """
     config = config or SimulationConfig()
+    walkers = config.walkers
+    if walkers is None:
+        walkers = int(np.random.default_rng([seed, 26]).choice(PLAIN_WALKERS)) if name == "plain" else 0
+    return with_walkers(_make_world(name, seed, config), walkers, config.walkers_seed)
+
+
+def _make_world(name: str, seed: int, config: SimulationConfig) -> World:
     moved, light = config.moved_chairs_seed, config.light_seed
     if name in ("home", "lookalike"):
         twins = name == "lookalike" or config.lookalike_rooms

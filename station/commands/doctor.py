@@ -30,7 +30,7 @@ PARTS = {
     "mcap": ("recordings", install("station"), False),
     "open3d": (
         "optional second registration backend",
-        f"sudo apt-get install libgl1 libx11-6 && {install('open3d')}",
+        f"sudo apt-get install libegl1 libgl1 libusb-1.0-0 libx11-6 && {install('open3d')}",
         True,
     ),
 }

@@ -5,23 +5,27 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from shared.errors import ConfigError
 from station.commands.match_report import finish
-from station.commands.options import AlignBy, Mode, check_out_folder, overridden
+from station.commands.options import AlignBy, check_out_folder, overridden
 from station.commands.progress import working
-from station.commands.slam import run_with_progress
+from station.commands.slam import given_state, run_with_progress
 from station.datasets import Dataset
-from station.experiments.experiment import Story, run_experiment
+from station.experiments.experiment import Experiment, Story, run_experiment
 from station.experiments.inputs import FrameRange, Input, open_input
-from station.experiments.presets import Preset, find_preset, make_dataset
+from station.experiments.presets import Preset, SlamChoice, find_preset, make_dataset
+from station.experiments.report import write_experiment
 from station.files.navigation_folder import check_navigation_folder, save_navigation
 from station.model.navigation import Navigation
 from station.places.making.config import PlacesConfig, ThesisConfig
+from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
+
+AS_THESIS = "as-thesis"  # folder in `out`: a preset that is run as the thesis did it, too
 
 
 def register(app: typer.Typer) -> None:
@@ -39,14 +43,28 @@ def experiment(
     truth1: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 1.")] = None,
     truth2: Annotated[Path | None, typer.Option(help="Dataset with the true poses of a finished navigation 2.")] = None,
     preset: Annotated[
-        str | None, typer.Option(help="I, II or III: the thesis' experiments; --seed chooses the world.")
+        str | None,
+        typer.Option(
+            help="I, II, III: the thesis' experiments; I-thesis: I with its settings. --seed chooses the world."
+        ),
     ] = None,
     euroc: Annotated[Path | None, typer.Option(help="EuRoC V1_02 folder: path and IMU of preset I.")] = None,
     backend: Annotated[
         str | None,
         typer.Option("--backend", help="SLAM backend for datasets: auto, ukf, sfm; without it the preset's, else sfm."),
     ] = None,
-    mode: Mode = "default",
+    mode: Annotated[
+        Literal["thesis", "default"] | None,
+        typer.Option(help="Of clustering and matching; without it default, thesis for the preset I-thesis."),
+    ] = None,
+    landmarks: Annotated[
+        Literal["default", "thesis"] | None,
+        typer.Option(help="thesis: keep each landmark as it first entered the filter (ukf)."),
+    ] = None,
+    initial_state: Annotated[
+        Literal["own", "given"] | None,
+        typer.Option(help="given: start from the dataset's true state instead of by itself (ukf)."),
+    ] = None,
     eps: Annotated[float | None, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised [0.3].")] = None,
     min_pts: Annotated[int | None, typer.Option(help="Thesis mode: DBSCAN's MinPts [11].")] = None,
     inlier_ratio: Annotated[float | None, typer.Option(help="Thesis mode: share of pairs kept [0.75].")] = None,
@@ -60,20 +78,21 @@ def experiment(
     """Map one navigation, find its places again in another, and judge the matches where true poses were recorded."""
     check_out_folder(out)
     ranges = FrameRange.parse(frames1, "--frames1"), FrameRange.parse(frames2, "--frames2")
-    story, thesis = Story(title=title), ThesisConfig()
-    if preset is not None:
-        if navigation1 is not None or navigation2 is not None:
-            raise ConfigError("--preset makes its own navigations; leave --navigation1 and --navigation2 out")
-        chosen = find_preset(preset, seed, euroc)
-        story, thesis, ranges = chosen.story, chosen.thesis, chosen.frames
-        backend = backend or chosen.backend
+    chosen = None if preset is None else find_preset(preset, seed, euroc)
+    if chosen is not None and (navigation1 is not None or navigation2 is not None):
+        raise ConfigError("--preset makes its own navigations; leave --navigation1 and --navigation2 out")
+    story, thesis, choice = Story(title=title), ThesisConfig(), SlamChoice("sfm")
+    if chosen is not None:
+        story, thesis, choice, ranges = chosen.story, chosen.thesis, chosen.slam, chosen.frames
+        mode = mode or chosen.mode
+    thesis = overridden(thesis, eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio)
+    choice = overridden(choice, backend=backend, landmarks=landmarks, initial_state=initial_state)
+    config = PlacesConfig(mode or "default", thesis, align_by)
+
+    if chosen is not None:
+        navigation1, navigation2 = make_datasets(chosen, out / "data")
     elif navigation1 is None or navigation2 is None:
         raise ConfigError("--navigation1 and --navigation2 are needed: two datasets or navigation folders; or --preset")
-    thesis = overridden(thesis, eps=eps, min_pts=min_pts, inlier_ratio=inlier_ratio)
-    config = PlacesConfig(mode, thesis, align_by)
-
-    if preset is not None:
-        navigation1, navigation2 = make_datasets(chosen, out / "data")
     assert navigation1 is not None and navigation2 is not None
     inputs = [
         open_input(path, frames, truth, step=step)
@@ -81,24 +100,34 @@ def experiment(
     ]
     if (truth1 or truth2) and not all(opened.truth for opened in inputs):
         raise ConfigError("judging needs the true poses of both navigations; give --truth1 and --truth2, or neither")
-    seconds: dict[str, float] = {}
-    first, second = reconstruct(inputs, backend or "sfm", seed, threads, out, seconds)
-    with working("clustering Navigation1 into places") as bar:
-        done = run_experiment(
-            first,
-            second,
-            config,
-            truths=(inputs[0].truth, inputs[1].truth),
-            seed=seed,
-            story=story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}"),
-            say=bar.step,
+    story = story if story.title else replace(story, title=f"{navigation1.name} against {navigation2.name}")
+    done = perform(inputs, choice, config, story, seed, threads, out)
+    if chosen is not None and chosen.as_thesis:
+        theirs = find_preset(chosen.as_thesis, seed, euroc)
+        folder = out / AS_THESIS
+        beside = perform(
+            inputs, theirs.slam, PlacesConfig(theirs.mode, theirs.thesis), theirs.story, seed, threads, folder
         )
-    done.seconds.update(seconds)
+        write_experiment(beside, folder)
+        done = replace(done, as_thesis=beside)
     finish(done, out, as_json)
 
 
+def perform(
+    inputs: list[Input], choice: SlamChoice, config: PlacesConfig, story: Story, seed: int, threads: int, out: Path
+) -> Experiment:
+    """Reconstruct what is no navigation yet, match, and judge; navigations made now are kept in `out`."""
+    seconds: dict[str, float] = {}
+    first, second = reconstruct(inputs, choice, seed, threads, out, seconds)
+    truths = (inputs[0].truth, inputs[1].truth)
+    with working("clustering Navigation1 into places") as bar:
+        done = run_experiment(first, second, config, truths=truths, seed=seed, story=story, say=bar.step)
+    done.seconds.update(seconds)
+    return done
+
+
 def reconstruct(
-    inputs: list[Input], backend: str, seed: int, threads: int, out: Path, seconds: dict[str, float]
+    inputs: list[Input], choice: SlamChoice, seed: int, threads: int, out: Path, seconds: dict[str, float]
 ) -> list[Navigation]:
     """The navigations of all inputs; those made now are kept in `out`, so that other settings need no new ones.
 
@@ -108,8 +137,7 @@ def reconstruct(
     for number, opened in enumerate(inputs, start=1):
         if isinstance(opened.source, Dataset):
             check_navigation_folder(out / f"navigation{number}")
-            data = opened.source
-            backends[number] = make_backend(backend, data.calibration, seed, threads, data.intrinsics_known)
+            backends[number] = backend_for(opened.source, choice, seed, threads)
     navigations = []
     for number, opened in enumerate(inputs, start=1):
         start = time.perf_counter()
@@ -122,6 +150,12 @@ def reconstruct(
             navigations.append(opened.source)
         seconds[f"navigation{number}"] = time.perf_counter() - start
     return navigations
+
+
+def backend_for(data: Dataset, choice: SlamChoice, seed: int, threads: int) -> SlamBackend:
+    """A fresh backend for a dataset. Raises DataError where it shall start from a true state that is not there."""
+    given = given_state(data) if choice.initial_state == "given" else None
+    return make_backend(choice.backend, data.calibration, seed, threads, data.intrinsics_known, choice.landmarks, given)
 
 
 def make_datasets(preset: Preset, folder: Path) -> tuple[Path, Path]:

@@ -12,6 +12,7 @@ import typer
 
 from shared.errors import DataError
 from station.commands.map_store import open_map
+from station.commands.navigations import navigation_folder
 from station.commands.options import Config, Data
 from station.files.colmap import export_colmap
 from station.files.export import export_euroc, export_mcap, export_ply
@@ -50,7 +51,7 @@ def export(
     if is_taken:
         raise DataError(f"{out} exists already; give a new name with --out")
     place_map: PlaceMap | None = None
-    folder = _navigation_folder(Path(source))
+    folder = navigation_folder(Path(source))
     if folder is not None:
         nav = load_navigation(folder)
     else:
@@ -70,13 +71,6 @@ def export(
         "colmap": export_colmap,
     }
     _whole_or_not(out, lambda path: writers[file_format](nav, path))
-
-
-def _navigation_folder(source: Path) -> Path | None:
-    """Where a navigation lies: in this folder, or below it, when a station made it. A map's folder holds one too."""
-    if (source / "map.json").is_file():
-        return None
-    return next((folder for folder in (source, source / "navigation") if (folder / "navigation.json").is_file()), None)
 
 
 def _whole_or_not(out: Path, write: Callable[[Path], object]) -> None:

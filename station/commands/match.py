@@ -52,4 +52,5 @@ def match(
         result = match_navigation(place_map, second, config, seed=seed)
         judgement, not_judged = judge(place_map, second, truths, result)
     story = Story(title=f"{navigation.name} in {place_map.name}")
-    finish(Experiment(story, place_map, second, result, judgement, config, seed, {}, not_judged), out, as_json)
+    done = Experiment(story, place_map, second, result, judgement, config, seed, {}, not_judged, truths)
+    finish(done, out, as_json)

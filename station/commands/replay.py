@@ -13,10 +13,11 @@ from shared.errors import ConfigError, DataError
 from station.commands.map_store import open_map
 from station.commands.options import Config, Data
 from station.commands.progress import working
+from station.commands.results_folder import write_results
 from station.datasets import open_dataset
 from station.files.navigation_folder import save_navigation
 from station.maps.folder import save_map_folder
-from station.workers.replay import Replay, ReplayOptions, answer_line, replay
+from station.workers.replay import Replay, ReplayOptions, answer_lines, replay
 
 
 def register(app: typer.Typer) -> None:
@@ -94,10 +95,8 @@ class Metronome:
 
 
 def _write(result: Replay, out: Path) -> None:
-    save_navigation(result.navigation, out / "navigation")
-    save_map_folder(result.place_map, out / "map")
-    try:
-        (out / "answers.jsonl").write_text("".join(f"{answer_line(answer)}\n" for answer in result.answers))
-        (out / "hashes.json").write_text(json.dumps(result.hashes(), indent=1) + "\n")
-    except OSError as exc:
-        raise DataError(f"{out} cannot be written ({exc.strerror}); choose another folder") from exc
+    with write_results(out) as fresh:
+        save_navigation(result.navigation, fresh / "navigation")
+        save_map_folder(result.place_map, fresh / "map")
+        (fresh / "answers.jsonl").write_text(answer_lines(result.answers))
+        (fresh / "hashes.json").write_text(json.dumps(result.hashes(), indent=1) + "\n")

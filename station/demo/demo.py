@@ -21,6 +21,7 @@ from station.demo.processes import Programs, free_port
 from station.demo.simulator_client import SimulatorClient
 from station.demo.station_client import StationClient
 from station.files.navigation_folder import load_navigation
+from station.model.navigation import Trajectory
 
 START_TIMEOUT_S = 90.0  # the first start of a flat bakes its textures
 DRIVE_TIMEOUT_S = 240.0
@@ -93,30 +94,50 @@ def run_steps(options: DemoOptions, programs: Programs, data: Path, say: Say) ->
     with timings.step("start"):
         demo = start_programs(options, programs, data, say)
     try:
-        with timings.step("navigation1"):
-            navigation1 = record_drive(demo, "Navigation1", "mapping")
-        with timings.step("slam"):
-            wait_for_slam(demo, "Navigation1", navigation1)
-        with timings.step("map"):
-            places = build_map(demo, navigation1)
-        with timings.step("localisation"):
-            wait_for_localisation(demo)
-        with timings.step("navigation2"):
-            put_down_ns, samples, navigation2 = hijack_and_drive_again(demo)
-        trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
-        centroids: dict[str, FloatArray] = {p["id"]: np.array(p["centroid_map"]) for p in places}
-        verdict = judge(trajectory, centroids, demo.simulator.truth_log(), samples, put_down_ns)
-        write_results(options, verdict, timings, places)
-        demo.station.call("POST", f"/navigations/{navigation2}/stop")
-        say(describe(verdict))
+        outcome = map_hijack_and_ask(demo, data, timings)
+        write_results(options, outcome.verdict, timings, outcome.places)
+        demo.station.call("POST", f"/navigations/{outcome.navigation2}/stop")
+        say(describe(outcome.verdict))
         say(f"recordings, map and results: {data}, {options.out / 'results.json'}")
         if options.once:
-            finish(demo, navigation2)
+            finish(demo, outcome.navigation2)
         else:
             serve_until_interrupted(demo)
     finally:
         demo.simulator.close()
-    return verdict.passed
+    return outcome.verdict.passed
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a mapping drive, a hijack and a second drive."""
+
+    verdict: Verdict
+    places: list[dict[str, Any]]  # as GET /places gives them
+    map_trajectory: Trajectory  # body poses of the mapping drive, map frame
+    navigation2: str  # id; it is still being recorded
+
+
+def map_hijack_and_ask(demo: Demo, data: Path, timings: Timings) -> Outcome:
+    """Map the flat, put the robot down elsewhere, drive again, ask for the place; judged by the simulator's truth."""
+    with timings.step("navigation1"):
+        navigation1 = record_drive(demo, "Navigation1", "mapping")
+    with timings.step("slam"):
+        wait_for_slam(demo, "Navigation1", navigation1)
+    with timings.step("map"):
+        places = build_map(demo, navigation1)
+    with timings.step("localisation"):
+        wait_for_localisation(demo)
+    with timings.step("navigation2"):
+        put_down_ns, samples, navigation2 = hijack_and_drive_again(demo)
+    trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
+    verdict = judge(trajectory, centroids(places), demo.simulator.truth_log(), samples, put_down_ns)
+    return Outcome(verdict, places, trajectory, navigation2)
+
+
+def centroids(places: list[dict[str, Any]]) -> dict[str, FloatArray]:
+    """Of places as GET /places gives them: id -> (3,) centroid, map frame."""
+    return {p["id"]: np.array(p["centroid_map"]) for p in places}
 
 
 def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
@@ -307,6 +328,7 @@ def write_results(options: DemoOptions, verdict: Verdict, timings: Timings, plac
     """`results.json`: for scripts and for benchmarks/bench_demo.py."""
     results = {
         "passed": verdict.passed,
+        "shortfall": verdict.shortfall,
         "seed": options.seed,
         "world": options.world,
         "places": len(places),

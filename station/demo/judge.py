@@ -8,10 +8,15 @@ import numpy as np
 
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, transform
-from station.experiments.alignment import align_points
+from station.experiments.alignment import Alignment, align_points
 from station.model.navigation import Trajectory
 
 TIE = 1.10  # a place is right when no other is nearer by more than this factor: of two at equal distance both are
+# What is asked of a run. A map of the wrong size gives routes of the wrong length, however right its places are;
+# a robot that hardly ever knows its place is of no use, however right it is when it does.
+MIN_RIGHT_OF_KNOWN = 0.9
+MIN_KNOWN_OF_ANSWERS = 0.7
+MAX_SCALE_ERROR = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +60,29 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """The last answer is known and right, and at least nine in ten of the known answers are."""
+        """Whether everything was reached that is asked of a run."""
         return not self.shortfall
 
     @property
     def shortfall(self) -> str:
         """What was not reached, in words; empty when all was."""
-        if self.right < 0.9 * (self.right + self.wrong):
-            return "more than one in ten of the known answers is wrong"
-        if self.final_known_right:
-            return ""
-        return f"the last answer is {'wrong' if self.answers[-1].right is False else 'not known'}"
+        known = self.right + self.wrong
+        checks = (
+            (self.right >= MIN_RIGHT_OF_KNOWN * known, "more than one in ten of the known answers is wrong"),
+            (
+                self.final_known_right,
+                f"the last answer is {'wrong' if self.answers[-1].right is False else 'not known'}",
+            ),
+            (
+                known >= MIN_KNOWN_OF_ANSWERS * len(self.answers),
+                f"only {known} of {len(self.answers)} answers are known, fewer than {MIN_KNOWN_OF_ANSWERS:.0%}",
+            ),
+            (
+                abs(self.map_scale - 1.0) <= MAX_SCALE_ERROR,
+                f"the map's scale is {self.map_scale:.3f}, off by more than {MAX_SCALE_ERROR:.0%}",
+            ),
+        )
+        return "; ".join(words for holds, words in checks if not holds)
 
 
 def positions_at(log: Trajectory, t_robot_ns: FloatArray) -> FloatArray:
@@ -74,6 +91,17 @@ def positions_at(log: Trajectory, t_robot_ns: FloatArray) -> FloatArray:
     t = (log.t_robot_ns - t0).astype(np.float64)
     wanted = t_robot_ns - float(t0)
     return np.stack([np.interp(wanted, t, log.T_world_body[:, i, 3]) for i in range(3)], axis=1)
+
+
+def align_map(map_trajectory: Trajectory, log: Trajectory) -> Alignment:
+    """From the map's frame to the world's, by where the mapping drive truly was; with the map's scale and error."""
+    truth = positions_at(log, map_trajectory.t_robot_ns.astype(np.float64))
+    return align_points(truth, map_trajectory.T_world_body[:, :3, 3], kind="sim3")
+
+
+def carried(centroids_map: dict[str, FloatArray], T_world_map: FloatArray) -> dict[str, FloatArray]:
+    """Where the places' centroids (3,) lie in the world."""
+    return {name: transform(T_world_map, c[None])[0] for name, c in centroids_map.items()}
 
 
 def is_right(place: str, centroids_true: dict[str, FloatArray], position_true: FloatArray) -> bool:
@@ -114,10 +142,9 @@ def judge(
     Raises:
         EstimationError: there is no such sample.
     """
-    truth = positions_at(log, map_trajectory.t_robot_ns.astype(np.float64))
-    aligned = align_points(truth, map_trajectory.T_world_body[:, :3, 3], kind="sim3")
+    aligned = align_map(map_trajectory, log)
     T = aligned.T_target_source
-    centroids_true = {name: transform(T, c[None])[0] for name, c in centroids_map.items()}
+    centroids_true = carried(centroids_map, T)
     after = [s for s in samples if s.t_robot_ns >= start_ns]
     if not after:
         raise EstimationError("the station gave no answer after the hijack")

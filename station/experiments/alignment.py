@@ -12,6 +12,8 @@ from shared.geometry import FloatArray, sim3, transform, yaw_rotation
 
 AlignmentKind = Literal["yaw", "se3", "sim3"]
 MIN_SPREAD = 1e-12  # m^2: below it all points are one point
+LMEDS_SAMPLES = 500  # of three points each: one of them is free of outliers, though half of the points may be some
+LMEDS_CUT = 2.5  # standard deviations, of what is kept for the last fit (Rousseeuw and Leroy 1987, section 5.1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +59,66 @@ def align_points(p_target: FloatArray, p_source: FloatArray, kind: AlignmentKind
             scale = float((D * S).sum() / (source**2).sum(axis=1).mean())  # eq. 42
     T = sim3(scale, R, mu_target - scale * R @ mu_source)  # eq. 41
     rms = float(np.sqrt(((p_target - transform(T, p_source)) ** 2).sum(axis=1).mean()))
+    return Alignment(T, R, scale, rms)
+
+
+def align_most_points(p_target: FloatArray, p_source: FloatArray) -> Alignment:
+    """The similarity that maps most of the points well, though nearly half of them may be anywhere.
+
+    Same input, same result. Arguments and errors are those of `align_points`.
+    Source: least median of squares (Rousseeuw, J. Am. Stat. Assoc. 79, 1984), then least squares on what agrees.
+    """
+    count = len(p_source)
+    if count < 4:
+        raise DegenerateGeometry(f"{count} points are too few to tell which of them are wrong")
+    rng = np.random.default_rng(0)
+    best, least = None, np.inf
+    for _ in range(LMEDS_SAMPLES):
+        rows = rng.choice(count, 3, replace=False)
+        try:
+            found = align_points(p_target[rows], p_source[rows], "sim3")
+        except DegenerateGeometry:
+            continue
+        median = float(np.median(_squares(found, p_target, p_source)))
+        if median < least:
+            best, least = found, median
+    if best is None:
+        raise DegenerateGeometry("points lie on one line, so that a rotation stays unknown")
+    sigma = 1.4826 * (1 + 5 / (count - 3)) * np.sqrt(least)
+    agree = _squares(best, p_target, p_source) <= max((LMEDS_CUT * sigma) ** 2, MIN_SPREAD)
+    return align_points(p_target[agree], p_source[agree], "sim3")
+
+
+def _squares(alignment: Alignment, p_target: FloatArray, p_source: FloatArray) -> FloatArray:
+    """(N,) squared distances that remain."""
+    return np.square(p_target - transform(alignment.T_target_source, p_source)).sum(axis=1)
+
+
+def align_poses(T_target: FloatArray, T_source: FloatArray, lever: float) -> Alignment:
+    """The similarity that best maps source poses onto their target poses (N, 4, 4): also of a short or straight path.
+
+    Orientations count for the rotation, as much as positions `lever` (source units) away from the bodies would; scale
+    is the positions' alone.
+    Raises:
+        DegenerateGeometry: too few poses, or the body did not move, so that the scale stays unknown.
+    """
+    if len(T_target) != len(T_source) or len(T_source) < 2:
+        raise DegenerateGeometry(f"{len(T_source)} poses are too few to align")
+    mu_target, mu_source = T_target[:, :3, 3].mean(axis=0), T_source[:, :3, 3].mean(axis=0)
+    target, source = T_target[:, :3, 3] - mu_target, T_source[:, :3, 3] - mu_source
+    spread = float(np.square(source).sum())
+    if spread <= MIN_SPREAD * len(source):
+        raise DegenerateGeometry("the body did not move, so that the scale stays unknown")
+    turns = np.einsum("nij,nkj->ik", T_target[:, :3, :3], T_source[:, :3, :3])
+    scale = float(np.sqrt(np.square(target).sum() / spread))
+    for _ in range(10):  # the scale weighs orientations; it has settled after three rounds
+        U, _, Vt = np.linalg.svd(target.T @ source + scale * lever**2 * turns)
+        R = (U * [1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))]) @ Vt
+        scale = float((target * (source @ R.T)).sum() / spread)
+        if scale <= 0:
+            raise DegenerateGeometry("positions contradict orientations")
+    T = sim3(scale, R, mu_target - scale * R @ mu_source)
+    rms = float(np.sqrt(np.square(T_target[:, :3, 3] - transform(T, T_source[:, :3, 3])).sum(axis=1).mean()))
     return Alignment(T, R, scale, rms)
 
 

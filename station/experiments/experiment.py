@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from shared.errors import DataError
 from station.datasets import Truth
 from station.experiments.matches import MatchJudgement, judge_matches
@@ -15,6 +17,7 @@ from station.model.place_map import PlaceMap
 from station.places.joining.match import match_navigation
 from station.places.joining.match_result import MatchResult
 from station.places.making.build import build_map
+from station.places.making.clusters import centre_and_normalise
 from station.places.making.config import PlacesConfig
 from station.places.registration.result import finite, registration_json
 
@@ -41,6 +44,8 @@ class Experiment:
     seed: int
     seconds: dict[str, float]
     not_judged: str = ""  # why there is no judgement, where there is none
+    truths: tuple[Truth | None, Truth | None] = (None, None)  # for the judge and for drawing
+    as_thesis: Experiment | None = None  # the same data as the thesis ran it, to stand beside this
 
     def found_again(self, place_id: str) -> bool | None:
         """Whether a match was accepted for this place; None where nothing could be matched at all."""
@@ -70,7 +75,7 @@ def run_experiment(
     result = match_navigation(place_map, second, config, seed=seed)
     seconds["match"] = time.perf_counter() - start
     judgement, not_judged = judge(place_map, second, truths, result)
-    return Experiment(story or Story(), place_map, second, result, judgement, config, seed, seconds, not_judged)
+    return Experiment(story or Story(), place_map, second, result, judgement, config, seed, seconds, not_judged, truths)
 
 
 def judge(
@@ -86,6 +91,30 @@ def judge(
         return None, f"not judged: {exc}"
 
 
+def normalised_rmse(experiment: Experiment) -> float | None:
+    """RMSE of the registration where the map's cloud fills the unit ball: the thesis' unit of clouds without metres.
+
+    None where nothing was registered.
+    """
+    rmse = experiment.result.registration.rmse
+    p_world = experiment.place_map.navigation.landmarks.p_world
+    p_world = p_world[np.isfinite(p_world).all(axis=1)]
+    if not np.isfinite(rmse) or not len(p_world):
+        return None
+    if registers_normalised(experiment):
+        return float(rmse)
+    return float(rmse) / centre_and_normalise(p_world)[2]
+
+
+def registers_normalised(experiment: Experiment) -> bool:
+    """Whether the clouds were normalised before they were registered: only the thesis' method does that."""
+    if experiment.config.mode != "thesis":
+        return False
+    asked = experiment.config.thesis.normalise
+    both_metric = experiment.place_map.navigation.is_metric and experiment.navigation.is_metric
+    return not both_metric if asked is None else asked
+
+
 def results_dict(experiment: Experiment) -> dict[str, Any]:
     """`results.json` (CONTRACT: Files written), with more beside it."""
     place_map, result, judgement = experiment.place_map, experiment.result, experiment.judgement
@@ -97,6 +126,7 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
         "locations": len(result.locations),
         "registration": {
             **registration_json(result.registration),
+            "rmse_normalised": normalised_rmse(experiment),
             "error_m": None if judgement is None else judgement.registration_error,
         },
         "matches": [
@@ -126,4 +156,5 @@ def results_dict(experiment: Experiment) -> dict[str, Any]:
         "seed": experiment.seed,
         "seconds": experiment.seconds,
         "config": place_map.config,
+        "as_thesis": None if experiment.as_thesis is None else results_dict(experiment.as_thesis),
     }

@@ -15,19 +15,27 @@ from typing import Any
 import jinja2
 
 from shared.errors import DataError
-from station.experiments.experiment import Experiment, results_dict
+from station.experiments.experiment import Experiment, registers_normalised, results_dict
 from station.experiments.figures import draw_figures
+from station.experiments.scene import unit_of
 from station.places.making.repeatability import repeatability
 from station.places.registration.result import uncertainty_of
 
 FIGURES = (
+    ("frames", "What the cameras saw", "Four moments of each navigation (thesis: fig. 5.1)."),
+    ("routes", "Routes and their lengths",
+     "Where the robot went, how long each straight section is, and the angle between two of them (figs. 5.6, 5.9)."),
+    ("coloured_clouds", "Coloured point clouds",
+     "Each landmark in the colour it was seen in (figs. 5.7 a and b, 5.10 a and b)."),
     ("clouds_before", "Point clouds before registration",
-     "Navigation1 in blue, Navigation2 in red (thesis: figs. 5.7 c, 5.10 c, A.1)."),
+     "Navigation1 in blue, Navigation2 in red (figs. 5.7 c, 5.10 c, A.1)."),
     ("clouds_after", "Point clouds after registration", "Where they coincide, blue and red mix."),
     ("clusters_above", "Clusters, from above", "One colour per cluster; grey landmarks belong to none (fig. A.2)."),
     ("clusters_in_front", "Clusters, from the front", "(figs. A.4, A.6)"),
     ("matches", "Matches", "Each location of Navigation2 and the place it was matched with (figs. 5.5, 5.8, 5.11)."),
-    ("trajectories", "Trajectories and place graph", "Where the robot was, and which place was nearest (fig. 5.4)."),
+    ("trajectories", "Trajectories among the places",
+     "On the left the place graph and Navigation1; on the right Navigation2, each pose in the colour of the place "
+     "that is nearest (fig. 5.4)."),
 )  # fmt: skip
 
 
@@ -93,7 +101,8 @@ def _content(experiment: Experiment, figures: Mapping[str, Path]) -> dict[str, A
         "edges": len(experiment.place_map.edges),
         "comparison": _comparison(experiment, results),
         "config": json.dumps(results["config"], indent=2, default=str),
-        "unit": "m" if first.is_metric else "map units",
+        "unit": unit_of(first),
+        "rmse_unit": _rmse_unit(experiment),
     }
 
 
@@ -113,22 +122,42 @@ def _verdict(results: Mapping[str, Any]) -> tuple[str, str]:
     return kind, f"{right} of {n} matches are right by the recorded poses."
 
 
-def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Rows (what, thesis, here); empty for an experiment that the thesis did not make."""
-    thesis = experiment.story.thesis
-    if not thesis:
-        return []
+def _comparison(experiment: Experiment, results: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Column title → what is compared → its value; empty for an experiment that the thesis did not make."""
+    if not experiment.story.thesis:
+        return {}
+    columns = {"the thesis": dict(experiment.story.thesis)}
+    if experiment.as_thesis is not None:
+        columns["its settings, here"] = _compared(experiment.as_thesis, results["as_thesis"])
+    return columns | {"here": _compared(experiment, results)}
+
+
+def _compared(experiment: Experiment, results: Mapping[str, Any]) -> dict[str, str]:
     effective = results["config"].get("effective", {})
     right = sum(bool(m["correct"]) for m in results["matches"]) if results["truth"] != "none" else None
-    unit = "(normalised)" if effective.get("normalised") else "m" if experiment.navigation.is_metric else "map units"
-    here = {
+    registration = results["registration"]
+    return {
+        "landmarks": " / ".join(
+            f"{len(n.landmarks):,}" for n in (experiment.place_map.navigation, experiment.navigation)
+        ),
         "places / locations": f"{results['places']} / {results['locations']}",
-        "cluster lengths": ", ".join(f"{key} {_number(value)}" for key, value in effective.items()),
-        "inlier ratio": _number(results["registration"]["inlier_ratio"]),
-        "registration RMSE": f"{_number(results['registration']['rmse'])} {unit}",
+        "cluster lengths": ", ".join(
+            f"{key.replace('_', ' ')} {_number(value)}"
+            for key, value in effective.items()
+            if value is not None and value is not False
+        ),
+        "inlier ratio": _number(registration["inlier_ratio"]),
+        "registration RMSE": f"{_number(registration['rmse'])} {_rmse_unit(experiment)}",
+        "registration RMSE, normalised": _number(registration["rmse_normalised"]),
+        "true error of the registration": "–"
+        if results["truth"] == "none"
+        else f"{_number(registration['error_m'])} m",
         "matches": str(len(results["matches"])) + ("" if right is None else f", of them right by truth: {right}"),
     }
-    return [(what, thesis.get(what, "–"), here.get(what, "–")) for what in here]
+
+
+def _rmse_unit(experiment: Experiment) -> str:
+    return "normalised" if registers_normalised(experiment) else unit_of(experiment.place_map.navigation)
 
 
 def _uncertainty(experiment: Experiment) -> str:
@@ -136,7 +165,7 @@ def _uncertainty(experiment: Experiment) -> str:
     known = uncertainty_of(experiment.result.registration)
     if known is None:
         return "–"
-    unit = "m" if experiment.place_map.navigation.is_metric else "map units"
+    unit = unit_of(experiment.place_map.navigation)
     return f"{math.degrees(known.rotation_rad):.2g}°, {known.position:.2g} {unit}, {known.scale:.2g} of scale"
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, IntArray, transform
+from station.model.calibration_fit import CalibrationFit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +117,7 @@ class NavigationReport:
     versions: dict[str, str]
     config: dict[str, Any]
     messages: tuple[str, ...] = ()  # what a person should know, in sentences
+    calibration_fit: CalibrationFit | None = None  # None: not asked, or too little was followed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

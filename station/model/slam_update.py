@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from shared.geometry import FloatArray
+from station.model.calibration_fit import CalibrationFit
 
 TrackingState = Literal["initialising", "tracking", "lost"]
 
@@ -25,3 +26,4 @@ class SlamUpdate:
     new_points_world: FloatArray | None = None  # (n, 3) landmarks finished since the last update, for the live view
     new_points_rgb: FloatArray | None = None  # (n, 3) 0..255
     segment: int = 0
+    calibration_fit: CalibrationFit | None = None  # what the drive so far says of it

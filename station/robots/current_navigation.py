@@ -18,6 +18,7 @@ from station.files.navigation_folder import load_navigation
 from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
 from station.library.recordings import retain_recordings
+from station.model.calibration_fit import CalibrationFit
 from station.model.place_answer import PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.robots.link_events import LinkListeners
@@ -56,10 +57,14 @@ class CurrentNavigation(LinkListeners):
         events: Notifier,
         make_recorder: MakeRecorder,
         on_pose: Callable[[int, FloatArray, int], None],
+        on_fit: Callable[[Hello, CalibrationFit], None] = lambda _hello, _fit: None,
         recordings: RecordingConfig | None = None,
         robot: str = "",
     ) -> None:
-        """`robot` is the name whose navigations these are."""
+        """`robot` is the name whose navigations these are.
+
+        `on_fit` gets what SLAM says of the calibration that was told in this hello.
+        """
         super().__init__()
         self._robot = robot
         self._recordings = recordings or RecordingConfig()
@@ -69,6 +74,7 @@ class CurrentNavigation(LinkListeners):
         self._events = events
         self._make_recorder = make_recorder
         self._on_pose = on_pose
+        self._on_fit = on_fit
         self._running: RunningNavigation | None = None
         self._finishing: dict[str, RunningNavigation] = {}  # their recording has ended and their SLAM has not
         self._tasks: set[asyncio.Task[None]] = set()  # that finish navigations, until all of it is kept
@@ -132,7 +138,7 @@ class CurrentNavigation(LinkListeners):
             self._config,
             hello.calibration,
             self._events,
-            on_update=lambda update: self._on_update(live, update),
+            on_update=lambda update: self._on_update(live, hello, update),
             on_trouble=live.set_message,
             on_restart=live.restart,
         )
@@ -258,7 +264,7 @@ class CurrentNavigation(LinkListeners):
                 self._navigations.notify(finishing.record)
                 self._events.changed("pose")
 
-    def _on_update(self, live: LiveSlam, update: SlamUpdate) -> None:
+    def _on_update(self, live: LiveSlam, hello: Hello, update: SlamUpdate) -> None:
         has_new_points = live.update(update)
         if self.live is not live:
             return
@@ -266,6 +272,8 @@ class CurrentNavigation(LinkListeners):
             recorder.on_slam(update)
         if update.T_world_body is not None:
             self._on_pose(update.t_robot_ns, update.T_world_body, update.segment)
+        if update.calibration_fit is not None:
+            self._on_fit(hello, update.calibration_fit)
         now_s = time.monotonic()
         if self._running is not None and now_s - self._pose_notified_s >= POSE_EVENT_INTERVAL_S:
             self._pose_notified_s = now_s
@@ -290,6 +298,8 @@ class CurrentNavigation(LinkListeners):
             )
             if self.live is running.live:
                 self.live = finished
+                if report.calibration_fit is not None:
+                    self._on_fit(running.hello, report.calibration_fit)
             self._events.notify("navigation", f"{navigation.name} is ready: {report.landmarks} landmarks")
         except (RobotSystemError, OSError) as exc:
             cause = CANCELLED if running.is_cancelled else running.slam.trouble or str(exc)

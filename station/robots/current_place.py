@@ -16,6 +16,7 @@ from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events, Latest
+from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
@@ -71,6 +72,7 @@ class CurrentPlace(IgnoringListener):
         self._map_ids: tuple[str, ...] = ()
         self._wanted = asyncio.Event()
         self._calibration: Calibration | None = None
+        self.calibration_fit: CalibrationFit | None = None  # as far as the robot's SLAM knows
         self._robot_run: tuple[str, str] | None = None  # robot, session: another one has another clock
         self._runs = 0
         self._is_ready = False
@@ -141,6 +143,7 @@ class CurrentPlace(IgnoringListener):
             self._robot_run, self._calibration = run, hello.calibration
             self._runs += 1
             self._forget()
+            self.calibration_fit = None
             self._post(PlaceProgram.calibrate, hello.calibration)
             self._events.changed("place")
 
@@ -170,6 +173,11 @@ class CurrentPlace(IgnoringListener):
     def receive_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation; when they come too quickly the oldest is left out."""
         self._post(PlaceProgram.add_pose, t_robot_ns, T_nav_body, segment)
+
+    def receive_fit(self, fit: CalibrationFit) -> None:
+        """What SLAM says of the calibration."""
+        self.calibration_fit = fit
+        self._post(PlaceProgram.use_fit, fit)
 
     def on_imu(self, batch: ImuBatch) -> None:
         s = batch.samples
@@ -241,6 +249,7 @@ class CurrentPlace(IgnoringListener):
             await self._frames.get()  # from here on a robot is known
             if self._calibration is not None:
                 await worker.call(PlaceProgram.calibrate, self._calibration)
+                await worker.call(PlaceProgram.use_fit, self.calibration_fit)
             self._is_ready = True
             self._set_status("looking at the first picture", None)
             self._events.notify("place", "localisation is ready")

@@ -19,6 +19,7 @@ from station.events import Broadcast, Events
 from station.library.active_maps import ActiveMaps
 from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
+from station.model.calibration_fit import MISFITS, CalibrationFit
 from station.model.map_store import StoreAddress
 from station.robots.current_navigation import CurrentNavigation
 from station.robots.current_place import CurrentPlace
@@ -90,6 +91,7 @@ class RobotSession(IgnoringListener):
             events,
             shared.make_recorder,
             on_pose=self.current_place.receive_pose,
+            on_fit=self._receive_fit,
             recordings=config.recordings,
             robot=robot.name,
         )
@@ -236,6 +238,16 @@ class RobotSession(IgnoringListener):
 
     def on_notice(self, notice: ErrorNotice) -> None:
         self.events.notify("robot", notice.message, "error" if notice.fatal else "warning")
+
+    def _receive_fit(self, hello: Hello, fit: CalibrationFit) -> None:
+        """What SLAM says of the calibration in this hello; pages are told when it means something else than before."""
+        before, now = self.current_place.calibration_fit, self.link.state.hello
+        if fit == before or now is None or now.calibration != hello.calibration:
+            return
+        self.current_place.receive_fit(fit)
+        if fit.verdict == MISFITS and (before is None or before.verdict != MISFITS):
+            self.events.notify("calibration", fit.sentence, "warning")
+        self.events.changed("robot")
 
     def _notify_driver(self, driver: str | None) -> None:
         """Who has the wheel, to the pages; a line where it is in other hands than before, not at every pause."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
+from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
@@ -42,6 +43,10 @@ class PlaceProgram(Program, ABC):
     @abstractmethod
     def add_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         """A pose of the running navigation: carries the estimate between pictures."""
+
+    @abstractmethod
+    def use_fit(self, fit: CalibrationFit | None) -> None:
+        """Whether the calibration explains what this robot measures, as far as its SLAM knows."""
 
     @abstractmethod
     def answer(self, frame: ImageFrame) -> PlaceReport:

@@ -11,6 +11,7 @@ from shared.calibration import Calibration
 from shared.errors import DataError, EstimationError, RobotSystemError
 from shared.geometry import FloatArray
 from station.maps.store import MapStore
+from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport
@@ -110,6 +111,10 @@ class PlaceFinder(PlaceProgram):
     def add_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
         if self._tracker is not None:
             self._tracker.on_odometry(t_robot_ns, T_nav_body, segment)
+
+    def use_fit(self, fit: CalibrationFit | None) -> None:
+        if self._tracker is not None:
+            self._tracker.on_calibration_fit(fit)
 
     def answer(self, frame: ImageFrame) -> PlaceReport:
         if self._tracker is None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from shared.errors import ConfigError
 from shared.geometry import FloatArray
+from station.config import choose_backend
 from station.datasets import Dataset
 from station.maps.record import map_content_hash
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
@@ -29,6 +30,8 @@ from station.workers.places import PlaceFinder
 from station.workers.repeatable import repeatable
 from station.workers.slam import NavigationSlam
 
+STAMP_ROUNDING_NS = 1_000_000  # stamps of a constant rate jitter by less: as many pictures a second as asked for
+MIN_FILM_HZ = 5.0  # slower pictures are no film: the filter's corners are followed from one to the next
 Pace = Callable[[int], None]  # given the recorded time before something of it is used; may wait
 Say = Callable[[str], None]  # given what is done next
 
@@ -43,6 +46,8 @@ class ReplayOptions:
     def __post_init__(self) -> None:
         if self.threads < 1:
             raise ConfigError(f"threads = {self.threads} must be at least 1")
+        if not 1e-3 <= self.rate_hz <= 1e3:
+            raise ConfigError(f"rate = {self.rate_hz:g} must be between 0.001 and 1000 pictures a second")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,15 +83,46 @@ def replay(
         navigation, updates = follow(data, options, pace, say)
         say("clustering landmarks into places")
         place_map = build_map(navigation)
-        say("looking for the current place")
-        answers, hijacks = locate(data, known_map or place_map, updates, options, pace)
+        say("looking at the pictures of the map")
+        answers, hijacks = locate(data, known_map or place_map, updates, options, pace, say)
     return Replay(navigation, place_map, answers, hijacks)
+
+
+def locate_live(
+    data: Dataset,
+    place_map: PlaceMap,
+    options: ReplayOptions,
+    pace: Pace = lambda _: None,
+    say: Say = lambda _: None,
+) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
+    """Ask at every moment which place of a map the robot is at; no map is made of the recording.
+
+    Raises DataError when the recording has no images, or one that cannot be read.
+    """
+    with repeatable(options.threads):
+        updates = run_slam(data, options, pace, say)[1] if has_live_poses(data, options.backend) else []
+        say("looking at the pictures of the map")
+        return locate(data, place_map, updates, options, pace, say)
+
+
+def has_live_poses(data: Dataset, backend: str) -> bool:
+    """Whether SLAM would give poses on the way: sfm has none before the end, and a filter needs IMU and a film."""
+    if choose_backend(backend, data.calibration) == "sfm" or data.imu is None or len(data.frame_times_ns) < 2:
+        return False
+    return float(np.median(np.diff(data.frame_times_ns))) <= 1e9 / MIN_FILM_HZ
 
 
 def follow(
     data: Dataset, options: ReplayOptions, pace: Pace = lambda _: None, say: Say = lambda _: None
 ) -> tuple[Navigation, list[SlamUpdate]]:
     """The SLAM worker's part."""
+    slam, updates = run_slam(data, options, pace, say)
+    say("making the navigation")
+    return slam.complete(f"replay-{data.path.stem}"), updates
+
+
+def run_slam(data: Dataset, options: ReplayOptions, pace: Pace, say: Say) -> tuple[NavigationSlam, list[SlamUpdate]]:
+    """SLAM over all of a recording, not completed, and what it said on the way."""
     say("following the robot")
     updates: list[SlamUpdate] = []
     slam = NavigationSlam(updates.append)
@@ -98,8 +134,7 @@ def follow(
             slam.add_drive(event)
         else:
             slam.add_frame(event)
-    say("making the navigation")
-    return slam.complete(f"replay-{data.path.stem}"), updates
+    return slam, updates
 
 
 def locate(
@@ -108,6 +143,7 @@ def locate(
     updates: Iterable[SlamUpdate],
     options: ReplayOptions,
     pace: Pace = lambda _: None,
+    say: Say = lambda _: None,
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
     """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
     hijacks: list[HijackEvent] = []
@@ -119,6 +155,7 @@ def locate(
     places = PlaceFinder(receive)
     places.use([place_map])
     places.calibrate(data.calibration)
+    say("looking for the current place")
     poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
     following: Iterator[tuple[int, FloatArray, int]] = iter(poses)
     pose = next(following, None)
@@ -131,7 +168,7 @@ def locate(
         elif isinstance(event, DriveSample):
             places.add_drive(event)
         elif next_ns is None or event.t_robot_ns >= next_ns:
-            next_ns = event.t_robot_ns + interval_ns
+            next_ns = event.t_robot_ns + interval_ns - STAMP_ROUNDING_NS
             answers.append(places.answer(event).answer)
         while pose is not None and pose[0] <= _begin(event):
             places.add_pose(*pose)
@@ -152,10 +189,15 @@ def answers_hash(answers: Iterable[PlaceAnswer]) -> str:
 
 
 def answer_line(answer: PlaceAnswer) -> str:
-    """An answer as one line of JSON."""
+    """An answer as one line of JSON. `room` is null: maps have no rooms yet."""
     plain = replace(answer, position_map=None)
     position = None if answer.position_map is None else answer.position_map.tolist()
-    return json.dumps({**asdict(plain), "position_map": position})
+    return json.dumps({**asdict(plain), "room": None, "position_map": position})
+
+
+def answer_lines(answers: Iterable[PlaceAnswer]) -> str:
+    """The text of `answers.jsonl`."""
+    return "".join(f"{answer_line(answer)}\n" for answer in answers)
 
 
 def _paced(

@@ -11,11 +11,11 @@ import pytest
 
 from station.commands.slam import summary
 from station.datasets import Dataset, open_dataset
+from station.experiments.trajectory_error import absolute_trajectory_error
 from station.model.navigation import Navigation
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from tests.support.paths import RECORDINGS
-from tests.support.trajectory import absolute_trajectory_error
 
 DATA = RECORDINGS
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"recorded data is not at {DATA}")

@@ -76,10 +76,16 @@ def test_an_experiment_writes_results_report_and_figures(data: Path, tmp_path: P
     assert results["truth"] == "groundtruth" and results["registration"]["accepted"]
     assert results["precision"] == 1.0 and results["recall"] >= 0.7
     assert 0 < results["registration"]["uncertainty"]["position"] < 0.1
+    rmse, normalised = results["registration"]["rmse"], results["registration"]["rmse_normalised"]
+    cloud = load_navigation(data / "nav1").landmarks.p_world
+    assert normalised == pytest.approx(rmse / np.linalg.norm(cloud - cloud.mean(axis=0), axis=1).max())
     for match in results["matches"]:
         assert {"place", "location", "distance", "correct"} <= match.keys()
     figures = {path.stem for path in (out / "figures").glob("*.png")}
     assert {
+        "frames",
+        "routes",
+        "coloured_clouds",
         "clouds_before",
         "clouds_after",
         "clusters_above",
@@ -208,6 +214,14 @@ def test_a_map_that_the_station_keeps_is_matched_by_its_id(data: Path, tmp_path:
             ["experiment", "--navigation1", "{nav1}", "--navigation2", "{nav1}", "--truth1", "{imu_only}"],
             "holds no true poses",
         ),
+        (
+            ["experiment", "--navigation1", "{images}", "--navigation2", "{images}", "--initial-state", "given"],
+            "has no true velocity and biases",
+        ),
+        (
+            ["experiment", "--navigation1", "{images}", "--navigation2", "{images}", "--landmarks", "thesis"],
+            "use --backend ukf for them",
+        ),
         (["match", "{map1}", "{nav1}", "--truth2", "{truth1}"], "--truth1 and --truth2"),
         (["match", "{nav1}", "{nav1}"], "holds no map"),
         (["map", "build", "{nav1}", "/nowhere"], "holds no navigation"),
@@ -216,7 +230,7 @@ def test_a_map_that_the_station_keeps_is_matched_by_its_id(data: Path, tmp_path:
 def test_mistakes_get_one_sentence_and_leave_nothing(
     data: Path, tmp_path: Path, arguments: list[str], sentence: str
 ) -> None:
-    names = ("nav1", "map1", "truth1", "imu_only")
+    names = ("nav1", "map1", "truth1", "imu_only", "images")
     filled = [a.format(**{name: data / name for name in names}) for a in arguments]
     with pytest.raises(RobotSystemError, match=re.escape(sentence)):
         run(*filled, "--out", tmp_path / "out")

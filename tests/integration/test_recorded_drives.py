@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.drives.judging import judge_drive, summarise
-from tests.support.drives.misfit import graded
+from tests.support.drives.misfit import Misfit
 from tests.support.drives.playback import play_back
 from tests.support.drives.routes import MAPPED
 from tests.support.drives.simulated import DriveOptions, make_drives
@@ -14,7 +14,7 @@ from tests.support.drives.simulated import DriveOptions, make_drives
 @pytest.mark.slow
 def test_a_drive_is_recorded_once_and_judged_as_often_as_wanted() -> None:
     options = DriveOptions(mapping_rate_hz=12.0, image_rate_hz=2.0, plans=(MAPPED,), max_seconds=30.0)
-    world = make_drives("small", 3, graded(1.0, 3), options)
+    world = make_drives("small", 3, Misfit(1.0, 3), options)
     assert world.place_map is not None and world.quality is not None
     assert abs(world.quality.scale - 1.0) < 0.06 and world.quality.error_m < 0.2
     (drive,) = world.drives

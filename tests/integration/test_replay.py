@@ -64,9 +64,9 @@ def test_a_replay_says_what_it_does_and_how_far_it_is(tmp_path: Path) -> None:
         say=told.append,
     )
     steps = [one for one in told if isinstance(one, str)]
-    assert len(steps) == 4 and told[0] == steps[0]
+    assert len(steps) == 5 and told[0] == steps[0]
     # Recorded time goes by twice: while it follows the robot, and while it looks for the place.
-    for step, ends in ((steps[0], steps[1]), (steps[3], None)):
+    for step, ends in ((steps[0], steps[1]), (steps[4], None)):
         times = told[told.index(step) + 1 : None if ends is None else told.index(ends)]
         assert len(times) > 12 and times == sorted(times)
 

@@ -13,13 +13,13 @@ from threadpoolctl import threadpool_limits
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.errors import ConfigError, EstimationError
 from station.datasets import Dataset, open_dataset
+from station.experiments.trajectory_error import absolute_trajectory_error
 from station.model.frames import ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.start.starter import GivenState
 from tests.support.paths import RECORDINGS
-from tests.support.trajectory import absolute_trajectory_error
 
 DATA = RECORDINGS
 needs_data = pytest.mark.skipif(not (DATA / "euroc_v1_01_flight").is_dir(), reason="../shared/data is not here")

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from shared.geometry import FloatArray
 from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.config import BeliefConfig
-from station.places.tracking.image_evidence import LITTLE
+from station.places.tracking.image_evidence import LEAST_EXTENT_M, LITTLE
 
 Row = dict[str, Any]
 Losses = Callable[[list[Row], FloatArray], FloatArray]
@@ -82,6 +82,11 @@ def fitted_failing(rows: list[Row], *, mapped: bool, with_view: bool) -> Fit:
     return _fit(mine, losses, 4 if with_view else 3)
 
 
+def usual_support(rows: list[Row]) -> float:
+    """Median of right poses."""
+    return float(np.median([p["support"] for r in rows for p in r["poses"] if r["mapped"] and p["error_m"] < RIGHT_M]))
+
+
 # -- fitting --------------------------------------------------------------------------------------------------------
 
 
@@ -109,7 +114,7 @@ def recognising(pose: Row, features: int) -> list[float]:
     """A row of figures, as `RecognisedOdds` weighs them."""
     return [
         1.0,
-        float(np.log(pose["extent"] + LITTLE)),
+        float(np.log(max(pose["extent"], LEAST_EXTENT_M))),
         float(np.log1p(pose["inliers"])),
         float(np.log(pose["support"])),
         float(np.log1p(features)),

@@ -12,6 +12,7 @@ from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.maps.store import MapStore
+from station.model.calibration_fit import CalibrationFit, judge
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
@@ -23,6 +24,11 @@ from station.vision.features import Features
 from station.workers.place_interface import PlaceEvent, PlaceProgram
 from station.workers.request import Vectors
 from tests.support.synthetic_home import drive, furnished_room, navigate
+
+
+def focal_fit(scale: float) -> CalibrationFit:
+    """Of a drive that knows the focal length well, and nothing else to say."""
+    return judge((scale, 0.002), np.zeros(3), np.full(3, 0.2), (0.0, 0.001))
 
 
 class StraightSlam:
@@ -73,6 +79,13 @@ class WitnessSlam(StraightSlam):
         return replace(super().add_frame(frame), message=str(self.last_imu_ns))
 
 
+class MisfitSlam(StraightSlam):
+    """Finds the focal length 3 % too long."""
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        return replace(super().add_frame(frame), calibration_fit=focal_fit(0.97))
+
+
 class FailingSlam(StraightSlam):
     """Ends its process when it is to finish."""
 
@@ -118,6 +131,9 @@ class PlaceByLight(PlaceProgram):
         pass
 
     def add_pose(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int) -> None:
+        pass
+
+    def use_fit(self, fit: CalibrationFit | None) -> None:
         pass
 
     def answer(self, frame: ImageFrame) -> PlaceReport:

@@ -9,9 +9,30 @@ from shared.geometry import FloatArray, se3, yaw_rotation
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.model.place_answer import Localization
 from station.model.place_map import Place, PlaceMap
+from station.places.tracking.config import BeliefConfig
+from station.places.tracking.current import CurrentPlaceEstimator
+from station.places.tracking.fitted import FailureOdds, FittedOdds, RecognisedOdds
 
 R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along body x
 SECOND = 1_000_000_000
+# Plausible odds that stay as they are: what is tested is what the estimator makes of them, not what was fitted last.
+ODDS = FittedOdds(
+    made_by="",
+    worlds=(),
+    log_loss={},
+    usual_support=0.2,
+    right=RecognisedOdds(16.254, extent=2.86, inliers=0.49, support=1.78, features=-1.54),
+    unmapped=RecognisedOdds(-6.834, extent=0.51, inliers=-1.43, support=0.17, features=2.03),
+    fails_at_pose=FailureOdds(2.203, features=-0.84, again=1.68, in_view=-0.81),
+    fails_in_map=FailureOdds(5.22, features=-1.15, again=2.17),
+    fails_unmapped=FailureOdds(9.696, features=-1.62, again=2.48),
+)
+CONFIG = BeliefConfig(fitted=ODDS)
+
+
+def estimator_of(*maps: PlaceMap) -> CurrentPlaceEstimator:
+    """Of a robot on wheels in these maps."""
+    return CurrentPlaceEstimator(maps, config=CONFIG)
 
 
 def pose(x: float, y: float, yaw: float = 0.0) -> FloatArray:
@@ -53,7 +74,7 @@ def make_map(
     )
     navigation = Navigation(
         id="nav",
-        calibration=Calibration(camera=camera, imu=None),
+        calibration=Calibration(camera=camera, imu=None, rig="wheels"),
         trajectory=Trajectory(t, T),
         keyframes=Keyframes(np.arange(25), t, T, (b"",) * 25, np.zeros(25, dtype=np.int64)),
         landmarks=landmarks,

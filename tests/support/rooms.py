@@ -34,7 +34,7 @@ def mapped(xy: FloatArray, yaw: FloatArray, p: FloatArray, *, upright: bool = Tr
     )
     navigation = Navigation(
         id="nav",
-        calibration=Calibration(camera=CAMERA, imu=None),
+        calibration=Calibration(camera=CAMERA, imu=None, rig="wheels"),
         trajectory=Trajectory(t, T),
         keyframes=Keyframes(np.arange(len(t)), t, T_cam, (b"",) * len(t), zeros),
         landmarks=Landmarks(p, np.zeros((count, 3), np.uint8), np.zeros((count, 3, 3)), landmark, keyframe, uv_px),

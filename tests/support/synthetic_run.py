@@ -6,13 +6,16 @@ or a dataset's own. Judges only: what an estimator may see is the IMU and the tr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, IntArray, so3_exp, so3_log
-from station.model.frames import ImuBatch
+from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
+from station.model.frames import ImageFrame, ImuBatch
+from station.motion.imu_buffer import ImuBuffer
+from station.motion.preintegration import preintegrate
+from station.slam.ukf.map.keyframes import Keyframe
 from station.vision.klt import TrackedFrame
 from station.vision.lens import Lens
 
@@ -150,3 +153,48 @@ def observe(
             )
         )
     return tuple(frames)
+
+
+def true_keyframes(
+    calibration: Calibration,
+    told: Calibration,
+    seed: int,
+    duration_s: float,
+    sigma_px: float,
+    outliers: float = 0.0,
+    rate_hz: float = 20.0,
+) -> list[Keyframe]:
+    """A synthetic run as keyframes at its true poses; features are undistorted with the told calibration.
+
+    A camera that is told to be mounted or timed otherwise sees the same: only what is made of it differs.
+    """
+    assert calibration.imu is not None and told.camera is not None
+    imu, truth = sine_path(calibration, seed, duration_s, rate_hz)
+    frames = observe(calibration, truth, room_points(truth.x_world, seed), sigma_px, seed, outliers=outliers)
+    buffer = ImuBuffer(calibration.imu, keep_s=duration_s + 1.0)
+    buffer.add(imu)
+    lens = Lens(told.camera)
+    shift_ns = round(1e9 * told.camera.time_shift_s)
+    first_ns, last_ns = int(imu.t_robot_ns[0]), int(imu.t_robot_ns[-1])
+    keyframes: list[Keyframe] = []
+    for k, frame in enumerate(frames):
+        t_ns = int(truth.t_ns[k]) + shift_ns
+        if not first_ns <= t_ns <= last_ns:
+            continue
+        bias = np.concatenate([truth.bias_gyro[k], truth.bias_accel[k]])
+        before = keyframes[-1].image.t_robot_ns + shift_ns if keyframes else None
+        keyframes.append(
+            Keyframe(
+                image=ImageFrame(k, int(truth.t_ns[k]), 0, b""),
+                tracked=replace(frame, xy=lens.unproject(frame.uv_px)),
+                rgb=np.zeros((len(frame.ids), 3), dtype=np.uint8),
+                T_world_body=se3(truth.R_world_body[k], truth.x_world[k]),
+                v_world=truth.v_world[k],
+                omega_body=truth.omega_body[k],
+                bias=bias,
+                segment=0,
+                link=None if before is None else preintegrate(buffer.segment(before, t_ns), bias, calibration.imu),
+                wheels=None,
+            )
+        )
+    return keyframes

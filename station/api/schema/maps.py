@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from station.api.schema.base import Model, Question
 from station.config import MAX_ACTIVE_MAPS
 from station.library.active_maps import ActiveMaps
+from station.model.calibration_fit import why_misfit
 from station.model.map_store import MapSummary
 
 
@@ -18,6 +19,9 @@ class MapModel(Model):
     places: int
     active: bool = Field(description="robots are looked for in it")
     first: bool = Field(description="it is the active map whose places GET /places and GET /graph show")
+    misfit: str = Field(
+        description="a sentence, where the map is active and its navigation's calibration does not fit", examples=[""]
+    )
     damaged: str = Field(description="a sentence, where the map cannot be read", examples=[""])
 
 
@@ -49,12 +53,13 @@ class MapChoice(Question):
 
 
 def map_model(summary: MapSummary, active: ActiveMaps) -> MapModel:
-    first = active.first
+    first, found = active.first, active.find(summary.id)
     return MapModel(
         id=summary.id,
         name=summary.name,
         places=summary.places,
-        active=active.find(summary.id) is not None,
+        active=found is not None,
         first=first is not None and first.place_map.id == summary.id,
+        misfit="" if found is None else why_misfit(found.place_map.navigation.report.calibration_fit),
         damaged=summary.damaged,
     )

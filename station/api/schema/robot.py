@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from station.api.schema.base import Model, Number, Question
+from station.model.calibration_fit import CalibrationFit
 from station.robots.session import RobotSession
 
 
@@ -52,6 +53,22 @@ class AppliedModel(Model):
     angular: float
 
 
+class CalibrationFitModel(Model):
+    """What a drive says of the camera's calibration, with one standard deviation each."""
+
+    verdict: Literal["fits", "does not fit", "not known yet"]
+    sentence: str = Field(
+        description="for a person",
+        examples=["the calibration does not fit: the focal length seems 3.1% too long; calibrate the camera"],
+    )
+    focal_scale: float = Field(description="the focal length that the data want, over the told one")
+    focal_sigma: float
+    mounting_deg: list[float] = Field(description="the camera is turned by that about its axes right, down, forward")
+    mounting_sigma_deg: list[float]
+    time_shift_s: float = Field(description="to be added to the calibration's")
+    time_shift_sigma_s: float
+
+
 class RobotModel(Model):
     """Link, battery, rates, losses, clock, who drives."""
 
@@ -63,6 +80,9 @@ class RobotModel(Model):
     name: str | None
     capabilities: CapabilitiesModel | None
     calibrated: bool
+    calibration_fit: CalibrationFitModel | None = Field(
+        description="of the navigation that is recorded, or the last one since the robot connected; null: none yet"
+    )
     connections: int
     rates: RatesModel
     losses: LossesModel
@@ -114,16 +134,24 @@ class DriverModel(Model):
     keeps_s: float = Field(description="so long the driver keeps the wheel without another word", examples=[6.0])
 
 
+def calibration_fit_model(fit: CalibrationFit) -> CalibrationFitModel:
+    return CalibrationFitModel.of(
+        fit, mounting_deg=list(fit.mounting_deg), mounting_sigma_deg=list(fit.mounting_sigma_deg)
+    )
+
+
 def robot_model(robot: RobotSession) -> RobotModel:
     state = robot.state
     hello, status = state.hello, state.status
     applied = robot.applied
+    fit = robot.current_place.calibration_fit
     return RobotModel.of(
         state,
         robot_id=hello.robot_id if hello else None,
         name=hello.name if hello else None,
         capabilities=CapabilitiesModel.of(hello.capabilities) if hello else None,
         calibrated=hello is not None and hello.calibration.camera is not None,
+        calibration_fit=None if fit is None else calibration_fit_model(fit),
         rates=RatesModel(
             frames_hz=round(state.frame_rate_hz, 1),
             imu_hz=round(state.imu_rate_hz, 1),

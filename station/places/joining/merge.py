@@ -8,6 +8,7 @@ import numpy as np
 
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, carry_poses
+from station.model.calibration_fit import worst
 from station.model.navigation import Keyframes, Navigation, Trajectory, join_maps
 from station.places.joining.align import align_navigation
 from station.places.making.build import build_map
@@ -65,5 +66,6 @@ def append_navigation(first: Navigation, second: Navigation, T_first_second: Flo
         landmarks=len(landmarks),
         tracking_lost_s=first.report.tracking_lost_s + second.report.tracking_lost_s,
         messages=(*first.report.messages, f"joined with {second.id}"),
+        calibration_fit=worst((first.report.calibration_fit, second.report.calibration_fit)),
     )
     return Navigation(f"{first.id}+{second.id}", first.calibration, trajectory, keyframes, landmarks, report)

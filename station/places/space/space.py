@@ -27,7 +27,8 @@ SEEN_BY = 2  # keyframes that must have seen through a cell: one may hold false 
 FARTHEST_M = 6.0  # farther landmarks say little about where exactly space ends
 PASSAGE_M = 1.0  # what is narrower ends the map where the path did not go through: doors are some 0.9 m wide
 DRIVEN_M = 0.2  # this near the path space is free: the robot was there itself
-AT_HAND_M = 0.4  # ... and known, whatever lies between
+AT_HAND_M = 0.4  # ... and known, also behind the cameras, unless it was seen to lie beyond a door
+CARRIED_AT_HAND_M = 1.0  # a rig in somebody's hands swings about, and never looked behind itself
 MAX_CELLS = 4_000_000
 
 
@@ -61,7 +62,9 @@ class Space:
         on_path[tuple(np.floor((path - low) / cell).astype(int).T)] = True
         driven = _within(on_path, DRIVEN_M * metre / cell)
         free = (seen >= SEEN_BY) | driven
-        known = _reached(free, driven, 0.5 * PASSAGE_M * metre / cell) | _within(on_path, AT_HAND_M * metre / cell)
+        at_hand_m = AT_HAND_M if navigation.calibration.has_wheels else CARRIED_AT_HAND_M
+        reached = _reached(free, driven, 0.5 * PASSAGE_M * metre / cell)
+        known = reached | driven | (_within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY))
         return cls(R, low, cell, free, known)
 
     def knows(self, p_map: FloatArray) -> Cells:

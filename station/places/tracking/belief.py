@@ -14,6 +14,8 @@ from shared.geometry import FloatArray, IntArray, inverse, median_radius, se3, s
 from station.model.place_answer import Localization
 from station.places.tracking.config import BeliefConfig
 
+FREEDOM = 3.0  # of Student's t: errors of right poses have longer tails than a normal density
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recognised:
@@ -61,6 +63,20 @@ class PoseMeasurement:
     sigma_m: float
 
 
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How a measured pose fits a hypothesis."""
+
+    squared: float  # Mahalanobis, 4 degrees of freedom (position, heading)
+    density: float  # against a uniform one over the map
+    slipped: bool = False  # it fits better, should the wheels have slipped
+
+    @property
+    def doubt(self) -> float:
+        """How many times larger the measurement's variance is taken for: 1 for one that fits."""
+        return max(1.0, (FREEDOM + self.squared) / (FREEDOM + 3.0))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
     """The robot moves in this map, and its navigation's frame lies there by this transform."""
@@ -77,6 +93,7 @@ class Hypothesis:
     number: int = 0  # stays when the hypothesis is moved: by it one is known from another
     recognised: Recognised = NOTHING
     counted_log_odds: float = 0.0  # how much was counted already for what is recognised
+    way_m: float = 0.0  # of odometry since then: should the wheels have slipped, the pose is wrong by as much
     look_alike: float = 1.0  # probability, were the robot elsewhere, that a look-alike gave this pose
 
     @classmethod
@@ -114,7 +131,7 @@ class Hypothesis:
         walk_rad = c.walk_rad_per_root_rad**2 * turn_rad
         sigma_m = float(np.sqrt(self.sigma_m**2 + walk_m)) + (c.drift + 0.5 * self.sigma_rad) * distance_m
         sigma_rad = float(np.sqrt(self.sigma_rad**2 + walk_rad)) + c.drift * turn_rad
-        return replace(self, sigma_m=sigma_m, sigma_rad=min(sigma_rad, np.pi))
+        return replace(self, sigma_m=sigma_m, sigma_rad=min(sigma_rad, np.pi), way_m=self.way_m + distance_m)
 
     def blurred(self, seconds: float, c: BeliefConfig) -> Hypothesis:
         """After a time without odometry."""
@@ -134,14 +151,17 @@ class Hypothesis:
             look_alike=self.look_alike * (1 - self.weight),
         )
 
-    def corrected(
-        self, m: PoseMeasurement, doubt: float, T_nav_body: FloatArray, counted: float, c: BeliefConfig
-    ) -> Hypothesis:
-        """After a measurement that it expected: a Kalman update.
+    @property
+    def slipped_sigma_m(self) -> float:
+        """Its position's uncertainty, should the wheels have slipped since it was corrected last."""
+        return float(np.hypot(self.sigma_m, self.way_m))
 
-        `doubt`: how many times larger the measurement's variance is taken for; `counted`: log odds of its image.
-        """
-        gain = self.sigma_m**2 / (self.sigma_m**2 + doubt * m.sigma_m**2)
+    def corrected(
+        self, m: PoseMeasurement, fit: Agreement, T_nav_body: FloatArray, counted: float, c: BeliefConfig
+    ) -> Hypothesis:
+        """After a measurement that it expected: a Kalman update. `counted`: log odds of its image."""
+        sigma_m, doubt = (self.slipped_sigma_m if fit.slipped else self.sigma_m), fit.doubt
+        gain = sigma_m**2 / (sigma_m**2 + doubt * m.sigma_m**2)
         gain_heading = self.sigma_rad**2 / (self.sigma_rad**2 + doubt * c.pose_floor_rad**2)
         z = m.localization
         before = self.recognised.lately(z.t_robot_ns, c.landmark_memory_s)
@@ -150,7 +170,7 @@ class Hypothesis:
         return replace(
             self.moved_to(T_map_body, T_nav_body),
             # Errors of the map are the same in every image: no number of images averages them away.
-            sigma_m=max(float(np.sqrt(1 - gain)) * self.sigma_m, c.pose_floor_m),
+            sigma_m=max(float(np.sqrt(1 - gain)) * sigma_m, c.pose_floor_m),
             sigma_rad=max(float(np.sqrt(1 - gain_heading)) * self.sigma_rad, c.pose_floor_rad),
             evidence_t_robot_ns=z.t_robot_ns,
             evidence_keyframe=z.keyframe_index,
@@ -158,6 +178,7 @@ class Hypothesis:
             recognised=recognised,
             counted_log_odds=(self.counted_log_odds if before.seen else 0.0) + counted,
             look_alike=1.0,
+            way_m=0.0,
         )
 
 

@@ -27,6 +27,7 @@ class BeliefConfig:
     walk_m_per_root_m: float = 0.04
     walk_rad_per_root_rad: float = 0.006
     drift: float = 0.01  # share of the way and of the turn
+    slip: float = 0.05  # probability that the wheels did not roll, or not on: blocked, on a cable, pushed
     blind_speed_m_s: float = 0.3  # how fast a robot on wheels may go while nothing measures it
     blind_turn_rad_s: float = 0.5
     carried: float = 4.0  # times as fast without wheels, in somebody's hands

@@ -90,9 +90,9 @@ def weigh(
     hypotheses = []
     for i, h in enumerate(before.hypotheses):
         h = replace(h, weight=h.weight * image.at[i])
-        if (fit := image.corrects[i]) is not None:
-            candidate, doubt = fit
-            h = h.corrected(image.candidates[candidate], doubt, T_nav_body, image.counted_log_odds, c)
+        if (corrects := image.corrects[i]) is not None:
+            candidate, fit = corrects
+            h = h.corrected(image.candidates[candidate], fit, T_nav_body, image.counted_log_odds, c)
         gained = float(found[[by == i for by in image.expected_by]].sum())
         hypotheses.append(replace(h, weight=h.weight + gained))
     for m, weight, by in zip(image.candidates, found, image.expected_by, strict=True):

@@ -34,6 +34,7 @@ class FittedOdds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     made_by: str  # the command
     worlds: tuple[str, ...]  # kinds and seeds
     log_loss: dict[str, float]  # of each regression, nats per image, every kind of world by what the others say
+    usual_support: float  # median of right poses: for maps that do not say what should be in view
     right: RecognisedOdds  # that the pose is right, against a look-alike
     unmapped: RecognisedOdds  # that no map knows where the image was taken, against somewhere in a map
     fails_at_pose: FailureOdds

@@ -19,14 +19,14 @@ from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, so3_log
 from station.model.place_answer import Localization
 from station.places.making.scale import USUAL_VIEWING_M
-from station.places.tracking.belief import NOTHING, Belief, Hypothesis, PoseMeasurement, Recognised
+from station.places.tracking.belief import FREEDOM, NOTHING, Agreement, Belief, Hypothesis, PoseMeasurement, Recognised
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.fitted import FailureOdds, RecognisedOdds
 from station.places.tracking.map_view import MapView
 
-LITTLE = 0.05  # added to what has a logarithm, so that nothing has one too: of what a usual keyframe saw, and metres
+LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
+LITTLE = 0.05  # of what a usual keyframe saw: added, so that a view of nothing has a logarithm
 SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
-FREEDOM = 3.0  # of Student's t: errors of right poses have longer tails than a normal density
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +39,6 @@ class MatchFigures:
     features: int  # of the whole image
 
 
-@dataclass(frozen=True, slots=True)
-class Agreement:
-    """How a candidate fits a hypothesis."""
-
-    squared: float  # Mahalanobis, 4 degrees of freedom (position, heading)
-    density: float  # against a uniform one over the map
-
-    @property
-    def doubt(self) -> float:
-        """How many times larger the measurement's variance is taken for: 1 for one that fits."""
-        return max(1.0, (FREEDOM + self.squared) / (FREEDOM + 3.0))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageLikelihood:
     """What an image says to a belief: a factor on every weight, and where it may have been taken."""
@@ -62,7 +49,7 @@ class ImageLikelihood:
     candidates: Sequence[PoseMeasurement] = ()  # (C,) none of an image that was not recognised
     share: FloatArray = field(default_factory=lambda: np.zeros(0))  # (C,) of each candidate, if one of them is right
     one_is_right: float = 0.0  # probability: so much of the lost weight goes to the candidates
-    corrects: Sequence[tuple[int, float] | None] = ()  # (H,) by which candidate, and how doubtful it is; None: by none
+    corrects: Sequence[tuple[int, Agreement] | None] = ()  # (H,) by which candidate, and how it fits; None: by none
     expected_by: Sequence[int | None] = ()  # (C,) the hypothesis that a candidate fits; None: it is a new one
     counted_log_odds: float = 0.0  # how much the image counts for what it recognises
 
@@ -109,7 +96,7 @@ class ImageEvidence:
             likelihood = (1 - false) * at[i] + false * (1 - again + again * elsewhere)
             factors.append(float(likelihood) ** freshness)
             best = int(np.argmax(density[i]))
-            corrects.append((best, fits[i][best].doubt) if fits[i][best].squared < SAME_POSE else None)
+            corrects.append((best, fits[i][best]) if fits[i][best].squared < SAME_POSE else None)
         repeated = 1 - again + again * float(repeats.max(initial=0.0))
         likeliest = int(np.argmax(share))
         strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
@@ -133,11 +120,10 @@ class ImageEvidence:
 
     def _figures(self, m: PoseMeasurement) -> MatchFigures:
         z, sightings = m.localization, self._maps[m.map_index].sightings
-        recognised = sightings.in_usual_views(len(z.landmarks))
-        expected = recognised  # where nobody knows what is in view, all that is was recognised
+        share = self.config.fitted.usual_support
         if self._camera is not None and sightings.is_enough:
-            expected = sightings.in_view(z.T_map_cam, self._camera)
-        return MatchFigures(z.extent / m.unit, z.num_inliers, support(recognised, expected), z.num_features)
+            share = support(sightings.in_usual_views(len(z.landmarks)), sightings.in_view(z.T_map_cam, self._camera))
+        return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
 
     def _rarer(self, figures: MatchFigures) -> float:
         """How much rarer an image whose best candidate has these is where no map knows than somewhere in a map."""
@@ -145,21 +131,29 @@ class ImageEvidence:
         return float(np.clip(np.exp(log_odds(c.fitted.unmapped, figures)), c.false_localization_floor, 1.0))
 
     def _fit(self, h: Hypothesis, m: PoseMeasurement, T_nav_body: FloatArray) -> Agreement:
-        """How well a candidate fits a hypothesis; in another map not at all.
+        """How well a candidate fits a hypothesis, as it is or should wheels have slipped; in another map not at all.
 
         Height and tilt of a robot on a floor carry no choice, so the density counts x, y and heading.
         """
         if h.map_index != m.map_index:
             return Agreement(np.inf, 0.0)
         T_expected, T_measured = h.pose(T_nav_body), m.T_map_body
-        sigma_m = float(np.hypot(h.sigma_m, m.sigma_m))
-        sigma_rad = float(np.hypot(h.sigma_rad, self.config.pose_floor_rad))
-        gap = (T_measured[:3, 3] - T_expected[:3, 3]) / m.unit
+        gap_m = float(np.linalg.norm(T_measured[:3, 3] - T_expected[:3, 3])) / m.unit
         turn = float(np.linalg.norm(so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])))
-        squared = float(gap @ gap) / sigma_m**2 + turn**2 / sigma_rad**2
+        sigma_rad = float(np.hypot(h.sigma_rad, self.config.pose_floor_rad))
         uniform = 1.0 / (max(self._maps[m.map_index].area_m2, 1.0) * 2 * np.pi)
-        peak = 1.0 / ((2 * np.pi) ** 1.5 * sigma_m**2 * sigma_rad)
-        return Agreement(squared, max(peak / uniform, 1.0) * (1.0 + squared / FREEDOM) ** (-0.5 * (FREEDOM + 3.0)))
+
+        def against(position_sigma_m: float, slipped: bool) -> Agreement:
+            sigma_m = float(np.hypot(position_sigma_m, m.sigma_m))
+            squared = gap_m**2 / sigma_m**2 + turn**2 / sigma_rad**2
+            peak = 1.0 / ((2 * np.pi) ** 1.5 * sigma_m**2 * sigma_rad)
+            tail = (1.0 + squared / FREEDOM) ** (-0.5 * (FREEDOM + 3.0))
+            return Agreement(squared, max(peak / uniform, 1.0) * tail, slipped)
+
+        slip = self.config.slip
+        rolled, slipped = against(h.sigma_m, slipped=False), against(h.slipped_sigma_m, slipped=True)
+        likelier = slipped if slip * slipped.density > (1 - slip) * rolled.density else rolled
+        return replace(likelier, density=(1 - slip) * rolled.density + slip * slipped.density)
 
     def _novelty(
         self,
@@ -256,7 +250,11 @@ def support(recognised: float, expected: float) -> float:
 
 def log_odds(odds: RecognisedOdds, figures: MatchFigures) -> float:
     """Log odds of a verified pose with these figures."""
-    log = odds.constant + odds.extent * np.log(figures.extent_m + LITTLE) + odds.support * np.log(figures.support)
+    log = (
+        odds.constant
+        + odds.extent * np.log(max(figures.extent_m, LEAST_EXTENT_M))
+        + odds.support * np.log(figures.support)
+    )
     return float(log + odds.inliers * np.log1p(figures.inliers) + odds.features * np.log1p(figures.features))
 
 

@@ -7,16 +7,19 @@ Main path of the live answer: `on_imu`, `on_drive` as they come, `on_frame` for 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
+from station.model.calibration_fit import CalibrationFit, why_misfit
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.dead_reckoning import DeadReckoning
 from station.places.localisation.localizer import Attempt, Localizer
+from station.places.tracking.config import BeliefConfig
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.hijack import HijackDetector
 from station.places.tracking.odometry import BlendedOdometry
@@ -27,11 +30,17 @@ ODOMETRY_EVERY_NS = 50_000_000
 class PlaceTracker:
     """Everything between sensor data and `PlaceAnswer`. Not thread-safe: one per worker."""
 
-    def __init__(self, maps: Sequence[PlaceMap], calibration: Calibration, localizer: Localizer | None = None) -> None:
+    def __init__(
+        self,
+        maps: Sequence[PlaceMap],
+        calibration: Calibration,
+        localizer: Localizer | None = None,
+        config: BeliefConfig | None = None,
+    ) -> None:
         """`localizer`: one that was made for these maps, to save describing their keyframes again."""
         self._calibration = calibration
         self.localizer = localizer or Localizer(maps)
-        self.estimator = CurrentPlaceEstimator(maps, calibration)
+        self.estimator = CurrentPlaceEstimator(maps, calibration, config)
         self.hijacks = HijackDetector(has_wheels=calibration.has_wheels)
         self._reckoning = DeadReckoning()
         self._blended = BlendedOdometry()
@@ -39,6 +48,8 @@ class PlaceTracker:
         self._events: list[HijackEvent] = []
         self._moved_ns: int | None = None  # when somebody moved the robot last
         self.last_attempt: Attempt | None = None
+        self._fit: CalibrationFit | None = None  # of the robot that drives now
+        self._misfit_of_map = {m.id: why for m in maps if (why := why_misfit(m.navigation.report.calibration_fit))}
         camera = calibration.camera
         self._shift_ns = round(camera.time_shift_s * 1e9) if camera else 0
         self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
@@ -87,8 +98,21 @@ class PlaceTracker:
         return attempt
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:
-        """The current place at this time (robot clock)."""
-        return self.estimator.answer(t_robot_ns)
+        """The current place at this time (robot clock); with a calibration that does not fit it is not known."""
+        answer = self.estimator.answer(t_robot_ns)
+        why = why_misfit(self._fit)
+        if not why and (of_map := self._misfit_of_map.get(answer.map_id or "")):
+            why = f"of the navigation that the map was made from, {of_map}"
+        if answer.state != "known" or not why:
+            return answer
+        place = () if answer.place is None else (answer.place,)
+        return replace(
+            answer, state="unknown", place=None, distance=None, alternatives=(*place, *answer.alternatives), reason=why
+        )
+
+    def on_calibration_fit(self, fit: CalibrationFit | None) -> None:
+        """Whether the calibration explains what this robot measures, as far as its SLAM knows."""
+        self._fit = fit
 
     def take_events(self) -> list[HijackEvent]:
         """Hijacks noticed since the last call."""

@@ -127,15 +127,13 @@ def solve_window(
     damping, cost, has_converged = 1e-6, np.inf, False
     best = states
     step = np.zeros(N * K)
-    stacked = _Links.of(links)
+    stacked = WindowLinks.of(links)
     for _ in range(iterations):
         trial = best.moved(step)
-        H, g, trial_cost, points, used, rms = _normal_equations(
-            camera, noise, gravity, trial, stacked, tracks, prior, huber
-        )
+        H, g, trial_cost, rows = normal_equations(camera, noise, gravity, trial, stacked, tracks, prior, huber)
         if trial_cost <= cost * (1.0 + 1e-9):
             has_converged = cost - trial_cost < 3e-3 * max(1.0, trial_cost)
-            best, cost, kept = trial, trial_cost, (H, g, points, used, rms)
+            best, cost, kept = trial, trial_cost, (H, g, rows)
             damping = max(damping * 0.1, 1e-9)
             if has_converged:
                 break
@@ -153,35 +151,36 @@ def solve_window(
         size = float(np.abs(step).max())
         if not np.isfinite(size):
             raise DegenerateGeometry("the window's equations are singular")
-    H, _, points, used, rms = kept
+    H, _, rows = kept
     try:
         factor, _ = cho_factor(H, lower=True, check_finite=False)
     except np.linalg.LinAlgError as exc:
         raise DegenerateGeometry("the window's motion leaves its poses open") from exc
-    return WindowSolution(best, factor, points, used, rms, has_converged)
+    return WindowSolution(best, factor, rows.points, rows.used, rows.rms, has_converged)
 
 
-def _normal_equations(
+def normal_equations(
     camera: CameraModel,
     noise: ImuNoise,
     gravity: float,
     states: WindowStates,
-    links: _Links,
+    links: WindowLinks,
     tracks: WindowTracks,
     prior: Prior,
     huber: float,
-) -> tuple[FloatArray, FloatArray, float, Triangulation, BoolArray, float]:
-    """H (15 K, 15 K), g = J^T r (to be solved as H dx = g), robust cost, points, observations used, their rms."""
+) -> tuple[FloatArray, FloatArray, float, VisualRows]:
+    """H (15 K, 15 K), g = J^T r (to be solved as H dx = g), robust cost, reprojections."""
     K = len(states.x)
     H, g = np.zeros((N * K, N * K)), np.zeros(N * K)
     cost = _add_prior(H, g, states, prior)
     cost += _add_links(H, g, states, links, noise, gravity)
-    visual_cost, points, used, rms = _add_tracks(H, g, camera, states, tracks, huber)
-    return H, g, cost + visual_cost, points, used, rms
+    rows = visual_rows(camera, states, tracks, huber)
+    _add_tracks(H, g, rows)
+    return H, g, cost + rows.cost, rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Links:
+class WindowLinks:
     """All of the window's preintegrated motions, stacked."""
 
     duration_s: FloatArray  # (K - 1,)
@@ -195,7 +194,7 @@ class _Links:
     sqrt_information: FloatArray  # (K - 1, 9, 9)
 
     @classmethod
-    def of(cls, links: list[Preintegration]) -> _Links:
+    def of(cls, links: list[Preintegration]) -> WindowLinks:
         return cls(
             duration_s=np.array([link.duration_s for link in links]),
             dR=np.array([link.dR for link in links]),
@@ -210,7 +209,7 @@ class _Links:
 
 
 def _add_links(
-    H: FloatArray, g: FloatArray, states: WindowStates, links: _Links, noise: ImuNoise, gravity: float
+    H: FloatArray, g: FloatArray, states: WindowStates, links: WindowLinks, noise: ImuNoise, gravity: float
 ) -> float:
     """The IMU between neighbouring poses, and how far biases walk meanwhile."""
     r, J = _inertial_residuals(states, links, gravity)
@@ -234,7 +233,7 @@ def _add_links(
     return float((r * r).sum() + (d * d).sum())
 
 
-def _inertial_residuals(states: WindowStates, links: _Links, gravity: float) -> tuple[FloatArray, FloatArray]:
+def _inertial_residuals(states: WindowStates, links: WindowLinks, gravity: float) -> tuple[FloatArray, FloatArray]:
     """Thesis eq. 2.11 (K - 1, 9) and its derivative (K - 1, 9, 30) by both poses of each link."""
     d = states.bias[:-1] - links.bias
     dR = links.dR @ so3_exp((links.dR_by_bias @ d[:, :3, None])[..., 0])
@@ -309,15 +308,33 @@ def _add_wheels(H: FloatArray, g: FloatArray, states: WindowStates, v_body: Floa
     return cost
 
 
-def _add_tracks(
-    H: FloatArray,
-    g: FloatArray,
-    camera: CameraModel,
-    states: WindowStates,
-    tracks: WindowTracks,
-    huber: float,
-) -> tuple[float, Triangulation, BoolArray, float]:
-    """Reprojections of the points that these poses give; their robust cost, the points, what was used, its rms."""
+@dataclass(frozen=True, slots=True, eq=False)
+class VisualRows:
+    """Reprojections of the points that given poses have, weighted, with their derivatives by the poses."""
+
+    R: FloatArray  # (F, K, 3, 3) body pose at the time of each observation's row
+    x: FloatArray  # (F, K, 3)
+    p: FloatArray  # (F, K, 3) each point, once per pose
+    predicted: FloatArray  # (F, K, 2) its normalised coordinates
+    whitening: FloatArray  # (F, K, 2, 2) normalised coordinates to sigmas, times the robust weight
+    by_point: FloatArray  # (F, K, 2, 3) of the predicted, whitened; by the point in the body frame
+    by_pose: FloatArray  # (F, K, 2, 6) the same by rotation and position of the pose
+    residual: FloatArray  # (F, K, 2)
+    Qt: FloatArray  # (F, 3, 2 K) transposed basis of what moving the point explains
+    cost: float  # robust
+    points: Triangulation
+    used: BoolArray  # (F, K)
+    rms: float  # whitened
+
+    def by_pose_explained(self) -> FloatArray:
+        """(3 F, 6 K): what of the derivative by the poses moving the points explains."""
+        F, K = self.used.shape
+        QA = np.swapaxes(self.Qt.reshape(F, 3, K, 2), 1, 2) @ self.by_pose  # (F, K, 3, 6)
+        return np.ascontiguousarray(np.swapaxes(QA, 1, 2)).reshape(3 * F, 6 * K)
+
+
+def visual_rows(camera: CameraModel, states: WindowStates, tracks: WindowTracks, huber: float) -> VisualRows:
+    """Linearise the reprojections. Raises DegenerateGeometry: fewer than 8 tracks can be triangulated."""
     uv_px, xy, seen = tracks.uv_px, tracks.xy, tracks.seen
     F, K = seen.shape
     if camera.line_delay_s:
@@ -339,27 +356,44 @@ def _add_tracks(
     r = (W @ (xy - predicted)[..., None])[..., 0] * used[..., None]
     size = np.linalg.norm(r, axis=-1)
     weight = np.sqrt(np.minimum(1.0, huber / np.maximum(size, 1e-9))) * used
-    cost = float(np.where(size < huber, size**2, 2.0 * huber * size - huber**2).sum())
     WD = W @ D * weight[..., None, None]
-    r = r * weight[..., None]
-    A = WD @ pose_jacobian(ErrorKind.PLAIN, R, x, spread)  # (F, K, 2, 6)
     J_p = (WD @ np.swapaxes(R, 2, 3)).reshape(F, 2 * K, 3)
     scale = np.maximum(np.linalg.norm(J_p, axis=1, keepdims=True), 1e-12)
-    Qt = np.swapaxes(np.linalg.qr(J_p / scale)[0], 1, 2)
-    # H = sum_f A^T (I - Q Q^T) A, with A block-diagonal over the poses
-    by_pose = np.ascontiguousarray(np.swapaxes(A, 0, 1)).reshape(K, 2 * F, 6)
-    QA = np.swapaxes(Qt.reshape(F, 3, K, 2), 1, 2) @ A  # (F, K, 3, 6)
-    QA = np.ascontiguousarray(np.swapaxes(QA, 1, 2)).reshape(3 * F, 6 * K)
-    Qr = (Qt @ r.reshape(F, 2 * K, 1)).reshape(3 * F)
+    return VisualRows(
+        R=R,
+        x=x,
+        p=spread,
+        predicted=predicted,
+        whitening=W * weight[..., None, None],
+        by_point=WD,
+        by_pose=WD @ pose_jacobian(ErrorKind.PLAIN, R, x, spread),
+        residual=r * weight[..., None],
+        Qt=np.swapaxes(np.linalg.qr(J_p / scale)[0], 1, 2),
+        cost=float(np.where(size < huber, size**2, 2.0 * huber * size - huber**2).sum()),
+        points=points,
+        used=used,
+        rms=float(np.sqrt((size[used] ** 2).mean() / 2.0)) if used.any() else np.inf,
+    )
+
+
+def visual_index(num_poses: int) -> IntArray:
+    """(6 K,) which of the window's unknowns reprojections depend on: rotations and positions."""
+    return np.asarray((np.arange(num_poses)[:, None] * N + np.array([0, 1, 2, 6, 7, 8])[None]).ravel())
+
+
+def _add_tracks(H: FloatArray, g: FloatArray, rows: VisualRows) -> None:
+    """Reprojections without their points: H = sum_f A^T (I - Q Q^T) A, with A block-diagonal over the poses."""
+    F, K = rows.used.shape
+    by_pose = np.ascontiguousarray(np.swapaxes(rows.by_pose, 0, 1)).reshape(K, 2 * F, 6)
+    QA = rows.by_pose_explained()
+    Qr = (rows.Qt @ rows.residual.reshape(F, 2 * K, 1)).reshape(3 * F)
     full = -(QA.T @ QA)
     diagonal = np.swapaxes(by_pose, 1, 2) @ by_pose
     for k in range(K):
         at = slice(6 * k, 6 * k + 6)
         full[at, at] += diagonal[k]
-    r_by_pose = np.swapaxes(r, 0, 1).reshape(K, 2 * F, 1)
+    r_by_pose = np.swapaxes(rows.residual, 0, 1).reshape(K, 2 * F, 1)
     gradient = (np.swapaxes(by_pose, 1, 2) @ r_by_pose).ravel() - QA.T @ Qr
-    index = (np.arange(K)[:, None] * N + np.array([0, 1, 2, 6, 7, 8])[None]).ravel()
+    index = visual_index(K)
     H[np.ix_(index, index)] += full
     g[index] += gradient
-    rms = float(np.sqrt((size[used] ** 2).mean() / 2.0)) if used.any() else np.inf
-    return cost, points, used, rms

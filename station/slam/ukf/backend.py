@@ -20,12 +20,12 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
 from station.motion.drive_commands import WheelSpeed, commands_motion
-from station.motion.imu_buffer import ImuBuffer
+from station.motion.imu_buffer import IN_THE_AIR, ON_WHEELS, ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, Standstill, wheel_velocity
+from station.slam.ukf.filter.constraints import BodyVelocity, Standstill, WheelsKnown, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
-from station.slam.ukf.filter.state import FilterState
+from station.slam.ukf.filter.state import FilterState, add_wheels
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
 from station.slam.ukf.intake import FrameIntake
@@ -64,7 +64,7 @@ class UkfBackend:
         self._given = initial_state
         self._camera = CameraModel.of(calibration.camera, self._config.filter.sigma_px)
         self._shift_ns = round(calibration.camera.middle_row_shift_s * 1e9)
-        self._imu = ImuBuffer(calibration.imu)
+        self._imu = ImuBuffer(calibration.imu, ON_WHEELS if calibration.has_wheels else IN_THE_AIR)
         self._tracker = Tracker(self._camera.lens, self._config.tracker, seed)
         self._intake = FrameIntake(calibration.camera)
         self._still = StillnessDetector(self._config.start)
@@ -76,13 +76,15 @@ class UkfBackend:
         self._monitor = TrackingMonitor(self._config)
         self._messages: list[str] = []
         self._memory = NavigationMemory(
-            self._camera, calibration.imu, self._config.quality, self._config.max_keyframes, self._make_views()
+            self._camera, calibration, self._config.quality, self._config.max_keyframes, self._make_views()
         )
         self._coasting = Coasting(ORIGIN, 0)
         self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command
         self._speed_since = 0  # when the commanded speed last changed
-        self._wheel_speed = WheelSpeed(hold_s=math.inf)  # recordings have changes only, and a robot reports its rest
+        # Recordings have changes of the command only, and a robot reports its rest.
+        self._wheel_speed = WheelSpeed(hold_s=math.inf, efficiency=1.0)
+        self._wheels_known = WheelsKnown.before_the_drive(self._config.wheels)
         self._previous_t: int | None = None  # IMU time of the frame before
         self._lost_since: int | None = None
         self._lost_ns = 0
@@ -139,8 +141,7 @@ class UkfBackend:
         soft = self._soft_constraints(vio.state, current, is_still)
         keep_previous = self._standstill.began_with_previous
         self._standstill.update(frame.index, is_still)
-        if self._config.refine:  # who does not refine needs no links between keyframes
-            current.link = memory.link_by(segment, vio.state)
+        current.link = memory.link_by(segment, vio.state)
         memory.add(current)
         result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous)
         self._tracker.drop(result.rejected_ids)
@@ -175,7 +176,7 @@ class UkfBackend:
                 None if then is None else then.tracked, current.tracked, state, self._camera.R_body_cam, wheels
             )
             return (still,) if same is None else (still, same)
-        return () if current.wheels is None else (BodyVelocity(*current.wheels, gate=4.0),)
+        return () if current.wheels is None else (current.wheels,)
 
     # ---- starting and losing
 
@@ -200,7 +201,7 @@ class UkfBackend:
         memory, frame = self._memory, current.frame
         self._begin_segment()
         memory.recent = {frame.index: current}
-        self._filter = VioFilter(self._calibration, self._config.filter, state)
+        self._filter = VioFilter(self._calibration, self._config.filter, self._with_wheels(state))
         empty = self._imu.segment(current.t_imu_ns, current.t_imu_ns)
         self._filter.process_frame(empty, current.tracked, frame.index)
         self._standstill.update(frame.index, is_still)
@@ -210,12 +211,16 @@ class UkfBackend:
     def _start_in_motion(self, state: FilterState, clones: list[int], frame: ImageFrame) -> SlamUpdate:
         """Begin tracking from a solved window: its frames are the first clones, its tracks the first landmarks."""
         self._begin_segment()
-        vio = VioFilter(self._calibration, self._config.filter, state)
+        vio = VioFilter(self._calibration, self._config.filter, self._with_wheels(state))
         self._filter = vio
         for item in self._memory.adopt(state, clones, self._imu):
             vio.tracks.add_frame(item.tracked, np.zeros(0, dtype=np.int64))
         vio.adopt_landmarks()
         return self._update(frame, "tracking: started in motion", vio.state)
+
+    def _with_wheels(self, state: FilterState) -> FilterState:
+        known = self._wheels_known
+        return add_wheels(state, known.mean, known.sigma) if self._calibration.has_wheels else state
 
     def _begin_segment(self) -> None:
         if self._lost_since is not None:
@@ -243,9 +248,10 @@ class UkfBackend:
     # ---- the end
 
     def catch_up(self) -> bool:
-        """Describe a view of the map; see SlamBackend."""
+        """Look at a window for the calibration, or describe a view of the map; see SlamBackend."""
+        memory = self._memory
         with self._blas.limit(limits=1):
-            return self._memory.views is not None and self._memory.views.describe_next()
+            return memory.calibration_check.work() or (memory.views is not None and memory.views.describe_next())
 
     def keyframe_pictures(self) -> Sequence[bytes]:
         """The views; of a map from tracks it is not known before the end."""
@@ -305,6 +311,7 @@ class UkfBackend:
             new_points_world=None if points is None else points[0],
             new_points_rgb=None if points is None else points[1],
             segment=self._memory.segment,
+            calibration_fit=self._memory.calibration_check.fit,
         )
 
     def _imu_missing_s(self, t_imu: int) -> float:
@@ -331,7 +338,7 @@ class UkfBackend:
     def _is_commanded_to_move(self) -> bool:
         return self._drive is not None and commands_motion(self._drive)
 
-    def _wheels(self, segment: ImuSegment, t_imu: int) -> tuple[FloatArray, FloatArray] | None:
+    def _wheels(self, segment: ImuSegment, t_imu: int) -> BodyVelocity | None:
         """What the wheels say of the body velocity now."""
         if not self._calibration.has_wheels:
             return None
@@ -339,27 +346,29 @@ class UkfBackend:
         command, since = None, 0.0
         if self._drive is not None:
             command, since = self._drive.linear_m_s, (t_imu - self._speed_since) * 1e-9
-        known = wheel_velocity(self._config.wheels, float(segment.end_gyro[2] - bias[2]), command, since)
-        return None if known is None else (known.v_body, known.sigma)
+        wheels = self._filter.state.wheels if self._filter is not None else self._wheels_known.mean
+        return wheel_velocity(self._config.wheels, wheels, float(segment.end_gyro[2] - bias[2]), command, since)
 
     def _driven_velocity(self, current: RecentFrame) -> FloatArray | None:
         """Body velocity (3,) of a robot that its motors drive; None before the motors have followed their command."""
         if current.wheels is None or not self._is_commanded_to_move():
             return None
-        v_body, sigma = current.wheels
-        return v_body if bool(np.isfinite(sigma).all()) else None
+        return current.wheels.v_body if bool(np.isfinite(current.wheels.sigma).all()) else None
 
     def _rolled_m(self, t_imu: int) -> float | None:
         """Way of the wheels since the last frame; None where there are none, or the robot is in somebody's hands."""
         before = self._wheel_speed.way_m
         self._wheel_speed.advance(t_imu)
-        return self._wheel_speed.way_m - before if self._calibration.has_wheels and not self._is_lifted else None
+        rolled_m = float(self._wheel_speed.way_m - before) * self._wheels_known.efficiency
+        return rolled_m if self._calibration.has_wheels and not self._is_lifted else None
 
     def _anchor(self, reason: str, state: FilterState) -> Anchor:
         """Where the next segment begins: where wheels have carried the robot, else the last known place; and biases."""
         bias = np.concatenate([state.bias_gyro, state.bias_accel])
         sound = is_finite(state) and float(np.abs(bias[:3]).max()) < 0.2 and float(np.abs(bias[3:]).max()) < 1.0
         self._is_lifted = reason == LIFTED
+        if self._calibration.has_wheels and sound:
+            self._wheels_known = WheelsKnown.learned(state)
         T = self._memory.poses.last()
         if self._calibration.has_wheels and not self._is_lifted and sound:
             T = state.T_world_body  # dead reckoned through the outage, in which no poses were kept

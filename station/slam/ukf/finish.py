@@ -13,6 +13,7 @@ import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
+from station.model.calibration_fit import why_misfit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping.assemble import make_keyframes
@@ -35,12 +36,14 @@ def make_navigation(
     report: NavigationReport,
 ) -> Navigation:
     """Trajectory, keyframes and landmarks of the navigation; completes the report."""
+    fit = memory.calibration_check.finish()
     made = _from_views(memory, camera, calibration, config) or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
         landmarks=len(made.landmarks),
-        messages=(*report.messages, *made.messages),
+        messages=tuple(filter(None, (*report.messages, *made.messages, why_misfit(fit)))),
         config=report.config | made.facts,
+        calibration_fit=fit,
     )
     trajectory = Trajectory(*memory.poses.arrays())
     return Navigation(navigation_id, calibration, trajectory, made.keyframes, made.landmarks, report)

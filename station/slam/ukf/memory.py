@@ -8,14 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shared.calibration import ImuNoise
+from shared.calibration import Calibration
 from shared.geometry import FloatArray, se3
 from station.model.frames import ImageFrame
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
+from station.slam.ukf.filter.constraints import BodyVelocity
 from station.slam.ukf.filter.filter import RetiredClone, VioFilter
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import is_finite
+from station.slam.ukf.map.calibration_check import CalibrationCheck
 from station.slam.ukf.map.keyframes import Keyframe, KeyframeStore, sample_colours
 from station.slam.ukf.map.landmark_map import LandmarkQuality, LiveMap
 from station.slam.ukf.map.pose_log import PoseLog
@@ -36,7 +38,7 @@ class RecentFrame:
     tracked: TrackedFrame
     t_imu_ns: int
     link: Preintegration | None  # IMU since the frame before it in the window
-    wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
+    wheels: BodyVelocity | None  # where wheels know it
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
 
 
@@ -46,14 +48,16 @@ class NavigationMemory:
     def __init__(
         self,
         camera: CameraModel,
-        noise: ImuNoise,
+        calibration: Calibration,
         quality: LandmarkQuality,
         max_keyframes: int,
         views: MapViews | None,
     ) -> None:
         """Args: views: where the map's views are collected; None: the map is made from tracks."""
-        self._noise = noise
+        assert calibration.imu is not None
+        self._noise = calibration.imu
         self.views = views
+        self.calibration_check = CalibrationCheck(camera, calibration.imu, calibration.gravity)
         self.recent: dict[int, RecentFrame] = {}  # by ImageFrame.index, ascending
         self.poses = PoseLog()
         self.keyframes = KeyframeStore(max_keyframes)
@@ -108,9 +112,10 @@ class NavigationMemory:
             bias=np.concatenate([state.bias_gyro, state.bias_accel]),
             segment=self.segment,
             link=old.link,
-            wheels=old.wheels,
+            wheels=None if old.wheels is None else (old.wheels.v_body, old.wheels.sigma),
         )
         self.keyframes.add(keyframe)
+        self.calibration_check.add(keyframe)
         if self.views is not None:
             self.views.add(keyframe)
         return self.live.add(keyframe)

@@ -20,9 +20,9 @@ import numpy as np
 
 from shared.geometry import FloatArray
 from station.demo.judge import TIE
+from station.experiments.calibration_curve import calibration_bins, calibration_error, wilson_interval
 from station.model.place_answer import HijackEvent
 from station.model.place_map import PlaceMap
-from tests.support.calibration_curve import calibration_bins, calibration_error, wilson_interval
 from tests.support.drives.playback import Played
 from tests.support.drives.recorded import LookedAt, RecordedDrive, TrueHijack
 

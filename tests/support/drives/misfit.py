@@ -2,62 +2,57 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
-from robot.simulation.config import SimulationConfig
-from shared.calibration import CameraCalibration
-from shared.geometry import se3, so3_exp
+from robot.simulation.config import BuildErrors, SimulationConfig
 
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """True numbers against told ones."""
+    """How far the truth is from what is told, as a calibration by hand would leave it.
 
-    focal_percent: float = 0.0  # of the focal length
-    mounting_deg: float = 0.0  # the camera is turned so far about an axis that the seed chooses,
-    mounting_cm: float = 0.0  # ... and sits so far beside its told place
-    delay_ms: float = 0.0  # of the images, beyond the told time shift
-    wheels_percent: float = 0.0  # of the way and of the turns that a command makes
+    The focal length is wrong by `percent`, longer with even seeds and shorter with odd ones; the wheels go and turn so
+    much less or more on a command. With 2 % go 1 degree in pitch and in yaw, 1 cm and 5 ms, with others in proportion.
+    """
+
+    percent: float = 0.0
     seed: int = 0
 
     @property
     def name(self) -> str:
-        """For a file's name: exact, or the focal length's error, which all others grow with."""
-        return "exact" if self == Misfit(seed=self.seed) else f"focal{self.focal_percent:+g}"
+        """For a file's name."""
+        return f"focal{self._signed_percent:+g}" if self.percent else "exact"
 
-    def built(self, told: CameraCalibration) -> CameraCalibration:
-        """The camera as it is, of which `told` is what the robot says."""
+    @property
+    def _signed_percent(self) -> float:
+        return self.percent if self.seed % 2 == 0 else -self.percent
+
+    def built(self, config: SimulationConfig) -> SimulationConfig:
+        """The simulated robot as it is."""
         rng = np.random.default_rng([self.seed, 41])
-        axis, side = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-        turned = se3(so3_exp(math.radians(self.mounting_deg) * axis), 0.01 * self.mounting_cm * side)
-        T = told.T_body_cam_matrix @ turned
-        factor = 1 + self.focal_percent / 100
-        return msgspec.structs.replace(
-            told,
-            fx=factor * told.fx,
-            fy=factor * told.fy,
-            T_body_cam=tuple(T.ravel().tolist()),
-            time_shift_s=told.time_shift_s + 1e-3 * self.delay_ms,
+        degrees, cm, ms = (part * self.percent / 2 for part in (1.0, 1.0, 5.0))
+        pitch, yaw = rng.choice([-degrees, degrees], 2)
+        side = rng.normal(size=3)
+        forward_cm, left_cm, up_cm = cm * side / np.linalg.norm(side)
+        errors = BuildErrors(
+            focal_percent=self._signed_percent,
+            pitch_deg=float(pitch),
+            yaw_deg=float(yaw),
+            forward_cm=float(forward_cm),
+            left_cm=float(left_cm),
+            up_cm=float(up_cm),
+            time_shift_ms=ms,
         )
-
-    def built_body(self, config: SimulationConfig) -> SimulationConfig:
-        """The wheels as they are."""
-        factor, body = 1 + self.wheels_percent / 100, config.body
+        wheels = 1 - self._signed_percent / 100
         body = msgspec.structs.replace(
-            body, linear_efficiency=factor * body.linear_efficiency, yaw_efficiency=factor * body.yaw_efficiency
+            config.body,
+            linear_efficiency=wheels * config.body.linear_efficiency,
+            yaw_efficiency=wheels * config.body.yaw_efficiency,
         )
-        return msgspec.structs.replace(config, body=body)
-
-
-def graded(percent: float, seed: int) -> Misfit:
-    """As wrong as a calibration by hand: with 2 %, 1 degree, 1 cm and 5 ms; the focal length's sign alternates."""
-    sign = 1 if seed % 2 == 0 else -1
-    part = percent / 2
-    return Misfit(sign * percent, part, part, 5 * part, -sign * percent, seed)
+        return msgspec.structs.replace(config, build=errors, body=body)
 
 
 def wrong_percent(name: str) -> float:

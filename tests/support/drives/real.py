@@ -21,6 +21,7 @@ from robot.simulation.worlds import make_world
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.datasets import Dataset, Truth, open_dataset
+from station.experiments.trajectory_error import interpolate_poses
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.places.localisation.localizer import Localizer
@@ -29,7 +30,6 @@ from station.workers.replay import ReplayOptions, follow
 from tests.support.drives.recorded import Event, LookedAt, RecordedDrive, RecordedWorld, in_map
 from tests.support.drives.simulated import Spent, compare
 from tests.support.paths import RECORDINGS
-from tests.support.trajectory import interpolate_poses
 
 KIND = "real"
 LIVE_RATE_HZ = 4.0  # images looked for, as the live system does (localization.rate_hz)

@@ -40,39 +40,45 @@ class Plan:
 
 def room_left_out(world: World) -> str:
     """A room that the others can be reached without, chosen by the seed."""
-    free = [k for k in range(len(world.rooms)) if _is_connected_without(world, k)]
-    return world.rooms[free[world.seed % len(free)]].name
+    rooms = _reachable(world)
+    free = [k for k in rooms if _are_connected(world, rooms - {k})]
+    return world.rooms[sorted(free)[world.seed % len(free)]].name
 
 
-def _is_connected_without(world: World, left_out: int) -> bool:
-    rest = set(range(len(world.rooms))) - {left_out}
-    reached, border = set[int](), {min(rest)}
+def _reachable(world: World) -> set[int]:
+    """Rooms with free floor that a robot can drive to; furniture may fill one, or shut it off."""
+    space = FreeSpace(world, RADIUS_M)
+    return {k for k, room in enumerate(world.rooms) if len(space.free_points_in(room))}
+
+
+def _are_connected(world: World, rooms: set[int]) -> bool:
+    reached, border = set[int](), {min(rooms)}
     while border:
         reached |= border
         beside = {b for door in world.doors for a, b in (door.rooms, door.rooms[::-1]) if a in border}
-        border = (beside & rest) - reached
-    return reached == rest
+        border = (beside & rooms) - reached
+    return reached == rooms
 
 
-def walled_off(world: World, rooms: set[str]) -> World:
-    """The flat with every door shut that leads into one of these rooms."""
-    shut = [d for d in world.doors if any(world.rooms[r].name in rooms for r in d.rooms)]
-    walls = [
-        Obstacle(
-            d.x_m, d.y_m, *((d.width_m / 2, 0.05) if d.along == "x" else (0.05, d.width_m / 2)), 0.0, 2.0, "door", 0
-        )
-        for d in shut
+def without_rooms(world: World, names: set[str]) -> World:
+    """The flat with these rooms filled up and their doors gone, to plan a way that leads through none of them."""
+    filled = [
+        Obstacle(*room.centre, (room.x1_m - room.x0_m) / 2, (room.y1_m - room.y0_m) / 2, 0.0, 2.0, "filled", k)
+        for k, room in enumerate(world.rooms)
+        if room.name in names
     ]
-    doors = tuple(d for d in world.doors if d not in shut)
-    return replace(world, doors=doors, obstacles=(*world.obstacles, *walls))
+    doors = tuple(d for d in world.doors if not names.intersection(_names(world, d.rooms)))
+    return replace(world, doors=doors, obstacles=(*world.obstacles, *filled))
 
 
 def mapping_route(world: World, left_out: str, seed: int) -> Route:
     """Through every room but one, and back."""
-    start = world.start[:2]
-    if world.room_at(*start) == left_out:
-        start = _spot(world, [r.name for r in world.rooms if r.name != left_out], seed)[:2]
-    return plan_route(walled_off(world, {left_out}), "mapping", seed, start=start)
+    start = _spot(world, _mapped(world, left_out), seed)
+    return plan_route(without_rooms(world, {left_out}), "mapping", seed, start=start[:2])
+
+
+def _mapped(world: World, left_out: str) -> list[str]:
+    return sorted({world.rooms[k].name for k in _reachable(world)} - {left_out})
 
 
 def plan_drive(world: World, left_out: str, name: str, seed: int) -> Plan:
@@ -82,18 +88,24 @@ def plan_drive(world: World, left_out: str, name: str, seed: int) -> Plan:
     go round all rooms and are taken to a mapped room, or to the one left out.
     """
     rng = np.random.default_rng([world.seed, seed, PLANS.index(name), 71])
-    mapped = [r.name for r in world.rooms if r.name != left_out]
-    beside = _rooms_beside(world, left_out)
+    mapped = _mapped(world, left_out)
+    beside = [room for room in _rooms_beside(world, left_out) if room in mapped] or mapped
     start_room = beside[int(rng.integers(len(beside)))] if name == THROUGH else mapped[int(rng.integers(len(mapped)))]
     start = _spot(world, [start_room], seed)[:2]
-    others = {r.name for r in world.rooms} - {start_room, left_out} if name == THROUGH else set()
-    route = plan_route(walled_off(world, others), "second", seed, start=start)
+    flat = _only(world, {start_room, left_out}) if name == THROUGH else world
+    route = plan_route(flat, "second", seed, start=start)
     at_s = float(rng.uniform(28, 36) if name == THROUGH else rng.uniform(12, 18))
     to_unmapped = name == UNMAPPED
     target = _spot(world, [left_out] if to_unmapped else mapped, seed + 1)
     then = plan_route(world, "second", seed + 1, start=target[:2])
     hijack = Hijack(at_s, target, to_unmapped, float(rng.uniform(0.3, 1.0)), float(rng.uniform(3, 6)), then)
     return Plan(name, route, hijack, at_s + 28.0)
+
+
+def _only(world: World, rooms: set[str]) -> World:
+    """The flat without all other rooms; the whole flat where there is no way between these then."""
+    part = without_rooms(world, {r.name for r in world.rooms} - rooms)
+    return part if {part.rooms[k].name for k in _reachable(part)} == rooms else world
 
 
 def _rooms_beside(world: World, room: str) -> list[str]:

@@ -11,6 +11,7 @@ import msgspec
 
 from robot.simulation.atlas import default_cache_dir
 from robot.simulation.config import SimulationConfig
+from robot.simulation.construction import built_camera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
 from robot.simulation.world import World
@@ -19,6 +20,7 @@ from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.experiments.alignment import align_points
+from station.experiments.trajectory_error import interpolate_poses
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
@@ -38,7 +40,6 @@ from tests.support.drives.recorded import (
 )
 from tests.support.drives.robot import Sent, SimulatedRobot
 from tests.support.drives.routes import PLANS, Plan, beyond_door_m, mapping_route, plan_drive, room_left_out
-from tests.support.trajectory import interpolate_poses
 
 MAX_MAPPING_S = 150.0
 
@@ -87,15 +88,15 @@ class SimulatedFlat:
     """A world with the robot that drives in it."""
 
     def __init__(self, kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> None:
-        config = SimulationConfig(camera_rate_hz=options.mapping_rate_hz)
+        config = misfit.built(SimulationConfig(camera_rate_hz=options.mapping_rate_hz))
         self.told = simulated_calibration(config)
         assert self.told.camera is not None
-        self._built = msgspec.structs.replace(self.told, camera=misfit.built(self.told.camera))
-        assert self._built.camera is not None
-        self.shift_ns = round(1e9 * self._built.camera.time_shift_s)  # true, from the camera's clock to the IMU's
-        self._config, self._options = misfit.built_body(config), options
+        camera = built_camera(self.told.camera, config.build)
+        self._built = msgspec.structs.replace(self.told, camera=camera)
+        self.shift_ns = round(1e9 * camera.time_shift_s)  # true, from the camera's clock to the IMU's
+        self._config, self._options = config, options
         self.world: World = make_world(kind, seed, config)
-        self._renderer = Renderer(self.world, self._built.camera, default_cache_dir())
+        self._renderer = Renderer(self.world, camera, default_cache_dir())
 
     def robot(self, plan: Plan, seed: int) -> SimulatedRobot:
         return SimulatedRobot(self._renderer, self._built, self._config, plan, seed)

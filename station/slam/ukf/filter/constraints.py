@@ -20,6 +20,7 @@ class BodyVelocity:
 
     v_body: FloatArray  # (3,) m/s
     sigma: FloatArray  # (3,) m/s
+    by_wheels: FloatArray | None = None  # (3, 2) derivative of v_body by FilterState.wheels
     gate: float = np.inf  # standard deviations; a component further off is left out (wheels that slip)
 
     def rows(self, state: FilterState, kind: ErrorKind) -> Measurements:
@@ -31,6 +32,8 @@ class BodyVelocity:
             by_state = state.S[XI_V] + skew(v_now) @ state.S[PHI]
         else:
             by_state = state.R.T @ (state.S[XI_V] + skew(state.v) @ state.S[PHI])
+        if self.by_wheels is not None:
+            by_state = by_state - self.by_wheels @ state.S[state.wheel_rows]
         known = np.isfinite(self.sigma)
         r = (self.v_body - v_now)[known] / self.sigma[known]
         A = by_state[known] / self.sigma[known, None]
@@ -107,31 +110,59 @@ class WheelConfig:
     sigma_lateral_m_s: float = 0.03  # plus what the unknown turning centre makes of a turn:
     lateral_per_turn_m: float = 0.05
     sigma_vertical_m_s: float = 0.02
+    # The wheels' constants before the drive; the filter learns them along it (docs/slam.md, sec. 9).
     speed_efficiency: float = SPEED_EFFICIENCY
+    sigma_efficiency: float = 0.02
+    sigma_turning_centre_m: float = 0.05
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
     settle_s: float = 0.35  # a command is believed that long after it changed: motors have made 93 % of the change then
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelsKnown:
+    """What is known of the wheels' constants (FilterState.wheels) between two pieces of tracking."""
+
+    mean: FloatArray  # (2,)
+    sigma: FloatArray  # (2,)
+
+    @classmethod
+    def before_the_drive(cls, config: WheelConfig) -> WheelsKnown:
+        return cls(
+            np.array([config.speed_efficiency, 0.0]), np.array([config.sigma_efficiency, config.sigma_turning_centre_m])
+        )
+
+    @classmethod
+    def learned(cls, state: FilterState) -> WheelsKnown:
+        return cls(state.wheels, np.linalg.norm(state.S[state.wheel_rows], axis=1))
+
+    @property
+    def efficiency(self) -> float:
+        """Speed over ground by commanded speed."""
+        return float(self.mean[0])
+
+
 def wheel_velocity(
-    config: WheelConfig, turn_rate: float, command_m_s: float | None, since_change_s: float
+    config: WheelConfig, wheels: FloatArray, turn_rate: float, command_m_s: float | None, since_change_s: float
 ) -> BodyVelocity | None:
     """What wheels say of the body's velocity now; None when nothing is switched on.
 
     Args:
+        wheels: (2,) FilterState.wheels.
         turn_rate: rad/s about the body's vertical axis, from the gyroscope.
         command_m_s: commanded forward speed, None where no command is known.
         since_change_s: since the command changed.
     """
     sigma = np.full(3, np.inf)
-    v = np.zeros(3)
+    by_wheels = np.zeros((3, 2))
     if config.use_non_holonomic:
+        by_wheels[1, 1] = turn_rate
         sigma[1] = config.sigma_lateral_m_s + config.lateral_per_turn_m * abs(turn_rate)
         sigma[2] = config.sigma_vertical_m_s
     if config.use_commanded_speed and command_m_s is not None and since_change_s > config.settle_s:
-        v[0] = config.speed_efficiency * command_m_s
+        by_wheels[0, 0] = command_m_s
         sigma[0] = config.sigma_speed_m_s + config.sigma_speed_share * abs(command_m_s)
-    return BodyVelocity(v, sigma, gate=4.0) if np.isfinite(sigma).any() else None
+    return BodyVelocity(by_wheels @ wheels, sigma, by_wheels, gate=4.0) if np.isfinite(sigma).any() else None
 
 
 class Standstill:

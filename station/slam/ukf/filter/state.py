@@ -1,7 +1,7 @@
 """The filter's state: group element, biases, cloned poses, and the square-root covariance (docs/slam.md, 1).
 
 Rows of the square root S (P = S S^T), in this order:
-    b_omega 3, b_a 3 | phi 3, xi_v 3, xi_x 3 | per clone: phi 3, xi_x 3 | per landmark: xi_p 3
+    b_omega 3, b_a 3 | phi 3, xi_v 3, xi_x 3 | wheels 0 or 2 | per clone: phi 3, xi_x 3 | per landmark: xi_p 3
 Biases come first so that, S being lower triangular, only its first six columns move them: see propagation.py.
 """
 
@@ -20,6 +20,7 @@ PHI = slice(6, 9)
 XI_V = slice(9, 12)
 XI_X = slice(12, 15)
 CORE = 15  # biases and group element without landmarks
+NO_WHEELS = np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +34,9 @@ class FilterState:
     bias_gyro: FloatArray  # (3,) rad/s
     bias_accel: FloatArray  # (3,) m/s^2
     S: FloatArray  # (n, >= n) square root of the covariance, rows as above
+    # (2,) speed over ground by commanded speed, and how far in front of its turning centre the body's origin lies, m:
+    # what nobody knows of wheels before they roll. (0,) for a rig without wheels.
+    wheels: FloatArray
     omega_body: FloatArray  # (3,) rad/s at this time, bias removed: not estimated, kept for rolling shutter
     clone_R: FloatArray  # (m, 3, 3)
     clone_x: FloatArray  # (m, 3)
@@ -55,11 +59,20 @@ class FilterState:
         return len(self.S)
 
     @property
+    def wheel_rows(self) -> slice:
+        return slice(CORE, self.first_clone_row)
+
+    @property
+    def first_clone_row(self) -> int:
+        return CORE + len(self.wheels)
+
+    @property
     def first_landmark_row(self) -> int:
-        return CORE + 6 * self.num_clones
+        return self.first_clone_row + 6 * self.num_clones
 
     def clone_rows(self, index: int) -> slice:
-        return slice(CORE + 6 * index, CORE + 6 * index + 6)
+        start = self.first_clone_row + 6 * index
+        return slice(start, start + 6)
 
     def landmark_rows(self, index: int) -> slice:
         start = self.first_landmark_row + 3 * index
@@ -89,7 +102,7 @@ def initial_state(
     bias_accel: FloatArray,
     S: FloatArray,
 ) -> FilterState:
-    """A state without clones and landmarks; S (15, k)."""
+    """A state without wheels, clones and landmarks; S (15, k)."""
     return FilterState(
         t_imu_ns=t_imu_ns,
         R=R,
@@ -98,6 +111,7 @@ def initial_state(
         bias_gyro=bias_gyro,
         bias_accel=bias_accel,
         S=S,
+        wheels=NO_WHEELS,
         omega_body=np.zeros(3),
         clone_R=np.zeros((0, 3, 3)),
         clone_x=np.zeros((0, 3)),
@@ -109,12 +123,21 @@ def initial_state(
     )
 
 
+def add_wheels(state: FilterState, wheels: FloatArray, sigma: FloatArray) -> FilterState:
+    """Let the constants of the wheels (2,) enter a state that has none, with their standard deviations (2,)."""
+    n, k = state.S.shape
+    S = np.zeros((n + 2, k + 2))
+    S[:CORE, :k], S[CORE + 2 :, :k] = state.S[:CORE], state.S[CORE:]
+    S[CORE : CORE + 2, k:] = np.diag(sigma)
+    return replace(state, wheels=wheels, S=S)
+
+
 def retract(kind: ErrorKind, state: FilterState, dx: FloatArray) -> FilterState:
     """The state moved by the error dx (n,)."""
     p_rows = dx[state.first_landmark_row :].reshape(-1, 3)
     xi = np.vstack([dx[XI_V], dx[XI_X], p_rows])
     R, X = retract_group(kind, state.R, state.X, dx[PHI], xi)
-    clones = dx[CORE : state.first_landmark_row].reshape(-1, 6)
+    clones = dx[state.first_clone_row : state.first_landmark_row].reshape(-1, 6)
     clone_R, clone_X = retract_group(kind, state.clone_R, state.clone_x[:, None], clones[:, :3], clones[:, None, 3:])
     return replace(
         state,
@@ -124,6 +147,7 @@ def retract(kind: ErrorKind, state: FilterState, dx: FloatArray) -> FilterState:
         landmark_p=X[2:],
         bias_gyro=state.bias_gyro + dx[BIAS_GYRO],
         bias_accel=state.bias_accel + dx[BIAS_ACCEL],
+        wheels=state.wheels + dx[state.wheel_rows],
         clone_R=clone_R,
         clone_x=clone_X[:, 0],
     )

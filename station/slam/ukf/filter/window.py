@@ -13,7 +13,7 @@ import numpy as np
 from shared.geometry import FloatArray
 from station.motion.error_coordinates import ErrorKind, pose_jacobian
 from station.slam.mapping.rolling_shutter import observation_pose
-from station.slam.ukf.filter.state import CORE, FilterState
+from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.filter.update import Gate, Measurements, mahalanobis, select
 from station.vision.camera_model import CameraModel, normalised_points
 from station.vision.lens import BoolArray
@@ -66,7 +66,7 @@ def window_rows(
     WD = W @ D
     r = (W @ (xy - predicted)[..., None])[..., 0].reshape(F, 2 * M)
     H = WD @ pose_jacobian(kind, R, x, points)  # (F, M, 2, 6)
-    S_clones = state.S[CORE : state.first_landmark_row].reshape(M, 6, -1)
+    S_clones = state.S[state.first_clone_row : state.first_landmark_row].reshape(M, 6, -1)
     A = (H @ S_clones).reshape(F, 2 * M, state.S.shape[1])
     J_p = (WD @ np.swapaxes(R, 2, 3)).reshape(F, 2 * M, 3)
     return WindowRows(r, A, J_p, 2 * seen.sum(axis=1) - 3)

@@ -14,18 +14,14 @@ import numpy as np
 from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, se3
-from station.motion.preintegration import Preintegration, chain
-from station.slam.mapping.inertial_bundle import Prior, WindowStates, WindowTracks, collect_tracks, solve_window
+from station.slam.mapping.inertial_bundle import solve_window
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.pose_log import follow_poses
+from station.slam.ukf.map.windows import Spacer, window_of
 from station.vision.camera_model import CameraModel
 
 WINDOW = 24
 STEP = 12
-# Keyframes nearer to each other move along with their neighbours. In fast turns they come 0.05 s apart, and windows of
-# a second know little of tilt and scale (docs/studies/ukf.md).
-SPACING_S = 0.149
-MAX_TRACKS = 150
 MIN_KEYFRAMES = 4
 MIN_POINTS = 20
 MAX_RMS = 3.0  # whitened
@@ -64,20 +60,9 @@ def refine_segment(
 
 
 def _spaced(keyframes: list[Keyframe]) -> list[Keyframe]:
-    """Those at least SPACING_S apart, with the IMU links of the others joined to theirs."""
-    chosen: list[Keyframe] = []
-    link: Preintegration | None = None  # since the chosen one before
-    for k in keyframes:
-        if k.link is None or not chosen:
-            chosen.append(k)
-            link = None
-            continue
-        link = k.link if link is None else chain(link, k.link)
-        if (k.image.t_robot_ns - chosen[-1].image.t_robot_ns) * 1e-9 < SPACING_S:
-            continue
-        chosen.append(replace(k, link=link))
-        link = None
-    return chosen
+    """Those far enough apart, with the IMU links of the others joined to theirs."""
+    spacer = Spacer()
+    return [chosen for k in keyframes if (chosen := spacer.add(k)) is not None]
 
 
 def _follow(keyframes: list[Keyframe], spaced: list[Keyframe], refined: list[Keyframe]) -> list[Keyframe]:
@@ -113,33 +98,8 @@ def _refine_window(
     part: list[Keyframe], camera: CameraModel, noise: ImuNoise, gravity: float, first_sigma: FloatArray
 ) -> tuple[list[Keyframe], FloatArray]:
     """The window's keyframes refined, and the standard deviations (15,) of the state with which the next begins."""
-    tracks = _longest(collect_tracks([k.tracked for k in part], 3))
-    if len(tracks.ids) < MIN_POINTS:
-        raise DegenerateGeometry("too few features were followed")
-    states = WindowStates(
-        R=np.array([k.T_world_body[:3, :3] for k in part]),
-        v=np.array([k.v_world for k in part]),
-        x=np.array([k.T_world_body[:3, 3] for k in part]),
-        bias=np.array([k.bias for k in part]),
-        omega=np.array([k.omega_body for k in part]),
-    )
-    links = [k.link for k in part[1:] if k.link is not None]
-    wheels = [k.wheels for k in part]
-    has_wheels = any(w is not None for w in wheels)
-    nothing = (np.zeros(3), np.full(3, np.inf))
-    prior = Prior(
-        bias_gyro=states.bias[0, :3],
-        bias_accel=states.bias[0, 3:],
-        sigma_bias_gyro=float(first_sigma[9:12].mean()),
-        sigma_bias_accel=float(first_sigma[12:].mean()),
-        v_first=states.v[0],
-        sigma_v=max(float(first_sigma[3:6].mean()), 1e-3),
-        R_first=states.R[0],
-        sigma_phi=max(float(first_sigma[:3].mean()), 1e-4),
-        v_body=np.array([(w or nothing)[0] for w in wheels]) if has_wheels else None,
-        sigma_v_body=np.array([(w or nothing)[1] for w in wheels]) if has_wheels else None,
-    )
-    solution = solve_window(camera, noise, gravity, states, links, tracks, prior)
+    window = window_of(part, first_sigma)
+    solution = solve_window(camera, noise, gravity, window.states, window.links, window.tracks, window.prior)
     known = solution.points.is_good & (solution.points.depth_sigma < MAX_DEPTH_SIGMA)
     if known.sum() < MIN_POINTS or solution.rms > MAX_RMS or not solution.has_converged:
         raise DegenerateGeometry("the features show too little parallax")
@@ -147,10 +107,3 @@ def _refine_window(
     refined = [replace(k, T_world_body=se3(s.R[i], s.x[i]), v_world=s.v[i], bias=s.bias[i]) for i, k in enumerate(part)]
     following = min(STEP, len(part) - 1)
     return refined, np.sqrt(np.maximum(np.diag(solution.covariance_of(following)), 0.0))
-
-
-def _longest(tracks: WindowTracks) -> WindowTracks:
-    """At most MAX_TRACKS tracks, those with most views."""
-    order = np.argsort(-tracks.seen.sum(axis=1), kind="stable")[:MAX_TRACKS]
-    order = np.sort(order)
-    return WindowTracks(tracks.ids[order], tracks.uv_px[order], tracks.xy[order], tracks.seen[order])

@@ -255,6 +255,7 @@ def state_in_motion(start: MotionStart, kind: ErrorKind, anchor: Anchor) -> Filt
         bias_gyro=state.bias_gyro,
         bias_accel=state.bias_accel,
         S=S,
+        wheels=state.wheels,
         omega_body=states.omega[-1],
         clone_R=R[:-1],
         clone_x=x[:-1],

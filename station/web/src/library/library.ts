@@ -229,7 +229,7 @@ export class Library {
       actions.append(action("more", "More", `More about ${m.name}`, more));
     }
     if (!m.active) actions.append(this.deleteButton(m.name, () => [`/maps/${now().id}`, now().name]));
-    const about = m.damaged || `map · ${count(m.places, "place")}`;
+    const about = [m.damaged || `map · ${count(m.places, "place")}`, m.misfit].filter(Boolean).join(" · ");
     return make(
       "li",
       { class: m.damaged ? "failed" : m.active ? "in-use" : "" },

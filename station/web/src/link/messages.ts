@@ -31,6 +31,22 @@ export interface BinModel {
   gone_unix_s: number;
 }
 
+/** What a drive says of the camera's calibration, with one standard deviation each. */
+export interface CalibrationFitModel {
+  verdict: "fits" | "does not fit" | "not known yet";
+  /** for a person */
+  sentence: string;
+  /** the focal length that the data want, over the told one */
+  focal_scale: number;
+  focal_sigma: number;
+  /** the camera is turned by that about its axes right, down, forward */
+  mounting_deg: number[];
+  mounting_sigma_deg: number[];
+  /** to be added to the calibration's */
+  time_shift_s: number;
+  time_shift_sigma_s: number;
+}
+
 export interface CapabilitiesModel {
   camera: boolean;
   imu: boolean;
@@ -273,6 +289,8 @@ export interface MapModel {
   active: boolean;
   /** it is the active map whose places GET /places and GET /graph show */
   first: boolean;
+  /** a sentence, where the map is active and its navigation's calibration does not fit */
+  misfit: string;
   /** a sentence, where the map cannot be read */
   damaged: string;
 }
@@ -471,6 +489,8 @@ export interface RobotModel {
   name: string | null;
   capabilities: CapabilitiesModel | null;
   calibrated: boolean;
+  /** of the navigation that is recorded, or the last one since the robot connected; null: none yet */
+  calibration_fit: CalibrationFitModel | null;
   connections: number;
   rates: RatesModel;
   losses: LossesModel;

@@ -2,6 +2,7 @@
 import type { Library } from "../library/library";
 import type { RobotModel } from "../link/messages";
 import { by, make, prose, show } from "../ui/dom";
+import { capitalised } from "../ui/text";
 
 export class Guide {
   private shown = "";
@@ -35,6 +36,8 @@ export class Guide {
     ];
     if (robot?.connected && !robot.calibrated)
       steps.splice(1, 0, [false, "Calibrate the camera", "This robot's camera is not calibrated; SLAM needs it."]);
+    if (robot?.connected && robot.calibration_fit?.verdict === "does not fit")
+      steps.splice(1, 0, [false, "Calibrate the camera", capitalised(robot.calibration_fit.sentence)]);
     const next = steps.findIndex(([done]) => !done);
     const text = JSON.stringify([steps, next]);
     if (text === this.shown) return;

@@ -2,7 +2,7 @@
 import type { Library } from "../library/library";
 import type { BatteryModel, RobotModel, SlamModel } from "../link/messages";
 import { by, make, setText, show, within } from "../ui/dom";
-import { percent } from "../ui/text";
+import { capitalised, percent } from "../ui/text";
 import { Guide } from "./guide";
 
 export class HealthView {
@@ -69,6 +69,8 @@ export class HealthView {
       ],
       ["SLAM", this.slam?.message ?? "–", this.slam?.state === "lost"],
     ];
+    const fit = robot.calibration_fit;
+    if (fit) rows.push(["Calibration", capitalised(fit.sentence), fit.verdict === "does not fit"]);
     for (const [sensor, celsius] of Object.entries(robot.temperatures_c))
       rows.push([sensor, `${celsius.toFixed(0)} °C`, celsius > 80]);
     for (const fault of robot.faults) rows.push(["Fault", fault, true]);

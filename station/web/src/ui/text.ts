@@ -1,6 +1,9 @@
 // Numbers, times and errors in words.
 export const percent = (p: number): string => `${Math.round(p * 100)} %`;
 
+/** The beginning of a sentence. */
+export const capitalised = (text: string): string => text.charAt(0).toUpperCase() + text.slice(1);
+
 export function clock(unixS: number): string {
   return new Date(unixS * 1000).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
 }

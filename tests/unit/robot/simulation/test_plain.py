@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,15 +11,37 @@ from robot.simulation.config import BodyParameters, SimulationConfig
 from robot.simulation.driver import RouteDriver
 from robot.simulation.plain import Lamp, lit
 from robot.simulation.routes import FreeSpace, plan_route
+from robot.simulation.texture_strokes import ImageArray
 from robot.simulation.textures import LAMP_SIZE_M, TextureSpec, paint
 from robot.simulation.world import Surface, World
 from robot.simulation.worlds import make_world
+from station.vision.features import FeatureExtractor
 
+THINGS = {  # size in m
+    "spines": (0.3, 0.25),
+    "bottle": (0.08, 0.25),
+    "bowl": (0.2, 0.1),
+    "labelled_box": (0.25, 0.15),
+    "toy_box": (0.5, 0.35),
+    "patterned_cloth": (0.4, 0.4),
+    "wicker": (0.34, 0.4),
+    "shoe": (0.27, 0.09),
+    "power_strip": (0.36, 0.06),
+    "clock": (0.26, 0.26),
+    "note_board": (0.5, 0.4),
+    "wall_tiles": (0.6, 0.5),
+}
+ON_WALLS = {"white_paint", "print", "clock", "note_board", "power_strip", "socket", "switch"}
 TWINS = SimulationConfig(lookalike_rooms=True)
 
 
 def kinds(world: World) -> set[str]:
     return {s.texture.kind for s in world.surfaces}
+
+
+def count_features(image: ImageArray) -> int:
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    return len(FeatureExtractor().extract(grey))
 
 
 def twin_indices(world: World) -> tuple[int, int]:
@@ -53,8 +76,8 @@ def test_forty_seeds_give_forty_homes_by_day_and_night_with_and_without_corridor
 
 
 def test_no_texture_is_shared_with_the_flats() -> None:
-    flats = set.union(*(kinds(make_world("home", seed)) for seed in range(6)))
-    assert not flats & set.union(*(kinds(make_world("plain", seed)) for seed in range(6)))
+    flats = set[str]().union(*(kinds(make_world("home", seed)) for seed in range(6)))
+    assert not flats & set[str]().union(*(kinds(make_world("plain", seed)) for seed in range(6)))
 
 
 def test_a_home_repeats_its_radiators_and_closed_doors() -> None:
@@ -63,6 +86,41 @@ def test_a_home_repeats_its_radiators_and_closed_doors() -> None:
         for kind in ("radiator", "door_leaf"):
             looks = {(s.texture.seed, s.texture.texels_per_m) for s in world.surfaces if s.texture.kind == kind}
             assert len(looks) <= 1
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_home_has_things_that_are_printed_or_woven_and_mostly_bare_walls(seed: int) -> None:
+    world = make_world("plain", seed)
+    assert len(kinds(world) & set(THINGS)) >= 6
+    for index in range(len(world.rooms)):
+        areas = {
+            is_wall: sum(
+                s.width_m * s.height_m
+                for s in world.surfaces
+                if s.room == index and (s.texture.kind == "white_paint") == is_wall and s.texture.kind in ON_WALLS
+            )
+            for is_wall in (True, False)
+        }
+        assert areas[False] < 0.3 * areas[True]
+
+
+@pytest.mark.parametrize("kind", THINGS)
+def test_a_thing_shows_corners_before_a_wall_that_has_nearly_none(kind: str) -> None:
+    texels_per_m, bare, furnished = 400.0, [], []
+    for seed in range(4):
+        view = paint(TextureSpec("white_paint", seed, 1.2, 0.9, texels_per_m))
+        bare.append(count_features(view))
+        thing = paint(TextureSpec(kind, seed, *THINGS[kind], texels_per_m))
+        view[100 : 100 + thing.shape[0], 120 : 120 + thing.shape[1]] = thing
+        furnished.append(count_features(view))
+    assert np.mean(bare) < 25
+    assert np.mean(furnished) > np.mean(bare) + 10
+
+
+@pytest.mark.parametrize("kind", THINGS)
+@pytest.mark.parametrize("size_m", [(0.01, 0.01), (0.05, 0.3), (0.3, 0.03)])
+def test_a_thing_of_any_size_can_be_painted_and_is_not_of_one_colour(kind: str, size_m: tuple[float, float]) -> None:
+    assert np.ptp(paint(TextureSpec(kind, 1, *size_m, 400.0))) > 0
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -20,13 +20,21 @@ from station.api.schema.comparisons import ComparisonModel
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import BinModel, NavigationModel
 from station.api.schema.places import EdgeModel, PlaceModel, PlacesChangeModel, RouteModel, VisitModel
-from station.api.schema.robot import AppliedModel, CapabilitiesModel, ClockModel, LossesModel, RobotModel
+from station.api.schema.robot import (
+    AppliedModel,
+    CalibrationFitModel,
+    CapabilitiesModel,
+    ClockModel,
+    LossesModel,
+    RobotModel,
+)
 from station.api.schema.station import LogModel
 from station.events import LogLine
 from station.library.bin import BinEntry
 from station.library.comparisons import Comparison
 from station.library.navigation_records import NavigationRecord
 from station.library.place_changes import PlacesChange
+from station.model.calibration_fit import CalibrationFit
 from station.model.place_map import Place, PlaceEdge
 from station.places.making.graph import Route
 from station.robots.link_state import LinkState
@@ -36,6 +44,7 @@ from station.workers.jobs import Job
 MADE_OF: dict[type[Model], type] = {
     AppliedModel: DriveApplied,
     BinModel: BinEntry,
+    CalibrationFitModel: CalibrationFit,
     CapabilitiesModel: Capabilities,
     ClockModel: LinkState,
     ComparisonModel: Comparison,

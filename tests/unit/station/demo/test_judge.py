@@ -27,18 +27,22 @@ def log() -> Trajectory:
     return drive(np.concatenate([np.linspace(0, 4, 41), np.full(5, 4.0), np.linspace(0, 1, 11)]))
 
 
-def verdict(log: Trajectory, samples: list[Sample]) -> Verdict:
+def verdict(log: Trajectory, samples: list[Sample], map_size: float = 1.0) -> Verdict:
+    """Args: map_size: map length per true length."""
     T_map_truth = inverse(T_TRUTH_MAP)
-    mapped = Trajectory(log.t_robot_ns[:41], T_map_truth @ log.T_world_body[:41])
-    centroids = {name: transform(T_map_truth, c[None])[0] for name, c in CENTROIDS_TRUE.items()}
+    poses = T_map_truth @ log.T_world_body[:41]
+    poses[:, :3, 3] *= map_size
+    mapped = Trajectory(log.t_robot_ns[:41], poses)
+    centroids = {name: map_size * transform(T_map_truth, c[None])[0] for name, c in CENTROIDS_TRUE.items()}
     return judge(mapped, centroids, log, samples, start_ns=46 * RATE_NS)
 
 
 def test_right_answers_after_the_hijack_pass(log: Trajectory) -> None:
-    result = verdict(log, [Sample(47 * RATE_NS, "unknown", None, 0.4), Sample(55 * RATE_NS, "known", "kitchen", 0.98)])
+    known = [Sample((53 + i) * RATE_NS, "known", "kitchen", 0.98) for i in range(3)]
+    result = verdict(log, [Sample(47 * RATE_NS, "unknown", None, 0.4), *known])
     assert result.passed
-    assert (result.right, result.wrong, result.not_known) == (1, 0, 1)
-    assert result.seconds_to_first_known == pytest.approx(0.9)
+    assert (result.right, result.wrong, result.not_known) == (3, 0, 1)
+    assert result.seconds_to_first_known == pytest.approx(0.7)
     assert result.map_error_m < 1e-9
     assert result.map_scale == pytest.approx(1.0)
 
@@ -51,8 +55,9 @@ def test_a_wrong_last_answer_fails(log: Trajectory) -> None:
 
 
 def test_unknown_at_the_end_fails(log: Trajectory) -> None:
-    samples = [Sample(50 * RATE_NS, "known", "kitchen", 0.9), Sample(55 * RATE_NS, "unknown", None, 0.5)]
-    assert not verdict(log, samples).passed and verdict(log, samples).shortfall == "the last answer is not known"
+    known = [Sample((48 + i) * RATE_NS, "known", "kitchen", 0.9) for i in range(4)]
+    result = verdict(log, [*known, Sample(55 * RATE_NS, "unknown", None, 0.5)])
+    assert not result.passed and result.shortfall == "the last answer is not known"
 
 
 def test_one_wrong_answer_in_five_fails(log: Trajectory) -> None:
@@ -60,6 +65,35 @@ def test_one_wrong_answer_in_five_fails(log: Trajectory) -> None:
     result = verdict(log, samples)
     assert (result.right, result.wrong) == (4, 1)
     assert not result.passed and "one in ten" in result.shortfall
+
+
+@pytest.mark.parametrize(("num_known", "passes"), [(7, True), (6, False)])
+def test_a_run_with_fewer_than_seven_of_ten_answers_known_fails(log: Trajectory, num_known: int, passes: bool) -> None:
+    silent = [Sample(47 * RATE_NS, "unknown", None, 0.4)] * (10 - num_known)
+    known = [Sample(55 * RATE_NS, "known", "kitchen", 0.9)] * num_known
+    result = verdict(log, [*silent, *known])
+    assert result.passed == passes
+    assert result.shortfall == ("" if passes else "only 6 of 10 answers are known, fewer than 70%")
+
+
+@pytest.mark.parametrize(("map_size", "passes"), [(1.025, True), (0.975, True), (1.04, False), (0.96, False)])
+def test_a_map_of_the_wrong_size_fails_however_right_its_places_are(
+    log: Trajectory, map_size: float, passes: bool
+) -> None:
+    result = verdict(log, [Sample(55 * RATE_NS, "known", "kitchen", 0.9)], map_size)
+    assert result.map_scale == pytest.approx(1.0 / map_size)
+    assert result.map_error_m < 1e-9 and result.wrong == 0
+    assert result.passed == passes
+    assert passes or result.shortfall == f"the map's scale is {1.0 / map_size:.3f}, off by more than 3%"
+
+
+def test_everything_that_a_run_lacks_is_said(log: Trajectory) -> None:
+    unsure = [Sample(55 * RATE_NS, "unknown", None, 0.4)] * 4
+    result = verdict(log, [Sample(50 * RATE_NS, "known", "hall", 0.9), *unsure], map_size=1.1)
+    assert result.shortfall == (
+        "more than one in ten of the known answers is wrong; the last answer is not known; "
+        "only 1 of 5 answers are known, fewer than 70%; the map's scale is 0.909, off by more than 3%"
+    )
 
 
 def test_answers_before_the_hijack_do_not_count(log: Trajectory) -> None:

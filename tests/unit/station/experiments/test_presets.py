@@ -7,7 +7,7 @@ import pytest
 from shared.errors import ConfigError, DataError
 from station.commands.options import overridden
 from station.experiments.inputs import FrameRange
-from station.experiments.presets import find_preset, make_dataset
+from station.experiments.presets import SlamChoice, find_preset, make_dataset
 
 
 def test_second_and_third_share_the_first_drive_and_differ_in_the_other() -> None:
@@ -24,10 +24,28 @@ def test_the_first_uses_the_prefix_of_one_drive(tmp_path: Path) -> None:
     first = find_preset("I", 0, tmp_path)
     assert first.navigations[0] == first.navigations[1]
     assert first.frames == (FrameRange(0, 599), FrameRange(0, 399))
-    assert (first.backend, find_preset("II", 0, None).backend) == ("ukf", "sfm")
+    assert (first.slam.backend, find_preset("II", 0, None).slam.backend) == ("ukf", "sfm")
     assert any("stand" in s or "rendered" in s for s in first.story.setting)
     with pytest.raises(ConfigError, match="needs --euroc"):
         find_preset("I", 0, tmp_path / "nowhere")
+
+
+def test_the_first_as_the_thesis_ran_it_uses_the_same_data(tmp_path: Path) -> None:
+    states = tmp_path / "mav0" / "state_groundtruth_estimate0"
+    states.mkdir(parents=True)
+    (states / "data.csv").touch()
+    ours = find_preset("I", 3, tmp_path)
+    theirs = find_preset(ours.as_thesis, 3, tmp_path)
+    assert (theirs.navigations, theirs.frames) == (ours.navigations, ours.frames)
+    assert theirs.slam == SlamChoice("ukf", landmarks="thesis", initial_state="given")
+    assert (theirs.mode, theirs.thesis.eps, theirs.thesis.min_pts, theirs.thesis.inlier_ratio) == (
+        "thesis",
+        0.3,
+        11,
+        0.75,
+    )
+    assert not theirs.as_thesis and "true state" in " ".join(theirs.story.setting)
+    assert ours.slam.initial_state == "own"
 
 
 def test_an_option_replaces_one_of_the_numbers_set_by_hand() -> None:

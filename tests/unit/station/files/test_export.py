@@ -1,6 +1,5 @@
 """Exports are read back by the readers of their formats."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +18,7 @@ from station.main import app
 from station.model.navigation import Navigation
 from tests.support.datasets import frames_of
 from tests.support.navigations import small_navigation
+from tests.support.open3d import skip_without_open3d
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
 nav = small_navigation()
@@ -76,8 +76,7 @@ def test_evo_and_open3d_read_what_they_should(folder: Path, tmp_path: Path) -> N
     read = file_interface.read_tum_trajectory_file(str(export(folder, "tum", tmp_path / "a.tum")))
     np.testing.assert_allclose(np.array(read.poses_se3), nav.trajectory.T_world_body, atol=1e-8)
     cloud = export(folder, "ply", tmp_path / "a.ply")
-    if importlib.util.find_spec("open3d") is None:
-        pytest.skip("open3d is not installed; evo has read its part")
+    skip_without_open3d()
     # In a process of its own: its import brings a dozen warnings and threads along.
     code = "import sys, open3d; print(open3d.io.read_point_cloud(sys.argv[1]).points.__len__())"
     said = subprocess.run([sys.executable, "-W", "ignore", "-c", code, cloud], capture_output=True, text=True)

@@ -16,7 +16,7 @@ from station.places.making.build import build_map, carry_names
 from station.places.making.changes import with_place_hidden, with_places_merged, without_hidden
 from station.places.making.config import PlacesMode
 from station.places.making.place_images import images_of_place
-from station.places.tracking.current import CurrentPlaceEstimator
+from tests.support.places import estimator_of
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
 
@@ -102,7 +102,7 @@ def test_a_place_stays_hidden_when_the_map_is_made_anew(place_map: PlaceMap) -> 
 
 
 def test_a_hidden_place_is_no_candidate_and_the_pose_is_kept(place_map: PlaceMap) -> None:
-    estimator = CurrentPlaceEstimator([place_map])
+    estimator = estimator_of(place_map)
     before = estimator.place_probabilities()
     gone = place_map.places[0]
     estimator.regroup([without_hidden(with_place_hidden(place_map, gone.id, True))])

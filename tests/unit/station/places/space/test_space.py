@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from shared.geometry import FloatArray, carry_poses, se3, sim3, so3_exp, transform, yaw_rotation
 from station.model.navigation import Navigation, NavigationReport
 from station.places.space.space import Space
-from station.places.tracking.current import CurrentPlaceEstimator
-from tests.support.places import seen
+from tests.support.places import estimator_of, seen
 from tests.support.rooms import mapped, room_with_a_door, walls
 
 WITHIN = np.array([[2.5, 2.0, 0.0], [1.3, 2.0, 0.0], [2.0, 3.3, 0.0], [3.3, 3.0, 0.0]])
@@ -94,7 +93,7 @@ def test_a_navigation_that_saw_nothing_knows_nothing() -> None:
 
 
 def test_a_robot_behind_the_door_is_told_that_it_is_not_in_the_map() -> None:
-    estimator = CurrentPlaceEstimator([room_with_a_door()])
+    estimator = estimator_of(room_with_a_door())
     many = tuple(range(400))
     for k in range(6):  # looks back through the door and knows exactly where it is
         estimator.on_candidates([seen(k, se3(yaw_rotation(np.pi), np.array([4.9, 2.0, 0.0])), landmarks=many)])

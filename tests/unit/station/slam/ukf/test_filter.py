@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -12,7 +14,7 @@ from station.motion.error_coordinates import ErrorKind, difference_group, pose_j
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.filter.config import FilterConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace
+from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace, WheelConfig, wheel_velocity
 from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.landmarks import measure_landmarks
 from station.slam.ukf.filter.measurement import linearise, regress
@@ -22,6 +24,7 @@ from station.slam.ukf.filter.state import (
     XI_X,
     FilterState,
     add_clone,
+    add_wheels,
     initial_state,
     keep_landmarks,
     remove_clone,
@@ -248,6 +251,25 @@ def test_body_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
     for column in range(state.S.shape[1]):
         a, b = (retract(kind, state, sign * h * state.S[:, column]) for sign in (1.0, -1.0))
         assert np.allclose(A[:, column], (a.R.T @ a.v - b.R.T @ b.v) / (2 * h), atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_wheel_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
+    config = WheelConfig()
+    state = add_wheels(random_state(17), np.array([0.9, 0.03]), np.array([0.1, 0.05]))
+    constraint = wheel_velocity(config, state.wheels, 0.6, 0.4, 1.0)
+    assert constraint is not None
+    rows = replace(constraint, sigma=np.ones(3), gate=np.inf).rows(state, kind)
+    h = 1e-6
+
+    def missing(s: FilterState) -> FloatArray:
+        """What the wheels say of the velocity and the state does not."""
+        return np.array([s.wheels[0] * 0.4, s.wheels[1] * 0.6, 0.0]) - s.R.T @ s.v
+
+    assert np.allclose(rows.r, missing(state))
+    for column in range(state.S.shape[1]):
+        a, b = (retract(kind, state, sign * h * state.S[:, column]) for sign in (1.0, -1.0))
+        assert np.allclose(rows.A[:, column], (missing(b) - missing(a)) / (2 * h), atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)

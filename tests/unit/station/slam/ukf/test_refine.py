@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, so3_log
-from station.model.frames import ImageFrame
+from station.experiments.trajectory_error import relative_pose_error
 from station.model.navigation import Trajectory
-from station.motion.imu_buffer import ImuBuffer
-from station.motion.preintegration import preintegrate
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.pose_log import PoseLog, follow_poses
 from station.slam.ukf.map.refine import refine_segment
 from station.vision.camera_model import CameraModel
-from tests.support.synthetic_run import observe, room_points, sine_path
-from tests.support.trajectory import relative_pose_error
+from tests.support.synthetic_run import true_keyframes
 
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 CAMERA = msgspec.structs.replace(REFERENCE_CAMERA, fx=458.0, fy=457.0, line_delay_s=0.0, time_shift_s=0.0)
@@ -27,24 +25,12 @@ CALIBRATION = Calibration(camera=CAMERA, imu=NOISE)
 
 def drifting_keyframes(seed: int) -> tuple[list[Keyframe], FloatArray]:
     """Six seconds, 20 keyframes per second, poses that sway by 5 cm; and the true poses (K, 4, 4)."""
-    imu, truth = sine_path(CALIBRATION, seed, 6.0)
-    frames = observe(CALIBRATION, truth, room_points(truth.x_world, seed), 0.5, seed)
-    buffer = ImuBuffer(NOISE, keep_s=10.0)
-    buffer.add(imu)
-    T_true = np.array([se3(R, x) for R, x in zip(truth.R_world_body, truth.x_world, strict=True)])
-    drift = 0.05 * np.sin(np.arange(len(T_true))[:, None] * np.array([0.2, 0.23, 0.17]))
-    keyframes = []
-    for k, frame in enumerate(frames):
-        bias = np.concatenate([truth.bias_gyro[k], truth.bias_accel[k]])
-        T = T_true[k].copy()
-        T[:3, 3] += drift[k]
-        link = None
-        if k:
-            link = preintegrate(buffer.segment(int(truth.t_ns[k - 1]), int(truth.t_ns[k])), bias, NOISE)
-        image = ImageFrame(k, int(truth.t_ns[k]), 0, b"")
-        rgb = np.zeros((len(frame.ids), 3), dtype=np.uint8)
-        v, omega = truth.v_world[k], truth.omega_body[k]
-        keyframes.append(Keyframe(image, frame, rgb, T, v, omega, bias, 0, link, None))
+    true = true_keyframes(CALIBRATION, CALIBRATION, seed, 6.0, 0.5)
+    T_true = np.array([k.T_world_body for k in true])
+    drift = 0.05 * np.sin(np.arange(len(true))[:, None] * np.array([0.2, 0.23, 0.17]))
+    keyframes = [
+        replace(k, T_world_body=se3(T[:3, :3], T[:3, 3] + d)) for k, T, d in zip(true, T_true, drift, strict=True)
+    ]
     return keyframes, T_true
 
 

@@ -6,7 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.calibration_curve import Bin, calibration_bins, calibration_error, draw_calibration, wilson_interval
+from station.experiments.calibration_curve import (
+    Bin,
+    calibration_bins,
+    calibration_error,
+    draw_calibration,
+    wilson_interval,
+)
 
 
 def test_shares_and_probabilities_are_counted_by_tenths() -> None:

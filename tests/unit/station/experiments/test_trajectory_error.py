@@ -5,13 +5,13 @@ import pytest
 
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, quat_from_rotation, se3, so3_exp, transform, yaw_rotation
-from station.model.navigation import Trajectory
-from tests.support.trajectory import (
+from station.experiments.trajectory_error import (
     absolute_trajectory_error,
     interpolate_poses,
     path_length,
     relative_pose_error,
 )
+from station.model.navigation import Trajectory
 
 
 def wander(seed: int, count: int = 60) -> FloatArray:
@@ -63,6 +63,24 @@ def test_absolute_and_relative_errors_agree_with_evo(kind: str) -> None:
     relative = relative_pose_error(estimate, truth, 1.0, scale=ours.alignment.scale)
     assert relative.num_pairs == 50
     assert relative.translation_rmse_m == pytest.approx(rpe.get_statistic(evo_metrics.StatisticsType.rmse), rel=1e-9)
+
+
+def test_errors_are_given_along_the_axes_of_the_truth() -> None:
+    truth = Trajectory(np.arange(60) * 10**8, wander(2))
+    tilted = truth.T_world_body.copy()
+    tilted[:, :3, :3] = so3_exp(np.array([0.02, 0.0, 0.0])) @ tilted[:, :3, :3]
+    tilted[::2, 2, 3] += 0.01
+    tilted[1::2, 2, 3] -= 0.01
+    error = absolute_trajectory_error(Trajectory(truth.t_robot_ns, tilted), truth, "yaw")
+    np.testing.assert_allclose(error.turns_rad, np.tile([0.02, 0.0, 0.0], (60, 1)), atol=1e-4)
+    np.testing.assert_allclose(error.offsets_m[:, 2], np.where(np.arange(60) % 2, -0.01, 0.01), atol=1e-9)
+    assert error.rmse_m == pytest.approx(0.01, abs=1e-5) and error.rotation_rmse_rad == pytest.approx(0.02, rel=1e-3)
+
+
+def test_a_second_is_a_second_though_stamps_are_rounded() -> None:
+    t = np.array([round(k * 1e9 / 30) for k in range(60)])
+    path = Trajectory(t, wander(4))
+    assert relative_pose_error(path, path, 1.0).num_pairs == 30
 
 
 def test_yaw_alignment_leaves_tilt_in_the_error() -> None:

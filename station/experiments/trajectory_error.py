@@ -16,6 +16,7 @@ from shared.geometry import FloatArray, IntArray, inverse, se3, slerp, so3_log, 
 from station.experiments.alignment import Alignment, AlignmentKind, align_points
 
 MAX_GAP_NS = 100_000_000  # truth further apart than this is not interpolated
+STAMP_ROUNDING_NS = 1_000_000  # times of a constant rate, rounded: 30 frames at 30 Hz may be 10 ns short of a second
 
 
 class Poses(Protocol):
@@ -38,13 +39,14 @@ class TrajectoryError:
     max_m: float
     rotation_rmse_rad: float
     alignment: Alignment  # T_truth_estimate
-    errors_m: FloatArray  # (M,) one per compared pose
+    offsets_m: FloatArray  # (M, 3) aligned estimate minus truth, truth's axes, one per compared pose
+    turns_rad: FloatArray  # (M, 3) rotation vectors from the truth to the aligned estimate, truth's axes
     t_robot_ns: IntArray  # (M,) the compared times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativeError:
-    """Relative pose error over a fixed time: drift, whatever the alignment."""
+    """Relative pose error over a fixed time: drift, whatever the rigid alignment."""
 
     delta_s: float
     translation_rmse_m: float
@@ -91,24 +93,26 @@ def absolute_trajectory_error(estimate: Poses, truth: Poses, kind: AlignmentKind
         raise DegenerateGeometry(f"estimate and truth share {len(kept)} times, at least 3 are needed")
     T_est = estimate.T_world_body[kept]
     alignment = align_points(T_truth[:, :3, 3], T_est[:, :3, 3], kind)
-    errors = np.linalg.norm(T_truth[:, :3, 3] - transform(alignment.T_target_source, T_est[:, :3, 3]), axis=1)
-    angles = np.linalg.norm(
-        so3_log(np.swapaxes(T_truth[:, :3, :3], 1, 2) @ alignment.R_target_source @ T_est[:, :3, :3]), axis=1
-    )
+    offsets = transform(alignment.T_target_source, T_est[:, :3, 3]) - T_truth[:, :3, 3]
+    turns = so3_log(alignment.R_target_source @ T_est[:, :3, :3] @ np.swapaxes(T_truth[:, :3, :3], 1, 2))
+    errors = np.linalg.norm(offsets, axis=1)
     return TrajectoryError(
         rmse_m=_rms(errors),
         mean_m=float(errors.mean()),
         median_m=float(np.median(errors)),
         max_m=float(errors.max()),
-        rotation_rmse_rad=_rms(angles),
+        rotation_rmse_rad=_rms(np.linalg.norm(turns, axis=1)),
         alignment=alignment,
-        errors_m=errors,
+        offsets_m=offsets,
+        turns_rad=turns,
         t_robot_ns=np.asarray(estimate.t_robot_ns)[kept],
     )
 
 
 def relative_pose_error(estimate: Poses, truth: Poses, delta_s: float, scale: float = 1.0) -> RelativeError:
     """Compare motions over delta_s. Pairs: each estimated pose and the first one at least delta_s later.
+
+    At a constant rate these are evo's pairs of so many frames, all of them (`all_pairs`).
 
     Args:
         scale: factor on the estimate's translations, for navigations of arbitrary scale.
@@ -120,7 +124,7 @@ def relative_pose_error(estimate: Poses, truth: Poses, delta_s: float, scale: fl
     T_est = estimate.T_world_body[kept].copy()
     T_est[:, :3, 3] *= scale
     delta_ns = round(delta_s * 1e9)
-    end = np.searchsorted(t, t + delta_ns)
+    end = np.searchsorted(t, t + delta_ns - STAMP_ROUNDING_NS)
     begin = np.flatnonzero(end < len(t))
     begin = begin[t[end[begin]] - t[begin] <= 1.5 * delta_ns]
     if not len(begin):

@@ -1,0 +1,118 @@
+"""The product's promise with everything real: simulated robot, robot-server, station, SLAM, map, hijack, current place.
+
+Only the body of the robot and the flat are simulated. One running system serves all tests, so that the map is made
+once; the programs, the driver and the judge are those of `station demo`. The drives take most of the time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from playwright.async_api import Browser, Page, expect
+
+from shared.geometry import FloatArray
+from station.demo.demo import (
+    Demo,
+    DemoOptions,
+    Outcome,
+    Timings,
+    centroids,
+    describe,
+    hijack,
+    map_hijack_and_ask,
+    start_programs,
+)
+from station.demo.folder import fresh_folder
+from station.demo.judge import MAX_SCALE_ERROR, align_map, carried, is_right
+from station.demo.processes import Programs
+from tests.e2e.conftest import LAPTOP
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+MOVED_M = 0.15
+TURNED_RAD = 0.5
+
+
+@dataclass
+class RealSystem:
+    """Programs that run, a map of the flat, and what came of the hijack."""
+
+    demo: Demo
+    outcome: Outcome
+    said: list[str]
+
+    def true_pose(self) -> FloatArray:
+        """T_world_body (4, 4), by the simulator."""
+        return np.array(self.demo.simulator.ask(cmd="truth")["T_world_body"])
+
+    def is_right(self, place_name: str) -> bool:
+        """Whether the place of that name is the nearest to where the robot truly is."""
+        T_world_map = align_map(self.outcome.map_trajectory, self.demo.simulator.truth_log()).T_target_source
+        centroids_true = carried(centroids(self.outcome.places), T_world_map)
+        named = [p["id"] for p in self.outcome.places if p["name"] == place_name]
+        return len(named) == 1 and is_right(named[0], centroids_true, self.true_pose()[:3, 3])
+
+
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealSystem]:
+    out = tmp_path_factory.mktemp("demo")
+    said: list[str] = []
+    options = DemoOptions(seed=1, once=True, port=0, world="small", backend=None, out=out)
+    with Programs(out / "logs") as programs:
+        data = fresh_folder(out)
+        demo = start_programs(options, programs, data, said.append)
+        try:
+            yield RealSystem(demo, map_hijack_and_ask(demo, data, Timings()), said)
+        finally:
+            demo.simulator.close()
+
+
+def test_a_hijacked_robot_is_found_in_the_map_that_slam_made(system: RealSystem) -> None:
+    verdict = system.outcome.verdict
+    story = "\n".join([*system.said, describe(verdict)])
+    assert any("(ukf, metric scale)" in line for line in system.said), story
+    assert verdict.right > 0 and verdict.wrong == 0, story
+    assert abs(verdict.map_scale - 1.0) <= MAX_SCALE_ERROR, story
+
+
+@pytest.mark.browser
+@pytest.mark.asyncio(loop_scope="module")
+async def test_the_page_shows_the_place_where_the_joystick_has_driven_the_robot(
+    system: RealSystem, browser: Browser
+) -> None:
+    context = await browser.new_context(**LAPTOP)
+    page = await context.new_page()
+    await page.goto(system.demo.station.address)
+    await asyncio.to_thread(hijack, system.demo)
+    await drive_by_joystick(page, system)
+    place = page.locator("#place")
+    await expect(place).to_have_attribute("data-state", "known")
+    name = await page.locator("#place-name").inner_text()
+    assert await asyncio.to_thread(system.is_right, name), f"the page says {name}"
+    await context.close()
+
+
+async def drive_by_joystick(page: Page, system: RealSystem) -> None:
+    """Hold the joystick forward and aside until the robot has truly moved; press anew when the page let go of it."""
+    await page.wait_for_selector("#video[data-seq]")
+    box = await page.locator("#stick").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    begin = await asyncio.to_thread(system.true_pose)
+    while not has_moved(begin, await asyncio.to_thread(system.true_pose)):
+        if not await page.locator("#stick.held").count():
+            await page.mouse.up()
+            await page.wait_for_selector(".age:not(.bad)")
+            await page.mouse.move(x, y)
+            await page.mouse.down()
+            await page.mouse.move(x - 40, y - 40, steps=3)
+    await page.mouse.up()
+
+
+def has_moved(before: FloatArray, now: FloatArray) -> bool:
+    way_m = float(np.linalg.norm(now[:3, 3] - before[:3, 3]))
+    turned_rad = float(np.arccos(np.clip(before[:3, 0] @ now[:3, 0], -1.0, 1.0)))
+    return way_m > MOVED_M or turned_rad > TURNED_RAD

@@ -1,0 +1,47 @@
+"""How noisy the IMU is taken to be, from what it reads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shared.calibration import ImuNoise
+from shared.geometry import FloatArray
+from station.model.frames import ImuBatch
+from station.motion.imu_buffer import ON_WHEELS, ImuBuffer
+
+NOISE = ImuNoise(gyro_density=2e-4, accel_density=2e-3, gyro_walk=0.0, accel_walk=0.0, rate_hz=200.0)
+T_S = np.arange(800) / NOISE.rate_hz
+
+
+def noise_scale(gyro: FloatArray, accel: FloatArray) -> FloatArray:
+    """(2,) mean over the stream of what the segments between pictures say."""
+    buffer = ImuBuffer(NOISE, ON_WHEELS)
+    t_ns = np.rint(T_S * 1e9).astype(np.int64)
+    buffer.add(ImuBatch(t_ns, gyro, accel))
+    segments = [buffer.segment(int(t), int(t) + 50_000_000) for t in t_ns[200:-20:20]]
+    return np.asarray(np.mean([s.noise_scale[0] for s in segments], axis=0))
+
+
+def white(seed: int, density: float) -> FloatArray:
+    return np.random.default_rng(seed).normal(0.0, density * np.sqrt(NOISE.rate_hz), (len(T_S), 3))
+
+
+def test_white_noise_is_measured_as_what_it_is() -> None:
+    scale = noise_scale(white(1, 3.0 * NOISE.gyro_density), white(2, 5.0 * NOISE.accel_density))
+    assert scale == pytest.approx([3.0, 5.0], rel=0.1)
+
+
+def test_a_resting_sensor_has_the_noise_of_its_data_sheet() -> None:
+    scale = noise_scale(white(3, NOISE.gyro_density), white(4, NOISE.accel_density))
+    assert (scale >= 1.0).all() and scale == pytest.approx([1.0, 1.0], abs=0.15)
+
+
+def test_motion_is_no_noise() -> None:
+    swing = np.sin(2 * np.pi * 0.7 * T_S)[:, None] * np.ones(3)  # as fast as a small robot starts and turns
+    assert noise_scale(0.8 * swing, 2.0 * swing) == pytest.approx([1.0, 1.0], abs=0.2)
+
+
+def test_what_alternates_between_samples_averages_out() -> None:
+    buzz = np.where(np.arange(len(T_S)) % 2 == 0, 1.0, -1.0)[:, None] * np.ones(3)
+    assert noise_scale(0.1 * buzz, buzz) == pytest.approx([1.0, 1.0], abs=1e-9)
