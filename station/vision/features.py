@@ -21,12 +21,28 @@ Float32Array = npt.NDArray[np.float32]
 
 MAX_FEATURES = 800
 MAX_DETAILS = 1200
-CONTRAST = 0.02  # of what is looked for
-DETAIL_CONTRAST = 0.01  # of what a map takes besides: its landmarks need not be recognised by themselves
 LAYERS = 3  # per octave, OpenCV's default
 LARGE_WIDTH_PX = 500  # from here on an image is described at half its size; docs/localisation.md has the comparison
 # Root of a share of the L1 norm, times this: a unit vector of length 512 whose entries rarely reach 255.
 BYTE_SCALE = 512.0
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How an image is searched."""
+
+    contrast: float  # of what is looked for
+    detail_contrast: float  # of what a map takes besides: its landmarks need not be recognised by themselves
+    edge_ratio: float  # a corner on a stronger edge than this is left out: it may slide along
+    is_evened: bool  # local contrast is made about the same all over the image first
+
+
+FIRST_LOOK = Look(contrast=0.02, detail_contrast=0.01, edge_ratio=10.0, is_evened=False)
+# Painted walls and plain furniture show faint corners and the ends of edges, often in the shade.
+SECOND_LOOK = Look(contrast=0.03, detail_contrast=0.015, edge_ratio=20.0, is_evened=True)
+FEW_FEATURES = 300  # fewer at the first look: of such images far fewer are recognised, so they are looked at again
+EVENED_TILES = (8, 6)
+EVENED_CLIP = 4.0  # of a tile's histogram: limits how far noise is amplified
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,52 +65,67 @@ class Details:
 
 
 class FeatureExtractor:
-    """Detects and describes. Holds the library's detector, so one per thread."""
+    """Detects and describes. Holds the library's detectors, so one per thread."""
 
     def __init__(self, max_features: int = MAX_FEATURES) -> None:
-        self._sift = _detector(max_features, CONTRAST)
+        self._first = _Finder(FIRST_LOOK, FIRST_LOOK.contrast, max_features)
+        self._second = _Finder(SECOND_LOOK, SECOND_LOOK.contrast, max_features)
 
     def extract(self, grey: ImageArray) -> Features:
         """Features of an image (H, W); none on a featureless one."""
-        return _find(self._sift, grey)[0]
+        found, _ = self._first.find(grey)
+        return found if len(found) >= FEW_FEATURES else self._second.find(grey)[0]
 
 
 class DetailExtractor:
     """The same for a map: one look gives what localisation sees in an image, and what else landmarks come from."""
 
     def __init__(self) -> None:
-        self._sift = _detector(2 * MAX_DETAILS, DETAIL_CONTRAST)  # some are found twice
+        limit = 2 * MAX_DETAILS  # some are found twice
+        self._first = _Finder(FIRST_LOOK, FIRST_LOOK.detail_contrast, limit)
+        self._second = _Finder(SECOND_LOOK, SECOND_LOOK.detail_contrast, limit)
 
     def extract(self, grey: ImageArray) -> Details:
-        found, response = _find(self._sift, grey)
-        count = int(np.count_nonzero(response * np.float32(LAYERS) >= np.float32(CONTRAST)))
-        if count > MAX_FEATURES:  # as OpenCV has it: those as strong as the last one are taken, too
-            count = int(np.count_nonzero(response >= response[MAX_FEATURES - 1]))
-        # A corner that was described twice, turned two ways, would become two landmarks.
-        _, first = np.unique(found.uv_px, axis=0, return_index=True)
-        rows = np.sort(first)[:MAX_DETAILS]
-        seen = Features(found.uv_px[:count].copy(), found.descriptors[:count].copy())  # not the whole, kept alive
-        return Details(seen, Features(found.uv_px[rows], found.descriptors[rows]))
+        details = _details(self._first, grey)
+        return details if len(details.seen) >= FEW_FEATURES else _details(self._second, grey)
 
 
-def _detector(max_features: int, contrast: float) -> cv2.SIFT:
-    # Without "precise", features lie a quarter of a pixel too far right and down (blobs at known places).
-    return cv2.SIFT.create(max_features, LAYERS, contrast, enable_precise_upscale=True)
+class _Finder:
+    """One look at images."""
+
+    def __init__(self, look: Look, contrast: float, max_features: int) -> None:
+        self.look = look
+        # Without "precise", features lie a quarter of a pixel too far right and down (blobs at known places).
+        self._sift = cv2.SIFT.create(max_features, LAYERS, contrast, look.edge_ratio, enable_precise_upscale=True)
+        self._evened = cv2.createCLAHE(EVENED_CLIP, EVENED_TILES) if look.is_evened else None
+
+    def find(self, grey: ImageArray) -> tuple[Features, Float32Array]:
+        """Features of an image (H, W), responses (n,): contrast over LAYERS. Their order depends on them only."""
+        # SIFT doubles an image before it looks for details: of a large one, that octave is noise and costs most.
+        scale = 0.5 if grey.shape[1] >= LARGE_WIDTH_PX else 1.0
+        seen = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        if self._evened is not None:
+            seen = self._evened.apply(seen)
+        keypoints, raw = self._sift.detectAndCompute(seen, None)
+        if raw is None or not len(keypoints):
+            return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)), np.zeros(0, dtype=np.float32)
+        uv = (np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5) / scale - 0.5  # pixels' centres stay centres
+        response = np.array([k.response for k in keypoints], dtype=np.float32)
+        angle = np.array([k.angle for k in keypoints])
+        order = np.lexsort((angle, uv[:, 1], uv[:, 0], -response))
+        return Features(uv[order], to_bytes(np.asarray(raw, dtype=np.float32)[order])), response[order]
 
 
-def _find(sift: cv2.SIFT, grey: ImageArray) -> tuple[Features, Float32Array]:
-    """Features of an image (H, W) and their responses (n,): contrast over LAYERS. Their order depends on them only."""
-    # SIFT doubles an image before it looks for details: of a large one, that octave is noise and costs most.
-    scale = 0.5 if grey.shape[1] >= LARGE_WIDTH_PX else 1.0
-    seen = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    keypoints, raw = sift.detectAndCompute(seen, None)
-    if raw is None or not len(keypoints):
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)), np.zeros(0, dtype=np.float32)
-    uv = (np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5) / scale - 0.5  # centres of pixels stay centres
-    response = np.array([k.response for k in keypoints], dtype=np.float32)
-    angle = np.array([k.angle for k in keypoints])
-    order = np.lexsort((angle, uv[:, 1], uv[:, 0], -response))
-    return Features(uv[order], to_bytes(np.asarray(raw, dtype=np.float32)[order])), response[order]
+def _details(finder: _Finder, grey: ImageArray) -> Details:
+    found, response = finder.find(grey)
+    count = int(np.count_nonzero(response * np.float32(LAYERS) >= np.float32(finder.look.contrast)))
+    if count > MAX_FEATURES:  # as OpenCV has it: those as strong as the last one are taken, too
+        count = int(np.count_nonzero(response >= response[MAX_FEATURES - 1]))
+    # A corner that was described twice, turned two ways, would become two landmarks.
+    _, first = np.unique(found.uv_px, axis=0, return_index=True)
+    rows = np.sort(first)[:MAX_DETAILS]
+    seen = Features(found.uv_px[:count].copy(), found.descriptors[:count].copy())  # not the whole, kept alive
+    return Details(seen, Features(found.uv_px[rows], found.descriptors[rows]))
 
 
 def extract_encoded(encoded: bytes, extractor: FeatureExtractor) -> Features:

@@ -36,7 +36,7 @@ UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, Runti
 DIGEST = Row(np.dtype(np.uint8), hashlib.sha256().digest_size)
 UV = Row(np.dtype(np.float64), 2)
 DESCRIPTOR = Row(np.dtype(np.uint8), 128)
-VERSION = 3  # of how pictures are described: count it up when that changes
+VERSION = 4  # of how pictures are described: count it up when that changes
 DESCRIBED_BY = f"{VERSION} cv2 {cv2.__version__} numpy {np.__version__}"
 
 

@@ -33,8 +33,10 @@ class LocalizerConfig:
     num_proposals: int = 16  # keyframes taken from the appearance index of each map
     max_groups: int = 3  # regions of each map that geometry is tried on
     group_size: int = 6  # keyframes matched together
+    min_shared: int = 10  # landmarks that keyframes of one region share,
+    min_shared_ratio: float = 0.25  # ... or so large a share of the landmarks of the one that shows fewer
     matching: MatchingConfig = field(default_factory=MatchingConfig)
-    min_inliers: int = 16
+    min_inliers: int = 10  # the belief weighs a pose by how many there are
     min_inlier_ratio: float = 0.3  # of the guided matches
     min_cells: int = 6  # of 8 x 6 image cells that hold an inlier: one poster is no room
     max_sigma: float = 0.25  # position uncertainty, as a share of the inliers' median depth
@@ -168,11 +170,15 @@ class Localizer:
             for i in list(left):
                 if len(group) == self.config.group_size:
                     break
-                if len(mine.intersection(self._keyframes[i].features.landmark.tolist())) >= 10:
+                if self._is_same_region(mine, set(self._keyframes[i].features.landmark.tolist())):
                     group.append(i)
                     left.remove(i)
             groups.append(group)
         return groups
+
+    def _is_same_region(self, a: set[int], b: set[int]) -> bool:
+        c, shared = self.config, len(a & b)
+        return shared >= c.min_shared or 0 < c.min_shared_ratio * min(len(a), len(b)) <= shared
 
     def _distinct(self, poses: list[FoundPose]) -> list[FoundPose]:
         """The poses by their inliers; of those that say the same, the best one."""

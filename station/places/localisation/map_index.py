@@ -14,10 +14,11 @@ import numpy.typing as npt
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DESCRIBED_BY, DescribedPictures
 from station.places.localisation.keyframe_features import KeyframeFeatures, describe_keyframes
+from station.places.localisation.region_pose import MIN_MATCHES
 from station.vision.appearance import AppearanceIndex
 
 Arrays = Mapping[str, npt.NDArray[np.generic]]
-VERSION = 2  # of how described pictures are indexed: count it up when that changes
+VERSION = 3  # of how described pictures are indexed: count it up when that changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +30,10 @@ class MapIndex:
 
     @classmethod
     def of_keyframes(cls, described: Sequence[KeyframeFeatures]) -> MapIndex:
-        return cls(tuple(described), AppearanceIndex([keyframe.all_descriptors for keyframe in described]))
+        """A keyframe on which no pose can rest is not proposed: it would take the place of one that can give it."""
+        nothing = np.zeros((0, 128), np.uint8)
+        shown = [k.all_descriptors if len(k.landmark) >= MIN_MATCHES else nothing for k in described]
+        return cls(tuple(described), AppearanceIndex(shown))
 
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
         """All of it but the descriptors that have no position: they have made the appearance, and are not needed."""

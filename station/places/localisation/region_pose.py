@@ -15,6 +15,8 @@ from station.vision.camera_pose import CameraPose, solve_pose, solve_pose_from
 from station.vision.features import Features, Float32Array, to_floats
 from station.vision.matching import clearly_nearest
 
+MIN_MATCHES = 6  # fewer agree on a pose by chance
+
 
 @dataclass(frozen=True, slots=True)
 class MatchingConfig:
@@ -63,14 +65,14 @@ def find_pose(
     query, found = clearly_nearest(similarity, c.ratio, owner=landmark)
     alike = similarity[query, found] > c.min_similarity
     query, found = query[alike], found[alike]
-    if len(query) < 6:
+    if len(query) < MIN_MATCHES:
         return None
     tolerance = c.pixel_tolerance / camera.fx
     first = solve_pose(p_map[found], rays[query], tolerance)
-    if first is None or first.num_inliers < 6:
+    if first is None or first.num_inliers < MIN_MATCHES:
         return None
     query, found = _match_guided(first, rays, p_map, similarity, c.guided_radius_px / camera.fx, c.min_similarity)
-    if len(query) < 6:
+    if len(query) < MIN_MATCHES:
         return None
     pose = solve_pose_from(first.T_map_cam, p_map[found], rays[query], tolerance)
     if pose is None:

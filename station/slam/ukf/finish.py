@@ -42,7 +42,8 @@ def make_navigation(
         calibration: as told; that of a map from views is corrected by what the drive says of it.
     """
     fit = memory.calibration_check.finish()
-    made = _from_views(memory, camera, calibration, fit) or _from_tracks(memory, camera, calibration, config)
+    made = _from_views(memory, camera, calibration, fit, config)
+    made = made or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
         landmarks=len(made.landmarks),
@@ -67,7 +68,11 @@ class _Made:
 
 
 def _from_views(
-    memory: NavigationMemory, camera: CameraModel, calibration: Calibration, fit: CalibrationFit | None
+    memory: NavigationMemory,
+    camera: CameraModel,
+    calibration: Calibration,
+    fit: CalibrationFit | None,
+    config: UkfConfig,
 ) -> _Made | None:
     """Loops closed and everything refined, by the camera as the drive's end knows it.
 
@@ -77,7 +82,14 @@ def _from_views(
         return None
     assert calibration.camera is not None and calibration.imu is not None
     better = corrected(calibration.camera, fit).camera
-    made = map_views(memory.views, memory.poses, CameraModel.of(better, camera.sigma_px), better, calibration.imu)
+    made = map_views(
+        memory.views,
+        memory.poses,
+        CameraModel.of(better, camera.sigma_px),
+        better,
+        calibration.imu,
+        lambda: len(make_landmarks(memory.keyframes.items, camera, config.quality)),
+    )
     if made is None:
         return None
     facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}

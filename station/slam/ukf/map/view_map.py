@@ -7,6 +7,7 @@ motion; the machinery is the same (station/slam/mapping/odometry_mapping.py).
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,11 +48,18 @@ class ViewMap:
 
 
 def map_views(
-    views: MapViews, poses: PoseLog, camera: CameraModel, calibration: CameraCalibration, noise: ImuNoise
+    views: MapViews,
+    poses: PoseLog,
+    camera: CameraModel,
+    calibration: CameraCalibration,
+    noise: ImuNoise,
+    count_tracks: Callable[[], int],
 ) -> ViewMap | None:
     """Map every segment and move its poses along.
 
-    None where views have too few landmarks: SIFT cannot tell the fields of a chessboard apart, tracks can.
+    None where views have too few landmarks, and tracks would give more (`count_tracks` tells how many): SIFT cannot
+    tell the fields of a chessboard apart, tracks can. Before plain walls both have few, and those of views are
+    recognised again.
     """
     parts: list[tuple[Reconstructed, list[View], FloatArray]] = []
     loops, errors = 0, []
@@ -74,7 +82,8 @@ def map_views(
         loops += made.num_loops
         errors.append(made.median_error_px)
     num_views = sum(len(items) for _, items, _ in parts)
-    if not parts or sum(len(part.landmarks) for part, _, _ in parts) < MIN_LANDMARKS_PER_VIEW * num_views:
+    num_landmarks = sum(len(part.landmarks) for part, _, _ in parts)
+    if num_landmarks == 0 or (num_landmarks < MIN_LANDMARKS_PER_VIEW * num_views and num_landmarks < count_tracks()):
         return None
     for part, items, T_filter in parts:
         T_new = part.keyframes.T_world_cam @ calibration.T_cam_body_matrix

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import pytest
 
 from station.model.frames import ImageArray
-from station.vision.features import MAX_DETAILS, MAX_FEATURES, DetailExtractor, FeatureExtractor
+from station.vision.features import FEW_FEATURES, MAX_DETAILS, MAX_FEATURES, DetailExtractor, FeatureExtractor, Features
 
 
 @pytest.mark.parametrize("width", [320, 640])  # described as it is, and at half its size
@@ -66,3 +68,16 @@ def test_threads_do_not_change_what_is_found() -> None:
 def test_a_blank_picture_has_no_details() -> None:
     details = DetailExtractor().extract(np.full((480, 640), 90, dtype=np.uint8))
     assert len(details.seen) == len(details.features) == len(details.features.descriptors) == 0
+
+
+@pytest.mark.parametrize("extract", [FeatureExtractor().extract, lambda grey: DetailExtractor().extract(grey).seen])
+def test_a_picture_in_the_shade_is_looked_at_again(extract: Callable[[ImageArray], Features]) -> None:
+    lit = patches(5, 14.0)
+    shaded = np.round(lit * 0.06).astype(np.uint8)
+    alone = cv2.SIFT.create(MAX_FEATURES, 3, 0.02, enable_precise_upscale=True)
+    half = cv2.resize(shaded, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    assert len(alone.detect(half, None)) < FEW_FEATURES
+    found, true = extract(shaded), extract(lit).uv_px
+    assert len(found) > FEW_FEATURES
+    distance = np.linalg.norm(found.uv_px[:, None] - true[None], axis=2).min(axis=1)
+    assert np.mean(distance < 2.0) > 0.5  # corners of the picture, not noise
