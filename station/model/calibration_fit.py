@@ -21,8 +21,9 @@ UNKNOWN: Final = "not known yet"
 MAX_FOCAL_ERROR = 0.0225
 MAX_MOUNTING_DEG = 2.0
 MAX_TIME_SHIFT_S = 0.010
-# Of 5 % a fit has said 3: corrected by that (best_camera.py), more is left than is borne. Below this at most 2 % is.
-MAX_CORRECTED_FOCAL_ERROR = 0.0275
+# Of 5 % a fit has said 3: corrected by that (best_camera.py), more is left than is borne. Less its standard deviation,
+# since 2 % have been taken for nearly 3, and are borne.
+MAX_CORRECTED_FOCAL_ERROR = 0.025
 SURE = 1.0 / 3.0  # an error is known when its standard deviation is at most this share of what is borne
 
 
@@ -51,7 +52,7 @@ def why_unsure(fit: CalibrationFit | None) -> str:
         return ""
     shift = fit.time_shift_s, fit.time_shift_sigma_s
     other = _other_misfits(np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg), shift)
-    return why_misfit(fit) if other or _is_far(fit.focal_scale) else ""
+    return why_misfit(fit) if other or _is_far(fit) else ""
 
 
 def worst(fits: Iterable[CalibrationFit | None]) -> CalibrationFit | None:
@@ -97,9 +98,9 @@ def judge(
     )
 
 
-def _is_far(focal_scale: float) -> bool:
+def _is_far(fit: CalibrationFit) -> bool:
     """Whether what is told is too far off to correct it."""
-    return abs(1.0 / focal_scale - 1.0) > MAX_CORRECTED_FOCAL_ERROR
+    return abs(1.0 / fit.focal_scale - 1.0) - fit.focal_sigma > MAX_CORRECTED_FOCAL_ERROR
 
 
 def _other_misfits(mounting_deg: FloatArray, mounting_sigma_deg: FloatArray, shift_s: tuple[float, float]) -> list[str]:
