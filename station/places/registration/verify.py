@@ -13,7 +13,7 @@ from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import Refined, refine
 from station.places.registration.score import Score
 
-MAX_RIVAL_MASS = 0.003  # for one scale and one vertical; more are more chances to find something by accident
+MAX_RIVAL_MASS = 0.02  # for one scale and one vertical; more are more chances to find something by accident
 OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
 MIN_OVERLAP = 0.2
 MAX_SCALE_SIGMA = 0.015  # of a free scale, and of a known one that moves when it is left free
