@@ -118,17 +118,6 @@ def refine(
     return Refined(T, H, pivot, rms)
 
 
-def eigenvalues_of(problem: RegistrationProblem, refined: Refined) -> FloatArray | None:
-    """Of the normal equations per unit of information (6,) or, with a free scale, (7,); lengths in cloud radii."""
-    free = 7 if problem.free_scale else 6
-    trace = float(np.trace(refined.hessian[3:6, 3:6]))
-    if trace <= 0:
-        return None
-    unit = np.array([1 / problem.target.radius] * 3 + [1.0] * 3 + [1 / problem.target.radius])
-    scaled = refined.hessian * np.outer(unit, unit) * (3.0 / trace)
-    return np.asarray(np.linalg.eigvalsh(scaled[:free, :free]), dtype=np.float64)
-
-
 def _point_terms(arm: FloatArray, gap: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Normal equations of the point-to-point terms: gap = omega x arm + v + s * arm."""
     H, g = np.zeros((7, 7)), np.zeros(7)

@@ -5,8 +5,6 @@ The main path is `register_clouds`; docs/registration.md explains each step and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from shared.errors import DegenerateGeometry, EstimationError
@@ -17,39 +15,31 @@ from station.places.registration.cloud import clean_points, thin
 from station.places.registration.free_space import Rays
 from station.places.registration.gicp import align_gicp, require_backend
 from station.places.registration.kiss import kiss_is_available, match_features
+from station.places.registration.parts import parts_apart
 from station.places.registration.problem import RegistrationProblem, make_problem
-from station.places.registration.refine import Refined, eigenvalues_of, measure_residuals, refine
+from station.places.registration.refine import Refined, measure_residuals, refine
 from station.places.registration.result import Alternative, Backend, Gravity, Registration, Scale, refused
-from station.places.registration.score import Score, score_alignment
+from station.places.registration.score import Contrast, Score, contrast_of, score_alignment
 from station.places.registration.sizes import odd_sizes, scale_range_of
-from station.places.registration.verify import KNOWN_TO, OTHER_VOXELS, Findings, Rival, judge
+from station.places.registration.verify import KNOWN_TO, Findings, judge
 from station.places.registration.yaw_search import Candidate, SearchConfig, search_yaw
 
 SCALE_STEP = 1.07  # the refinement's basin in scale is about +-4 %
-MANY_TURNS = SearchConfig(cells=36, coarse_cells=20)  # where scales or axes multiply them; the rank suffers little
-NUM_CANDIDATES = 12  # refined; the right one is mostly among the first two
-NUM_BASINS = 6  # of different alignments: refined finely, and rivals of the best one
-BESIDE_VOXELS = 0.75  # farther apart, two alignments are different answers, and not the same optimum
+MANY_CELLS = 36  # of the search where scales or axes multiply it: half the time, one rank worse at most
+NUM_CANDIDATES = 8  # refined; the right one is mostly among the first two
+NUM_JUDGED = 3  # different alignments whose contrast is measured
+BESIDE_VOXELS = 0.75  # farther than this, an alignment around the best one is another answer, and not the same optimum
 MAX_MOVES = 2  # to a better alignment around the best one
+PARTS_VOXELS = 0.2  # a lidar's planes are smoother than its poses are good: the unit is no smaller than this
+PROMISING = 0.97  # of the best one's inlier share, before an alignment around it is finished, too
+OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
 NUDGE_SUBSET = 250
 REFINE_SUBSET = 1000
 SCORE_SUBSET = 1500
 FINE_SUBSET = 6000
-# Search radii in voxels: the global search's error is about one.
+# Search radii in voxels of the finer global search: its error is about one voxel.
 COARSE_REACHES = (2.5, 2.5, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0, 1.0, 0.75, 0.75, 0.75)
 FINE_REACHES = (0.75,) * 8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Scored:
-    """An alignment at a local optimum and its score by the common subsets."""
-
-    refined: Refined
-    score: Score
-
-    @property
-    def T(self) -> FloatArray:
-        return self.refined.T_target_source
 
 
 def register_clouds(
@@ -98,32 +88,36 @@ def register_clouds(
     problem = make_problem(
         p_target, p_source, upright=gravity == "known", free_scale=scale == "free", rng=np.random.default_rng(seed)
     )
-    candidates, searches = _global_start(problem, scales) if search else ([], 1)
+    candidates = _global_start(problem, scales) if search else []
     candidates += [Candidate(T, 0.0) for T in start]
-    subsets = problem.draw_subsets(SCORE_SUBSET)
-    basins = _basins(problem, candidates, subsets)
-    if not basins:
+    ranked = _refine_and_rank(problem, candidates)
+    if not ranked:
         return refused("; ".join(("no alignment has enough points in common", *odd)), backend)
-    best = _finish(problem, basins[0].T, subsets, backend)
+    subsets = problem.draw_subsets(SCORE_SUBSET)
+    judged = _contrasts(problem, ranked)
+    best = _finish(problem, judged[0][0].T_target_source, backend)
+    score = score_alignment(problem, best.T_target_source, subsets)
+    beside: Score | None = None
     if search:  # what found the guesses otherwise vouches for them
-        best, beside = _look_beside(problem, best, basins[1:], subsets, backend)
-        basins = [*basins, *beside]
-    T = best.T
-    rivals = sorted(
-        (
-            Rival(b.T, b.score, away)
-            for b in basins
-            if (away := problem.landed_apart(b.T, T)) > BESIDE_VOXELS * problem.voxel
-        ),
-        key=lambda rival: -rival.score.total,
+        best, score, beside = _look_beside(problem, best, score, subsets, backend)
+    T = best.T_target_source
+    contrast = contrast_of(problem, T, score.inlier_share, subsets)
+    parts = parts_apart(
+        problem,
+        T,
+        subset=problem.draw_subsets(FINE_SUBSET)[1],
+        reach=FINE_REACHES[-1] * problem.voxel,
+        unit=max(problem.tolerance, PARTS_VOXELS * problem.voxel),
     )
+    others = [(r, c) for r, c in judged if problem.landed_apart(r.T_target_source, T) > OTHER_VOXELS * problem.voxel]
     findings = Findings(
         problem=problem,
-        refined=best.refined,
-        score=best.score,
-        subsets=subsets,
-        rivals=rivals,
-        searches=searches,
+        refined=best,
+        score=score,
+        contrast=contrast,
+        runner_up=others[0][1] if others else None,
+        beside=beside,
+        parts=parts,
         scale_range=scales,
         known_to=known_to,
         target_rays=target_rays,
@@ -132,48 +126,34 @@ def register_clouds(
         source_given=np.asarray(source, dtype=np.float64),
     )
     verdict = judge(findings)
-    alternatives = [
-        Alternative(rival.T_target_source, float(share))
-        for rival, share in zip(rivals, verdict.rivals.shares, strict=True)
-        if rival.away > OTHER_VOXELS * problem.voxel
-    ]
     return Registration(
         accepted=verdict.accepted,
         reasons=verdict.reasons if verdict.accepted else (*verdict.reasons, *odd),
         T_target_source=T,
         scale=scale_of(T),
-        rmse=best.score.rmse,
-        inlier_ratio=best.score.inlier_ratio,
-        confidence=1.0 - verdict.rivals.mass,
-        measured=verdict.measured,
-        overlap=best.score.overlap,
+        rmse=score.rmse,
+        inlier_ratio=score.inlier_ratio,
+        confidence=verdict.confidence,
+        measured=findings.features() | verdict.checked,
+        overlap=score.overlap,
         covariance=verdict.covariance,
-        eigenvalues=eigenvalues_of(problem, best.refined),
+        eigenvalues=verdict.eigenvalues,
         backend=backend,
-        score=best.score.total,
-        alternatives=tuple(alternatives[:4]),
+        score=contrast.mean,
+        alternatives=tuple(Alternative(r.T_target_source, c.mean) for r, c in others[:4]),
     )
 
 
-def _scales_to_try(scales: tuple[float, float]) -> FloatArray:
-    """(S,) from the smallest to the largest one in steps that the refinement bridges."""
-    low, high = np.log(scales)
-    steps = int(np.ceil((high - low) / np.log(SCALE_STEP)))
-    return np.exp(np.linspace(low, high, steps + 1))
-
-
-def _global_start(problem: RegistrationProblem, scales: tuple[float, float]) -> tuple[list[Candidate], int]:
-    """Coarse alignments by our own search, and KISS-Matcher's one where it is installed and the scale is known.
-
-    And how many searches these are the best ones of.
-    """
+def _global_start(problem: RegistrationProblem, scales: tuple[float, float]) -> list[Candidate]:
+    """Coarse alignments by our own search, and KISS-Matcher's one where it is installed and the scale is known."""
     A, B, rng = problem.target, problem.source, problem.rng
-    grid = _scales_to_try(scales)
+    steps = max(1, int(np.ceil(np.log(scales[1] / scales[0]) / np.log(SCALE_STEP))) + 1) if scales[1] > scales[0] else 1
+    grid = np.exp(np.linspace(np.log(scales[0]), np.log(scales[1]), steps)) if steps > 1 else np.array([scales[0]])
     target = A.points if len(A.points) <= 8000 else thin(A.points, 8000, rng)
     source = B.points if len(B.points) <= 8000 else thin(B.points, 8000, rng)
-    config = SearchConfig() if len(grid) == 1 and problem.upright else MANY_TURNS
+    config = SearchConfig() if steps == 1 and problem.upright else SearchConfig(cells=MANY_CELLS)
     if problem.upright:
-        return search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES, config=config), len(grid)
+        return search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES, config=config)
     found: list[Candidate] = []
     R_up, options = upright_rotations(A, B)
     for R_option in options:  # each puts one of the source's axes upright; the yaw is searched
@@ -187,52 +167,33 @@ def _global_start(problem: RegistrationProblem, scales: tuple[float, float]) -> 
         T_kiss = match_features(target, source, upright=False, voxel=problem.voxel)
         if T_kiss is not None:
             found.append(Candidate(T_kiss, 0.0))
-    return found, len(grid) * len(options)
+    return found
 
 
-def _basins(
-    problem: RegistrationProblem, candidates: list[Candidate], subsets: tuple[IntArray, IntArray]
-) -> list[_Scored]:
-    """The best different alignments that the candidates lead to, best first."""
-    subset = problem.draw_subsets(REFINE_SUBSET)[1]
+def _refine_and_rank(problem: RegistrationProblem, candidates: list[Candidate]) -> list[tuple[Refined, Score]]:
+    """Refine every candidate coarsely and sort by the share of points it explains, best first."""
+    subsets = problem.draw_subsets(REFINE_SUBSET)
+    subset, few = subsets[1], _few(subsets[1])
     reaches = tuple(r * problem.voxel for r in COARSE_REACHES)
-    coarse = []
+    ranked = []
     for candidate in candidates:
-        nudged = nudge(problem, candidate.T_target_source, _few(subset))
+        nudged = nudge(problem, candidate.T_target_source, few)
         refined = refine(problem, nudged, subset=subset, reaches=reaches, tolerance=1e-3 * problem.voxel)
         if np.isfinite(refined.rms):
-            coarse.append(_Scored(refined, score_alignment(problem, refined.T_target_source, subsets)))
-    fine = [_polish(problem, found.T, subsets) for found in _different(problem, coarse)[:NUM_BASINS]]
-    return _different(problem, fine)
+            ranked.append((refined, score_alignment(problem, refined.T_target_source, subsets)))
+    return sorted(ranked, key=lambda pair: -pair[1].inlier_share)
 
 
-def _different(problem: RegistrationProblem, found: list[_Scored]) -> list[_Scored]:
-    """Best first, and of those that are one optimum the best only."""
-    kept: list[_Scored] = []
-    for one in sorted(found, key=lambda s: -s.score.total):
-        if all(problem.landed_apart(one.T, other.T) > BESIDE_VOXELS * problem.voxel for other in kept):
-            kept.append(one)
-    return kept
-
-
-def _polish(problem: RegistrationProblem, T: FloatArray, subsets: tuple[IntArray, IntArray]) -> _Scored:
-    reaches = tuple(r * problem.voxel for r in FINE_REACHES)
-    refined = refine(problem, T, subset=subsets[1], reaches=reaches, tolerance=1e-4 * problem.voxel)
-    return _Scored(refined, score_alignment(problem, refined.T_target_source, subsets))
-
-
-def _finish(
-    problem: RegistrationProblem, T: FloatArray, subsets: tuple[IntArray, IntArray], backend: Backend
-) -> _Scored:
+def _finish(problem: RegistrationProblem, T: FloatArray, backend: Backend) -> Refined:
     """GICP on the points that have a counterpart, then the joint refinement with scale and gravity."""
     A, B, voxel = problem.target, problem.source, problem.voxel
     reach = FINE_REACHES[-1] * voxel
     _, subset = problem.draw_subsets(FINE_SUBSET)
 
-    def by_more(T: FloatArray, reaches: tuple[float, ...]) -> Refined:
+    def polish(T: FloatArray, reaches: tuple[float, ...]) -> Refined:
         return refine(problem, T, subset=subset, reaches=reaches, tolerance=1e-4 * voxel)
 
-    T = by_more(T, tuple(r * voxel for r in FINE_REACHES)).T_target_source
+    T = polish(T, tuple(r * voxel for r in FINE_REACHES)).T_target_source
     residuals = measure_residuals(A, B.points[subset], B.normals[subset], T, reach)
     paired = np.abs(residuals.along_normal) < reach / 2
     if np.count_nonzero(paired) >= 50:
@@ -242,29 +203,48 @@ def _finish(
             T_gicp = T  # the polished start stands; the checks judge it like any other
         if problem.landed_apart(T_gicp, T) < 2 * voxel:
             T = T_gicp
-    refined = by_more(T, (reach * 0.8, reach * 0.8, reach * 0.8))
-    return _Scored(refined, score_alignment(problem, refined.T_target_source, subsets))
+    return polish(T, (reach * 0.8, reach * 0.8, reach * 0.8))
 
 
 def _look_beside(
-    problem: RegistrationProblem,
-    best: _Scored,
-    basins: list[_Scored],
-    subsets: tuple[IntArray, IntArray],
-    backend: Backend,
-) -> tuple[_Scored, list[_Scored]]:
-    """The best alignment around `best` or of the other basins, and what else lies around it."""
+    problem: RegistrationProblem, best: Refined, score: Score, subsets: tuple[IntArray, IntArray], backend: Backend
+) -> tuple[Refined, Score, Score | None]:
+    """The best alignment around `best` (which has `score`), its score, and that of the best one beside it, if any."""
+    subset = subsets[1]
     for moves_left in range(MAX_MOVES, -1, -1):
-        found = alignments_beside(problem, best.T, subset=subsets[1], few=_few(subsets[1]))
-        beside = [_polish(problem, refined.T_target_source, subsets) for refined in found]
-        rival = max([*beside, *basins], key=lambda s: s.score.total, default=best)
-        if not moves_left or rival.score.total <= best.score.total:
+        found = alignments_beside(problem, best.T_target_source, subset=subset, few=_few(subset))
+        scored = [(r, score_alignment(problem, r.T_target_source, subsets)) for r in found]
+        scored = [
+            (r, other)
+            for r, other in scored
+            if problem.landed_apart(r.T_target_source, best.T_target_source) > BESIDE_VOXELS * problem.voxel
+        ]
+        if not scored:
+            return best, score, None
+        rival, rival_score = max(scored, key=lambda pair: pair[1].inlier_share)
+        if not moves_left or rival_score.inlier_share <= PROMISING * score.inlier_share:
             break
-        moved = _finish(problem, rival.T, subsets, backend)
-        if moved.score.total <= best.score.total:
+        moved = _finish(problem, rival.T_target_source, backend)
+        moved_score = score_alignment(problem, moved.T_target_source, subsets)
+        if moved_score.inlier_share <= score.inlier_share:
             break
-        best = moved
-    return best, beside
+        best, score = moved, moved_score
+    return best, score, rival_score
+
+
+def _contrasts(problem: RegistrationProblem, ranked: list[tuple[Refined, Score]]) -> list[tuple[Refined, Contrast]]:
+    """Contrast of the first few different alignments, best first; several of one basin count once."""
+    subsets = problem.draw_subsets(REFINE_SUBSET)
+    out: list[tuple[Refined, Contrast]] = []
+    for refined, _ in ranked:
+        T = refined.T_target_source
+        if any(problem.landed_apart(T, other.T_target_source) < OTHER_VOXELS * problem.voxel for other, _ in out):
+            continue
+        share = score_alignment(problem, T, subsets).inlier_share
+        out.append((refined, contrast_of(problem, T, share, subsets)))
+        if len(out) == NUM_JUDGED:
+            break
+    return sorted(out, key=lambda pair: -pair[1].mean)
 
 
 def _few(subset: IntArray) -> IntArray:

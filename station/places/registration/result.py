@@ -16,10 +16,10 @@ Backend = Literal["small_gicp", "open3d"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alternative:
-    """Another way the clouds could lie on each other."""
+    """Another way the clouds could lie on each other, and how well it explains them (0..1)."""
 
     T_target_source: FloatArray  # (4, 4) with scale
-    score: float  # 0..1: in which share of resampled data it explains the clouds better than the answer
+    score: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,15 +32,15 @@ class Registration:
     scale: float
     rmse: float  # of inliers along the target's surface normals, target units
     inlier_ratio: float  # share of the source's points in the shared space that lie on the target's surfaces
-    confidence: float  # 0..1: in which share of resampled data no other alignment explains the clouds better
-    measured: dict[str, float]  # by the checks, as far as they were made (Verdict.measured)
+    confidence: float  # probability that the alignment is right, as learned from synthetic pairs
+    measured: dict[str, float]  # what that is made from (Findings.features), and by the checks (Verdict.checked)
     overlap: float  # share of points with a neighbour in the other cloud, the smaller of both directions
     # (7, 7) of (rotation rad, translation of the shared points' middle, log scale), target frame; fixed ones are 0.
     # Where images decided: of the middle of the cameras that agree.
     covariance: FloatArray | None
     eigenvalues: FloatArray | None  # of the normal equations per inlier, ascending: a small one is a free direction
     backend: str
-    score: float  # what candidates are ranked by (Score.total)
+    score: float  # what candidates are ranked by: share of points that fit here and not beside it
     alternatives: tuple[Alternative, ...]
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""How well an alignment explains both clouds, and what each of their points says of it."""
+"""How well an alignment explains both clouds: shares of points on each other's surfaces, beyond what chance gives."""
 
 from __future__ import annotations
 
@@ -11,33 +11,32 @@ from station.places.registration.cloud import PreparedCloud
 from station.places.registration.problem import RegistrationProblem
 from station.places.registration.refine import measure_residuals
 
+SLIDES = 6
+SLIDE_TOLERANCES = 6.0  # 30 cm at 2 cm noise: farther than the tolerance, nearer than the next piece of furniture
 AGREEMENT = 0.7  # |cosine| of normals that may belong to one surface
-CHANCE = 0.25  # what a point near the other cloud gets where the clouds have nothing in common
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Score:
-    """One alignment, judged by subsets of both clouds."""
+    """Shares in 0..1 of one alignment."""
 
-    # (m + k,) of m source and k target points; the sum is what alignments are ranked by: the mean of both directions.
-    # A point on the other cloud's surface speaks for the alignment, one on a landmark of it even more, and one near
-    # the other cloud and beside its surfaces against it. One that the other cloud never saw says nothing.
-    evidence: FloatArray
-    inlier_ratio: float  # points on the other cloud's surface, of the points with a neighbour in the other cloud
+    inlier_share: float  # points on the other cloud's surface, of all points; the mean of both directions
+    inlier_ratio: float  # of the points with a neighbour in the other cloud
     overlap: float  # points with a neighbour in the other cloud, the smaller of both directions
+    point_share: float  # points with a landmark of the other cloud within the tolerance, beyond chance
     rmse: float  # of inliers, along normals
 
-    @property
-    def total(self) -> float:
-        return float(self.evidence.sum())
 
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """How much of the inlier share is lost by sliding the source a little over the floor.
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _OneWay:
-    evidence: FloatArray  # (n,)
-    inlier_share: float
-    near_share: float
-    rmse: float
+    Floors and long walls fit anywhere along themselves, also in the wrong flat; only what fits here and nowhere else
+    speaks for an alignment.
+    """
+
+    mean: float  # share lost on average over the directions
+    least: float  # share lost in the direction that loses least
 
 
 def score_alignment(problem: RegistrationProblem, T: FloatArray, subsets: tuple[IntArray, IntArray]) -> Score:
@@ -48,25 +47,37 @@ def score_alignment(problem: RegistrationProblem, T: FloatArray, subsets: tuple[
     forward = _one_way(target, source, T, subsets[1], tolerance, reach)
     back = _one_way(source, target, inverse_sim3(T), subsets[0], tolerance / scale, reach / scale)
     return Score(
-        evidence=np.concatenate([forward.evidence, back.evidence]) / 2,
-        inlier_ratio=(forward.inlier_share + back.inlier_share) / max(forward.near_share + back.near_share, 1e-9),
-        overlap=min(forward.near_share, back.near_share),
-        rmse=forward.rmse,
+        inlier_share=(forward[0] + back[0]) / 2,
+        inlier_ratio=(forward[0] + back[0]) / max(forward[1] + back[1], 1e-9),
+        overlap=min(forward[1], back[1]),
+        point_share=(forward[2] + back[2]) / 2,
+        rmse=forward[3],
     )
+
+
+def contrast_of(
+    problem: RegistrationProblem, T: FloatArray, share: float, subsets: tuple[IntArray, IntArray]
+) -> Contrast:
+    """Contrast of an alignment whose inlier share on the same subsets is `share`."""
+    slid = []
+    for k in range(SLIDES):
+        angle = 2 * np.pi * k / SLIDES + 0.3  # off the axes, as walls often are along them
+        moved = T.copy()
+        moved[:2, 3] += SLIDE_TOLERANCES * problem.tolerance * np.array([np.cos(angle), np.sin(angle)])
+        slid.append(score_alignment(problem, moved, subsets).inlier_share)
+    return Contrast(share - float(np.mean(slid)), share - max(slid))
 
 
 def _one_way(
     target: PreparedCloud, source: PreparedCloud, T: FloatArray, subset: IntArray, tolerance: float, reach: float
-) -> _OneWay:
+) -> tuple[float, float, float, float]:
     found = measure_residuals(target, source.points[subset], source.normals[subset], T, reach)
     near = np.isfinite(found.distance)
-    along = np.where(near, np.abs(found.along_normal), np.inf)
-    inlier = (along <= tolerance) & (found.agreement >= AGREEMENT)
-    on_surface = np.exp(-0.5 * (along / (tolerance / 2)) ** 2) * np.minimum(found.agreement, 1.0) ** 2
-    on_landmark = np.exp(-0.5 * (found.distance / (2 * tolerance / 3)) ** 2)
-    return _OneWay(
-        evidence=(on_surface + on_landmark - CHANCE * near) / len(subset),
-        inlier_share=float(inlier.mean()),
-        near_share=float(near.mean()),
-        rmse=float(np.sqrt(np.mean(along[inlier] ** 2))) if inlier.any() else float("nan"),
-    )
+    along = np.abs(found.along_normal)
+    inlier = near & (along <= tolerance) & (found.agreement >= AGREEMENT)
+    rmse = float(np.sqrt(np.mean(along[inlier] ** 2))) if inlier.any() else float("nan")
+    # Landmarks that coincide: within the tolerance in all directions, against those within twice of it. On a surface
+    # sampled independently, the share grows with the square of the radius; coinciding landmarks exceed that.
+    close = float(np.mean(found.distance <= tolerance))
+    ring = float(np.mean(found.distance <= 2 * tolerance))
+    return float(inlier.mean()), float(near.mean()), max(0.0, close - ring / 4), rmse

@@ -1,42 +1,50 @@
-"""The verdict: does the answer stay when the data are resampled, do the clouds share enough, is the space free?"""
+"""Checks that see what an inlier ratio cannot: wrong yaw, wrong scale, symmetry. docs/registration.md explains them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, inverse_sim3, scale_of, transform
-from station.places.registration.bootstrap import DRAWS, Rivalry, compare, spread_of
+from shared.geometry import FloatArray, inverse_sim3, scale_of, transform
 from station.places.registration.free_space import Rays, Watched, watched_points
+from station.places.registration.freed_scale import free_the_scale, noise_of_scale
+from station.places.registration.parts import PartsApart
 from station.places.registration.problem import RegistrationProblem
-from station.places.registration.refine import Refined, refine
-from station.places.registration.score import Score
+from station.places.registration.refine import Refined
+from station.places.registration.score import Contrast, Score
 
-MAX_RIVAL_MASS = 0.02  # for one scale and one vertical; more are more chances to find something by accident
-OTHER_VOXELS = 4.0  # nearer than this, two alignments are one answer, refined more or less well
+# Logistic regression: `python -m benchmarks.fit_registration_verdict` prints these numbers (docs/registration.md).
+WEIGHTS = {
+    "inlier ratio": 12.5,
+    "coinciding landmarks": 6.5,
+    "least contrast": 12.6,
+    "runner-up's contrast": -17.1,
+    "beside": -1.9,
+    "log of halves apart": -1.5,
+    "log of sides apart": -2.6,
+}
+OFFSET = -8.66
+MIN_CONFIDENCE = 0.85
+PARTS_RANGE = (0.03, 3.0)  # units; nearer or farther apart says no more
+# The next two are no result of training: pairs beyond them were refused before.
 MIN_OVERLAP = 0.2
-MAX_SCALE_SIGMA = 0.015  # of a free scale, and of a known one that moves when it is left free
-MAX_TILT_RAD = np.radians(6.0)  # of two clouds that have z up
+MAX_RUNNER_UP = 0.85
+# Alignments that the clouds can slide from: the best other one within some decimetres, as a share of this one's
+# inliers, and how far apart two sides of the shared space would lie, in units of parts.py. Each alone is no sign: a
+# rival means nothing where both sides agree, and sides disagree without a rival where furniture was moved in between
+# or a map bends.
+SLIDES = ((0.95, 0.4), (0.9, 0.8))  # beside, sides
+MAX_SCALES = 0.015  # between two parts, where the scale is free: about twice what right alignments have
+MAX_TILT_RAD = np.radians(6.0)
+MIN_EIGENVALUE = 0.01
 MAX_VIOLATION = 0.5
 MIN_WATCHED = 30  # points in watched space; a share of fewer says nothing
 # How far a known scale may move once it is left free, unless the caller knows it less well. Right scales of clouds of
 # thousands of points move by less; those of some hundred may move farther, but not by three standard deviations.
 KNOWN_TO = 0.01
 FREED_SIGMAS = 3.0
-# Search radii in voxels of that. Wide at first, as at 5 % the far ends of a flat lie two voxels off; still wider ones
-# may lead right answers with little overlap astray.
-FREED_REACHES = (1.5, 1.5, 1.0, 1.0, *(0.75,) * 6, *(0.6,) * 3)
 FREED_SUBSET = 6000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rival:
-    """Another alignment, and how it explains the clouds."""
-
-    T_target_source: FloatArray  # (4, 4) with scale
-    score: Score
-    away: float  # median distance between where it and the answer put the source's points, target units
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +54,10 @@ class Findings:
     problem: RegistrationProblem
     refined: Refined
     score: Score
-    subsets: tuple[IntArray, IntArray]  # of target and source: the points that all scores are of
-    rivals: list[Rival]
-    searches: int  # scales and verticals tried: each is another chance to find something by accident
+    contrast: Contrast
+    runner_up: Contrast | None  # of the best alignment that is a different answer
+    beside: Score | None  # of the best other alignment within some decimetres
+    parts: PartsApart  # how far parts of the landmarks, each by itself, disagree
     scale_range: tuple[float, float]
     known_to: float  # how far a known scale may be off, relative
     target_rays: Rays | None
@@ -56,102 +65,122 @@ class Findings:
     target_given: FloatArray  # the clouds as the rays index them
     source_given: FloatArray
 
+    def features(self) -> dict[str, float]:
+        """What the confidence is made from, by the names in WEIGHTS, and what else may be learned from."""
+        return {
+            "inlier share": self.score.inlier_share,
+            "inlier ratio": self.score.inlier_ratio,
+            "coinciding landmarks": self.score.point_share,
+            "contrast": self.contrast.mean,
+            "least contrast": self.contrast.least,
+            "runner-up's contrast": max(self.runner_up.mean, 0.0) if self.runner_up is not None else 0.0,
+            "beside": min(self.beside_ratio(), 1.2),
+            "halves apart": self.parts.halves,
+            "log of halves apart": float(np.log(np.clip(self.parts.halves, *PARTS_RANGE))),
+            "sides apart": self.parts.sides,
+            "log of sides apart": float(np.log(np.clip(self.parts.sides, *PARTS_RANGE))),
+            "scales apart": self.parts.scales,
+        }
+
+    def beside_ratio(self) -> float:
+        """Inliers of the best other alignment within some decimetres, as a share of this one's; 0 without any."""
+        return self.beside.inlier_share / max(self.score.inlier_share, 1e-9) if self.beside is not None else 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     accepted: bool
+    confidence: float  # probability 0..1 that the alignment is right, before the checks that can only refuse
     reasons: tuple[str, ...]
-    rivals: Rivalry
-    covariance: FloatArray | None  # (7, 7), see Registration
-    # What was measured, as far as it was:
-    # "rival mass": Rivalry.mass;
-    # "scale spread": one standard deviation of a free scale, relative;
+    covariance: FloatArray | None
+    eigenvalues: FloatArray | None
+    checked: dict[str, float]  # what the checks measured beside the features, as far as they were made:
     # "free-space violation": share of the watched points that would hang where the other navigation saw through;
     # "watched points": how many those are;
     # "freed scale": what a known scale becomes where it is left free, relative to what it was;
     # "freed scale's noise": one standard deviation of that, measured only where it moved far.
-    measured: dict[str, float]
 
 
 def judge(e: Findings) -> Verdict:
     """Every check that fails adds a reason; none failed means accepted."""
     T = e.refined.T_target_source
-    rivals = compare(e.problem, T, e.score, [rival.score for rival in e.rivals], e.subsets)
-    covariance = spread_of(e.problem, T)
+    against: list[str] = []
+    features = e.features()
+    logit = OFFSET + sum(weight * features[name] for name, weight in WEIGHTS.items())
+    confidence = float(1.0 / (1.0 + np.exp(-np.clip(logit, -50, 50))))
+    if confidence < MIN_CONFIDENCE:
+        against.append(
+            f"right with {confidence:.0%}, needs {MIN_CONFIDENCE:.0%}: {e.score.inlier_share:.0%} of the points lie on "
+            f"the other cloud's surfaces, and {max(e.contrast.least, 0):.0%} fit here and not beside it; "
+            "too little in common, or different rooms"
+        )
+    if e.score.overlap < MIN_OVERLAP:
+        against.append(f"the clouds share {e.score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}")
+    ratio = features["runner-up's contrast"] / max(e.contrast.mean, 1e-9)
+    if ratio > MAX_RUNNER_UP:
+        against.append(f"another alignment fits {ratio:.0%} as well: the room looks alike from there")
+    if any(features["beside"] > beside and e.parts.sides > sides for beside, sides in SLIDES):
+        against.append(
+            f"an alignment a little beside this one fits {features['beside']:.0%} as well, and two sides of what the "
+            f"clouds share, each alone, would lie {e.parts.sides * e.parts.unit:.2g} apart: the clouds can slide"
+        )
+    if e.parts.scales > MAX_SCALES:
+        against.append(
+            f"parts of the clouds, each alone, differ by {e.parts.scales:.1%} in scale, "
+            f"and at most {MAX_SCALES:.1%} is asked: the scale is not known"
+        )
+    if e.problem.upright:
+        tilt = float(np.arccos(np.clip(T[2, 2] / np.linalg.norm(T[:3, 2]), -1, 1)))
+        if tilt > MAX_TILT_RAD:
+            against.append(f"the result tilts the source by {np.degrees(tilt):.1f} degrees, though z is up in both")
+    if e.problem.free_scale:
+        scale = scale_of(T)
+        low, high = e.scale_range
+        if not low * 0.97 < scale < high * 1.03:
+            against.append(f"scale {scale:.3f} is outside the allowed {low:.2f} to {high:.2f}")
+    covariance, eigenvalues = _uncertainty(e)
+    if eigenvalues is not None and eigenvalues[0] < MIN_EIGENVALUE:
+        against.append(f"one direction is hardly determined (eigenvalue {eigenvalues[0]:.4f} per point)")
+    checked: dict[str, float] = {}
     watched = _watched(e)
-    measured = {"rival mass": rivals.mass}
-    if e.problem.free_scale and covariance is not None:
-        measured["scale spread"] = float(np.sqrt(covariance[6, 6]))
     if watched.points:
-        measured |= {"free-space violation": watched.share, "watched points": watched.points}
-    against = [
-        *_rivals_against(e, rivals),
-        *_overlap_against(e.score),
-        *_scale_against(e, covariance),
-        *_tilt_against(e),
-        *_free_space_against(watched),
-    ]
+        checked |= {"free-space violation": watched.share, "watched points": watched.points}
+    if watched.points >= MIN_WATCHED and watched.share > MAX_VIOLATION:
+        against.append(
+            f"{watched.share:.0%} of the points would hang where the other navigation saw through empty space"
+        )
     if not e.problem.free_scale and not against:  # the rest refuses most others without this cost
         freed = _freed_scale(e)
-        measured |= freed
-        against += _unit_against(e, freed)
-    reasons = tuple(against) or (
-        f"another alignment explains the clouds better in {rivals.mass:.1%} of {DRAWS} draws of their parts; "
-        f"{e.score.inlier_ratio:.0%} of the points near the other cloud lie on its surfaces",
-    )
-    return Verdict(not against, reasons, rivals, covariance, measured)
+        checked |= freed
+        moved = freed.get("freed scale", 1.0)
+        off = abs(float(np.log(moved)))
+        if off > e.known_to and off > FREED_SIGMAS * freed.get("freed scale's noise", np.inf):
+            against.append(
+                f"the scale is given as {scale_of(T):.4g}, but left free the clouds fit best at "
+                f"{moved * scale_of(T):.4f}, {off:.1%} off where {e.known_to:.1%} is allowed: one unit is wrong, "
+                "or a map is bent; convert it, or use scale free (--scale free)"
+            )
+    if against:
+        return Verdict(False, confidence, tuple(against), covariance, eigenvalues, checked)
+    pro = [f"{e.score.inlier_share:.0%} of the points lie on the other cloud's surfaces"]
+    pro.append(f"right with {confidence:.1%}; the next best alignment fits {ratio:.0%} as well")
+    return Verdict(True, confidence, tuple(pro), covariance, eigenvalues, checked)
 
 
-def _rivals_against(e: Findings, rivals: Rivalry) -> list[str]:
-    allowed = MAX_RIVAL_MASS / e.searches  # Bonferroni's correction
-    if rivals.mass <= allowed:
-        return []
-    away = e.rivals[int(np.argmax(rivals.shares))].away
-    meaning = (
-        f"the clouds can slide, by {away:.2g}"
-        if away < OTHER_VOXELS * e.problem.voxel
-        else "the room looks alike from there, or these are different rooms"
-    )
-    return [
-        f"another alignment explains the clouds better in {rivals.mass:.1%} of the draws of their parts, and "
-        f"{allowed:.2%} are allowed: {meaning}"
-    ]
-
-
-def _overlap_against(score: Score) -> list[str]:
-    if score.overlap >= MIN_OVERLAP:
-        return []
-    return [f"the clouds share {score.overlap:.0%} of their space, needs {MIN_OVERLAP:.0%}"]
-
-
-def _scale_against(e: Findings, covariance: FloatArray | None) -> list[str]:
-    """A free scale that left its range, or that is not known."""
-    if not e.problem.free_scale:
-        return []
-    against = []
-    scale, (low, high) = scale_of(e.refined.T_target_source), e.scale_range
-    if not low * 0.97 < scale < high * 1.03:
-        against.append(f"scale {scale:.3f} is outside the allowed {low:.2f} to {high:.2f}")
-    sigma = float(np.sqrt(covariance[6, 6])) if covariance is not None else np.inf
-    if sigma > MAX_SCALE_SIGMA:
-        against.append(
-            f"the scale is known to {sigma:.1%} (one standard deviation) only, and {MAX_SCALE_SIGMA:.1%} is asked"
-        )
-    return against
-
-
-def _tilt_against(e: Findings) -> list[str]:
-    up = e.refined.T_target_source[:3, 2]
-    tilt = float(np.arccos(np.clip(up[2] / np.linalg.norm(up), -1, 1)))
-    if not e.problem.upright or tilt <= MAX_TILT_RAD:
-        return []
-    return [f"the result tilts the source by {np.degrees(tilt):.1f} degrees, though z is up in both"]
-
-
-def _free_space_against(watched: Watched) -> list[str]:
-    if watched.points < MIN_WATCHED or watched.share <= MAX_VIOLATION:
-        return []
-    return [f"{watched.share:.0%} of the points would hang where the other navigation saw through empty space"]
+def _uncertainty(e: Findings) -> tuple[FloatArray | None, FloatArray | None]:
+    """Covariance; and eigenvalues of the normal equations per unit of information, lengths in cloud radii."""
+    H = e.refined.hessian
+    free = np.arange(7) if e.problem.free_scale else np.arange(6)
+    trace = float(np.trace(H[3:6, 3:6]))
+    if trace <= 0:
+        return None, None
+    unit = np.array([1 / e.problem.target.radius] * 3 + [1.0] * 3 + [1 / e.problem.target.radius])
+    scaled = (H * np.outer(unit, unit))[np.ix_(free, free)] * (3.0 / trace)
+    values = np.asarray(np.linalg.eigvalsh(scaled), dtype=np.float64)
+    covariance = np.zeros((7, 7))
+    # Neighbouring residuals share the error of their plane: NEIGHBOURS of them are worth one.
+    covariance[np.ix_(free, free)] = 12.0 * np.linalg.pinv(H[np.ix_(free, free)], hermitian=True)
+    return covariance, values
 
 
 def _watched(e: Findings) -> Watched:
@@ -169,29 +198,15 @@ def _watched(e: Findings) -> Watched:
 
 def _freed_scale(e: Findings) -> dict[str, float]:
     """What the known scale becomes where it is free; nothing where too few points meet."""
-    T, voxel = e.refined.T_target_source, e.problem.voxel
-    problem = replace(e.problem, free_scale=True)
-    reaches = tuple(r * voxel for r in FREED_REACHES)
-    subset = problem.draw_subsets(FREED_SUBSET)[1]
-    freed = refine(problem, T, subset=subset, reaches=reaches, tolerance=1e-4 * voxel)
-    if not np.isfinite(freed.rms):
+    T, problem = e.refined.T_target_source, e.problem
+    count = len(problem.source.points)
+    subset = np.sort(problem.rng.choice(count, size=min(FREED_SUBSET, count), replace=False))
+    freed = free_the_scale(problem, T, subset=subset)
+    if freed is None:
         return {}
-    out = {"freed scale": scale_of(freed.T_target_source) / scale_of(T)}
+    out = {"freed scale": scale_of(freed) / scale_of(T)}
     if abs(np.log(out["freed scale"])) > e.known_to:
-        covariance = spread_of(problem, freed.T_target_source)
-        if covariance is not None:  # else too few points meet to say that it is wrong
-            out["freed scale's noise"] = float(np.sqrt(covariance[6, 6]))
+        noise = noise_of_scale(problem, freed, subset=subset)
+        if noise is not None:  # else too few points meet to say that it is wrong
+            out["freed scale's noise"] = noise
     return out
-
-
-def _unit_against(e: Findings, freed: dict[str, float]) -> list[str]:
-    moved, scale = freed.get("freed scale", 1.0), scale_of(e.refined.T_target_source)
-    off = abs(float(np.log(moved)))
-    noise = freed.get("freed scale's noise", 0.0)
-    if off <= e.known_to or not noise or off <= FREED_SIGMAS * noise <= FREED_SIGMAS * MAX_SCALE_SIGMA:
-        return []
-    return [
-        f"the scale is given as {scale:.4g}, but left free the clouds fit best at {moved * scale:.4f}, "
-        f"{off:.1%} off where {e.known_to:.1%} is allowed: one unit is wrong, or a map is bent; "
-        "convert it, or use scale free (--scale free)"
-    ]
