@@ -9,8 +9,8 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray, transform
 from station.places.registration.axes import upright_rotations
 from station.places.registration.cloud import PreparedCloud, prepare_cloud
-from station.places.registration.yaw_search import SearchConfig
 
+VOXELS = 44  # along the target's larger horizontal extent: 20 cm in a flat of 9 m
 COMPARED_POINTS = 200  # source points by which two alignments are compared
 
 
@@ -23,7 +23,7 @@ class RegistrationProblem:
     upright: bool  # z is up in both: the tilt is held near zero
     free_scale: bool  # the source's scale is estimated, too
     R_up: FloatArray  # (3, 3) puts the target's vertical along z
-    voxel: float  # of the global search: its error is about one
+    voxel: float  # a length about as large as what the global search leaves open
     rng: np.random.Generator  # of the random subsets
 
     @property
@@ -57,6 +57,6 @@ def make_problem(
         upright=upright,
         free_scale=free_scale,
         R_up=np.eye(3) if upright else upright_rotations(A, B)[0],
-        voxel=float(np.max(np.ptp(np.percentile(A.points, [1, 99], axis=0), axis=0)[:2])) / SearchConfig().cells,
+        voxel=float(np.max(np.ptp(np.percentile(A.points, [1, 99], axis=0), axis=0)[:2])) / VOXELS,
         rng=rng,
     )

@@ -38,8 +38,8 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class SearchConfig:
-    cells: int = 44  # voxels along the target's larger horizontal extent: 20 cm in a flat of 9 m
-    coarse_cells: int = 20  # of the first look
+    cells: int = 68  # voxels along the target's larger horizontal extent: 13 cm in a flat of 9 m
+    coarse_cells: int = 30  # of the first look
     promising: float = 1 / 6  # share of the first look that is looked at again: the right one is far in front
     least_promising: int = 12  # where that share is few
     peaks_per_grid: int = 3
@@ -60,6 +60,19 @@ class _Grid:
     origin: FloatArray  # (3,) x, y, z: corner of the first voxel, target frame
     voxel: float
     shape: tuple[int, int, int]  # z, y, x: the transform halves the last axis, which should not be the short one
+    filled: tuple[int, int, int]  # z, y, x: voxels from the corner that the target reaches into
+
+    def signed(self, index: tuple[int, int, int]) -> tuple[int, int, int]:
+        """The translation (z, y, x) that a place in the circular correlation stands for.
+
+        The source slides as far over the lower edges as over the upper ones: the latter half of the empty voxels is
+        reached by sliding backwards.
+        """
+        k, j, i = (
+            n - size if n > (filled + size) // 2 else n
+            for n, filled, size in zip(index, self.filled, self.shape, strict=True)
+        )
+        return k, j, i
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,9 +148,10 @@ def make_searches(target: FloatArray, source: FloatArray, scales: FloatArray, ce
     def grid_at(scale: float) -> _Grid:
         # The source slides until half of it hangs over the target's edge: circular wrap-around then costs nothing.
         margin = np.array([reach, reach, tallness]) * scale
-        cells_needed = np.ceil((high - low + margin) / voxel) + 4
-        nx, ny, nz = (int(scipy_fft.next_fast_len(int(n), real=True)) for n in cells_needed)
-        return _Grid(low - 2 * voxel, voxel, (nz, ny, nx))
+        filled = np.ceil((high - low) / voxel) + 4
+        nx, ny, nz = (int(scipy_fft.next_fast_len(int(n), real=True)) for n in filled + np.ceil(margin / voxel))
+        fx, fy, fz = (int(n) for n in filled)
+        return _Grid(low - 2 * voxel, voxel, (nz, ny, nx), (fz, fy, fx))
 
     field = _target_field(target, grid_at(float(scales.max())))
     out = {}
@@ -224,7 +238,8 @@ def _peaks(search: _Search, turn: _Turn, count: int) -> list[Candidate]:
         best = int(np.argmax(score))
         k, j, i = (int(n) for n in np.unravel_index(best, grid.shape))
         value = float(score[k, j, i])
-        offset = np.array([i, j, k]) * grid.voxel + grid.origin  # where the source's centre lands
+        up, back, right = grid.signed((k, j, i))
+        offset = np.array([right, back, up]) * grid.voxel + grid.origin  # where the source's centre lands
         out.append(Candidate(se3(R, offset - R @ search.centre), value / norm))
         score[max(0, k - 2) : k + 3, max(0, j - 2) : j + 3, max(0, i - 2) : i + 3] = -np.inf
     return out
