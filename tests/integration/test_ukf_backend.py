@@ -198,7 +198,7 @@ def test_a_blank_wall_never_gives_a_pose() -> None:
 
 
 def test_a_covered_lens_is_noticed_within_two_seconds() -> None:
-    backend = UkfBackend(msgspec.structs.replace(REFERENCE_ROBOT, robot_kind="generic"))
+    backend = UkfBackend(msgspec.structs.replace(REFERENCE_ROBOT, rig="hand-held"))
     backend.add_imu(resting_imu(5.0))
     seen = [backend.add_frame(f) for f in frames(20)]
     assert seen[-1].state == "tracking"

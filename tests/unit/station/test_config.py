@@ -51,7 +51,7 @@ def test_wrong_addresses_are_refused(text: str) -> None:
 def test_a_robot_on_wheels_with_an_imu_is_followed_by_the_filter_and_others_by_their_images() -> None:
     assert choose_backend("auto", REFERENCE_ROBOT) == "ukf"
     assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, imu=None)) == "sfm"
-    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, robot_kind="generic")) == "sfm"
+    assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, rig="hand-held")) == "sfm"
     guessed = msgspec.structs.replace(REFERENCE_CAMERA, is_measured=False)
     assert choose_backend("auto", msgspec.structs.replace(REFERENCE_ROBOT, camera=guessed)) == "sfm"
     assert choose_backend("ukf", msgspec.structs.replace(REFERENCE_ROBOT, camera=guessed)) == "ukf"
