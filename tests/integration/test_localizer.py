@@ -59,7 +59,7 @@ def test_a_lift_ends_what_was_known_at_once_and_no_picture_from_before_brings_it
     told: list[object] = []
     finder = PlaceFinder(told.append)
     finder.use([place_map])
-    finder.calibrate(CALIBRATION)
+    finder.calibrate(msgspec.structs.replace(CALIBRATION, rig="wheels"))
 
     def feel(rotation: FloatArray, acceleration: FloatArray, start_s: float) -> None:
         for batch in imu(rotation, acceleration, start_s):
