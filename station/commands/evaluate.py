@@ -85,8 +85,8 @@ def evaluate_command(
 def default_folder(navigation: str) -> Path:
     """Beside the navigation's folder, whose own content is fixed."""
     given = Path(navigation)
-    found = navigation_folder(given) or given
-    return found.with_name(f"{found.absolute().name}-evaluation")
+    found = (navigation_folder(given) or given).resolve()
+    return found.with_name(f"{found.name}-evaluation")
 
 
 def _check_truth(data: Dataset) -> None:

@@ -27,7 +27,7 @@ from station.demo.demo import (
     start_programs,
 )
 from station.demo.folder import fresh_folder
-from station.demo.judge import MAX_SCALE_ERROR, align_map, carried, is_right
+from station.demo.judge import align_map, carried, is_right
 from station.demo.processes import Programs
 from tests.e2e.conftest import LAPTOP
 
@@ -74,8 +74,7 @@ def test_a_hijacked_robot_is_found_in_the_map_that_slam_made(system: RealSystem)
     verdict = system.outcome.verdict
     story = "\n".join([*system.said, describe(verdict)])
     assert any("(ukf, metric scale)" in line for line in system.said), story
-    assert verdict.right > 0 and verdict.wrong == 0, story
-    assert abs(verdict.map_scale - 1.0) <= MAX_SCALE_ERROR, story
+    assert verdict.passed, story
 
 
 @pytest.mark.browser
@@ -96,20 +95,29 @@ async def test_the_page_shows_the_place_where_the_joystick_has_driven_the_robot(
 
 
 async def drive_by_joystick(page: Page, system: RealSystem) -> None:
-    """Hold the joystick forward and aside until the robot has truly moved; press anew when the page let go of it."""
+    """Hold the joystick forward and aside until the robot has truly moved, then aside until it knows where it is."""
     await page.wait_for_selector("#video[data-seq]")
+    begin = await asyncio.to_thread(system.true_pose)
+    while not has_moved(begin, await asyncio.to_thread(system.true_pose)):
+        await hold(page, -40, -40)
+    await page.mouse.up()
+    while await page.locator("#place").get_attribute("data-state") != "known":
+        await hold(page, -40, 0)
+    await page.mouse.up()
+
+
+async def hold(page: Page, right_px: int, down_px: int) -> None:
+    """Press the joystick so far from its middle, unless it is held; the page lets go of it when pictures come late."""
+    if await page.locator("#stick.held").count():
+        return
     box = await page.locator("#stick").bounding_box()
     assert box is not None
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    begin = await asyncio.to_thread(system.true_pose)
-    while not has_moved(begin, await asyncio.to_thread(system.true_pose)):
-        if not await page.locator("#stick.held").count():
-            await page.mouse.up()
-            await page.wait_for_selector(".age:not(.bad)")
-            await page.mouse.move(x, y)
-            await page.mouse.down()
-            await page.mouse.move(x - 40, y - 40, steps=3)
     await page.mouse.up()
+    await page.wait_for_selector(".age:not(.bad)")
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    await page.mouse.move(x + right_px, y + down_px, steps=3)
 
 
 def has_moved(before: FloatArray, now: FloatArray) -> bool:

@@ -12,7 +12,7 @@ from robot.simulation.recording import record_drive
 from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from station.datasets import Dataset, open_dataset
-from station.demo.judge import align_map, carried, is_right, positions_at
+from station.demo.judge import MIN_RIGHT_OF_KNOWN, align_map, carried, is_right, positions_at
 from station.model.navigation import Trajectory
 from station.model.place_answer import PlaceAnswer
 from station.model.place_map import PlaceMap
@@ -62,4 +62,4 @@ def test_places_of_a_simulated_room_are_named_right_on_the_second_drive(tmp_path
         answers, hijacks = locate(again, place_map, updates, ReplayOptions())
     right = named(place_map, mapped, answers, again)
     assert not hijacks
-    assert len(right) >= 5 and all(right), [answer.reason for answer in answers]
+    assert len(right) >= 5 and np.mean(right) >= MIN_RIGHT_OF_KNOWN, [answer.reason for answer in answers]

@@ -17,6 +17,7 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, so3_log
+from station.model.best_camera import best_camera
 from station.model.place_answer import Localization
 from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.belief import FREEDOM, NOTHING, Agreement, Belief, Hypothesis, PoseMeasurement, Recognised
@@ -60,8 +61,8 @@ class ImageEvidence:
     def __init__(self, maps: Sequence[MapView], camera: CameraCalibration | None, config: BeliefConfig) -> None:
         self._maps = maps
         self._index = {view.place_map.id: i for i, view in enumerate(maps)}
-        self._camera = camera
-        self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
+        # By which images are looked for in each map: the mounting of a map's own robot was corrected with its poses.
+        self._cameras = [best_camera(camera, view.place_map.navigation) if camera else None for view in maps]
         self._half_view = float(np.arctan(0.5 * camera.width / camera.fx)) if camera else 0.0
         self.config = config
 
@@ -116,13 +117,16 @@ class ImageEvidence:
         index = self._index[z.map_id]
         unit = self._maps[index].unit
         sigma_m = float(np.hypot(z.sigma_position / unit, self.config.pose_floor_m))
-        return PoseMeasurement(z, index, unit, z.T_map_cam @ self._T_cam_body, sigma_m)
+        camera = self._cameras[index]
+        T_cam_body = np.eye(4) if camera is None else camera.T_cam_body_matrix
+        return PoseMeasurement(z, index, unit, z.T_map_cam @ T_cam_body, sigma_m)
 
     def _figures(self, m: PoseMeasurement) -> MatchFigures:
         z, sightings = m.localization, self._maps[m.map_index].sightings
         share = self.config.fitted.usual_support
-        if self._camera is not None and sightings.is_enough:
-            share = support(sightings.in_usual_views(len(z.landmarks)), sightings.in_view(z.T_map_cam, self._camera))
+        camera = self._cameras[m.map_index]
+        if camera is not None and sightings.is_enough:
+            share = support(sightings.in_usual_views(len(z.landmarks)), sightings.in_view(z.T_map_cam, camera))
         return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
 
     def _rarer(self, figures: MatchFigures) -> float:
@@ -226,9 +230,10 @@ class ImageEvidence:
         """
         sightings = self._maps[h.map_index].sightings
         is_uncertain = h.sigma_rad + h.sigma_m / USUAL_VIEWING_M > self._half_view
-        if self._camera is None or is_uncertain or not sightings.is_enough:
+        camera = self._cameras[h.map_index]
+        if camera is None or is_uncertain or not sightings.is_enough:
             return None
-        return sightings.in_view(h.pose(T_nav_body) @ self._camera.T_body_cam_matrix, self._camera)
+        return sightings.in_view(h.pose(T_nav_body) @ camera.T_body_cam_matrix, camera)
 
 
 def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:

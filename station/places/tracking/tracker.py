@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
 from station.model.best_camera import why_unsure_of
@@ -53,7 +51,6 @@ class PlaceTracker:
         self._unsure_map = {m.id: why for m in maps if (why := why_unsure_of(m.navigation))}
         camera = calibration.camera
         self._shift_ns = round(camera.time_shift_s * 1e9) if camera else 0
-        self._T_cam_body = camera.T_cam_body_matrix if camera else np.eye(4)
 
     def on_imu(self, imu: ImuBatch) -> None:
         event = self.hijacks.on_imu(imu)

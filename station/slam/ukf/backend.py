@@ -124,7 +124,7 @@ class UkfBackend:
         is_still = self._still.update(t_imu, tracked, self._imu.samples(t_imu - 10**9, t_imu))
         self._previous_t = t_imu
         rgb = sample_grey(grey, tracked.uv_px) if is_grey(frame.encoded) else None
-        current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu), rgb)
+        current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu, is_still), rgb)
         if self._filter is None:
             if self._lost_since is not None:
                 self._coasting.advance(segment, t_imu, rolled_m)
@@ -338,13 +338,16 @@ class UkfBackend:
     def _is_commanded_to_move(self) -> bool:
         return self._drive is not None and commands_motion(self._drive)
 
-    def _wheels(self, segment: ImuSegment, t_imu: int) -> BodyVelocity | None:
-        """What the wheels say of the body velocity now."""
+    def _wheels(self, segment: ImuSegment, t_imu: int, is_still: bool) -> BodyVelocity | None:
+        """What the wheels say of the body velocity now; of a robot that stands while it should roll, nothing forward.
+
+        It is blocked: its wheels' constants are not to be learnt from that.
+        """
         if not self._calibration.has_wheels:
             return None
         bias = self._filter.state.bias_gyro if self._filter is not None else np.zeros(3)
         command, since = None, 0.0
-        if self._drive is not None:
+        if self._drive is not None and not (is_still and self._is_commanded_to_move()):
             command, since = self._drive.linear_m_s, (t_imu - self._speed_since) * 1e-9
         wheels = self._filter.state.wheels if self._filter is not None else self._wheels_known.mean
         return wheel_velocity(self._config.wheels, wheels, float(segment.end_gyro[2] - bias[2]), command, since)
