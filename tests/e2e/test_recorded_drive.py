@@ -50,8 +50,8 @@ def test_places_of_a_real_kitchen_are_named_right_when_somebody_passes_again() -
     assert len(right) >= 5 and all(right), [answer.reason for answer in answers]
 
 
-def test_places_of_a_simulated_room_are_named_right_on_the_second_drive(tmp_path: Path) -> None:
-    world, config = make_world("room", 1), SimulationConfig()
+def test_places_of_a_simulated_flat_are_named_right_on_the_second_drive(tmp_path: Path) -> None:
+    world, config = make_world("small", 1), SimulationConfig()
     for number, kind in enumerate(("mapping", "local")):
         record_drive(world, plan_route(world, kind), config, number, tmp_path / kind)
     mapped, again = open_dataset(tmp_path / "mapping"), open_dataset(tmp_path / "local")
