@@ -85,7 +85,9 @@ def evaluate_command(
 def default_folder(navigation: str) -> Path:
     """Beside the navigation's folder, whose own content is fixed."""
     given = Path(navigation)
-    found = (navigation_folder(given) or given).resolve()
+    found = navigation_folder(given) or given
+    if not found.name.strip("."):  # `.` and `..` have no name
+        found = found.resolve()
     return found.with_name(f"{found.name}-evaluation")
 
 

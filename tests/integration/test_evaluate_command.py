@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from shared.errors import DataError
+from station.commands.evaluate import default_folder
 from station.files.navigation_folder import load_navigation, save_navigation
 from station.main import app
 from station.maps.folder import save_map_folder
@@ -95,6 +96,7 @@ def test_results_lie_beside_the_navigation_unless_told_otherwise(recorded: Path,
     assert run("mine", recorded / "images").stdout == first.stdout  # an earlier run's results are replaced
     assert {path.name for path in (here / "mine-evaluation").iterdir()} == FILES
     assert {path.name for path in here.iterdir()} == {"mine", "mine-evaluation"}
+    assert default_folder(".") == Path.cwd().with_name(f"{Path.cwd().name}-evaluation")
 
 
 def test_without_truth_there_is_one_sentence_and_its_own_exit_code(recorded: Path, tmp_path: Path) -> None:
