@@ -131,10 +131,13 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     silent = part("not known where the map has nothing", summary.silent, asked(SILENT))
     if group == ELSEWHERE:
         return [part("not known", summary.silent, 100.0)]
+    right = part("known and right in mapped rooms", summary.recall, least_recall)
+    if worlds[0].kind == real.KIND:  # too few answers for more
+        return [known, right]
     alarms, hours = summary.false_alarms_per_hour, summary.undisturbed_h
     found = [
         known,
-        part("known and right in mapped rooms", summary.recall, least_recall),
+        right,
         Figure(
             f"{group}: expected calibration error",
             summary.calibration_error,
@@ -147,8 +150,6 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
             at_most=asked(FALSE_ALARMS_PER_HOUR),
         ),
     ]
-    if worlds[0].kind == real.KIND:
-        return found
     return [
         *found,
         silent,
