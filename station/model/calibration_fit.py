@@ -73,7 +73,7 @@ def judge(
     """
     scale, sigma = focal
     error = 1.0 / scale - 1.0  # of what is told
-    is_sure = sigma <= SURE * MAX_FOCAL_ERROR or abs(error) - 2.0 * sigma > MAX_FOCAL_ERROR
+    is_sure = sigma <= SURE * MAX_FOCAL_ERROR
     misfits = other = _other_misfits(mounting_deg, mounting_sigma_deg, shift_s)
     if is_sure and abs(error) > MAX_FOCAL_ERROR:
         misfits = [f"the focal length seems {abs(error):.1%} too {'long' if error > 0 else 'short'}", *other]
