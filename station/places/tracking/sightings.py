@@ -30,7 +30,6 @@ class Sightings:
         navigation = place_map.navigation
         poses = navigation.keyframes.T_world_cam
         self._position = poses[:, :3, 3]
-        self._forward = poses[:, :3, 2]
         self._tree = cKDTree(self._position) if len(poses) else None
         self._shuffled = np.random.default_rng(0).permutation(len(poses))
         self._seen = _Seen(place_map)
