@@ -13,6 +13,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import msgspec
 import pytest
 
 from robot.devices.pi import mega as mega_module
@@ -134,6 +135,33 @@ def test_samples_keep_their_numbers_and_a_restart_shows_as_a_hole() -> None:
         assert got == [0, 1, 3, 5, 6]
         assert mega.restarts == 1
         assert line.written.count(sp.encode(sp.ConfigMotors())) == 2
+
+
+async def test_a_sensor_is_given_its_time_by_the_clock_of_the_mega(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mega_module, "SILENCE_S", 0.2)
+    line = FakeLine(1)
+    with opened(line) as mega:
+        waiting = asyncio.create_task(mega.wait_readings())
+        for _ in range(60):  # six times as long; the Mega's own clock stands still, as in a machine that was held up
+            line.say(STATUS)
+            await asyncio.sleep(0.02)
+        assert not waiting.done()
+        line.say(imu(0))
+        assert [r.sequence for r in await asyncio.wait_for(waiting, WAIT_S)] == [0]
+
+
+async def test_a_sensor_that_gives_nothing_while_the_mega_runs_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mega_module, "SILENCE_S", 0.2)
+    line = FakeLine(1)
+    with opened(line) as mega:
+        waiting = asyncio.create_task(mega.wait_readings())
+        uptime_ms = STATUS.uptime_ms
+        while not waiting.done():
+            uptime_ms += 20
+            line.say(msgspec.structs.replace(STATUS, uptime_ms=uptime_ms, flags=sp.Flag.IMU_MISSING))
+            await asyncio.sleep(0.02)
+        with pytest.raises(DeviceLost, match="finds no ICM-20948"):
+            await waiting
 
 
 def test_a_lost_line_is_opened_again_and_nothing_drives_meanwhile() -> None:
