@@ -50,9 +50,7 @@ def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: d
                 "p": [float(v) / view.unit for v in (z.T_map_cam @ camera.T_cam_body_matrix)[:3, 3]],
                 "extent": z.extent / view.unit,
                 "inliers": z.num_inliers,
-                "support": support(
-                    view.sightings.in_usual_views(len(z.landmarks)), view.sightings.in_view(z.T_map_cam, camera)
-                ),
+                "support": support(len(z.landmarks), view.sightings.in_view(z.T_map_cam, camera)),
             }
             for z in image.attempt.candidates
         ],
