@@ -136,7 +136,7 @@ class ImageEvidence:
         z, sightings = m.localization, self._maps[m.map_index].sightings
         share = self.config.fitted.usual_support
         camera = self._cameras[m.map_index]
-        if camera is not None and sightings.is_told:
+        if camera is not None and sightings.is_enough:
             share = support(len(z.landmarks), sightings.in_view(z.T_map_cam, camera))
         return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
 
@@ -242,7 +242,7 @@ class ImageEvidence:
         sightings = self._maps[h.map_index].sightings
         is_uncertain = h.sigma_rad + h.sigma_m / USUAL_VIEWING_M > self._half_view
         camera = self._cameras[h.map_index]
-        if camera is None or is_uncertain or not sightings.is_told:
+        if camera is None or is_uncertain or not sightings.is_enough:
             return None
         return sightings.in_view(h.pose(T_nav_body) @ camera.T_body_cam_matrix, camera)
 

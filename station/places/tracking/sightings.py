@@ -35,9 +35,9 @@ class Sightings:
         self._seen = _Seen(place_map)
 
     @property
-    def is_told(self) -> bool:
+    def is_enough(self) -> bool:
         """Whether the map says what its keyframes saw, so that what should be in view can be counted."""
-        return self._seen.is_told
+        return self._seen.is_enough
 
     def in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> float:
         """How many landmarks a camera should recognise at this pose (4, 4)."""
@@ -98,8 +98,9 @@ class _Seen:
         self.every = every  # one of so many landmarks is among those kept
 
     @property
-    def is_told(self) -> bool:
-        return any(len(seen) for seen in self._landmarks)
+    def is_enough(self) -> bool:
+        """Whether a usual keyframe saw anything to speak of."""
+        return bool(self._landmarks) and float(np.median([len(seen) for seen in self._landmarks])) >= 10
 
     def by(self, keyframes: IntArray) -> tuple[IntArray, IntArray]:
         """Every (landmark, keyframe) that these keyframes (k,) saw: arrays (n,), (n,)."""
