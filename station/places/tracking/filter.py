@@ -91,11 +91,13 @@ def weigh(
     hypotheses = []
     for i, h in enumerate(before.hypotheses):
         h = replace(h, weight=h.weight * image.at[i])
-        if (by := image.corrects[i]) is not None:
-            if by.fit.slipped:
-                hypotheses.append(replace(h, weight=h.weight * (1 - by.probability)))
-                h = replace(h, weight=h.weight * by.probability)
-            h = h.corrected(image.candidates[by.candidate], by.fit, T_nav_body, image.counted_log_odds, c)
+        if (correction := image.corrects[i]) is not None:
+            if correction.fit.slipped:
+                hypotheses.append(replace(h, weight=h.weight * (1 - correction.probability)))
+                h = replace(h, weight=h.weight * correction.probability)
+            h = h.corrected(
+                image.candidates[correction.candidate], correction.fit, T_nav_body, image.counted_log_odds, c
+            )
         gained = float(found[[expecting == i for expecting in image.expected_by]].sum())
         hypotheses.append(replace(h, weight=h.weight + gained))
     for m, weight, by in zip(image.candidates, found, image.expected_by, strict=True):
