@@ -108,14 +108,13 @@ def nearest_places(places: Sequence[Place], p_map: FloatArray) -> set[str]:
 
 
 def true_positions(answers: Sequence[PlaceAnswer], data: Dataset) -> FloatArray:
-    """(N, 3) where the body truly was when each answer's picture was taken, NaN where that is not known."""
+    """(N, 3) where the body truly was at each answer's time, NaN where that is not known.
+
+    Answers and truth are both by the IMU's clock: the tracker has added the camera's time shift.
+    """
     p = np.full((len(answers), 3), np.nan)
     if data.truth is not None and answers:
-        camera = data.calibration.camera
-        shift_ns = round(1e9 * camera.time_shift_s) if camera is not None else 0
-        # Answers carry their picture's stamp, truth is by the IMU's clock.
-        t_ns = np.array([answer.t_robot_ns for answer in answers], dtype=np.int64) + shift_ns
-        T, known = interpolate_poses(data.truth, t_ns)
+        T, known = interpolate_poses(data.truth, np.array([answer.t_robot_ns for answer in answers], dtype=np.int64))
         p[known] = T[:, :3, 3]
     return p
 
