@@ -17,7 +17,7 @@ from station.experiments.evaluation import truth_of_body
 from station.experiments.trajectory_error import interpolate_poses
 from station.model.navigation import Navigation
 from station.model.place_answer import PlaceAnswer
-from station.model.place_map import Place
+from station.model.place_map import Place, PlaceMap
 
 TIE = 1.1  # so many times the distance of the nearest place: as near, so right too
 LEVER_M = 1.0  # a true position is good to one or two centimetres, an orientation to as much at this distance
@@ -79,6 +79,27 @@ class JudgedAnswers:
             "truth": self.frame.source,
             "answers_with_truth": asked,
         }
+
+
+def judge_recorded(
+    answers: Sequence[PlaceAnswer], place_map: PlaceMap, recorded: Dataset, mapping: Dataset | None = None
+) -> JudgedAnswers:
+    """Judge the answers to a recording by its true poses; without any, nothing is right or wrong.
+
+    Args:
+        mapping: what the map was made from; its true poses give the map's frame, else the answers themselves do.
+    Raises:
+        As `frame_of_map`, of the mapping dataset.
+    """
+    p_true = true_positions(answers, recorded)
+    if recorded.truth is None:
+        nowhere = np.full((len(answers), 4, 4), np.nan)
+        frame = MapFrame("none", nowhere, f"{recorded.path} holds no true poses")
+    elif mapping is None:
+        frame = frame_of_answers(answers, p_true)
+    else:
+        frame = frame_of_map(place_map.navigation, mapping, len(answers))
+    return judge_answers(answers, place_map.places, p_true, frame)
 
 
 def judge_answers(
