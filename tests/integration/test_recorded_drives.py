@@ -16,6 +16,8 @@ from tests.support.drives.simulated import DriveOptions, make_drives
 from tests.support.made_up_workers import focal_fit
 from tests.support.places import SECOND, make_map, pose, seen
 
+pytestmark = pytest.mark.computing
+
 
 def test_a_drive_that_found_its_calibration_wrong_is_played_back_with_that() -> None:
     place_map = make_map()

@@ -17,6 +17,8 @@ from station.workers.replay import replay as replay_drive
 from tests.support.paths import RECORDINGS
 from tests.support.recordings import record_made_up_room
 
+pytestmark = pytest.mark.computing
+
 KEYFRAMES = RECORDINGS / "euroc_v1_01_keyframes"
 MADE_UP = "tests.support.made_up_workers:StraightSlam"
 MISFIT = "tests.support.made_up_workers:MisfitSlam"

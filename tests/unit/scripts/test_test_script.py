@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import COMPUTING
 from tests.support.paths import ROOT
 
 STAND_IN = """#!/bin/bash
@@ -36,16 +37,19 @@ def run(folder: Path, *arguments: str, failing: str = "nothing") -> subprocess.C
     )  # fmt: skip
 
 
-def test_every_folder_of_tests_is_run_once(folder: Path) -> None:
+def test_every_test_is_in_one_half(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
-    given = [word for line in result.stdout.splitlines() if line.startswith("pytest") for word in line.split()]
-    folders = {f"tests/{path.relative_to(ROOT / 'tests').parts[0]}" for path in (ROOT / "tests").glob("*/**/test_*.py")}
-    assert sorted(word for word in given if word.startswith("tests/")) == sorted(folders)
+    assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
+        "pytest -m not hardware and not computing tests/integration tests/e2e",
+        "pytest -m not hardware and computing -p no:cacheprovider tests",
+    ]
+    folders = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").glob("*/**/test_*.py")}
+    assert folders == {"integration", "e2e", *COMPUTING}
     assert not list(folder.glob("tmp.*"))
 
 
-@pytest.mark.parametrize("failing", ["tests/unit", "tests/e2e"])
+@pytest.mark.parametrize("failing", ["and computing", "tests/e2e"])
 def test_a_failure_in_either_half_fails_the_whole_and_both_are_shown(folder: Path, failing: str) -> None:
     result = run(folder, failing=failing)
     assert result.returncode == 1
