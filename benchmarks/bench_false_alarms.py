@@ -1,6 +1,7 @@
 """False alarms: plain driving in simulated flats, all rooms mapped, also with a covered lens, other light, a person.
 
-    python -m benchmarks.bench_false_alarms [--flats 6] [--seed 250] [--drives 2] [--out FILE.json] [--results FILE]
+    python -m benchmarks.bench_false_alarms [--kind small] [--flats 6] [--seed 250] [--drives 2] [--out FILE.json]
+        [--results FILE]
 
 Nobody touches the robot, so that every hijack event is a false alarm; what the current place says meanwhile is judged
 as in `bench_current_place`, on a map that SLAM made. Conditions, each for whole drives: `plain`; `lens`, covered
@@ -100,6 +101,7 @@ def figures(drives: list[dict[str, Any]]) -> list[Figure]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kind", default="small", help="of worlds: small, home, plain")
     parser.add_argument("--flats", type=int, default=6)
     parser.add_argument("--seed", type=int, default=250)
     parser.add_argument("--drives", type=int, default=2, help="of each condition in each flat")
@@ -110,7 +112,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     drives: list[dict[str, Any]] = []
     for seed in range(a.seed, a.seed + a.flats):
-        flat = SimulatedFlat("small", seed, Misfit(seed=seed), DriveOptions())
+        flat = SimulatedFlat(a.kind, seed, Misfit(seed=seed), DriveOptions())
         mapped = flat.mapped()
         localizer = Localizer([mapped.place_map])
         for drive in range(1, a.drives + 1):

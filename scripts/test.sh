@@ -17,4 +17,15 @@ checked=0
 $bin/python station/web/build_hook.py --check || checked=$?
 if [ $checked -eq 2 ] && [ -z "${NO_NODE:-}" ]; then echo "Where there is no Node, set NO_NODE=1" >&2; fi
 if [ $checked -ne 0 ] && ! { [ $checked -eq 2 ] && [ -n "${NO_NODE:-}" ]; }; then exit $checked; fi
-exec $bin/pytest -m "not hardware" "$@"
+if [ $# -gt 0 ]; then exec $bin/pytest -m "not hardware" "$@"; fi
+# Tests that only compute take the time in which those with sockets, programs and browsers wait; what they say comes last.
+# The whole system of tests/e2e runs at the end, when it has the machine for itself.
+computing=$(mktemp)
+nice $bin/pytest -m "not hardware and computing" -p no:cacheprovider tests >"$computing" 2>&1 &
+beside=$!
+trap 'kill $beside 2>/dev/null || true; rm -f "$computing"' EXIT
+failed=0
+$bin/pytest -m "not hardware and not computing" tests/integration tests/e2e || failed=$?
+wait $beside || failed=$?
+cat "$computing"
+exit $failed

@@ -1,7 +1,20 @@
 """Settings for all tests."""
 
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
+
+COMPUTING = {"unit", "property", "golden"}  # folders; of the other tests those that are marked so
 
 # A slow machine is not a wrong result: Hypothesis' limit of 200 ms per example would fail tests at random.
 settings.register_profile("sentinel", deadline=None)
 settings.load_profile("sentinel")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what `scripts/test.sh` runs beside the rest, before tests are chosen by their marks."""
+    for item in items:
+        if item.path.relative_to(Path(__file__).parent).parts[0] in COMPUTING:
+            item.add_marker(pytest.mark.computing)

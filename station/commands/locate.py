@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from shared.errors import DataError, DegenerateGeometry
+from station.commands.answer_files import ANSWERS, SUMMARY, write_answers
 from station.commands.map_store import MapArgument, open_map
 from station.commands.options import Config, Data, check_out_folder
 from station.commands.progress import Bar, working
@@ -19,20 +19,11 @@ from station.commands.results_folder import check_results_folder, write_results
 from station.config import check_backend, load_config
 from station.datasets import Dataset, open_dataset
 from station.experiments.answer_figures import CALIBRATION, OVER_TIME, draw_answers
-from station.experiments.answers import (
-    JudgedAnswers,
-    MapFrame,
-    frame_of_answers,
-    frame_of_map,
-    judge_answers,
-    true_positions,
-)
+from station.experiments.answers import JudgedAnswers, frame_of_map, judge_recorded
 from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
-from station.workers.replay import ReplayOptions, answer_lines, has_live_poses, locate_live
-
-ANSWERS, SUMMARY = "answers.jsonl", "summary.json"
+from station.workers.replay import ReplayOptions, has_live_poses, locate_live
 
 
 def register(app: typer.Typer) -> None:
@@ -91,10 +82,10 @@ def locate_command(
         if not place_map.places:
             raise DataError(f"{which} holds no place; make a map with places, or show one that is hidden")
         if mapping is not None:
-            _frame_of_map(place_map, mapping, 1)  # what cannot work is said before minutes of it
+            _check_mapping(place_map, mapping)  # what cannot work is said before minutes of it
         answers, hijacks = _locate(recorded, place_map, options, bar)
         bar.step("judging")
-        judged = _judge(answers, place_map, recorded, mapping)
+        judged = judge_recorded(answers, place_map, recorded, mapping)
         bar.step("drawing")
         _write(judged, hijacks, place_map, recorded, out)
     if as_json:
@@ -116,6 +107,13 @@ def _open_mapping(path: Path | None, recorded: Dataset) -> Dataset | None:
     return mapping
 
 
+def _check_mapping(place_map: PlaceMap, mapping: Dataset) -> None:
+    try:
+        frame_of_map(place_map.navigation, mapping, 1)
+    except DegenerateGeometry as exc:
+        raise DataError(f"--map-truth {mapping.path} does not fit the map ({exc}); give what it was made from") from exc
+
+
 def _locate(
     recorded: Dataset, place_map: PlaceMap, options: ReplayOptions, bar: Bar
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
@@ -127,34 +125,11 @@ def _locate(
     return locate_live(recorded, place_map, options, pace, bar.step)
 
 
-def _judge(
-    answers: Sequence[PlaceAnswer], place_map: PlaceMap, recorded: Dataset, mapping: Dataset | None
-) -> JudgedAnswers:
-    p_true = true_positions(answers, recorded)
-    if recorded.truth is None:
-        nowhere = np.full((len(answers), 4, 4), np.nan)
-        frame = MapFrame("none", nowhere, f"{recorded.path} holds no true poses")
-    elif mapping is None:
-        frame = frame_of_answers(answers, p_true)
-    else:
-        frame = _frame_of_map(place_map, mapping, len(answers))
-    return judge_answers(answers, place_map.places, p_true, frame)
-
-
-def _frame_of_map(place_map: PlaceMap, mapping: Dataset, num_answers: int) -> MapFrame:
-    try:
-        return frame_of_map(place_map.navigation, mapping, num_answers)
-    except DegenerateGeometry as exc:
-        raise DataError(f"--map-truth {mapping.path} does not fit the map ({exc}); give what it was made from") from exc
-
-
 def _write(
     judged: JudgedAnswers, hijacks: Sequence[HijackEvent], place_map: PlaceMap, recorded: Dataset, out: Path
 ) -> None:
     with write_results(out) as fresh:
-        (fresh / ANSWERS).write_text(answer_lines(judged.answers))
-        if recorded.truth is not None:
-            (fresh / SUMMARY).write_text(json.dumps(judged.summary(), indent=1) + "\n")
+        write_answers(judged.answers, judged if recorded.truth is not None else None, fresh)
         draw_answers(judged, hijacks, f"{recorded.path.name} in {place_map.name}", fresh)
 
 

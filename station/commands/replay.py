@@ -10,14 +10,17 @@ from typing import Annotated
 import typer
 
 from shared.errors import ConfigError, DataError
+from station.commands.answer_files import write_answers
 from station.commands.map_store import open_map
 from station.commands.options import Config, Data
 from station.commands.progress import working
 from station.commands.results_folder import write_results
-from station.datasets import open_dataset
+from station.datasets import Dataset, open_dataset
+from station.experiments.answers import JudgedAnswers, judge_recorded
 from station.files.navigation_folder import save_navigation
 from station.maps.folder import save_map_folder
-from station.workers.replay import Replay, ReplayOptions, answer_lines, replay
+from station.model.place_map import PlaceMap
+from station.workers.replay import Replay, ReplayOptions, replay
 
 
 def register(app: typer.Typer) -> None:
@@ -41,7 +44,10 @@ def replay_command(
     config: Config = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the hashes as one JSON object on stdout.")] = False,
 ) -> None:
-    """Reconstruct, map and ask for the current place, as the running station would; prints a hash of each result."""
+    """Reconstruct, map and ask for the current place, as the running station would; prints a hash of each result.
+
+    With --map, --out and true poses in the recording, summary.json judges the answers as `station locate` does.
+    """
     if speed is not None and not speed > 0:
         raise ConfigError(f"--speed {speed} must be above 0")
     recorded = open_dataset(dataset, first, last, step)
@@ -60,8 +66,10 @@ def replay_command(
             bar.reach(1e-9 * (min(max(t_robot_ns, begin_ns), end_ns) - begin_ns), 1e-9 * (end_ns - begin_ns))
 
         result = replay(recorded, options, place_map, pace, bar.step)
+        bar.step("judging")
+        judged = _judge(result, place_map, recorded)
     if out is not None:
-        _write(result, out)
+        _write(result, judged, out)
     hashes = result.hashes()
     if as_json:
         print(json.dumps({**hashes, "answers_given": len(result.answers), "places": len(result.place_map.places)}))
@@ -94,9 +102,16 @@ class Metronome:
         time.sleep(max(0.0, due_s - time.monotonic()))
 
 
-def _write(result: Replay, out: Path) -> None:
+def _judge(result: Replay, place_map: PlaceMap | None, recorded: Dataset) -> JudgedAnswers | None:
+    """None in the map just made of the recording itself, and without true poses."""
+    if place_map is None or recorded.truth is None:
+        return None
+    return judge_recorded(result.answers, place_map, recorded)
+
+
+def _write(result: Replay, judged: JudgedAnswers | None, out: Path) -> None:
     with write_results(out) as fresh:
         save_navigation(result.navigation, fresh / "navigation")
         save_map_folder(result.place_map, fresh / "map")
-        (fresh / "answers.jsonl").write_text(answer_lines(result.answers))
+        write_answers(result.answers, judged, fresh)
         (fresh / "hashes.json").write_text(json.dumps(result.hashes(), indent=1) + "\n")

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 from shared.errors import DataError
 from shared.recorded_files import VIDEO_SUFFIXES
@@ -13,6 +16,8 @@ from station.datasets.dataset import Dataset
 from station.datasets.image_folder import open_image_folder
 from station.datasets.video import open_video
 
+MAX_ACCEL_M_S2 = 1000.0  # no IMU of such a rig measures more: a damaged sample, as one that is no number
+MAX_TILT_DEG = 45.0  # no floor at home is as steep, and nobody mounts an IMU so askew who means its z axis to be up
 Opener = Callable[[Path, int | None, int | None, int], Dataset]
 
 
@@ -27,7 +32,12 @@ def open_dataset(path: str | Path, first: int | None = None, last: int | None = 
     Raises:
         DataError: the path, or a file in it, cannot be used; says which and what to do.
     """
-    path = Path(path)
+    data = _open(Path(path), first, last, step)
+    _check_axes(data)
+    return data
+
+
+def _open(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
     if not path.exists():
         raise DataError(f"{path} does not exist; give the folder or file of a recorded navigation")
     if path.is_file():
@@ -37,6 +47,29 @@ def open_dataset(path: str | Path, first: int | None = None, last: int | None = 
     if (path / "mav0").is_dir():
         return open_asl(path, first, last, step)
     return open_image_folder(path, first, last, step)
+
+
+def _check_axes(data: Dataset) -> None:
+    """Raise DataError for a rig on wheels whose IMU's z axis is certainly not up.
+
+    Half of the samples say so: a hand that turned the robot over for a while does not.
+    """
+    if data.imu is None or not data.calibration.has_wheels:
+        return
+    accel = data.imu.accel_imu
+    accel = accel[(np.abs(accel) < MAX_ACCEL_M_S2).all(axis=1)]
+    if not len(accel):
+        return
+    up_imu = np.median(accel, axis=0)
+    force = float(np.linalg.norm(up_imu))
+    if abs(force / data.calibration.gravity - 1.0) > 0.5:
+        return  # no gravity in it: samples that were made up, or cut at the sensor's range
+    tilt_deg = math.degrees(math.acos(np.clip(up_imu[2] / force, -1.0, 1.0)))
+    if tilt_deg > MAX_TILT_DEG:
+        raise DataError(
+            f"{data.path} is a rig on wheels, and its IMU's z axis is {tilt_deg:.0f} degrees from up; turn the IMU's "
+            "axes in the data so that x points forward, y left and z up, or say `rig: hand-held` in cam0/sensor.yaml"
+        )
 
 
 def _open_file(path: Path, first: int | None, last: int | None, step: int) -> Dataset:

@@ -17,7 +17,7 @@ from station.experiments.evaluation import truth_of_body
 from station.experiments.trajectory_error import interpolate_poses
 from station.model.navigation import Navigation
 from station.model.place_answer import PlaceAnswer
-from station.model.place_map import Place
+from station.model.place_map import Place, PlaceMap
 
 TIE = 1.1  # so many times the distance of the nearest place: as near, so right too
 LEVER_M = 1.0  # a true position is good to one or two centimetres, an orientation to as much at this distance
@@ -81,6 +81,27 @@ class JudgedAnswers:
         }
 
 
+def judge_recorded(
+    answers: Sequence[PlaceAnswer], place_map: PlaceMap, recorded: Dataset, mapping: Dataset | None = None
+) -> JudgedAnswers:
+    """Judge the answers to a recording by its true poses; without any, nothing is right or wrong.
+
+    Args:
+        mapping: what the map was made from; its true poses give the map's frame, else the answers themselves do.
+    Raises:
+        As `frame_of_map`, of the mapping dataset.
+    """
+    p_true = true_positions(answers, recorded)
+    if recorded.truth is None:
+        nowhere = np.full((len(answers), 4, 4), np.nan)
+        frame = MapFrame("none", nowhere, f"{recorded.path} holds no true poses")
+    elif mapping is None:
+        frame = frame_of_answers(answers, p_true)
+    else:
+        frame = frame_of_map(place_map.navigation, mapping, len(answers))
+    return judge_answers(answers, place_map.places, p_true, frame)
+
+
 def judge_answers(
     answers: Sequence[PlaceAnswer], places: Sequence[Place], p_true: FloatArray, frame: MapFrame
 ) -> JudgedAnswers:
@@ -108,14 +129,13 @@ def nearest_places(places: Sequence[Place], p_map: FloatArray) -> set[str]:
 
 
 def true_positions(answers: Sequence[PlaceAnswer], data: Dataset) -> FloatArray:
-    """(N, 3) where the body truly was when each answer's picture was taken, NaN where that is not known."""
+    """(N, 3) where the body truly was at each answer's time, NaN where that is not known.
+
+    Answers and truth are both by the IMU's clock: the tracker has added the camera's time shift.
+    """
     p = np.full((len(answers), 3), np.nan)
     if data.truth is not None and answers:
-        camera = data.calibration.camera
-        shift_ns = round(1e9 * camera.time_shift_s) if camera is not None else 0
-        # Answers carry their picture's stamp, truth is by the IMU's clock.
-        t_ns = np.array([answer.t_robot_ns for answer in answers], dtype=np.int64) + shift_ns
-        T, known = interpolate_poses(data.truth, t_ns)
+        T, known = interpolate_poses(data.truth, np.array([answer.t_robot_ns for answer in answers], dtype=np.int64))
         p[known] = T[:, :3, 3]
     return p
 

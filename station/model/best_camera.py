@@ -14,7 +14,7 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import so3_exp
-from station.model.calibration_fit import CalibrationFit, why_misfit, why_unsure
+from station.model.calibration_fit import CalibrationFit, why_doubtful, why_misfit, why_unsure
 from station.model.navigation import Navigation, NavigationReport
 
 # How good a calibration at home is, one standard deviation: a chessboard that is printed and held by hand gives the
@@ -70,12 +70,13 @@ def best_camera(
 
 
 def misfit_of(report: NavigationReport) -> str:
-    """As `why_misfit`, and that the map is corrected for it where it is."""
-    why = why_misfit(report.calibration_fit)
-    return f"{why}; this map is made with the corrected camera" if why and report.told_camera else why
+    """As `why_doubtful`, and that the map is corrected for it where it is. Also of navigations joined to it."""
+    why = why_doubtful(report.calibration_fit)
+    return f"{why}; this map is made with the corrected camera" if why and report.told_camera else why or report.unsure
 
 
 def why_unsure_of(navigation: Navigation) -> str:
     """Why nothing in its map may be said for sure, in a sentence; empty where it was made with a camera that fits."""
     report = navigation.report
-    return why_misfit(report.calibration_fit) if report.told_camera is None else why_unsure(report.calibration_fit)
+    why = why_misfit if report.told_camera is None else why_unsure
+    return why(report.calibration_fit) or report.unsure

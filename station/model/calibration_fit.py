@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -41,27 +40,39 @@ class CalibrationFit:
     sentence: str  # for a person
 
 
+@dataclass(frozen=True, slots=True)
+class _Excess:
+    """An error beyond what is borne, as far as anybody knows."""
+
+    what: str
+    give_or_take: str  # one standard deviation
+    is_known: bool
+
+
 def why_misfit(fit: CalibrationFit | None) -> str:
     """In a sentence; empty where nothing says that the calibration does not fit."""
     return fit.sentence if fit is not None and fit.verdict == MISFITS else ""
+
+
+def why_doubtful(fit: CalibrationFit | None) -> str:
+    """As `why_misfit`, and where it seems not to fit although the drive was too short to know."""
+    return fit.sentence if fit is not None and (_excesses(fit) or fit.verdict == MISFITS) else ""
 
 
 def why_unsure(fit: CalibrationFit | None) -> str:
     """As `why_misfit`, but empty too where what does not fit is near enough, less its sigma, to be corrected."""
     if fit is None:
         return ""
-    mounting_sigma, shift_sigma = np.array(fit.mounting_sigma_deg), fit.time_shift_sigma_s
-    mounting = _drawn_to_zero(np.array(fit.mounting_deg), mounting_sigma)
-    shift = float(_drawn_to_zero(np.array(fit.time_shift_s), np.array(shift_sigma)))
-    other = _other_misfits(mounting, mounting_sigma, (shift, shift_sigma))
-    return why_misfit(fit) if other or _is_far(fit) else ""
+    turned = _drawn_to_zero(np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg))
+    shift_s = float(_drawn_to_zero(np.array(fit.time_shift_s), np.array(fit.time_shift_sigma_s)))
+    surely = replace(fit, mounting_deg=_three(turned), time_shift_s=shift_s)
+    is_other = any(excess.is_known for excess in (*_turns(surely), *_shifts(surely)))
+    return why_misfit(fit) if is_other or _is_far(fit) else ""
 
 
-def worst(fits: Iterable[CalibrationFit | None]) -> CalibrationFit | None:
-    """One that does not fit, where there is one; else one that is known, else None."""
-    order = (MISFITS, FITS, UNKNOWN)
-    known = [fit for fit in fits if fit is not None]
-    return min(known, key=lambda fit: order.index(fit.verdict), default=None)
+def newer(before: CalibrationFit | None, now: CalibrationFit) -> CalibrationFit:
+    """What is known of a calibration once another drive speaks of it: drives say nothing sure at first."""
+    return before if before is not None and now.verdict == UNKNOWN != before.verdict else now
 
 
 def judge(
@@ -73,30 +84,20 @@ def judge(
         focal: scale and its standard deviation; shift_s: likewise.
         mounting_deg, mounting_sigma_deg: (3,).
     """
-    scale, sigma = focal
-    error = 1.0 / scale - 1.0  # of what is told
-    is_sure = sigma <= SURE * MAX_FOCAL_ERROR
-    misfits = other = _other_misfits(mounting_deg, mounting_sigma_deg, shift_s)
-    if is_sure and abs(error) > MAX_FOCAL_ERROR:
-        misfits = [f"the focal length seems {abs(error):.1%} too {'long' if error > 0 else 'short'}", *other]
-    if misfits:
-        verdict: FitVerdict = MISFITS
-        sentence = f"the calibration does not fit: {', '.join(misfits)}; calibrate the camera"
-    elif is_sure:
-        verdict = FITS
-        sentence = f"the calibration fits: what the drive says of the focal length is {abs(error):.1%} from it"
-    else:
-        verdict = UNKNOWN
-        sentence = "whether the calibration fits is not known yet: drive on, and turn in both directions"
-    return CalibrationFit(
-        focal_scale=scale,
-        focal_sigma=sigma,
-        mounting_deg=_three(mounting_deg),
-        mounting_sigma_deg=_three(mounting_sigma_deg),
-        time_shift_s=shift_s[0],
-        time_shift_sigma_s=shift_s[1],
-        verdict=verdict,
-        sentence=sentence,
+    turned, turned_sigma = _three(mounting_deg), _three(mounting_sigma_deg)
+    fit = CalibrationFit(*focal, turned, turned_sigma, *shift_s, verdict=UNKNOWN, sentence="")
+    excesses = _excesses(fit)
+    if misfits := [excess.what for excess in excesses if excess.is_known]:
+        return replace(
+            fit, verdict=MISFITS, sentence=f"the calibration does not fit: {', '.join(misfits)}; calibrate the camera"
+        )
+    if not excesses and _is_focal_known(fit):
+        said = f"what the drive says of the focal length is {abs(_focal_error(fit)):.1%} from it"
+        return replace(fit, verdict=FITS, sentence=f"the calibration fits: {said}")
+    seems = ", ".join(f"{excess.what}, give or take {excess.give_or_take}" for excess in excesses)
+    so_far = f" (so far {seems})" if seems else ""
+    return replace(
+        fit, sentence=f"whether the calibration fits is not known yet{so_far}: drive on, and turn in both directions"
     )
 
 
@@ -105,21 +106,54 @@ def _drawn_to_zero(values: FloatArray, sigma: FloatArray) -> FloatArray:
     return np.asarray(np.sign(values) * np.maximum(np.abs(values) - sigma, 0.0))
 
 
+def _focal_error(fit: CalibrationFit) -> float:
+    """Of what is told, as a share."""
+    return 1.0 / fit.focal_scale - 1.0
+
+
+def _is_focal_known(fit: CalibrationFit) -> bool:
+    return fit.focal_sigma <= SURE * MAX_FOCAL_ERROR
+
+
 def _is_far(fit: CalibrationFit) -> bool:
     """Whether what is told is too far off to correct it."""
-    return abs(1.0 / fit.focal_scale - 1.0) - fit.focal_sigma > MAX_CORRECTED_FOCAL_ERROR
+    return abs(_focal_error(fit)) - fit.focal_sigma > MAX_CORRECTED_FOCAL_ERROR
 
 
-def _other_misfits(mounting_deg: FloatArray, mounting_sigma_deg: FloatArray, shift_s: tuple[float, float]) -> list[str]:
-    """What does not fit beside the focal length."""
-    misfits = []
-    turned = mounting_deg[(np.abs(mounting_deg) > MAX_MOUNTING_DEG) & (mounting_sigma_deg <= SURE * MAX_MOUNTING_DEG)]
-    if len(turned):
-        misfits.append(f"the camera seems turned by {np.linalg.norm(turned):.1f} degrees")
-    if abs(shift_s[0]) > MAX_TIME_SHIFT_S and shift_s[1] <= SURE * MAX_TIME_SHIFT_S:
-        when = "later" if shift_s[0] > 0 else "earlier"
-        misfits.append(f"images seem taken {1e3 * abs(shift_s[0]):.0f} ms {when} than told")
-    return misfits
+def _excesses(fit: CalibrationFit) -> list[_Excess]:
+    return [*_focal_excess(fit), *_turns(fit), *_shifts(fit)]
+
+
+def _focal_excess(fit: CalibrationFit) -> list[_Excess]:
+    error = _focal_error(fit)
+    if abs(error) <= MAX_FOCAL_ERROR:
+        return []
+    what = f"the focal length seems {abs(error):.1%} too {'long' if error > 0 else 'short'}"
+    return [_Excess(what, f"{fit.focal_sigma:.1%}", _is_focal_known(fit))]
+
+
+def _turns(fit: CalibrationFit) -> list[_Excess]:
+    """About the axes of which it is known that the camera is turned; and about those of which it is not."""
+    turned, sigma = np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg)
+    is_known = sigma <= SURE * MAX_MOUNTING_DEG
+    axes = [(known, (np.abs(turned) > MAX_MOUNTING_DEG) & (is_known == known)) for known in (True, False)]
+    return [
+        _Excess(f"the camera seems turned by {_norm(turned[of]):.1f} degrees", f"{_norm(sigma[of]):.1f} degrees", known)
+        for known, of in axes
+        if of.any()
+    ]
+
+
+def _shifts(fit: CalibrationFit) -> list[_Excess]:
+    shift_s, sigma_s = fit.time_shift_s, fit.time_shift_sigma_s
+    if abs(shift_s) <= MAX_TIME_SHIFT_S:
+        return []
+    what = f"images seem taken {1e3 * abs(shift_s):.0f} ms {'later' if shift_s > 0 else 'earlier'} than told"
+    return [_Excess(what, f"{1e3 * sigma_s:.0f} ms", sigma_s <= SURE * MAX_TIME_SHIFT_S)]
+
+
+def _norm(values: FloatArray) -> float:
+    return float(np.linalg.norm(values))
 
 
 def _three(values: FloatArray) -> tuple[float, float, float]:

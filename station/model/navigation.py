@@ -119,6 +119,7 @@ class NavigationReport:
     messages: tuple[str, ...] = ()  # what a person should know, in sentences
     calibration_fit: CalibrationFit | None = None  # None: not asked, or too little was followed
     told_camera: CameraCalibration | None = None  # before the fit corrected it; None: the calibration's is as told
+    unsure: str = ""  # why nothing of the map of a navigation that was joined to it may be said for sure, in a sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

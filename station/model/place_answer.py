@@ -48,7 +48,7 @@ class PlaceAnswer:
     place: PlaceCandidate | None
     distance: float | None  # robot to centroid, map units
     position_map: FloatArray | None  # (3,) the robot's body
-    t_robot_ns: int  # sensor time the answer is about
+    t_robot_ns: int  # time the answer is about, by the IMU's clock: a picture's with the camera's time shift
     evidence_t_robot_ns: int | None  # sensor time of the last verified localisation
     evidence_keyframe: int | None
     inliers: int

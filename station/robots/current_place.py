@@ -16,7 +16,7 @@ from shared.geometry import FloatArray
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events, Latest
-from station.model.calibration_fit import CalibrationFit
+from station.model.calibration_fit import CalibrationFit, newer
 from station.model.frames import DriveSample, ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
@@ -175,9 +175,9 @@ class CurrentPlace(IgnoringListener):
         self._post(PlaceProgram.add_pose, t_robot_ns, T_nav_body, segment)
 
     def receive_fit(self, fit: CalibrationFit) -> None:
-        """What SLAM says of the calibration."""
-        self.calibration_fit = fit
-        self._post(PlaceProgram.use_fit, fit)
+        """What SLAM says of the calibration; a drive that has just begun undoes nothing that an earlier one knows."""
+        self.calibration_fit = newer(self.calibration_fit, fit)
+        self._post(PlaceProgram.use_fit, self.calibration_fit)
 
     def on_imu(self, batch: ImuBatch) -> None:
         s = batch.samples

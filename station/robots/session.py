@@ -19,7 +19,7 @@ from station.events import Broadcast, Events
 from station.library.active_maps import ActiveMaps
 from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
-from station.model.calibration_fit import MISFITS, CalibrationFit
+from station.model.calibration_fit import MISFITS, CalibrationFit, newer, why_misfit
 from station.model.map_store import StoreAddress
 from station.robots.current_navigation import CurrentNavigation
 from station.robots.current_place import CurrentPlace
@@ -242,10 +242,10 @@ class RobotSession(IgnoringListener):
     def _receive_fit(self, hello: Hello, fit: CalibrationFit) -> None:
         """What SLAM says of the calibration in this hello; pages are told when it means something else than before."""
         before, now = self.current_place.calibration_fit, self.link.state.hello
-        if fit == before or now is None or now.calibration != hello.calibration:
+        if now is None or now.calibration != hello.calibration or newer(before, fit) == before:
             return
         self.current_place.receive_fit(fit)
-        if fit.verdict == MISFITS and (before is None or before.verdict != MISFITS):
+        if fit.verdict == MISFITS and not why_misfit(before):
             self.events.notify("calibration", fit.sentence, "warning")
         self.events.changed("robot")
 

@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from shared.errors import ConfigError
-from shared.geometry import FloatArray
 from station.config import AUTO, can_filter, choose_backend
 from station.datasets import Dataset
 from station.maps.record import map_content_hash
@@ -151,7 +150,7 @@ def locate(
     pace: Pace = lambda _: None,
     say: Say = lambda _: None,
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
-    """The localisation worker's part; `updates` are the poses that SLAM gave on the way."""
+    """The localisation worker's part; `updates` is what SLAM said on the way: poses, and of the calibration."""
     hijacks: list[HijackEvent] = []
 
     def receive(event: PlaceEvent) -> None:
@@ -162,9 +161,8 @@ def locate(
     places.use([place_map])
     places.calibrate(data.calibration)
     say("looking for the current place")
-    poses = [(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
-    following: Iterator[tuple[int, FloatArray, int]] = iter(poses)
-    pose = next(following, None)
+    following = iter(updates)
+    update = next(following, None)
     interval_ns = round(1e9 / options.rate_hz)
     next_ns: int | None = None
     answers = []
@@ -176,9 +174,12 @@ def locate(
         elif next_ns is None or event.t_robot_ns >= next_ns:
             next_ns = event.t_robot_ns + interval_ns - STAMP_ROUNDING_NS
             answers.append(places.answer(event).answer)
-        while pose is not None and pose[0] <= _begin(event):
-            places.add_pose(*pose)
-            pose = next(following, None)
+        while update is not None and update.t_robot_ns <= _begin(event):
+            if update.T_world_body is not None:
+                places.add_pose(update.t_robot_ns, update.T_world_body, update.segment)
+            if update.calibration_fit is not None:
+                places.use_fit(update.calibration_fit)
+            update = next(following, None)
     return tuple(answers), tuple(hijacks)
 
 

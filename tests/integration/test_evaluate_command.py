@@ -21,6 +21,8 @@ from station.places.making.build import build_map
 from tests.support.paths import RECORDINGS
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
+pytestmark = pytest.mark.computing
+
 FILES = {"evaluation.json", "errors.png", "path.png"}
 FLIGHT = RECORDINGS / "euroc_v1_01_flight"
 

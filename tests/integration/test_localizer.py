@@ -25,6 +25,8 @@ from station.workers.places import PlaceFinder
 from tests.support.motion import imu, lift, seconds
 from tests.support.walls import CALIBRATION, CAMERA, camera_at, frame, make_map, picture
 
+pytestmark = pytest.mark.computing
+
 
 @pytest.fixture(scope="module")
 def localizer() -> Localizer:

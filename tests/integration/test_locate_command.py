@@ -113,6 +113,17 @@ def test_true_poses_judge_the_answers(made_up: Path, tmp_path: Path) -> None:
     assert summary["answers"] == 60 and summary["right"] + summary["wrong"] == summary["known"]
 
 
+def test_a_replay_in_a_given_map_is_judged_as_locating_is(made_up: Path, tmp_path: Path) -> None:
+    words = made_up / "images", "--map", made_up / "map", "--backend", MADE_UP, "--out"
+    run("replay", *words, tmp_path / "out")
+    summary, answers = json.loads((tmp_path / "out" / "summary.json").read_text()), answers_in(tmp_path / "out")
+    assert summary.keys() >= SUMMARY and summary["answers"] == len(answers)
+    assert summary["known"] == sum(answer["state"] == "known" for answer in answers)
+    assert summary["truth"] in ("answers", "none")  # fitted to the answers, or too few of them have a position
+    run("replay", made_up / "drive.mcap", *words[1:], tmp_path / "without truth")
+    assert not (tmp_path / "without truth" / "summary.json").exists()
+
+
 @pytest.mark.parametrize(("rate", "count"), [("10", 60), ("5", 30), ("2.5", 15), ("1", 6)])
 def test_as_many_pictures_a_second_are_looked_for_as_asked(
     made_up: Path, tmp_path: Path, rate: str, count: int

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from station.files.navigation_folder import load_navigation
 from station.places.joining.align import align_navigation
@@ -12,6 +13,8 @@ from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
 from station.places.registration.result import Registration
 from tests.support.days import made_up_days
+
+pytestmark = pytest.mark.computing
 
 
 def align_second_day(room: int, folder: Path) -> tuple[Registration, float]:

@@ -4,6 +4,7 @@ import math
 
 import cv2
 import numpy as np
+import pytest
 
 from robot.simulation.config import SimulationConfig
 from robot.simulation.imaging import SimulatedCamera
@@ -12,6 +13,8 @@ from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from shared.calibration import REFERENCE_CAMERA
 from shared.geometry import FloatArray, se3, yaw_rotation
+
+pytestmark = pytest.mark.computing
 
 NUM_VIEWS = 20
 SETTLE_FRAMES = 3  # of the auto-exposure after each jump along the route

@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from station.model.best_camera import corrected
+from station.places.localisation.localizer import Attempt
 from tests.support.drives.judging import judge_drive, summarise
 from tests.support.drives.misfit import Misfit
 from tests.support.drives.playback import play_back
+from tests.support.drives.recorded import LookedAt, RecordedDrive, SlamFit
 from tests.support.drives.routes import MAPPED
 from tests.support.drives.simulated import DriveOptions, make_drives
+from tests.support.made_up_workers import focal_fit
+from tests.support.places import SECOND, make_map, pose, seen
+
+pytestmark = pytest.mark.computing
+
+
+def test_a_drive_that_found_its_calibration_wrong_is_played_back_with_that() -> None:
+    place_map = make_map()
+    calibration = place_map.navigation.calibration
+    looks = [LookedAt(s * SECOND, attempt_at(s), np.eye(4), 0.0, False) for s in range(1, 4)]
+    events = (*looks[:2], SlamFit(2 * SECOND, focal_fit(0.95)), looks[2])
+    played = play_back(place_map, RecordedDrive("drive", calibration, events, None, 3.0))
+    assert [answer.state for _, answer in played.answers] == ["known", "known", "unknown"]
+
+
+def attempt_at(t_s: float) -> Attempt:
+    """Recognised at the second place."""
+    found = seen(t_s, pose(2.8, 0.2))
+    return Attempt(found, (found,), "found", 400, 100, 0.9)
 
 
 @pytest.mark.slow

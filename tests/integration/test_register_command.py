@@ -16,6 +16,8 @@ from station.files.ply import write_ply
 from station.main import app
 from tests.support.registration_clouds import make_pair
 
+pytestmark = pytest.mark.computing
+
 
 def save(path: Path, points: FloatArray) -> Path:
     write_ply(path, {axis: points[:, i].astype(np.float32) for i, axis in enumerate("xyz")})

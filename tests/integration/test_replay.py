@@ -17,8 +17,11 @@ from station.workers.replay import replay as replay_drive
 from tests.support.paths import RECORDINGS
 from tests.support.recordings import record_made_up_room
 
+pytestmark = pytest.mark.computing
+
 KEYFRAMES = RECORDINGS / "euroc_v1_01_keyframes"
 MADE_UP = "tests.support.made_up_workers:StraightSlam"
+MISFIT = "tests.support.made_up_workers:MisfitSlam"
 
 
 def replay(path: Path, *words: str) -> dict[str, object]:
@@ -38,6 +41,16 @@ def test_the_same_recording_gives_the_same_bits(tmp_path: Path) -> None:
     assert len((tmp_path / "out" / "answers.jsonl").read_text().splitlines()) == 12
     in_its_map = replay(path, "--backend", MADE_UP, "--map", str(tmp_path / "out" / "map"))
     assert in_its_map["map"] == first["map"]
+
+
+def test_a_recordings_own_fit_of_its_calibration_counts_as_in_the_running_station(tmp_path: Path) -> None:
+    data = open_dataset(record_made_up_room(tmp_path / "drive.mcap"))
+    replayed = replay_drive(data, ReplayOptions(MADE_UP))
+    known_map = replayed.place_map
+    assert "known" in {answer.state for answer in replayed.answers}
+    misfits = replay_drive(data, ReplayOptions(MISFIT), known_map).answers
+    assert "known" not in {answer.state for answer in misfits}
+    assert misfits[-1].reason.startswith("the calibration does not fit")
 
 
 def test_a_different_recording_gives_other_answers(tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.start.starter import GivenState
 from tests.support.paths import RECORDINGS
 
+pytestmark = pytest.mark.computing
+
 DATA = RECORDINGS
 needs_data = pytest.mark.skipif(not (DATA / "euroc_v1_01_flight").is_dir(), reason="../shared/data is not here")
 

@@ -20,6 +20,8 @@ from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
 
+pytestmark = pytest.mark.computing
+
 COVERED_S = (4.5, 7.0)
 HIJACK_S = 10.5
 END_S = 16.0

@@ -15,7 +15,8 @@ from station.places.tracking.config import BeliefConfig
 from station.places.tracking.image_evidence import LEAST_EXTENT_M, LITTLE
 
 Row = dict[str, Any]
-Losses = Callable[[list[Row], FloatArray], FloatArray]
+Losses = Callable[[FloatArray], FloatArray]  # of coefficients (k,): nats of each image (n,)
+LossesOf = Callable[[list[Row]], Losses]
 
 RIDGE = 1e-3  # on the coefficients but the constant, against the mean loss: it draws them to zero
 RIGHT_M = 0.5  # from the true position: a map that SLAM bent is no look-alike
@@ -64,9 +65,9 @@ def fitted_unmapped(rows: list[Row]) -> Fit:
     weight, unmapped = weights(informative), np.array([not r["mapped"] for r in informative])
     anyhow = np.log(weight[unmapped].sum() / weight[~unmapped].sum())
 
-    def losses(some: list[Row], w: FloatArray) -> FloatArray:
+    def losses(some: list[Row]) -> Losses:
         X = np.array([recognising(max(r["poses"], key=lambda p: p["inliers"]), r["features"]) for r in some])
-        return _logistic_losses(X, np.array([not r["mapped"] for r in some]), w)
+        return _logistic_losses(X, np.array([not r["mapped"] for r in some]))
 
     found = _fit(recognised, losses, 5)
     return Fit(found.w - np.array([anyhow, 0, 0, 0, 0]), found.losses)
@@ -76,8 +77,8 @@ def fitted_failing(rows: list[Row], *, mapped: bool, with_view: bool) -> Fit:
     """That an image is not recognised."""
     mine = [r for r in rows if r.get("moved", 0.0) > FRESH and not r["doorway"] and r["mapped"] == mapped]
 
-    def losses(some: list[Row], w: FloatArray) -> FloatArray:
-        return _logistic_losses(failing(some, with_view), np.array([not r["poses"] for r in some]), w)
+    def losses(some: list[Row]) -> Losses:
+        return _logistic_losses(failing(some, with_view), np.array([not r["poses"] for r in some]))
 
     return _fit(mine, losses, 4 if with_view else 3)
 
@@ -96,17 +97,17 @@ def weights(rows: list[Row]) -> FloatArray:
     return np.asarray(1.0 / (len(kinds) * count[which]), dtype=np.float64)
 
 
-def _fit(rows: list[Row], losses: Losses, count: int) -> Fit:
+def _fit(rows: list[Row], losses_of: LossesOf, count: int) -> Fit:
     def found(some: list[Row]) -> FloatArray:
-        weight = weights(some)
-        best = minimize(lambda w: weight @ losses(some, w) + RIDGE * (w[1:] ** 2).sum(), np.zeros(count))
+        weight, losses = weights(some), losses_of(some)
+        best = minimize(lambda w: weight @ losses(w) + RIDGE * (w[1:] ** 2).sum(), np.zeros(count))
         return np.asarray(best.x, dtype=np.float64)
 
     kinds = sorted({r["kind"] for r in rows})
     loss = {}
     for kind in kinds if len(kinds) > 1 else []:
         w = found([r for r in rows if r["kind"] != kind])
-        loss[kind] = float(losses([r for r in rows if r["kind"] == kind], w).mean())
+        loss[kind] = float(losses_of([r for r in rows if r["kind"] == kind])(w).mean())
     return Fit(found(rows), loss)
 
 
@@ -129,22 +130,31 @@ def failing(rows: list[Row], with_view: bool) -> FloatArray:
     return np.column_stack(columns)
 
 
-def right_pose_losses(rows: list[Row], w: FloatArray) -> FloatArray:
-    """(n,) negative log likelihood of which pose of each image was right, or none of them."""
-    most = max(len(r["poses"]) for r in rows)
-    log = np.full((len(rows), most + 1), -np.inf)
-    log[:, most] = 0.0
-    truth = np.full(len(rows), most)
-    for n, row in enumerate(rows):
-        log[n, : len(row["poses"])] = np.array([recognising(p, row["features"]) for p in row["poses"]]) @ w
-        errors = [pose["error_m"] for pose in row["poses"]]
-        if min(errors) < RIGHT_M:
-            truth[n] = int(np.argmin(errors))
-    return np.asarray(np.logaddexp.reduce(log, axis=1) - log[np.arange(len(rows)), truth])
+def right_pose_losses(rows: list[Row]) -> Losses:
+    """Negative log likelihood of which pose of each image was right, or none of them."""
+    image = np.array([n for n, row in enumerate(rows) for _ in row["poses"]])
+    number = np.array([k for row in rows for k in range(len(row["poses"]))])
+    X = np.array([recognising(pose, row["features"]) for row in rows for pose in row["poses"]])
+    most = int(number.max()) + 1
+    truth = np.array([_right_pose(row, none=most) for row in rows])
+
+    def losses(w: FloatArray) -> FloatArray:
+        log = np.full((len(rows), most + 1), -np.inf)
+        log[:, most] = 0.0
+        log[image, number] = X @ w
+        return np.asarray(np.logaddexp.reduce(log, axis=1) - log[np.arange(len(rows)), truth])
+
+    return losses
 
 
-def _logistic_losses(X: FloatArray, is_so: FloatArray, w: FloatArray) -> FloatArray:
-    return np.asarray(np.logaddexp(0, np.where(is_so, -1.0, 1.0) * (X @ w)))
+def _right_pose(row: Row, none: int) -> int:
+    errors = [pose["error_m"] for pose in row["poses"]]
+    return int(np.argmin(errors)) if min(errors) < RIGHT_M else none
+
+
+def _logistic_losses(X: FloatArray, is_so: FloatArray) -> Losses:
+    sign = np.where(is_so, -1.0, 1.0)
+    return lambda w: np.asarray(np.logaddexp(0, sign * (X @ w)))
 
 
 def numbers(text: str) -> list[int]:

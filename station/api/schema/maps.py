@@ -20,7 +20,9 @@ class MapModel(Model):
     active: bool = Field(description="robots are looked for in it")
     first: bool = Field(description="it is the active map whose places GET /places and GET /graph show")
     misfit: str = Field(
-        description="a sentence, where the map is active and its navigation's calibration does not fit", examples=[""]
+        description="a sentence, where the map is active and the calibration of its navigation does not fit, or seems "
+        "not to and is not known yet",
+        examples=[""],
     )
     damaged: str = Field(description="a sentence, where the map cannot be read", examples=[""])
 

@@ -81,7 +81,8 @@ class RobotModel(Model):
     capabilities: CapabilitiesModel | None
     calibrated: bool
     calibration_fit: CalibrationFitModel | None = Field(
-        description="of the navigation that is recorded, or the last one since the robot connected; null: none yet"
+        description="of the last navigation since the robot connected that knows whether it fits, or of the last; "
+        "null: none yet"
     )
     connections: int
     rates: RatesModel

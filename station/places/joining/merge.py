@@ -8,7 +8,7 @@ import numpy as np
 
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, carry_poses
-from station.model.calibration_fit import worst
+from station.model.best_camera import misfit_of, why_unsure_of
 from station.model.navigation import Keyframes, Navigation, Trajectory, join_maps
 from station.places.joining.align import align_navigation
 from station.places.making.build import build_map
@@ -65,7 +65,12 @@ def append_navigation(first: Navigation, second: Navigation, T_first_second: Flo
         duration_s=first.report.duration_s + second.report.duration_s,
         landmarks=len(landmarks),
         tracking_lost_s=first.report.tracking_lost_s + second.report.tracking_lost_s,
-        messages=(*first.report.messages, f"joined with {second.id}"),
-        calibration_fit=worst((first.report.calibration_fit, second.report.calibration_fit)),
+        messages=(*first.report.messages, _joined_with(second)),
+        unsure=first.report.unsure or why_unsure_of(second),  # the fit stays that of the camera it is kept with
     )
     return Navigation(f"{first.id}+{second.id}", first.calibration, trajectory, keyframes, landmarks, report)
+
+
+def _joined_with(second: Navigation) -> str:
+    why = misfit_of(second.report)
+    return f"joined with {second.id}" + (f", of which is said that {why}" if why else "")

@@ -41,7 +41,10 @@ class HijackConfig:
     still_accel_m_s2: float = 0.3
     still_bias_rad_s: float = 0.2  # a gyroscope at rest may show as much
     view_features: int = 60  # fewer: the view says nothing
-    view_rich_features: int = 300  # a view of fewer may be gone after a hand's breadth: a door's frame passed closely
+    # A view of fewer may be gone after a hand's breadth: a door's frame passed closely. Where the first look at an
+    # image finds fewer, those of the second count (vision/features.py); no false alarm came of that
+    # (docs/localisation.md).
+    view_rich_features: int = 300
     view_ratio: float = 0.7  # nearest against second nearest descriptor
     view_gone: int = 8  # matches below which two views show different things
     view_stays: int = 25

@@ -16,7 +16,7 @@ from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.places.localisation.localizer import Attempt, Localizer
 from station.places.tracking.tracker import PlaceTracker
-from tests.support.drives.recorded import LookedAt, RecordedDrive, SlamPose
+from tests.support.drives.recorded import LookedAt, RecordedDrive, SlamFit, SlamPose
 
 MakeTracker = Callable[[Sequence[PlaceMap], Calibration, Localizer], PlaceTracker]
 
@@ -53,6 +53,8 @@ def play_back(place_map: PlaceMap, drive: RecordedDrive, make_tracker: MakeTrack
             tracker.on_drive(event)
         elif isinstance(event, SlamPose):
             tracker.on_odometry(event.t_robot_ns, event.T_nav_body, event.segment)
+        elif isinstance(event, SlamFit):
+            tracker.on_calibration_fit(event.fit)
         else:
             tracker.on_frame(ImageFrame(len(answers), event.t_robot_ns, 0, b""))
             answers.append((event, tracker.answer(event.t_robot_ns + shift_ns)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, carry_poses, inverse_sim3
+from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.model.place_map import PlaceMap
@@ -22,6 +23,14 @@ class SlamPose:
     segment: int
 
 
+@dataclass(frozen=True, slots=True)
+class SlamFit:
+    """What a running SLAM says of the calibration; when it says something else than before."""
+
+    t_robot_ns: int
+    fit: CalibrationFit
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LookedAt:
     """An image that was looked for in the map, and where it was taken in truth. Truth is for judging only."""
@@ -33,7 +42,7 @@ class LookedAt:
     is_carried: bool  # in a hand
 
 
-Event = ImuBatch | DriveSample | SlamPose | LookedAt
+Event = ImuBatch | DriveSample | SlamPose | SlamFit | LookedAt
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.experiments.alignment import align_points
 from station.experiments.trajectory_error import interpolate_poses
+from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
@@ -35,6 +36,7 @@ from tests.support.drives.recorded import (
     MapQuality,
     RecordedDrive,
     RecordedWorld,
+    SlamFit,
     SlamPose,
     in_map,
 )
@@ -51,7 +53,7 @@ class DriveOptions:
     mapping_rate_hz: float = 15.0  # frames a second that SLAM is given
     image_rate_hz: float = 3.0  # ... and that are looked for in the map
     plans: tuple[str, ...] = PLANS
-    with_slam: bool = False  # a running SLAM gives odometry on the drives, too: needs all its frames
+    with_slam: bool = False  # a navigation is recorded meanwhile: SLAM gives odometry and a fit; needs all its frames
     max_seconds: float = MAX_MAPPING_S  # of the mapping drive
 
 
@@ -122,13 +124,13 @@ class SimulatedFlat:
         events: list[Event] = []
         for item in robot.sent(options.mapping_rate_hz if slam else options.image_rate_hz):
             if slam is not None:
-                events += slam.poses_after(item)
+                events += slam.told_after(item)
             if not isinstance(item, ImageFrame):
                 events.append(item)
             elif item.index % every == 0:
                 T, is_carried = robot.true_at(item.t_robot_ns + self.shift_ns)
                 beyond_m = beyond_door_m(self.world, left_out, T[:3, 3])
-                attempt = localizer.attempt(item, self.told)
+                attempt = localizer.attempt(item, self.told, slam.fit if slam else None)
                 T_map_body = in_map(T_world_map, T)
                 events.append(LookedAt(item.t_robot_ns, attempt, T_map_body, beyond_m, is_carried))
         seconds = (robot.truth.t_robot_ns[-1] - robot.truth.t_robot_ns[0]) / 1e9
@@ -142,7 +144,7 @@ class RunningSlam:
         self._updates: list[SlamUpdate] = []
         self._slam = NavigationSlam(self._updates.append)
         self._slam.begin(backend, told, seed, 1, True)
-        self._shift_ns = round(1e9 * told.camera.time_shift_s) if told.camera else 0
+        self.fit: CalibrationFit | None = None
 
     def add(self, item: Sent) -> None:
         if isinstance(item, ImuBatch):
@@ -152,12 +154,18 @@ class RunningSlam:
         else:
             self._slam.add_frame(item)
 
-    def poses_after(self, item: Sent) -> Sequence[SlamPose]:
-        """The poses that it gives on receiving this."""
+    def told_after(self, item: Sent) -> Sequence[SlamPose | SlamFit]:
+        """What it says on receiving this."""
         self.add(item)
-        updates = [u for u in self._updates if u.T_world_body is not None]
+        told: list[SlamPose | SlamFit] = []
+        for update in self._updates:
+            if update.T_world_body is not None:
+                told.append(SlamPose(update.t_robot_ns, update.T_world_body, update.segment))
+            if update.calibration_fit is not None and update.calibration_fit != self.fit:
+                self.fit = update.calibration_fit
+                told.append(SlamFit(update.t_robot_ns, self.fit))
         self._updates.clear()
-        return [SlamPose(u.t_robot_ns, u.T_world_body, u.segment) for u in updates if u.T_world_body is not None]
+        return told
 
     def complete(self, navigation_id: str) -> Navigation:
         """Raises EstimationError, with the reason, when nothing came out."""

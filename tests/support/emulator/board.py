@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import shutil
 import subprocess
@@ -26,8 +27,11 @@ def missing_reason() -> str | None:
 
 
 def build() -> None:
-    """Builds firmware and board."""
-    run = subprocess.run(["make", "-s", "-C", str(ROOT / "firmware"), "emulator"], capture_output=True, text=True)
+    """Builds firmware and board; another process that is just building them is waited for."""
+    ELF.parent.mkdir(exist_ok=True)
+    with (ELF.parent / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        run = subprocess.run(["make", "-s", "-C", str(ROOT / "firmware"), "emulator"], capture_output=True, text=True)
     if run.returncode != 0:
         raise RuntimeError(f"firmware build failed:\n{run.stdout}{run.stderr}")
 

@@ -289,7 +289,7 @@ export interface MapModel {
   active: boolean;
   /** it is the active map whose places GET /places and GET /graph show */
   first: boolean;
-  /** a sentence, where the map is active and its navigation's calibration does not fit */
+  /** a sentence, where the map is active and the calibration of its navigation does not fit, or seems not to and is not known yet */
   misfit: string;
   /** a sentence, where the map cannot be read */
   damaged: string;
@@ -489,7 +489,7 @@ export interface RobotModel {
   name: string | null;
   capabilities: CapabilitiesModel | null;
   calibrated: boolean;
-  /** of the navigation that is recorded, or the last one since the robot connected; null: none yet */
+  /** of the last navigation since the robot connected that knows whether it fits, or of the last; null: none yet */
   calibration_fit: CalibrationFitModel | null;
   connections: number;
   rates: RatesModel;

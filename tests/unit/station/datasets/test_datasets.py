@@ -68,6 +68,28 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def tipped(asl: Path, accel: str, rig: str = "wheels") -> Path:
+    """What carries it is this, and every sample of its accelerometer."""
+    csv, yaml = asl / "mav0" / "imu0" / "data.csv", asl / "mav0" / "cam0" / "sensor.yaml"
+    csv.write_text(csv.read_text().replace("0,0,9.81", accel))
+    yaml.write_text(yaml.read_text() + f"rig: {rig}\n")
+    return asl
+
+
+@pytest.mark.parametrize(("accel", "degrees"), [("9.81,0,0", 90), ("0,0,-9.81", 180), ("0,-8,3", 69)])
+def test_wheels_whose_imu_does_not_stand_upright_are_refused(asl: Path, accel: str, degrees: int) -> None:
+    with pytest.raises(DataError, match=f"z axis is {degrees} degrees from up") as refused:
+        open_dataset(tipped(asl, accel))
+    assert "x points forward, y left and z up" in str(refused.value) and "rig: hand-held" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("accel", "rig"), [("3,0,9.3", "wheels"), ("0,0,0", "wheels"), ("1e9,0,0", "wheels"), ("9.81,0,0", "hand-held")]
+)
+def test_ramps_sensors_that_measure_nothing_and_hands_are_not_refused(asl: Path, accel: str, rig: str) -> None:
+    assert open_dataset(tipped(asl, accel, rig)).calibration.rig == rig
+
+
 def test_asl_folder_gives_everything_with_exact_times(asl: Path) -> None:
     data = open_dataset(asl)
     assert data.frame_times_ns.tolist() == [T0_NS + i * 50_000_000 for i in range(5)]

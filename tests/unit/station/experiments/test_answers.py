@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from shared.calibration import Calibration
 from shared.errors import DataError, DegenerateGeometry
-from shared.geometry import FloatArray, se3, sim3, so3_exp, transform
+from shared.geometry import FloatArray, sim3, so3_exp, transform
 from station.datasets import Dataset, Truth
 from station.experiments.answer_figures import CALIBRATION, OVER_TIME, draw_answers, kinds_of
 from station.experiments.answers import (
@@ -24,8 +25,14 @@ from station.experiments.answers import (
     nearest_places,
     true_positions,
 )
+from station.model.frames import ImageFrame
 from station.model.place_answer import HijackEvent, PlaceAnswer, PlaceCandidate, PlaceState
 from station.model.place_map import Place
+from station.places.localisation.localizer import Attempt
+from station.places.tracking.tracker import PlaceTracker
+from tests.support.drives.playback import PlayedBackLocalizer
+from tests.support.drives.recorded import LookedAt
+from tests.support.places import make_map, pose, seen
 from tests.support.synthetic_home import CAMERA, drive, furnished_room, navigate
 
 SECOND = 1_000_000_000
@@ -130,12 +137,29 @@ def test_the_frame_and_unit_of_the_map_do_not_count(
     np.testing.assert_allclose(after.position_error_m, before.position_error_m, rtol=1e-6, atol=1e-9)
 
 
-def test_an_answer_is_about_when_its_picture_was_taken() -> None:
-    """The robot drives at 1 m/s; its camera's stamps are 20 ms behind the IMU's, which truth is by."""
+@pytest.mark.parametrize("shift_s", [0.5, -0.5])
+def test_an_answer_is_judged_by_where_the_robot_was_at_its_time(shift_s: float) -> None:
+    """The robot drives at 1 m/s along x; truth and odometry are by the IMU's clock, pictures by the camera's."""
     t = np.arange(0, 3 * SECOND, SECOND // 100)
-    path = np.array([se3(np.eye(3), np.array([1e-9 * ns, 0.0, 0.0])) for ns in t])
-    p = true_positions([answer("lost", t_s=1.0), answer("lost", t_s=9.0)], dataset(Truth(t, path), 0.02))
-    np.testing.assert_allclose(p[0], [1.02, 0, 0], atol=1e-9)
+    path = np.array([pose(1e-9 * ns, 0.0) for ns in t])
+    place_map = make_map()
+    calibration = place_map.navigation.calibration
+    assert calibration.camera is not None
+    camera = msgspec.structs.replace(calibration.camera, time_shift_s=shift_s)
+    picture_ns = round((1.0 - shift_s) * SECOND)  # taken where x is 1
+    found = replace(seen(1.0, pose(1.0, 0.0)), t_robot_ns=picture_ns)
+    looked_at = LookedAt(picture_ns, Attempt(found, (found,), "found", 400, 100, 0.9), None, 0.0, False)
+    tracker = PlaceTracker([place_map], msgspec.structs.replace(calibration, camera=camera),
+                           PlayedBackLocalizer([place_map], [looked_at]))  # fmt: skip
+    for ns, T in zip(t, path, strict=True):
+        if ns > max(picture_ns, SECOND):  # what came before the picture was looked for
+            break
+        tracker.on_odometry(int(ns), T)
+    tracker.on_frame(ImageFrame(0, picture_ns, 0, b""))
+    said = tracker.answer(picture_ns)
+    p = true_positions([said, answer("lost", t_s=9.0)], dataset(Truth(t, path), shift_s))
+    assert said.position_map is not None
+    np.testing.assert_allclose(p[0], said.position_map, atol=0.05)
     assert np.isnan(p[1]).all()
     assert np.isnan(true_positions([answer("lost")], dataset(None))).all()
 

@@ -88,6 +88,12 @@ def test_in_a_map_that_was_not_corrected_the_told_camera_is_used() -> None:
     assert best_camera(told, navigation, focal_fit(0.97, 0.003)) == told
 
 
+def test_of_a_map_whose_calibration_seems_wrong_it_is_said_that_nobody_knows() -> None:
+    report = mapped(REFERENCE_CAMERA, focal_fit(0.95, 0.01)).report
+    assert "not known yet" in misfit_of(report) and "5.3% too long, give or take 1.0%" in misfit_of(report)
+    assert misfit_of(mapped(REFERENCE_CAMERA, focal_fit(0.985, 0.02)).report) == ""
+
+
 def test_a_message_says_that_the_map_is_corrected_only_where_it_is() -> None:
     report = mapped(REFERENCE_CAMERA, focal_fit(0.97, 0.003)).report
     assert "too long" in misfit_of(report) and "corrected" in misfit_of(report)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from station.model.best_camera import misfit_of
 from station.model.calibration_fit import CalibrationFit
 from station.model.place_map import PlaceMap
 from station.places.joining.merge import append_navigation
@@ -70,10 +71,23 @@ def test_no_place_is_known_in_a_map_that_was_made_with_a_wrong_focal_length(scal
     assert answer.state == "unknown" and "navigation that the map was made from" in answer.reason
 
 
-def test_a_merged_navigation_fits_only_if_both_do() -> None:
-    fits, misfits = mapped_with(focal_fit(1.0)).navigation, mapped_with(focal_fit(0.97)).navigation
-    unasked = mapped_with(None).navigation
+def test_no_place_is_known_in_a_joined_map_unless_both_calibrations_fit() -> None:
+    fits, misfits, unasked = (mapped_with(fit) for fit in (focal_fit(1.0), focal_fit(0.97), None))
     for first, second in ((fits, misfits), (misfits, fits), (unasked, misfits)):
-        merged = append_navigation(first, second, pose(0.0, 0.0))
-        assert merged.report.calibration_fit == misfits.report.calibration_fit
-    assert append_navigation(unasked, fits, pose(0.0, 0.0)).report.calibration_fit == fits.report.calibration_fit
+        joined = append_navigation(first.navigation, second.navigation, pose(0.0, 0.0))
+        joined = append_navigation(joined, fits.navigation, pose(0.0, 0.0))
+        answer = recognised_in(replace(first, navigation=joined)).answer(SECOND)
+        assert answer.state == "unknown" and "3.1% too long" in answer.reason
+        assert "3.1% too long" in misfit_of(joined.report)
+    joined = append_navigation(unasked.navigation, fits.navigation, pose(0.0, 0.0))
+    assert recognised_in(replace(fits, navigation=joined)).answer(SECOND).state == "known"
+    assert misfit_of(joined.report) == ""
+
+
+def test_a_joined_map_keeps_the_fit_of_the_camera_that_it_is_kept_with() -> None:
+    """Else images of the first robot would be looked for with its camera corrected by what the second's drive said."""
+    first, second = (mapped_with(focal_fit(scale), is_corrected=True).navigation for scale in (1.0, 0.975))
+    joined = append_navigation(first, second, pose(0.0, 0.0))
+    assert joined.calibration == first.calibration and joined.report.told_camera == first.report.told_camera
+    assert joined.report.calibration_fit == first.report.calibration_fit
+    assert "2.6% too long" in joined.report.messages[-1] and joined.report.unsure == ""  # it was corrected by that

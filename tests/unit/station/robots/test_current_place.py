@@ -16,6 +16,7 @@ from shared.errors import DataError
 from shared.messages import CameraFrame
 from station.config import LocalizationConfig
 from station.events import Events
+from station.model.calibration_fit import judge
 from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
@@ -23,6 +24,7 @@ from station.robots.current_place import CurrentPlace
 from station.workers.place_interface import PlaceProgram
 from station.workers.request import Limit, Method, WorkerFailed
 from tests.support.link import hello, until
+from tests.support.made_up_workers import focal_fit
 
 
 class FakeWorker:
@@ -201,6 +203,19 @@ async def test_another_robot_or_run_begins_from_nothing(place: CurrentPlace, oth
     answers = place.answers
     await until_known(place, 9)
     assert place.answers == answers + 1 and place.query_image(8) is None
+
+
+async def test_a_new_navigation_of_the_same_robot_forgets_no_fit_that_is_known(place: CurrentPlace) -> None:
+    known = focal_fit(0.97)
+    begun = judge((0.95, 0.05), np.zeros(3), np.full(3, 5.0), (0.0, 0.02))
+    place.receive_fit(known)
+    place.receive_fit(begun)
+    assert place.calibration_fit == known
+    place.on_connected(hello())  # the same run of the same robot
+    assert place.calibration_fit == known
+    place.on_connected(hello(robot="b"))
+    place.receive_fit(begun)
+    assert place.calibration_fit == begun
 
 
 @pytest.mark.parametrize("error", [DataError("image 1 is not a readable JPEG"), WorkerFailed("answer failed")])
