@@ -6,12 +6,14 @@ import asyncio
 import contextlib
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 from fastapi import Request, WebSocket, WebSocketDisconnect
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from station.access.visitors import Visitor
 from station.api.problems import problem
 from station.errors import Busy
 
@@ -21,11 +23,30 @@ MAX_STREAMS = 16  # MJPEG viewers: each gets every picture
 UNSUPPORTED = 1003
 TRY_AGAIN_LATER = 1013
 GONE = (WebSocketDisconnect, RuntimeError)  # what reading and writing raise when the peer is not there any more
-TOO_LARGE = f"a request may have {MAX_BODY_BYTES} bytes; send less"
+
+
+@dataclass(frozen=True, slots=True)
+class BodyBounds:
+    """How large a request's body may be, and how long it may take."""
+
+    bytes: int
+    within_s: float
+
+    @property
+    def too_large(self) -> str:
+        return f"a request may have {self.bytes} bytes; send less"
+
+    @property
+    def too_slow(self) -> str:
+        return f"a request's body is to come within {self.within_s:g} s; send it at once"
+
+
+KNOWN_BODY = BodyBounds(MAX_BODY_BYTES, 20.0)
+STRANGERS_BODY = BodyBounds(4096, 5.0)  # a token to log in with
 
 
 class BodyLimit:
-    """ASGI middleware: a request with a larger body ends in 413, before more of it is kept."""
+    """ASGI middleware: a larger body, or one that takes longer, ends in 413 or 408 before more of it is kept."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -35,18 +56,28 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         request = Request(scope)
+        limit = KNOWN_BODY if isinstance(request.state.visitor, Visitor) else STRANGERS_BODY
         length = request.headers.get("content-length", "")
-        if length.isdecimal() and int(length) > MAX_BODY_BYTES:
-            await problem(request, 413, "too-large", "Too large", TOO_LARGE)(scope, receive, send)
+        if length.isdecimal() and int(length) > limit.bytes:
+            await problem(request, 413, "too-large", "Too large", limit.too_large)(scope, receive, send)
             return
-        received = 0
+        received, is_whole = 0, False
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + limit.within_s
 
         async def counted() -> Message:
-            nonlocal received
-            message = await receive()
+            nonlocal received, is_whole
+            if is_whole:  # the app waits for the peer to leave
+                return await receive()
+            try:
+                async with asyncio.timeout_at(end_s):
+                    message = await receive()
+            except TimeoutError:
+                raise HTTPException(408, limit.too_slow) from None
+            is_whole = not message.get("more_body", False)
             received += len(message.get("body", b""))
-            if received > MAX_BODY_BYTES:  # it did not say how long it is
-                raise HTTPException(413, TOO_LARGE)
+            if received > limit.bytes:  # it did not say how long it is
+                raise HTTPException(413, limit.too_large)
             return message
 
         await self._app(scope, counted, send)

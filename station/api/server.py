@@ -57,7 +57,7 @@ def make_api(station: Station) -> FastAPI:
     app.state.station = station
     app.state.seats = Seats()
     app.add_middleware(BodyLimit)
-    app.add_middleware(Doorkeeper, door=station.access.door)
+    app.add_middleware(Doorkeeper, station=station)
     problems.install(app)
     check_roles(all_calls(app))
     for prefix, router in ROUTERS:

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
-import signal
 import ssl
-import sys
-from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 
 import httpx
@@ -21,28 +15,7 @@ import robot.access_commands
 from shared.errors import ConfigError
 from shared.token_book import TokenBook
 from station.main import app as station_app
-from tests.support.paths import ROOT
-
-
-@asynccontextmanager
-async def program(*words: str) -> AsyncIterator[Process]:
-    process = await asyncio.create_subprocess_exec(sys.executable, "-m", *words, cwd=ROOT, stdout=PIPE, stderr=PIPE)
-    try:
-        yield process
-    finally:
-        if process.returncode is None:
-            process.send_signal(signal.SIGTERM)
-        await asyncio.wait_for(process.communicate(), 60)
-
-
-async def said(process: Process, pattern: str) -> re.Match[str]:
-    """The first line on stdout that fits."""
-    assert process.stdout is not None
-    while True:
-        line = (await asyncio.wait_for(process.stdout.readline(), 120)).decode()
-        assert line, f"it ended without saying {pattern}"
-        if found := re.search(pattern, line):
-            return found
+from tests.support.programs import program, said
 
 
 @pytest.mark.parametrize(
