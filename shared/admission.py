@@ -63,8 +63,8 @@ class Places:
 
     def _who_yields(self, holder: str, rank: Rank) -> Place | None:
         """Of the lowest rank the oldest of the holder with most places, unless they are the newcomer's equals."""
-        lowest = min(place.rank for place in self._taken)
-        if lowest > rank:
+        lowest = min((place.rank for place in self._taken), default=None)
+        if lowest is None or lowest > rank:
             return None
         counts = Counter(place.holder for place in self._taken if place.rank == lowest)
         busiest, most = counts.most_common(1)[0]

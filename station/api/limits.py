@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +12,17 @@ from fastapi import Request, WebSocket, WebSocketDisconnect
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from shared.admission import Places, rank_of
 from station.access.visitors import Visitor
 from station.api.problems import problem
 from station.errors import Busy
 
 MAX_BODY_BYTES = 1 << 20  # the largest request, a list of navigations, has some kilobytes
 MAX_SOCKETS = 32  # of each kind: a page has three
+SOCKETS_PER_TOKEN = 8
 MAX_STREAMS = 16  # MJPEG viewers: each gets every picture
+STREAMS_PER_TOKEN = 4
+REPLACED = 4409  # close code
 UNSUPPORTED = 1003
 TRY_AGAIN_LATER = 1013
 GONE = (WebSocketDisconnect, RuntimeError)  # what reading and writing raise when the peer is not there any more
@@ -83,22 +86,37 @@ class BodyLimit:
         await self._app(scope, counted, send)
 
 
+class Replaced(Exception):
+    """A seat is another's now."""
+
+
 class Seats:
-    """How many sockets and streams of each kind are open."""
+    """The sockets and streams of each kind that are open."""
 
     def __init__(self) -> None:
-        self._taken: Counter[str] = Counter()
+        self._rooms: dict[str, Places] = {}
 
-    @contextlib.contextmanager
-    def take(self, kind: str, limit: int) -> Iterator[None]:
-        """One of `limit` seats. Raises Busy when all are taken."""
-        if self._taken[kind] >= limit:
-            raise Busy(f"{limit} viewers of {kind} are connected, more are not allowed; close one")
-        self._taken[kind] += 1
+    @contextlib.asynccontextmanager
+    async def take(self, kind: str, limit: int, per_token: int, visitor: Visitor) -> AsyncIterator[None]:
+        """One of `limit` seats, for as long as the body runs, which must leave it when it is cancelled.
+
+        Raises Busy: none is free for this visitor; Replaced: another one got it, with the same token or one that may
+        do more.
+        """
+        room = self._rooms.setdefault(kind, Places(limit, per_token))
         try:
-            yield
-        finally:
-            self._taken[kind] -= 1
+            async with asyncio.timeout(None) as stay:
+                seat = room.take(visitor.holder, rank_of(visitor.role), lambda: stay.reschedule(0.0))
+                if seat is None:
+                    raise Busy(f"{limit} viewers of {kind} are connected, more are not allowed; close one")
+                try:
+                    yield
+                finally:
+                    room.leave(seat)
+        except TimeoutError:
+            if stay.expired():
+                raise Replaced from None
+            raise
 
 
 async def converse(
@@ -109,12 +127,12 @@ async def converse(
 ) -> None:
     """Accept a socket; `hear` again and again, while each `say` runs beside it, until the peer is gone. Then `leave`.
 
-    Where all seats are taken nothing of it happens: the socket is closed with the sentence why.
+    Where no seat is free nothing of it happens: the socket is closed with the sentence why.
     """
     await socket.accept()
     seats: Seats = socket.app.state.seats
     try:
-        with seats.take(socket.url.path, MAX_SOCKETS):
+        async with seats.take(socket.url.path, MAX_SOCKETS, SOCKETS_PER_TOKEN, socket.state.visitor):
             saying = [asyncio.create_task(one()) for one in say]
             try:
                 while True:
@@ -130,6 +148,8 @@ async def converse(
                 leave()
     except Busy as exc:
         await socket.close(TRY_AGAIN_LATER, str(exc))
+    except Replaced:
+        await socket.close(REPLACED, "a newer page with your token, or of somebody who drives, took this one's place")
 
 
 async def receive_text(socket: WebSocket) -> str:

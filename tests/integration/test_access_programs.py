@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
 import ssl
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import robot.access_commands
+from shared.ending import ending_signals
 from shared.errors import ConfigError
 from shared.token_book import TokenBook
 from station.main import app as station_app
@@ -93,3 +95,21 @@ def test_tokens_are_added_listed_linked_and_revoked_from_the_command_line(tmp_pa
     assert isinstance(run.invoke(station_app, ["access", "revoke", "anna", *data]).exception, ConfigError)
     for command in (["access", "list"], ["access", "add", "x", "--role", "watch"]):
         assert isinstance(run.invoke(station_app, [*command, "--data", "/nowhere"]).exception, ConfigError)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+async def test_a_signal_ends_the_station_in_good_order(tmp_path: Path, number: signal.Signals) -> None:
+    words = ("serve", "--robot", "127.0.0.1:1", "--port", "0", "--data", str(tmp_path))
+    async with program("station.main", *words) as process:
+        await said(process, r"page and API at")
+        process.send_signal(number)
+        assert await asyncio.wait_for(process.wait(), 120) == 0
+
+
+def test_what_was_started_to_outlive_its_terminal_does() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert signal.SIGHUP not in ending_signals()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert signal.SIGHUP in ending_signals()
