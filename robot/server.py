@@ -25,7 +25,6 @@ from robot.station_client import StationClient
 from robot.systemd import Systemd
 from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
 from shared.access import Role
-from shared.admission import Places, rank_of
 from shared.errors import HardwareError
 from shared.messages import (
     PROTOCOL_VERSION,
@@ -46,6 +45,7 @@ from shared.messages import (
     Welcome,
 )
 from shared.reception import Caller, Reception
+from shared.seats import Seats, rank_of
 from shared.session import Event, State, reply_to
 
 logger = logging.getLogger(__name__)
@@ -53,7 +53,7 @@ logger = logging.getLogger(__name__)
 TICK_S = 0.05  # also the interval of drive reports: 20 Hz
 TICKS_PER_STATUS = 20
 STRANGER_WITHIN_S = 10.0  # handshake, greeting and pairing; whoever is silent meanwhile is ended earlier
-PLACES_PER_TOKEN = 2  # a station, and the connection it has lost without a word
+SEATS_PER_TOKEN = 2  # a station, and the connection it has lost without a word
 TICKS_PER_LOOK = 10  # at the book of tokens: who was revoked is out within half a second
 
 
@@ -85,7 +85,7 @@ class RobotServer:
         self._frames = FrameSlot()
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
-        self._places = Places(config.server.max_stations, PLACES_PER_TOKEN)
+        self._seats = Seats(config.server.max_stations, SEATS_PER_TOKEN)
         self._next_client_id = 1
         self._started_ns = now_ns()
         self._session_id = secrets.token_hex(8)
@@ -198,11 +198,11 @@ class RobotServer:
 
     def _welcome(self, client: StationClient, join: Join) -> None:
         silent = next((c for c in self._clients.values() if c.session.state is State.QUIET), None)
-        if self._places.is_full and silent is not None:
+        if self._seats.is_full and silent is not None:
             # Most likely the dead connection of a station that is back by another one.
             self._end(silent, "silent", "this station was silent, and another needs its place")
         rank = rank_of(client.role or Role.WATCH)
-        if not client.caller.know(self._places, client.token_id, rank, lambda: self._replace(client)):
+        if not client.caller.know(self._seats, client.token_id, rank, lambda: self._replace(client)):
             limit = self._config.server.max_stations
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
             return
@@ -217,11 +217,11 @@ class RobotServer:
 
     def _replace(self, client: StationClient) -> None:
         self._end(
-            client, "not_allowed", "another station needs this one's place, one with the same token or that may drive"
+            client, "not_allowed", "another station needs this one's place: one with the same token or that may drive"
         )
 
     def _end(self, client: StationClient, code: ErrorCode, why: str) -> None:
-        """Its place is free at once, although its last word may take a second."""
+        """Its seat is free at once, although its last word may take a second."""
         client.caller.left()
         client.end(Event.LOST, notice(code, why, fatal=True))
 

@@ -1,7 +1,7 @@
 """Takes connections from the port. Who is not known yet is bounded, in number, by address and in time.
 
 A connection is a stranger from when it is taken until somebody known has spoken on it, through TLS handshake, request
-and refusal. Strangers have places of their own, so that they take neither memory, nor file descriptors, nor places from
+and refusal. Strangers have seats of their own, so that they take neither memory, nor file descriptors, nor seats from
 those who are known.
 """
 
@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 from shared.access import network_of
-from shared.admission import Places, Rank
+from shared.seats import Rank, Seats
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ END_OF_TLS_WITHIN_S = 3.0  # asyncio would wait 30 s for the peer's goodbye
 class Caller:
     """One connection from the moment it is taken. Its protocol calls `made` and `left`."""
 
-    def __init__(self, address: str, strangers: Places, familiar: dict[str, None], within_s: float) -> None:
+    def __init__(self, address: str, strangers: Seats, familiar: dict[str, None], within_s: float) -> None:
         self.is_known = False
         self._network = network_of(address)
         self._familiar = familiar
@@ -36,7 +36,7 @@ class Caller:
         self.handshake: asyncio.Task[None] | None = None
         # Where somebody known has called from before, connections are preferred to those of other addresses.
         rank = Rank.HIGH if self._network in familiar else Rank.LOW
-        self._places, self._place = strangers, strangers.take(self._network, rank, self.abort)
+        self._seats, self._seat = strangers, strangers.take(self._network, rank, self.abort)
         self._patience = asyncio.get_running_loop().call_later(within_s, self.abort)
 
     def made(self, transport: asyncio.Transport) -> None:
@@ -47,18 +47,18 @@ class Caller:
     def is_made(self) -> bool:
         return self._transport is not None
 
-    def know(self, places: Places, holder: str, rank: Rank, end: Callable[[], None] | None = None) -> bool:
-        """It is this holder's from now on, in one of these places; False: there is none for it.
+    def know(self, seats: Seats, holder: str, rank: Rank, end: Callable[[], None] | None = None) -> bool:
+        """It is this holder's from now on, in one of these seats; False: there is none for it.
 
         `end`: what is to happen when it has to yield; None: the connection is ended at once.
         """
-        if self.is_known and self._place is not None and self._place.holder == holder:
+        if self.is_known and self._seat is not None and self._seat.holder == holder:
             return True
-        place = places.take(holder, rank, end or self.abort)
-        if place is None:
+        seat = seats.take(holder, rank, end or self.abort)
+        if seat is None:
             return False
         self.left()
-        self.is_known, self._places, self._place = True, places, place
+        self.is_known, self._seats, self._seat = True, seats, seat
         self._familiar.pop(self._network, None)
         self._familiar[self._network] = None
         if len(self._familiar) > MAX_FAMILIAR:
@@ -68,9 +68,9 @@ class Caller:
     def left(self) -> None:
         """It is gone, or goes on as a known one's."""
         self._patience.cancel()
-        if self._place is not None:
-            self._places.leave(self._place)
-            self._place = None
+        if self._seat is not None:
+            self._seats.leave(self._seat)
+            self._seat = None
 
     def abort(self) -> None:
         """End the connection at once."""
@@ -102,7 +102,7 @@ class Reception:
         self._tls = tls | {"ssl_shutdown_timeout": END_OF_TLS_WITHIN_S} if tls else {}
         self._within_s = within_s
         self._make_protocol = make_protocol
-        self._strangers = Places(limit, max(1, limit // 2), oldest_yields=True)
+        self._strangers = Seats(limit, max(1, limit // 2), oldest_yields=True)
         self._familiar: dict[str, None] = {}
         self._handshakes: set[asyncio.Task[None]] = set()
 

@@ -13,8 +13,8 @@ from typing import Any, cast
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from shared.admission import Places, rank_of
 from shared.reception import Caller
+from shared.seats import Seats, rank_of
 from station.access.visitors import Visitor
 from station.errors import Busy
 
@@ -38,7 +38,7 @@ def descriptors_left() -> int:
 class Connection:
     """One connection. In it requests come one after the other, or a WebSocket."""
 
-    def __init__(self, caller: Caller, known: Places, among: set[Connection]) -> None:
+    def __init__(self, caller: Caller, known: Seats, among: set[Connection]) -> None:
         self.caller = caller
         self._known = known
         self._among = among
@@ -94,7 +94,7 @@ class Connections:
     def __init__(self) -> None:
         spare = descriptors_left()  # a quarter stays for recordings, workers and the link
         self.max_strangers = min(MAX_STRANGERS, max(4, spare // 4))
-        self._known = Places(min(MAX_KNOWN, max(8, spare // 2)), CONNECTIONS_PER_TOKEN, oldest_yields=True)
+        self._known = Seats(min(MAX_KNOWN, max(8, spare // 2)), CONNECTIONS_PER_TOKEN, oldest_yields=True)
         self._open: set[Connection] = set()
 
     def open(self, caller: Caller) -> Connection:

@@ -12,7 +12,7 @@ from fastapi import Request, WebSocket, WebSocketDisconnect
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from shared.admission import Places, rank_of
+from shared.seats import Seats, rank_of
 from station.access.visitors import Visitor
 from station.api.problems import problem
 from station.errors import Busy
@@ -90,11 +90,11 @@ class Replaced(Exception):
     """A seat is another's now."""
 
 
-class Seats:
+class SeatsByKind:
     """The sockets and streams of each kind that are open."""
 
     def __init__(self) -> None:
-        self._rooms: dict[str, Places] = {}
+        self._rooms: dict[str, Seats] = {}
 
     @contextlib.asynccontextmanager
     async def take(self, kind: str, limit: int, per_token: int, visitor: Visitor) -> AsyncIterator[None]:
@@ -103,7 +103,7 @@ class Seats:
         Raises Busy: none is free for this visitor; Replaced: another one got it, with the same token or one that may
         do more.
         """
-        room = self._rooms.setdefault(kind, Places(limit, per_token))
+        room = self._rooms.setdefault(kind, Seats(limit, per_token))
         try:
             async with asyncio.timeout(None) as stay:
                 seat = room.take(visitor.holder, rank_of(visitor.role), lambda: stay.reschedule(0.0))
@@ -130,7 +130,7 @@ async def converse(
     Where no seat is free nothing of it happens: the socket is closed with the sentence why.
     """
     await socket.accept()
-    seats: Seats = socket.app.state.seats
+    seats: SeatsByKind = socket.app.state.seats
     try:
         async with seats.take(socket.url.path, MAX_SOCKETS, SOCKETS_PER_TOKEN, socket.state.visitor):
             saying = [asyncio.create_task(one()) for one in say]

@@ -157,7 +157,8 @@ async def test_a_body_that_never_ends_is_ended_also_of_somebody_known(
         leave([(reader, writer)])
 
 
-async def test_a_head_that_never_ends_is_ended(tmp_path: Path) -> None:
+async def test_a_head_that_never_ends_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "HEAD_WITHIN_S", 600.0)  # for its size, not for its time
     async with guarded_station(tmp_path) as station:
         reader, writer = await opened(station)
         writer.write(b"GET /robots HTTP/1.1\r\n")

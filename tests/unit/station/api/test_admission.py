@@ -190,7 +190,7 @@ async def test_streams_of_all_recordings_share_their_seats(tmp_path: Path, monke
 
 
 async def test_seats_of_one_kind_are_counted_and_given_back() -> None:
-    seats = station.api.limits.Seats()
+    seats = station.api.limits.SeatsByKind()
     async with seats.take("a", 1, 1, EVERYBODY), seats.take("b", 1, 1, EVERYBODY):
         with pytest.raises(station.errors.Busy, match="1 viewers of a"):
             await seats.take("a", 1, 1, EVERYBODY).__aenter__()

@@ -1,4 +1,4 @@
-"""One token takes no more places than its share, and whoever may drive never waits behind who only watches."""
+"""One token takes no more seats than its share, and whoever may drive never waits behind who only watches."""
 
 from __future__ import annotations
 

@@ -23,29 +23,29 @@ def rank_of(role: Role) -> Rank:
 
 
 @dataclass(eq=False, frozen=True, slots=True)
-class Place:
+class Seat:
     holder: str  # whose it is: a token's id, or an address; empty: nobody's in particular
     rank: Rank
     end: Callable[[], None]  # called when it has to yield
 
 
-class Places:
-    """A number of places. Each holder has its share of them; beyond it, its newest replaces its oldest."""
+class Seats:
+    """A number of seats. Each holder has its share of them; beyond it, its newest replaces its oldest."""
 
     def __init__(self, limit: int, per_holder: int, *, oldest_yields: bool = False) -> None:
-        """`oldest_yields`: where equals have taken all places, one is made free; else the newest is refused."""
+        """`oldest_yields`: where equals have taken all seats, one is made free; else the newest is refused."""
         self._limit = limit
         self._per_holder = per_holder
         self._oldest_yields = oldest_yields
-        self._taken: dict[Place, None] = {}  # the oldest first
+        self._taken: dict[Seat, None] = {}  # the oldest first
 
     @property
     def is_full(self) -> bool:
         return len(self._taken) >= self._limit
 
-    def take(self, holder: str, rank: Rank, end: Callable[[], None]) -> Place | None:
-        """A place, for which another one may have to yield; None: nobody has to."""
-        own = [place for place in self._taken if place.holder == holder]
+    def take(self, holder: str, rank: Rank, end: Callable[[], None]) -> Seat | None:
+        """A seat, for which another one may have to yield; None: nobody has to."""
+        own = [seat for seat in self._taken if seat.holder == holder]
         if holder and len(own) >= self._per_holder:
             self._end(own[0])
         elif self.is_full:
@@ -53,25 +53,25 @@ class Places:
             if yielding is None:
                 return None
             self._end(yielding)
-        place = Place(holder, rank, end)
-        self._taken[place] = None
-        return place
+        seat = Seat(holder, rank, end)
+        self._taken[seat] = None
+        return seat
 
-    def leave(self, place: Place) -> None:
-        """Give a place back; one that had to yield is given back already."""
-        self._taken.pop(place, None)
+    def leave(self, seat: Seat) -> None:
+        """Give a seat back; one that had to yield is given back already."""
+        self._taken.pop(seat, None)
 
-    def _who_yields(self, holder: str, rank: Rank) -> Place | None:
-        """Of the lowest rank the oldest of the holder with most places, unless they are the newcomer's equals."""
-        lowest = min((place.rank for place in self._taken), default=None)
+    def _who_yields(self, holder: str, rank: Rank) -> Seat | None:
+        """Of the lowest rank the oldest of the holder with most seats, unless they are the newcomer's equals."""
+        lowest = min((seat.rank for seat in self._taken), default=None)
         if lowest is None or lowest > rank:
             return None
-        counts = Counter(place.holder for place in self._taken if place.rank == lowest)
+        counts = Counter(seat.holder for seat in self._taken if seat.rank == lowest)
         busiest, most = counts.most_common(1)[0]
         if lowest < rank or self._oldest_yields or most > counts[holder] + 1:
-            return next(place for place in self._taken if (place.rank, place.holder) == (lowest, busiest))
+            return next(seat for seat in self._taken if (seat.rank, seat.holder) == (lowest, busiest))
         return None
 
-    def _end(self, place: Place) -> None:
-        del self._taken[place]
-        place.end()
+    def _end(self, seat: Seat) -> None:
+        del self._taken[seat]
+        seat.end()
