@@ -44,6 +44,11 @@ class Caller:
         self._transport = transport
 
     @property
+    def is_seated(self) -> bool:
+        """Whether there is room for it."""
+        return self._seat is not None
+
+    @property
     def is_made(self) -> bool:
         return self._transport is not None
 
@@ -136,6 +141,10 @@ class Reception:
         connection.setblocking(False)
         host = str(address[0]) if isinstance(address, tuple) else ""
         caller = Caller(host, self._strangers, self._familiar, self._within_s)
+        if not caller.is_seated:
+            connection.close()
+            caller.left()
+            return
         handshake = asyncio.get_running_loop().create_task(self._shake_hands(connection, caller))
         caller.handshake = handshake
         self._handshakes.add(handshake)
