@@ -8,7 +8,6 @@ import functools
 import importlib
 import logging
 import os
-import signal
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +23,7 @@ from robot.server import RobotServer
 from robot.simulation.config import load_config as load_simulation
 from robot.systemd import Systemd
 from shared.advice import install
+from shared.ending import ending_signals
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.listening import bind
 
@@ -37,7 +37,7 @@ EXTRA = {"simulated": "simulation", "emulated": "robot", "recorded": "simulation
 
 
 def run(kind: DeviceKind, config: RobotConfig) -> None:
-    """Serve until SIGINT or SIGTERM. The port is taken first: a second robot-server must not touch the devices."""
+    """Serve until SIGINT, SIGTERM or SIGHUP. The port is taken first: a second one must not touch the devices."""
     listener = bind(config.server.host, config.server.port)
     with listener:
         gate = open_gate(config, listener.getsockname()[0])
@@ -108,7 +108,7 @@ def _adapter(kind: str, opener: str) -> Callable[..., DeviceSet]:
 
 
 async def serve_until_signal(server: RobotServer, listener: socket.socket) -> None:
-    """Run the server until SIGINT or SIGTERM; the motors stop in the signal handler itself."""
+    """Run the server until SIGINT, SIGTERM or SIGHUP; the motors stop in the signal handler itself."""
     loop = asyncio.get_running_loop()
     serving = loop.create_task(server.serve(listener))
 
@@ -117,7 +117,7 @@ async def serve_until_signal(server: RobotServer, listener: socket.socket) -> No
         logger.info("%s: shutting down", name)
         serving.cancel()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         loop.add_signal_handler(number, shut_down, number.name)
     try:
         await serving

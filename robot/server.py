@@ -9,6 +9,7 @@ import secrets
 import socket
 import time
 from collections.abc import Callable
+from typing import cast
 
 import msgspec
 
@@ -23,10 +24,12 @@ from robot.sensors import Faults, pump_camera, pump_imu
 from robot.station_client import StationClient
 from robot.systemd import Systemd
 from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
+from shared.access import Role
 from shared.errors import HardwareError
 from shared.messages import (
     PROTOCOL_VERSION,
     DriveApplied,
+    ErrorCode,
     ErrorNotice,
     Heartbeat,
     Hello,
@@ -41,13 +44,16 @@ from shared.messages import (
     Status,
     Welcome,
 )
-from shared.reception import Reception
+from shared.reception import Caller, Reception
+from shared.seats import Seats, rank_of
 from shared.session import Event, State, reply_to
 
 logger = logging.getLogger(__name__)
 
 TICK_S = 0.05  # also the interval of drive reports: 20 Hz
 TICKS_PER_STATUS = 20
+STRANGER_WITHIN_S = 10.0  # handshake, greeting and pairing; whoever is silent meanwhile is ended earlier
+SEATS_PER_TOKEN = 2  # a station, and the connection it has lost without a word
 TICKS_PER_LOOK = 10  # at the book of tokens: who was revoked is out within half a second
 
 
@@ -79,6 +85,7 @@ class RobotServer:
         self._frames = FrameSlot()
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
+        self._seats = Seats(config.server.max_stations, SEATS_PER_TOKEN)
         self._next_client_id = 1
         self._started_ns = now_ns()
         self._session_id = secrets.token_hex(8)
@@ -96,7 +103,8 @@ class RobotServer:
                     listener,
                     self._doorstep.tls(),
                     self._config.server.max_waiting,
-                    lambda: _streams(lambda reader, writer: self._take_in(tasks, reader, writer)),
+                    STRANGER_WITHIN_S,
+                    lambda caller: _Streams(caller, lambda *streams: self._take_in(tasks, caller, *streams)),
                 )
                 receiving = tasks.create_task(reception.run())
                 try:
@@ -136,27 +144,19 @@ class RobotServer:
 
     # Connections
 
-    def _take_in(self, tasks: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _take_in(
+        self, tasks: asyncio.TaskGroup, caller: Caller, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         if self._ends:  # its handshake took longer than we live
             writer.transport.abort()
             return
         connection = writer.get_extra_info("socket")
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        client = StationClient(self._next_client_id, reader, writer, self._now_ns, self._devices.clock)
+        client = StationClient(self._next_client_id, caller, reader, writer, self._now_ns, self._devices.clock)
         self._next_client_id += 1
         self._doorstep.receive(client)
-        self._make_room()
         self._clients[client.id] = client
         tasks.create_task(self._serve_client(client))
-
-    def _make_room(self) -> None:
-        """Who waits longest without joining yields, so that silent connections cannot keep a real station out."""
-        waiting = [
-            c for c in self._clients.values() if c.session.state in (State.OPENING, State.PAIRING, State.JOINING)
-        ]
-        if len(waiting) >= self._config.server.max_waiting:
-            reason = f"{len(waiting)} connections wait to join, and this one waited longest"
-            waiting[0].end(Event.REFUSAL, Refusal(reason=reason))
 
     async def _serve_client(self, client: StationClient) -> None:
         try:
@@ -197,14 +197,13 @@ class RobotServer:
         client.put(notice("not_allowed", text, about=about))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
-        limit = self._config.server.max_stations
-        # Not is_joined: that counts only whose welcome was sent, and twenty may ask before the first one is.
-        places = [c for c in self._clients.values() if c.has_place]
-        if len(places) >= limit and (silent := next((c for c in places if c.session.state is State.QUIET), None)):
+        silent = next((c for c in self._clients.values() if c.session.state is State.QUIET), None)
+        if self._seats.is_full and silent is not None:
             # Most likely the dead connection of a station that is back by another one.
-            silent.end(Event.LOST, notice("silent", "this station was silent, and another needs its place", fatal=True))
-            places.remove(silent)
-        if len(places) >= limit:
+            self._end(silent, "silent", "this station was silent, and another needs its place")
+        rank = rank_of(client.role or Role.WATCH)
+        if not client.caller.know(self._seats, client.token_id, rank, lambda: self._replace(client)):
+            limit = self._config.server.max_stations
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
             return
         client.station_name = join.station_name
@@ -215,6 +214,16 @@ class RobotServer:
         client.imu = self._imu_cursor(join)
         self._may_start.set()
         logger.info("%s joined as connection %d", join.station_name, client.id)
+
+    def _replace(self, client: StationClient) -> None:
+        self._end(
+            client, "not_allowed", "another station needs this one's place: one with the same token or that may drive"
+        )
+
+    def _end(self, client: StationClient, code: ErrorCode, why: str) -> None:
+        """Its seat is free at once, although its last word may take a second."""
+        client.caller.left()
+        client.end(Event.LOST, notice(code, why, fatal=True))
 
     def _imu_cursor(self, join: Join) -> ImuCursor:
         if join.resume_session_id == self._session_id and join.next_imu_sequence >= 0:
@@ -348,7 +357,18 @@ class RobotServer:
         return state.voltage_v, state.fraction
 
 
-def _streams(take_in: Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]) -> asyncio.StreamReaderProtocol:
+class _Streams(asyncio.StreamReaderProtocol):
     """What a new connection speaks; `take_in` gets it when its handshake is done."""
-    loop = asyncio.get_running_loop()
-    return asyncio.StreamReaderProtocol(asyncio.StreamReader(loop=loop), take_in, loop=loop)
+
+    def __init__(self, caller: Caller, take_in: Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]) -> None:
+        loop = asyncio.get_running_loop()
+        super().__init__(asyncio.StreamReader(loop=loop), take_in, loop=loop)
+        self._caller = caller
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._caller.made(cast(asyncio.Transport, transport))
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._caller.left()
+        super().connection_lost(exc)

@@ -26,6 +26,7 @@ from shared.messages import (
     StationMessage,
 )
 from shared.pairing import Pake
+from shared.reception import Caller
 from shared.session import Event, Session, State, Tick
 
 logger = logging.getLogger(__name__)
@@ -45,6 +46,7 @@ class StationClient:
     def __init__(
         self,
         client_id: int,
+        caller: Caller,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
         now_ns: Callable[[], int],
@@ -52,6 +54,7 @@ class StationClient:
     ) -> None:
         """`now_ns` is the program's monotonic clock, `clock` the robot's, which may be a recording's."""
         self.id = client_id
+        self.caller = caller
         self.station_name = ""
         self.address = str((writer.get_extra_info("peername") or ("?",))[0])
         self.challenge = b""  # what this connection must answer; empty: no access control
@@ -78,11 +81,6 @@ class StationClient:
     def is_joined(self) -> bool:
         """Whether it takes part: gets data, may command."""
         return self.session.state in (State.ACTIVE, State.QUIET)
-
-    @property
-    def has_place(self) -> bool:
-        """Whether it was taken in, although the welcome may not be sent yet."""
-        return self.frames is not None and self.session.state is not State.CLOSED
 
     @property
     def has_all(self) -> bool:

@@ -117,13 +117,13 @@ class GuessLimit:
 
     def wait_s(self, address: str, now_s: float) -> float:
         """How long this address is to wait before it shows something else; 0: not at all."""
-        shown = self._wrong.get(_network(address), {})
+        shown = self._wrong.get(network_of(address), {})
         recent = sorted(t for t in shown.values() if 0 <= now_s - t < self._window_s)  # a clock may be set back
         return 0.0 if len(recent) < self._limit else recent[-self._limit] + self._window_s - now_s
 
     def wrong(self, address: str, shown: bytes, now_s: float) -> None:
         """It showed something that fits nobody."""
-        address = _network(address)
+        address = network_of(address)
         seen = self._wrong.pop(address, {})
         seen = {key: t for key, t in seen.items() if 0 <= now_s - t < self._window_s}
         if len(seen) < self._limit:
@@ -133,8 +133,11 @@ class GuessLimit:
             del self._wrong[next(iter(self._wrong))]
 
 
-def _network(address: str) -> str:
-    """An IPv4 address (also as a socket for both kinds shows it), or the half of an IPv6 address that a home has."""
+def network_of(address: str) -> str:
+    """Whom an address is counted as.
+
+    An IPv4 address (also as a socket for both kinds shows it), or the half of an IPv6 address that a home has.
+    """
     try:
         known = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -36,10 +36,11 @@ class Visitor:
     name: str
     role: Role
     token_id: str  # empty: the door stands open
+    holder: str  # id of the token that it goes by: a browser's session belongs to one
     by: Literal["open", "bearer", "cookie"]
 
 
-EVERYBODY = Visitor("everybody on this machine", Role.ADMIN, "", "open")
+EVERYBODY = Visitor("everybody on this machine", Role.ADMIN, "", "", "open")
 
 
 class Door:
@@ -74,7 +75,7 @@ class Door:
         if record.kind == "link":
             raise WrongToken("this code is for one login: open its link in a browser, or POST it to /login")
         self.book.use(record, self.now_s())
-        return Visitor(record.name, record.role, record.id, by)
+        return Visitor(record.name, record.role, record.id, record.parent or record.id, by)
 
     def login(self, shown: str, address: str) -> tuple[Visitor, str]:
         """Who shows this token or link, and the session for its browser. Raises WrongToken, TooManyGuesses."""
@@ -85,7 +86,7 @@ class Door:
         if record.kind == "link" and not self.book.revoke(record.id, self.now_s()):
             raise WrongToken("this link was used already; ask for another")
         session = self.book.add_for(record, "session", self.now_s(), SESSION_S)
-        return Visitor(record.name, record.role, session.id, "cookie"), session.text
+        return Visitor(record.name, record.role, session.id, record.parent or record.id, "cookie"), session.text
 
     def _find(self, shown: str, address: str) -> TokenRecord:
         now_s = self.now_s()

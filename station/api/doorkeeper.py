@@ -1,4 +1,7 @@
-"""ASGI middleware: finds out who asks, and ends what is open when a token is revoked. `deps.admit` says who may."""
+"""ASGI middleware: finds out who asks from where, and ends what is open when a token is revoked.
+
+What is refused here is refused before anything of a body is read. `deps.admit` says what a role may.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,18 @@ import asyncio
 import contextlib
 from typing import Literal
 
+from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from station.access.visitors import EVERYBODY, Door, Visitor
-from station.errors import TooManyGuesses, WrongToken
+from shared.errors import RobotSystemError
+from station.access.visitors import EVERYBODY, Visitor
+from station.api.connections import KEY, Connection
+from station.api.problems import answer_to
+from station.api.roles import is_open
+from station.api.sites import check_site
+from station.app import Station
+from station.errors import NotAllowed, TooManyGuesses, WrongToken
 
 COOKIE = "__Host-sentinel-session"  # browsers keep such a name for HTTPS, for this host alone
 REVOKED = 4401  # close code
@@ -18,23 +28,42 @@ MAX_SHOWN = 256
 Found = Visitor | WrongToken | TooManyGuesses
 
 
+# Other sites' pages may show nothing of ours, nor take it for a script.
+FOR_US_ALONE = {"Cross-Origin-Resource-Policy": "same-origin", "X-Content-Type-Options": "nosniff"}
+
+
 class Doorkeeper:
     """Puts the visitor, or why there is none, into the scope's state as `visitor`."""
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
+    def __init__(self, app: ASGIApp, station: Station) -> None:
         self._app = app
-        self._door = door
+        self._station = station
+        self._door = station.access.door
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        visitor = self._identify(HTTPConnection(scope))
-        scope.setdefault("state", {})["visitor"] = visitor
+        connection: Connection | None = scope.setdefault("state", {}).get(KEY)
+        with contextlib.nullcontext() if connection is None else connection.serving():
+            await self._receive(HTTPConnection(scope), connection, receive, _labelled(send))
+
+    async def _receive(
+        self, asked: HTTPConnection, connection: Connection | None, receive: Receive, send: Send
+    ) -> None:
+        try:
+            check_site(asked, self._station.config.api, speaks_tls=self._station.access.identity is not None)
+            visitor = asked.scope["state"]["visitor"] = self._identify(asked)
+            _check_visitor(asked, visitor)
+            if isinstance(visitor, Visitor) and connection is not None:
+                connection.recognise(visitor)
+        except RobotSystemError as exc:
+            await answer_to(asked, exc)(asked.scope, receive, send)
+            return
         if isinstance(visitor, Visitor) and visitor.token_id:
-            await self._serve(visitor, scope, receive, send)
+            await self._serve(visitor, asked.scope, receive, send)
         else:
-            await self._app(scope, receive, send)
+            await self._app(asked.scope, receive, send)
 
     def _identify(self, connection: HTTPConnection) -> Found:
         if self._door.is_open:
@@ -77,6 +106,26 @@ class Doorkeeper:
                     raise
         if revoked.is_set():
             await _say_goodbye(scope, sent, send)
+
+
+def _check_visitor(asked: HTTPConnection, visitor: Found) -> None:
+    """Raises WrongToken, TooManyGuesses, NotAllowed."""
+    method = asked.scope.get("method", "WS")
+    if is_open(method, asked.scope["path"]):
+        return
+    if not isinstance(visitor, Visitor):
+        raise visitor
+    if visitor.by == "cookie" and method != "GET" and "origin" not in asked.headers:
+        raise NotAllowed("a browser says which page asks (`Origin`); programs send `Authorization: Bearer` instead")
+
+
+def _labelled(send: Send) -> Send:
+    async def labelling(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            MutableHeaders(scope=message).update(FOR_US_ALONE)
+        await send(message)
+
+    return labelling
 
 
 async def _say_goodbye(scope: Scope, sent: list[str], send: Send) -> None:

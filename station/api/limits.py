@@ -4,28 +4,52 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from dataclasses import dataclass
 from typing import Any
 
 from fastapi import Request, WebSocket, WebSocketDisconnect
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from shared.seats import Seats, rank_of
+from station.access.visitors import Visitor
 from station.api.problems import problem
 from station.errors import Busy
 
 MAX_BODY_BYTES = 1 << 20  # the largest request, a list of navigations, has some kilobytes
 MAX_SOCKETS = 32  # of each kind: a page has three
+SOCKETS_PER_TOKEN = 8
 MAX_STREAMS = 16  # MJPEG viewers: each gets every picture
+STREAMS_PER_TOKEN = 4
+REPLACED = 4409  # close code
 UNSUPPORTED = 1003
 TRY_AGAIN_LATER = 1013
 GONE = (WebSocketDisconnect, RuntimeError)  # what reading and writing raise when the peer is not there any more
-TOO_LARGE = f"a request may have {MAX_BODY_BYTES} bytes; send less"
+
+
+@dataclass(frozen=True, slots=True)
+class BodyBounds:
+    """How large a request's body may be, and how long it may take."""
+
+    bytes: int
+    within_s: float
+
+    @property
+    def too_large(self) -> str:
+        return f"a request may have {self.bytes} bytes; send less"
+
+    @property
+    def too_slow(self) -> str:
+        return f"a request's body is to come within {self.within_s:g} s; send it at once"
+
+
+KNOWN_BODY = BodyBounds(MAX_BODY_BYTES, 20.0)
+STRANGERS_BODY = BodyBounds(4096, 5.0)  # a token to log in with
 
 
 class BodyLimit:
-    """ASGI middleware: a request with a larger body ends in 413, before more of it is kept."""
+    """ASGI middleware: a larger body, or one that takes longer, ends in 413 or 408 before more of it is kept."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -35,39 +59,64 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         request = Request(scope)
+        limit = KNOWN_BODY if isinstance(request.state.visitor, Visitor) else STRANGERS_BODY
         length = request.headers.get("content-length", "")
-        if length.isdecimal() and int(length) > MAX_BODY_BYTES:
-            await problem(request, 413, "too-large", "Too large", TOO_LARGE)(scope, receive, send)
+        if length.isdecimal() and int(length) > limit.bytes:
+            await problem(request, 413, "too-large", "Too large", limit.too_large)(scope, receive, send)
             return
-        received = 0
+        received, is_whole = 0, False
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + limit.within_s
 
         async def counted() -> Message:
-            nonlocal received
-            message = await receive()
+            nonlocal received, is_whole
+            if is_whole:  # the app waits for the peer to leave
+                return await receive()
+            try:
+                async with asyncio.timeout_at(end_s):
+                    message = await receive()
+            except TimeoutError:
+                raise HTTPException(408, limit.too_slow) from None
+            is_whole = not message.get("more_body", False)
             received += len(message.get("body", b""))
-            if received > MAX_BODY_BYTES:  # it did not say how long it is
-                raise HTTPException(413, TOO_LARGE)
+            if received > limit.bytes:  # it did not say how long it is
+                raise HTTPException(413, limit.too_large)
             return message
 
         await self._app(scope, counted, send)
 
 
-class Seats:
-    """How many sockets and streams of each kind are open."""
+class Replaced(Exception):
+    """A seat is another's now."""
+
+
+class SeatsByKind:
+    """The sockets and streams of each kind that are open."""
 
     def __init__(self) -> None:
-        self._taken: Counter[str] = Counter()
+        self._rooms: dict[str, Seats] = {}
 
-    @contextlib.contextmanager
-    def take(self, kind: str, limit: int) -> Iterator[None]:
-        """One of `limit` seats. Raises Busy when all are taken."""
-        if self._taken[kind] >= limit:
-            raise Busy(f"{limit} viewers of {kind} are connected, more are not allowed; close one")
-        self._taken[kind] += 1
+    @contextlib.asynccontextmanager
+    async def take(self, kind: str, limit: int, per_token: int, visitor: Visitor) -> AsyncIterator[None]:
+        """One of `limit` seats, for as long as the body runs, which must leave it when it is cancelled.
+
+        Raises Busy: none is free for this visitor; Replaced: another one got it, with the same token or one that may
+        do more.
+        """
+        room = self._rooms.setdefault(kind, Seats(limit, per_token))
         try:
-            yield
-        finally:
-            self._taken[kind] -= 1
+            async with asyncio.timeout(None) as stay:
+                seat = room.take(visitor.holder, rank_of(visitor.role), lambda: stay.reschedule(0.0))
+                if seat is None:
+                    raise Busy(f"{limit} viewers of {kind} are connected, more are not allowed; close one")
+                try:
+                    yield
+                finally:
+                    room.leave(seat)
+        except TimeoutError:
+            if stay.expired():
+                raise Replaced from None
+            raise
 
 
 async def converse(
@@ -78,12 +127,12 @@ async def converse(
 ) -> None:
     """Accept a socket; `hear` again and again, while each `say` runs beside it, until the peer is gone. Then `leave`.
 
-    Where all seats are taken nothing of it happens: the socket is closed with the sentence why.
+    Where no seat is free nothing of it happens: the socket is closed with the sentence why.
     """
     await socket.accept()
-    seats: Seats = socket.app.state.seats
+    seats: SeatsByKind = socket.app.state.seats
     try:
-        with seats.take(socket.url.path, MAX_SOCKETS):
+        async with seats.take(socket.url.path, MAX_SOCKETS, SOCKETS_PER_TOKEN, socket.state.visitor):
             saying = [asyncio.create_task(one()) for one in say]
             try:
                 while True:
@@ -99,6 +148,8 @@ async def converse(
                 leave()
     except Busy as exc:
         await socket.close(TRY_AGAIN_LATER, str(exc))
+    except Replaced:
+        await socket.close(REPLACED, "a newer page with your token, or of somebody who drives, took this one's place")
 
 
 async def receive_text(socket: WebSocket) -> str:

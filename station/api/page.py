@@ -19,7 +19,7 @@ POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws: wss:; "
     "object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
 )
-HEADERS = {"Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+HEADERS = {"Content-Security-Policy": POLICY, "Referrer-Policy": "no-referrer"}
 NOT_BUILT = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Sentinel</title>
 <body style="font:16px/1.6 system-ui;max-width:42rem;margin:3rem auto;padding:0 1rem">
 <h1>The page is not built yet</h1>

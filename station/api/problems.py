@@ -13,6 +13,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 
 from shared.errors import ConfigError, DataError, LocalProtocolError, RobotSystemError
 from station import errors
@@ -43,6 +44,7 @@ STATUS_TITLES = {
     403: "Not allowed",
     404: "Not found",
     405: "Method not allowed",
+    408: "Too slow",
     413: "Too large",
     422: "The request is not valid",
 }
@@ -69,12 +71,25 @@ def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"description": titles[status], "content": {MEDIA_TYPE: schema}} for status in statuses}
 
 
-def problem(request: Request, status: int, slug: str, title: str, detail: str, **more: Any) -> JSONResponse:
+def problem(request: HTTPConnection, status: int, slug: str, title: str, detail: str, **more: Any) -> JSONResponse:
     """One problem document."""
     document = Problem(
         type=f"/problems/{slug}", title=title, status=status, detail=detail, instance=request.url.path
     ).model_dump()
     return JSONResponse(document | more, status_code=status, media_type=MEDIA_TYPE)
+
+
+def answer_to(request: HTTPConnection, exc: RobotSystemError) -> JSONResponse:
+    """The problem document of an error of ours."""
+    slug, title, status = kind_of(exc)
+    if status >= 500 and slug == "failed":
+        logger.error("%s %s: %s", request.scope.get("method", "WS"), request.url.path, exc)
+    answer = problem(request, status, slug, title, str(exc))
+    if isinstance(exc, errors.WrongToken):
+        answer.headers["WWW-Authenticate"] = "Bearer"
+    if isinstance(exc, errors.TooManyGuesses):
+        answer.headers["Retry-After"] = str(math.ceil(exc.wait_s))
+    return answer
 
 
 def _what_is_wrong(request: Request, error: Mapping[str, Any]) -> str:
@@ -117,15 +132,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RobotSystemError)
     async def ours(request: Request, exc: RobotSystemError) -> JSONResponse:
-        slug, title, status = kind_of(exc)
-        if status >= 500 and slug == "failed":
-            logger.error("%s %s: %s", request.method, request.url.path, exc)
-        answer = problem(request, status, slug, title, str(exc))
-        if isinstance(exc, errors.WrongToken):
-            answer.headers["WWW-Authenticate"] = "Bearer"
-        if isinstance(exc, errors.TooManyGuesses):
-            answer.headers["Retry-After"] = str(math.ceil(exc.wait_s))
-        return answer
+        return answer_to(request, exc)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, exc: RequestValidationError) -> JSONResponse:

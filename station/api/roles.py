@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from fastapi.routing import APIRoute, APIWebSocketRoute
-from starlette.routing import BaseRoute
+from starlette.routing import BaseRoute, compile_path
 
 from shared.access import Role
 from shared.errors import LocalProtocolError
@@ -111,6 +111,14 @@ ROLES: dict[str, Role | None] = {
     "POST /access/tokens": ADMIN,
     "DELETE /access/tokens/{token_id}": ADMIN,
 }
+
+
+_OPEN = [(call.partition(" ")[0], compile_path(call.partition(" ")[2])[0]) for call in ROLES if ROLES[call] is OPEN]
+
+
+def is_open(method: str, path: str) -> bool:
+    """Whether everybody may call it."""
+    return any(method == known and pattern.match(path) for known, pattern in _OPEN)
 
 
 def calls_of(route: BaseRoute, prefix: str = "") -> list[str]:

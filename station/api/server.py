@@ -22,7 +22,7 @@ from station.api import (
 from station.api.deps import admit_below, name_robot
 from station.api.doorkeeper import Doorkeeper
 from station.api.health import program_version
-from station.api.limits import BodyLimit, Seats
+from station.api.limits import BodyLimit, SeatsByKind
 from station.api.roles import ROLES, calls_of, check_roles
 from station.api.schema.base import Problem
 from station.app import Station
@@ -55,9 +55,9 @@ def make_api(station: Station) -> FastAPI:
         responses=problems.responses(400, 401, 403, 422, 429),
     )
     app.state.station = station
-    app.state.seats = Seats()
+    app.state.seats = SeatsByKind()
     app.add_middleware(BodyLimit)
-    app.add_middleware(Doorkeeper, door=station.access.door)
+    app.add_middleware(Doorkeeper, station=station)
     problems.install(app)
     check_roles(all_calls(app))
     for prefix, router in ROUTERS:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import signal
 import socket
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,10 +14,12 @@ from fastapi import FastAPI
 
 from shared.advice import complete, option
 from shared.certificates import HANDSHAKE_WITHIN_S
+from shared.ending import ending_signals
 from shared.errors import ConfigError
 from shared.listening import is_loopback
 from shared.reception import Reception
 from station.access.expiry import watch_expiry
+from station.api.connections import KEY, STRANGER_WITHIN_S, Connection, Connections, HttpProtocol, SocketProtocol
 from station.app import Station
 
 logger = logging.getLogger(__name__)
@@ -27,16 +27,10 @@ PING_EVERY_S = PONG_WITHIN_S = 5.0  # a page whose network vanished gives its se
 END_WITHIN_S = 2  # open video streams never end by themselves
 
 
-MAX_STRANGERS = 64  # connections that shake hands, or have not asked for anything yet
-FIRST_REQUEST_WITHIN_S = 10.0
-LOOK_S = 0.25
-UNKNOWN = object()
-
-
 class _Server(uvicorn.Server):
-    """Signals are the caller's: the motors must stop first. Strangers are bounded, so that silence keeps nobody out."""
+    """Signals are the caller's: the motors must stop first. Connections are bounded, so that nobody is kept out."""
 
-    _receiving: asyncio.Task[None] | None = None
+    _watching: tuple[asyncio.Task[None], ...] = ()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -49,38 +43,28 @@ class _Server(uvicorn.Server):
         tls: dict[str, Any] = {}
         if self.config.ssl is not None:
             tls = {"ssl": self.config.ssl, "ssl_handshake_timeout": HANDSHAKE_WITHIN_S}
-        reception = Reception(sockets[0], tls, MAX_STRANGERS, self._make_protocol, _until_asked)
-        self._receiving = asyncio.create_task(reception.run(), name="API's reception")
+        connections = Connections()
+        reception = Reception(
+            sockets[0],
+            tls,
+            connections.max_strangers,
+            STRANGER_WITHIN_S,
+            lambda caller: self._make_protocol(connections.open(caller)),
+        )
+        self._watching = (
+            asyncio.create_task(reception.run(), name="API's reception"),
+            asyncio.create_task(connections.watch(), name="API's connections"),
+        )
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        if self._receiving is not None:
-            self._receiving.cancel()
-            await asyncio.gather(self._receiving, return_exceptions=True)
+        for task in self._watching:
+            task.cancel()
+        await asyncio.gather(*self._watching, return_exceptions=True)
         await super().shutdown(sockets)
 
-    def _make_protocol(self) -> asyncio.Protocol:
-        make: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
-        return make(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
-
-
-async def _until_asked(transport: asyncio.Transport, protocol: asyncio.Protocol) -> None:
-    """Until the first request is read; a connection without one is ended, at the latest when another needs the room."""
-    end_s = time.monotonic() + FIRST_REQUEST_WITHIN_S
-    try:
-        while _is_silent(transport, protocol) and time.monotonic() < end_s:
-            await asyncio.sleep(LOOK_S)
-    finally:
-        if _is_silent(transport, protocol):
-            transport.abort()
-
-
-def _is_silent(transport: asyncio.Transport, protocol: asyncio.Protocol) -> bool:
-    """Uvicorn makes a cycle of each request it has read; for a WebSocket it makes another protocol."""
-    return (
-        not transport.is_closing()
-        and transport.get_protocol() is protocol
-        and getattr(protocol, "cycle", UNKNOWN) is None
-    )
+    def _make_protocol(self, connection: Connection) -> asyncio.Protocol:
+        state = {**self.lifespan.state, KEY: connection}
+        return HttpProtocol(config=self.config, server_state=self.server_state, app_state=state)
 
 
 async def serve(
@@ -102,6 +86,8 @@ async def serve(
         access_log=False,
         lifespan="off",
         timeout_graceful_shutdown=END_WITHIN_S,
+        http=HttpProtocol,
+        ws=SocketProtocol,
         ws_max_size=65536,  # pages only send small commands
         ws_ping_interval=PING_EVERY_S,
         ws_ping_timeout=PONG_WITHIN_S,
@@ -142,10 +128,10 @@ def _warn(station: Station, sentence: str) -> None:
 async def serve_until_signal(
     station: Station, api: FastAPI, listener: socket.socket, started: Callable[[], None] = lambda: None
 ) -> None:
-    """Run until SIGINT or SIGTERM."""
+    """Run until SIGINT, SIGTERM or SIGHUP: a terminal that is closed."""
     loop = asyncio.get_running_loop()
     serving = asyncio.ensure_future(serve(station, api, listener, started))
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         loop.add_signal_handler(number, serving.cancel)
     with contextlib.suppress(asyncio.CancelledError):
         await serving

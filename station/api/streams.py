@@ -10,7 +10,7 @@ from fastapi import Response, WebSocket
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from station.api.limits import MAX_STREAMS, Seats, receive_text
+from station.api.limits import MAX_STREAMS, STREAMS_PER_TOKEN, Replaced, SeatsByKind, receive_text
 
 # Little endian: seq u32, width u16, height u16, t_robot_ns i64, age_s f64 (NaN: clocks unknown), skipped u32, 0 u32.
 HEADER = struct.Struct("<IHHqdII")
@@ -50,9 +50,12 @@ class SeatedStream(StreamingResponse):
         self._kind = kind
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        seats: Seats = scope["app"].state.seats
-        with seats.take(self._kind, MAX_STREAMS):
-            await super().__call__(scope, receive, send)
+        seats: SeatsByKind = scope["app"].state.seats
+        try:
+            async with seats.take(self._kind, MAX_STREAMS, STREAMS_PER_TOKEN, scope["state"]["visitor"]):
+                await super().__call__(scope, receive, send)
+        except Replaced:
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
 def part_of_stream(jpeg: bytes) -> bytes:

@@ -12,6 +12,7 @@ import httpx
 import pytest
 import websockets
 
+from robot.devices.ports import CapturedFrame
 from shared.access import Role, Token
 from shared.token_book import TokenBook
 from station.api.doorkeeper import COOKIE, REVOKED
@@ -19,7 +20,7 @@ from station.api.roles import ROLES
 from station.api.server import all_calls
 from tests.support.access import Guarded, guarded_station
 from tests.support.link import running_robot, until
-from tests.support.station import Film, running_station
+from tests.support.station import Film, picture, running_station
 
 SOCKETS = {"/ws/events": "", "/ws/camera": "", "/ws/drive": "", "/ws/replay": "?navigation=none"}
 SOCKETS |= {f"/robots/{{robot}}/ws/{kind}": "" for kind in ("events", "camera", "drive")}
@@ -264,3 +265,31 @@ async def test_on_loopback_without_access_control_everybody_is_admin(tmp_path: P
         assert (answer["controlled"], answer["role"]) == (False, "admin")
         assert is_problem(await desk.http.post("/login", json={"token": "x"}), 409)
         assert is_problem(await desk.http.get("/access/tokens"), 409)
+
+
+FRAME = "/camera/frame.jpg"
+SHOWN_ELSEWHERE = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors", "Sec-Fetch-Dest": "image"}
+FOLLOWED = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+
+
+async def test_another_sites_page_can_show_no_picture_of_ours(tmp_path: Path) -> None:
+    async with running_robot() as bench, running_station(bench.port, tmp_path) as desk:
+        bench.camera.frames.put_nowait(CapturedFrame(1, 1, 640, 480, picture(1)))
+        await until(lambda: desk.station.first.camera.newest)
+        for foreign in (
+            SHOWN_ELSEWHERE,
+            SHOWN_ELSEWHERE | {"Sec-Fetch-Site": "same-site"},  # another program on this machine
+            FOLLOWED | {"Sec-Fetch-Dest": "iframe"},
+        ):
+            assert is_problem(await desk.http.get(FRAME, headers=foreign), 403)
+        assert is_problem(await desk.http.post("/stop", headers=FOLLOWED), 403)
+        for own in ({}, {"Sec-Fetch-Site": "none"}, SHOWN_ELSEWHERE | {"Sec-Fetch-Site": "same-origin"}, FOLLOWED):
+            answer = await desk.http.get(FRAME, headers=own)
+            assert answer.status_code == 200
+            # For browsers that say nothing of where they ask from.
+            assert answer.headers["cross-origin-resource-policy"] == "same-origin"
+            assert answer.headers["x-content-type-options"] == "nosniff"
+        for path in ("/", "/robot", "/nothing", "/openapi.json"):
+            headers = (await desk.http.get(path)).headers
+            assert headers.get_list("x-content-type-options") == ["nosniff"]
+            assert headers["cross-origin-resource-policy"] == "same-origin"

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 import signal
 import ssl
-import sys
-from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 
 import httpx
@@ -18,31 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 import robot.access_commands
+from shared.ending import ending_signals
 from shared.errors import ConfigError
 from shared.token_book import TokenBook
 from station.main import app as station_app
-from tests.support.paths import ROOT
-
-
-@asynccontextmanager
-async def program(*words: str) -> AsyncIterator[Process]:
-    process = await asyncio.create_subprocess_exec(sys.executable, "-m", *words, cwd=ROOT, stdout=PIPE, stderr=PIPE)
-    try:
-        yield process
-    finally:
-        if process.returncode is None:
-            process.send_signal(signal.SIGTERM)
-        await asyncio.wait_for(process.communicate(), 60)
-
-
-async def said(process: Process, pattern: str) -> re.Match[str]:
-    """The first line on stdout that fits."""
-    assert process.stdout is not None
-    while True:
-        line = (await asyncio.wait_for(process.stdout.readline(), 120)).decode()
-        assert line, f"it ended without saying {pattern}"
-        if found := re.search(pattern, line):
-            return found
+from tests.support.programs import program, said
 
 
 @pytest.mark.parametrize(
@@ -120,3 +95,21 @@ def test_tokens_are_added_listed_linked_and_revoked_from_the_command_line(tmp_pa
     assert isinstance(run.invoke(station_app, ["access", "revoke", "anna", *data]).exception, ConfigError)
     for command in (["access", "list"], ["access", "add", "x", "--role", "watch"]):
         assert isinstance(run.invoke(station_app, [*command, "--data", "/nowhere"]).exception, ConfigError)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+async def test_a_signal_ends_the_station_in_good_order(tmp_path: Path, number: signal.Signals) -> None:
+    words = ("serve", "--robot", "127.0.0.1:1", "--port", "0", "--data", str(tmp_path))
+    async with program("station.main", *words) as process:
+        await said(process, r"page and API at")
+        process.send_signal(number)
+        assert await asyncio.wait_for(process.wait(), 120) == 0
+
+
+def test_what_was_started_to_outlive_its_terminal_does() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert signal.SIGHUP not in ending_signals()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert signal.SIGHUP in ending_signals()

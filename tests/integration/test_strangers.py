@@ -1,19 +1,27 @@
-"""Connections that never ask for anything are bounded in number, and keep nobody out."""
+"""Connections that ask for nothing, and requests that never end, are bounded in number, size and time: nobody is kept
+out by who has no token."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import ssl
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import httpx
 import pytest
 import websockets
+from typer.testing import CliRunner
 
 from shared.access import Role
-from station.api import serving
-from station.api.serving import MAX_STRANGERS
-from tests.support.access import guarded_station
-from tests.support.link import until
+from station.access.visitors import access_folder
+from station.api import connections, limits
+from station.api.connections import MAX_STRANGERS
+from station.main import app as station_app
+from tests.support.access import Guarded, guarded_station
+from tests.support.link import WAIT_S, until
+from tests.support.programs import program, said
 from tests.support.station import Desk, running_station
 
 FLOOD = 3 * MAX_STRANGERS
@@ -29,6 +37,35 @@ async def flood(desk: Desk) -> list[Streams]:
 async def ended(connections: list[Streams], at_least: int) -> None:
     """Wait until the station has ended so many of them."""
     await until(lambda: sum(reader.at_eof() or reader.exception() is not None for reader, _ in connections) >= at_least)
+
+
+async def opened(station: Guarded, source: str = "127.0.0.1") -> Streams:
+    """A connection by TLS from another address of this machine."""
+    address = urlsplit(station.desk.address)
+    return await asyncio.open_connection(
+        address.hostname, address.port, ssl=station.context, local_addr=(source, 0), limit=1 << 20
+    )
+
+
+async def status_of(reader: asyncio.StreamReader) -> int:
+    """Of the answer that comes next."""
+    line = await asyncio.wait_for(reader.readline(), WAIT_S)
+    return int(line.split()[1])
+
+
+def head(path: str, length: int, *more: str) -> bytes:
+    """Of a POST; its body may never come."""
+    lines = [f"POST {path} HTTP/1.1", "Host: 127.0.0.1", "Content-Type: application/json", f"Content-Length: {length}"]
+    return "\r\n".join([*lines, *more, "", ""]).encode()
+
+
+async def write_for_ever(writer: asyncio.StreamWriter, data: bytes) -> None:
+    """Raises ConnectionError: the station has ended it."""
+    async with asyncio.timeout(3 * WAIT_S):
+        while True:
+            writer.write(data)
+            await writer.drain()
+            await asyncio.sleep(0.001)
 
 
 def leave(connections: list[Streams]) -> None:
@@ -64,7 +101,7 @@ async def test_silent_connections_yield_to_others_and_those_in_use_stay(tmp_path
 async def test_a_connection_that_asks_for_nothing_is_ended_in_time_and_one_that_did_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serving, "FIRST_REQUEST_WITHIN_S", 0.5)
+    monkeypatch.setattr(connections, "HEAD_WITHIN_S", 0.5)
     async with running_station(1, tmp_path) as desk:
         address = urlsplit(desk.address)
         reader, writer = await asyncio.open_connection(address.hostname, address.port)
@@ -74,3 +111,110 @@ async def test_a_connection_that_asks_for_nothing_is_ended_in_time_and_one_that_
             await ended([(reader, writer), (trickling, trickler)], 2)
             await socket.recv()
         leave([(reader, writer), (trickling, trickler)])
+
+
+@pytest.mark.parametrize("path", ["/maps", "/stop", "/drive", "/nothing"])
+async def test_who_has_no_token_is_refused_before_the_body_is_read(tmp_path: Path, path: str) -> None:
+    async with guarded_station(tmp_path) as station:
+        reader, writer = await opened(station)
+        writer.write(head(path, 1_000_000))
+        assert await status_of(reader) == 401
+        leave([(reader, writer)])
+
+
+@pytest.mark.parametrize(
+    "foreign", ["Origin: https://evil.example", "Host: evil.example", "Sec-Fetch-Site: cross-site"]
+)
+async def test_pages_of_others_are_refused_before_the_body_is_read(tmp_path: Path, foreign: str) -> None:
+    async with guarded_station(tmp_path) as station:
+        reader, writer = await opened(station)
+        token = f"Authorization: Bearer {station.tokens[Role.ADMIN]}"
+        writer.write(head("/maps", 1_000_000, token, foreign).replace(b"Host: 127.0.0.1\r\n", b"", "Host" in foreign))
+        assert await status_of(reader) == 403
+        leave([(reader, writer)])
+
+
+async def test_a_login_may_be_no_larger_and_take_no_longer_than_one_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "STRANGERS_BODY", limits.BodyBounds(4096, 0.3))
+    async with guarded_station(tmp_path) as station:
+        for length, status in {4097: 413, 4000: 408}.items():
+            reader, writer = await opened(station)
+            writer.write(head("/login", length))
+            assert await status_of(reader) == status
+            leave([(reader, writer)])
+
+
+async def test_a_body_that_never_ends_is_ended_also_of_somebody_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "KNOWN_BODY", limits.BodyBounds(limits.MAX_BODY_BYTES, 0.3))
+    async with guarded_station(tmp_path) as station:
+        reader, writer = await opened(station)
+        writer.write(head("/maps", 1_000_000, f"Authorization: Bearer {station.tokens[Role.ADMIN]}") + bytes(1000))
+        assert await status_of(reader) == 408
+        leave([(reader, writer)])
+
+
+async def test_a_head_that_never_ends_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "HEAD_WITHIN_S", 600.0)  # for its size, not for its time
+    async with guarded_station(tmp_path) as station:
+        reader, writer = await opened(station)
+        writer.write(b"GET /robots HTTP/1.1\r\n")
+        with pytest.raises(ConnectionError):
+            await write_for_ever(writer, b"X: " + b"x" * 1000 + b"\r\n")
+        leave([(reader, writer)])
+
+
+async def test_an_answer_that_nobody_takes_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "TAKEN_WITHIN_S", 0.5)
+    async with guarded_station(tmp_path) as station:
+        reader, writer = await opened(station)
+        writer.transport.pause_reading()
+        token = f"Authorization: Bearer {station.tokens[Role.WATCH]}"
+        ask = f"GET /openapi.json HTTP/1.1\r\nHost: 127.0.0.1\r\n{token}\r\n\r\n"
+        with pytest.raises(ConnectionError):
+            await write_for_ever(writer, ask.encode())
+        leave([(reader, writer)])
+
+
+async def test_an_address_where_nobody_is_known_keeps_no_other_out(tmp_path: Path) -> None:
+    """A right token was shown from 127.0.0.1; then 127.0.0.2 to .9 flood."""
+    async with guarded_station(tmp_path) as station:
+        admin = station.headers(Role.ADMIN)
+        assert (await station.desk.http.get("/healthz", headers=admin)).status_code == 200
+        known = await opened(station)  # it has not shown anything yet
+        strangers = [await opened(station, f"127.0.0.{2 + n % 8}") for n in range(FLOOD)]
+        try:
+            await ended(strangers, FLOOD - MAX_STRANGERS)
+            reader, writer = known
+            writer.write(head("/stop", 0, f"Authorization: Bearer {station.tokens[Role.ADMIN]}"))
+            assert await status_of(reader) == 503  # there is no robot
+        finally:
+            leave([known, *strangers])
+
+
+async def test_stop_is_answered_while_strangers_hold_more_bodies_open_than_there_are_descriptors(
+    tmp_path: Path,
+) -> None:
+    made = CliRunner().invoke(station_app, ["access", "init", "--data", str(tmp_path), "--json"])
+    admin = {"Authorization": f"Bearer {json.loads(made.stdout)['token']}"}
+    config = tmp_path / "station.toml"
+    config.write_text("[access]\non_loopback = true\n")
+    words = ("serve", "--robot", "127.0.0.1:1", "--port", "0", "--data", str(tmp_path), "--config", str(config))
+    async with program("station.main", *words, descriptors=256) as process:
+        address = (await said(process, r"(https://\S+)"))[1]
+        context = ssl.create_default_context(cafile=str(access_folder(tmp_path) / "certificate.pem"))
+        at = urlsplit(address)
+        strangers: list[Streams] = []
+        try:
+            for _ in range(300):
+                streams = await asyncio.open_connection(at.hostname, at.port, ssl=context)
+                streams[1].write(head("/login", 4000) + bytes(100))
+                strangers.append(streams)
+            async with httpx.AsyncClient(base_url=address, verify=context, timeout=WAIT_S) as http:
+                answer = await http.post("/stop", headers=admin)
+                assert answer.json()["type"] == "/problems/no-robot"
+        finally:
+            leave(strangers)

@@ -2,8 +2,10 @@
 import { socketUrl } from "./address";
 
 const REVOKED = 4401; // station/api/doorkeeper.py
+const REPLACED = 4409; // station/api/limits.py
 
 const LONGEST_WAIT_MS = 1000;
+const REPLACED_WAIT_MS = 10_000;
 const SILENT_MS = 1250; // the station's events come every second
 const PATIENCE_MS = 1500; // with a connection that does not open
 const GRACE_MS = 400; // for the first word after the network was away
@@ -64,6 +66,8 @@ export class LastingSocket {
     socket.onclose = (event) => {
       this.options.onState?.(false);
       if (event.code === REVOKED) location.reload(); // and log in anew
+      // A newer page has the place: two that take it from each other without a pause would both be of no use.
+      if (event.code === REPLACED) this.waitMs = REPLACED_WAIT_MS;
       setTimeout(() => this.connect(), this.waitMs);
       this.waitMs = Math.min(this.waitMs * 2, LONGEST_WAIT_MS);
     };

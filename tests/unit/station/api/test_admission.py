@@ -17,6 +17,7 @@ import station.api.streams
 import station.errors
 from shared.mcap_recording import RecordedPicture
 from shared.messages import CameraFrame
+from station.access.visitors import EVERYBODY
 from station.api.limits import MAX_BODY_BYTES, TRY_AGAIN_LATER, UNSUPPORTED
 from station.api.server import make_api
 from station.app import Station
@@ -188,10 +189,10 @@ async def test_streams_of_all_recordings_share_their_seats(tmp_path: Path, monke
     assert answers[0]["detail"] == answers[1]["detail"]
 
 
-def test_seats_of_one_kind_are_counted_and_given_back() -> None:
-    seats = station.api.limits.Seats()
-    taken = pytest.raises(station.errors.Busy, match="1 viewers of a")
-    with seats.take("a", 1), seats.take("b", 1), taken, seats.take("a", 1):
-        pass
-    with seats.take("a", 1):
+async def test_seats_of_one_kind_are_counted_and_given_back() -> None:
+    seats = station.api.limits.SeatsByKind()
+    async with seats.take("a", 1, 1, EVERYBODY), seats.take("b", 1, 1, EVERYBODY):
+        with pytest.raises(station.errors.Busy, match="1 viewers of a"):
+            await seats.take("a", 1, 1, EVERYBODY).__aenter__()
+    async with seats.take("a", 1, 1, EVERYBODY):
         pass

@@ -1,0 +1,139 @@
+"""The API's connections: whose each is, and how long each phase of a request may take."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import resource
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from shared.reception import Caller
+from shared.seats import Seats, rank_of
+from station.access.visitors import Visitor
+from station.errors import Busy
+
+MAX_STRANGERS = 64  # connections on which nobody known has asked for anything
+STRANGER_WITHIN_S = 60.0  # the page's files to who logs in, over a slow link
+MAX_KNOWN = 256
+CONNECTIONS_PER_TOKEN = 64  # a page has three sockets and a browser's six connections
+MAX_HEAD_BYTES = 65_536
+HEAD_WITHIN_S = 10.0  # from the end of the last request to the end of the next one's head
+TAKEN_WITHIN_S = 30.0  # an answer of which the peer takes nothing for so long is not wanted
+LOOK_S = 0.25
+KEY = "connection"  # in the state of an ASGI scope
+
+
+def descriptors_left() -> int:
+    """How many more files and sockets this process may have open."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return max(0, limit - len(os.listdir("/proc/self/fd")))
+
+
+class Connection:
+    """One connection. In it requests come one after the other, or a WebSocket."""
+
+    def __init__(self, caller: Caller, known: Seats, among: set[Connection]) -> None:
+        self.caller = caller
+        self._known = known
+        self._among = among
+        among.add(self)
+        self._transport: asyncio.Transport | None = None
+        self._is_serving = False
+        self._head_bytes = 0
+        self._since_s = time.monotonic()  # when the present phase began, or last got on
+        self._untaken = 0  # bytes of answers that the peer has not taken yet
+
+    def made(self, transport: asyncio.Transport) -> None:
+        self._transport = transport
+        self.caller.made(transport)
+
+    def lost(self) -> None:
+        self._among.discard(self)
+        self.caller.left()
+
+    def recognise(self, visitor: Visitor) -> None:
+        """Somebody known asks. Raises Busy."""
+        if not self.caller.know(self._known, visitor.holder, rank_of(visitor.role)):
+            raise Busy("too many connections are open, none of which may be ended for yours; close some")
+
+    @contextlib.contextmanager
+    def serving(self) -> Iterator[None]:
+        """While a request is answered, or a socket is open."""
+        self._is_serving, self._head_bytes = True, 0
+        try:
+            yield
+        finally:
+            self._is_serving, self._since_s = False, time.monotonic()
+
+    def receive_unasked(self, count: int) -> None:
+        """So many bytes came which belong to no request that is being answered."""
+        self._head_bytes += count
+        if self._head_bytes > MAX_HEAD_BYTES:
+            self.caller.abort()
+
+    def look(self, now_s: float) -> None:
+        """End it when its phase takes too long."""
+        if self._transport is None:
+            return
+        untaken = self._transport.get_write_buffer_size()
+        if untaken != self._untaken or (self._is_serving and not untaken):
+            self._untaken, self._since_s = untaken, now_s
+        if now_s - self._since_s > (TAKEN_WITHIN_S if untaken else HEAD_WITHIN_S):
+            self.caller.abort()
+
+
+class Connections:
+    """All of them."""
+
+    def __init__(self) -> None:
+        spare = descriptors_left()  # a quarter stays for recordings, workers and the link
+        self.max_strangers = min(MAX_STRANGERS, max(4, spare // 4))
+        self._known = Seats(min(MAX_KNOWN, max(8, spare // 2)), CONNECTIONS_PER_TOKEN, oldest_yields=True)
+        self._open: set[Connection] = set()
+
+    def open(self, caller: Caller) -> Connection:
+        return Connection(caller, self._known, self._open)
+
+    async def watch(self) -> None:
+        """End those whose phase takes too long, until cancelled."""
+        while True:
+            await asyncio.sleep(LOOK_S)
+            now_s = time.monotonic()
+            for connection in list(self._open):
+                connection.look(now_s)
+
+
+class HttpProtocol(HttpToolsProtocol):
+    """Uvicorn's own, which tells its connection what happens to it."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        connection_of(self.app_state).made(transport)
+        super().connection_made(transport)
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.cycle is None or self.cycle.response_complete:
+            connection_of(self.app_state).receive_unasked(len(data))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        connection_of(self.app_state).lost()
+        super().connection_lost(exc)
+
+
+class SocketProtocol(WebSocketsSansIOProtocol):
+    """What the connection speaks from when it has become a WebSocket."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        connection_of(self.app_state).lost()
+        super().connection_lost(exc)
+
+
+def connection_of(state: Mapping[str, Any]) -> Connection:
+    """The connection of a protocol or an ASGI scope."""
+    return cast(Connection, state[KEY])
