@@ -21,7 +21,7 @@ MAX_SETTINGS_BYTES = MB
 MAX_JSON_BYTES = 64 * MB  # a record of a map lists every landmark of every place
 MAX_PICTURE_BYTES = 64 * MB
 MAX_FILE_BYTES = 1024 * MB  # that is read at once: clouds, observations
-MAX_LINE_CHARACTERS = 64 * 1024
+MAX_LINE_BYTES = 64 * 1024
 # A recording of an IMU alone packs eight times, pictures not at all. The first bytes are free: a file of zeros is no
 # danger while it is small.
 MAX_RATIO = 32
