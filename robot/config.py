@@ -5,13 +5,13 @@ The sections are frozen msgspec structs, not dataclasses: they check types, rang
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta
 
+from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_ANGULAR_RAD_S, MAX_LINEAR_M_S, MAX_NAME_LENGTH
@@ -145,10 +145,10 @@ def load_config(path: Path | None, overrides: dict[str, dict[str, Any]]) -> Robo
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file's content. Raises ConfigError."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return parse_toml(read_text(path, MAX_SETTINGS_BYTES))
     except OSError as exc:
         raise ConfigError(f"{path} cannot be read ({exc.strerror}); give an existing TOML file to --config") from exc
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
+    except ValueError as exc:
         raise ConfigError(f"{path} is not valid TOML: {exc}") from exc
 
 

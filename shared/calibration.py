@@ -10,6 +10,7 @@ import numpy as np
 
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
+from shared.pictures import MAX_PIXELS
 
 Rig = Literal["wheels", "hand-held", "unknown"]
 RIGS: tuple[str, ...] = get_args(Rig)
@@ -37,6 +38,8 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not (0 < self.width <= 8192 and 0 < self.height <= 8192):
             raise ConfigError(f"camera size {self.width}x{self.height} is outside 1..8192 pixels")
+        if self.width * self.height > MAX_PIXELS:
+            raise ConfigError(f"camera size {self.width}x{self.height} is more than {MAX_PIXELS} pixels")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion, *self.T_body_cam)
         if not all(math.isfinite(n) for n in numbers):
             raise ConfigError("camera calibration holds a number that is not finite")
@@ -86,6 +89,11 @@ class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
     gyro_range: float = math.inf  # rad/s: readings at the range are saturated
     accel_range: float = math.inf  # m/s^2
 
+    def __post_init__(self) -> None:
+        numbers = (self.gyro_density, self.accel_density, self.gyro_walk, self.accel_walk, self.rate_hz)
+        if not all(map(math.isfinite, numbers)) or math.isnan(self.gyro_range) or math.isnan(self.accel_range):
+            raise ConfigError("the IMU's noise holds a number that is not finite")
+
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     """Everything the station must know of one robot's sensors."""
@@ -95,6 +103,10 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     robot_kind: str = "generic"  # "sentinel": our own robot; anything else is a rig of which only the sensors are known
     gravity: float = 9.81
     rig: Rig = "unknown"  # what carries the sensors
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.gravity):
+            raise ConfigError(f"gravity is {self.gravity:g}, must be finite")
 
     @property
     def has_wheels(self) -> bool:

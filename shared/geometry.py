@@ -14,6 +14,8 @@ IntArray = npt.NDArray[np.int64]
 
 MIN_LEVEL = 0.31  # an axis whose horizontal part is shorter, 18 degrees from the vertical, has no yaw to speak of
 SMALL_ANGLE_RAD = 1e-4  # below it series with terms up to angle^4 are exact to double precision
+MAX_QUAT_ERROR = 0.05  # of a length: files with two digits
+MAX_ROTATION_ERROR = 1e-3
 DIAGONAL = np.arange(3)
 
 
@@ -190,6 +192,20 @@ def quat_from_rotation(R: FloatArray) -> FloatArray:
         q[1 + m] = R[m, i] + R[i, m]
     q /= np.linalg.norm(q)
     return q if q[0] >= 0 else -q
+
+
+def pose(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
+    """A pose (4, 4) out of a file: position (3,) and quaternion (4,). Raises ValueError where they are none."""
+    if not np.isfinite(t).all() or not abs(np.linalg.norm(q_wxyz) - 1.0) < MAX_QUAT_ERROR:  # NaN fails as well
+        raise ValueError(f"position {t.tolist()} with quaternion {q_wxyz.tolist()} (w x y z) is no pose")
+    return se3(rotation_from_quat(q_wxyz), t)
+
+
+def are_poses(T: FloatArray) -> bool:
+    """Whether these (N, 4, 4) are rigid motions; False for any that is not finite."""
+    R = T[:, :3, :3]
+    off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(initial=0.0)
+    return bool(np.isfinite(T).all() and off < MAX_ROTATION_ERROR and (T[:, 3] == (0, 0, 0, 1)).all())
 
 
 def rotation_from_quat(q_wxyz: FloatArray) -> FloatArray:

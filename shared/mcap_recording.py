@@ -18,10 +18,14 @@ from typing import Any
 import msgspec
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message
-from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.stream_reader import CRCValidationError
+from zstandard import ZstdError
 
+from shared.bounded import Refused, open_file, shown
 from shared.errors import DataError, RobotSystemError
+from shared.mcap_records import bounded_records
 from shared.messages import Hello
+from shared.recorded_files import MAX_EXPOSURE_NS, MAX_TIME_NS
 
 logger = logging.getLogger(__name__)
 
@@ -32,9 +36,8 @@ IMU_TOPIC = "/imu"
 DRIVE_TOPIC = "/drive/applied"
 
 NANO = 1_000_000_000
-MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length must not fill the memory
-# lz4 raises RuntimeError; a length beyond the memory the last two.
-DAMAGE = (McapError, CRCValidationError, RuntimeError, struct.error, ValueError, EOFError, MemoryError, OverflowError)
+# What damaged bytes raise; lz4 a RuntimeError.
+DAMAGE = (McapError, CRCValidationError, RuntimeError, ZstdError, struct.error, ValueError, EOFError, Refused)
 _VARINT, _LENGTH = 0, 2  # wire types of protobuf
 
 
@@ -56,7 +59,7 @@ class McapContent:
             try:
                 if not self._add(topic, data, path):
                     return
-            except (KeyError, TypeError, ValueError) as exc:
+            except (KeyError, TypeError, ValueError, OverflowError) as exc:
                 raise DataError(f"{path}: a message on {topic} is not one of ours ({exc!r}); record again") from exc
 
     def _add(self, topic: str, data: bytes, path: Path) -> bool:
@@ -70,7 +73,7 @@ class McapContent:
         if topic == HELLO_TOPIC:
             return self._add_hello(content, path)
         if topic == FRAME_TOPIC:
-            self._pending = (_time(content), int(content["exposure_ns"]))
+            self._pending = (_time(content), _bounded(content["exposure_ns"], MAX_EXPOSURE_NS))
         elif topic == IMU_TOPIC:
             self._add_sample(content)
         else:
@@ -101,6 +104,8 @@ class McapContent:
 
     def _add_drive(self, t_ns: int, command: tuple[float, float]) -> None:
         """Reports come 20 times a second; only changes say something."""
+        if not all(map(math.isfinite, command)):
+            raise ValueError(f"{command} is no velocity")
         if self.drive and t_ns <= self.drive[-1][0]:
             return
         if not self.drive or self.drive[-1][1:] != command:
@@ -140,18 +145,17 @@ def recorded_pictures(path: Path) -> Iterator[RecordedPicture]:
 def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:
     """(topic, data) in the order written. Damage ends the iteration with a warning; what came before counts."""
     try:
-        file = path.open("rb")
+        file = open_file(path)
     except OSError as exc:
-        raise DataError(f"{path} cannot be read ({exc.strerror}); check its permissions") from exc
+        raise DataError(f"{path} cannot be read ({exc.strerror}); give a recording that you may read") from exc
     with file:
         if file.read(6) != b"\x89MCAP0":
             raise DataError(f"{path} is not an MCAP file; give a recording made by this station")
-        file.seek(0)
         known: dict[int, str] = {}
         number = 0  # the recorder counts its messages from 1; 0: behind a hole that was recovered, or another's
         frame: int | None = None  # the time of the frame whose record came last
         try:
-            for record in StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records:
+            for record in bounded_records(file):
                 if isinstance(record, Channel):
                     known[record.id] = record.topic
                 elif isinstance(record, Message):
@@ -167,20 +171,27 @@ def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:
                     if topic in topics:
                         yield topic, record.data
         except DAMAGE as exc:
-            logger.warning("%s ends early (%s): read up to its last whole chunk", path, type(exc).__name__)
+            why = exc if isinstance(exc, Refused) else type(exc).__name__
+            logger.warning("%s ends early (%s): read up to its last whole chunk", path, why)
 
 
 def _json(data: bytes, path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = msgspec.json.decode(data, type=dict[str, Any])
-    except msgspec.DecodeError as exc:
+    except (msgspec.DecodeError, RecursionError) as exc:
         raise DataError(f"{path} holds a message that is not JSON ({exc}); the file is damaged") from exc
     return content
 
 
 def _time(content: dict[str, Any]) -> int:
     stamp = content["timestamp"]
-    return int(stamp["sec"]) * NANO + int(stamp["nsec"])
+    return _bounded(stamp["sec"] * NANO + stamp["nsec"], MAX_TIME_NS)
+
+
+def _bounded(value: Any, limit: int) -> int:
+    if not isinstance(value, int) or abs(value) > limit:
+        raise ValueError(f"{shown(value)} is no time")
+    return value
 
 
 def decode_image(message: bytes) -> bytes:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Iterable, Iterator
+from io import TextIOWrapper
 from itertools import pairwise
 from pathlib import Path
+from typing import TextIO
 
+from shared.bounded import MAX_LINE_BYTES, Refused, open_file
 from shared.errors import DataError
 
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png"}
@@ -15,6 +19,14 @@ VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm"}
 MAX_TIME_NS = 2**62  # 146 years: sums and differences of times stay within 64 bits
 MAX_EXPOSURE_NS = 10**10
 FIRST_STAMP = 10**15  # a number in an image's name from here on is a time in ns, as EuRoC writes it: 11 days and more
+
+
+def check_readable(path: Path) -> None:
+    """Before a library is given a recording's name: it would wait for a pipe. Raises DataError."""
+    try:
+        open_file(path).close()
+    except OSError as exc:
+        raise DataError(f"{path} cannot be read ({exc.strerror}); give the file or folder of a recorded drive") from exc
 
 
 def asl_rows(path: Path, columns: int) -> Iterator[tuple[int, int, list[str]]]:
@@ -25,8 +37,8 @@ def asl_rows(path: Path, columns: int) -> Iterator[tuple[int, int, list[str]]]:
     """
     last_ns = None
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for line_number, row in enumerate(csv.reader(file), start=1):
+        with TextIOWrapper(open_file(path), encoding="utf-8", newline="") as file:
+            for line_number, row in enumerate(csv.reader(_lines(file)), start=1):
                 if not row or row[0].lstrip().startswith("#"):
                     continue
                 t_ns = _time_ns(row[0], path, line_number)
@@ -40,6 +52,13 @@ def asl_rows(path: Path, columns: int) -> Iterator[tuple[int, int, list[str]]]:
                 yield line_number, t_ns, row[1:]
     except (OSError, UnicodeDecodeError, csv.Error) as exc:
         raise DataError(f"{path} cannot be read ({exc}); copy it again") from exc
+
+
+def _lines(file: TextIO) -> Iterator[str]:
+    while line := file.readline(MAX_LINE_BYTES):
+        if len(line) == MAX_LINE_BYTES:
+            raise Refused(f"a line of it has more than {MAX_LINE_BYTES} characters")
+        yield line
 
 
 def _time_ns(text: str, path: Path, line_number: int) -> int:
@@ -56,9 +75,12 @@ def asl_numbers(path: Path, columns: int) -> Iterator[tuple[int, list[float]]]:
     """Time in ns and `columns` numbers of every line of an ASL `data.csv`; raises DataError as asl_rows does."""
     for line_number, t_ns, cells in asl_rows(path, columns):
         try:
-            yield t_ns, [float(cell) for cell in cells[:columns]]
+            numbers = [float(cell) for cell in cells[:columns]]
         except ValueError as exc:
             raise DataError(f"{path} line {line_number} does not hold numbers; correct or remove it") from exc
+        if not all(map(math.isfinite, numbers)):
+            raise DataError(f"{path} line {line_number} holds a number that is not finite; correct or remove it")
+        yield t_ns, numbers
 
 
 def exposures_ns(path: Path, cells: Iterable[tuple[int, list[str]]], default_ns: int) -> list[int]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import yaml
+from yaml.error import MarkedYAMLError
 
+from shared.bounded import read_text, shown
 from shared.calibration import RIGS, CameraCalibration, ImuNoise, Rig
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, orthonormal, se3
@@ -30,13 +33,13 @@ MAX_EXPOSURE_S = 10.0
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file's mapping. OpenCV's first line `%YAML:1.0`, which YAML itself forbids, is passed over."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as exc:
         raise DataError(f"{path} cannot be read as text ({exc}); copy it again") from exc
     lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
     try:
         # OpenCV marks its matrices with tags of its own, which the safe loader refuses.
-        content = yaml.safe_load("\n".join(lines).replace("!!opencv-matrix", ""))
+        content = yaml.load("\n".join(lines).replace("!!opencv-matrix", ""), _Loader)  # noqa: S506  as safe as its base
     except yaml.YAMLError as exc:
         raise DataError(f"{path} is not readable YAML ({_first_line(exc)}); correct it") from exc
     except (ValueError, RecursionError) as exc:  # a date that no calendar has, nesting without end
@@ -46,11 +49,20 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return content
 
 
+class _Loader(yaml.SafeLoader):
+    """Nothing is written once and meant a billion times: aliases, which no calibration has, are refused."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise MarkedYAMLError(problem="it has an alias, which is not read")
+        return super().compose_node(parent, index)
+
+
 def read_rig(content: dict[str, Any], path: Path) -> Rig:
     """What carries the sensors: `rig: wheels` or `rig: hand-held`; unknown where the file does not say."""
     rig = content.get("rig", "unknown")
-    if rig not in RIGS:
-        raise DataError(f"{path}: rig is {rig!r}; write one of {', '.join(RIGS)}")
+    if not isinstance(rig, str) or rig not in RIGS:
+        raise DataError(f"{path}: rig is {shown(rig)}; write one of {', '.join(RIGS)}")
     return cast(Rig, rig)
 
 
@@ -70,7 +82,7 @@ def numbers(content: dict[str, Any], key: str, count: int, path: Path) -> list[f
     except (TypeError, ValueError, OverflowError):
         flat = np.empty(0)
     if len(flat) != count or not np.isfinite(flat).all():
-        raise DataError(f"{path}: {key} must be {count} numbers, is {value!r}")
+        raise DataError(f"{path}: {key} must be {count} numbers, is {shown(value)}")
     return [float(x) for x in flat]
 
 
@@ -105,7 +117,7 @@ def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCali
     fx, fy, cx, cy = numbers(content, "intrinsics", 4, path)
     model = str(content.get("distortion_model", "none")).lower()
     if model not in DISTORTION_MODELS:
-        raise DataError(f"{path}: distortion_model {model!r} is unknown; use radial-tangential or equidistant")
+        raise DataError(f"{path}: distortion_model {shown(model)} is unknown; use radial-tangential or equidistant")
     distortion = [0.0] * 4
     if content.get("distortion_coefficients") is not None:
         given = content["distortion_coefficients"]
@@ -175,8 +187,10 @@ def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
 def read_intrinsics_text(path: Path) -> FloatArray:
     """A camera matrix (3, 3) from a text file."""
     try:
-        K = np.loadtxt(path, dtype=np.float64, ndmin=2)
-    except (OSError, ValueError, UserWarning) as exc:
+        K = np.loadtxt(io.StringIO(read_text(path)), dtype=np.float64, ndmin=2)
+    except OSError as exc:
+        raise DataError(f"{path} cannot be read ({exc.strerror}); copy it again") from exc
+    except (ValueError, UserWarning) as exc:
         raise DataError(f"{path} is not a 3x3 matrix of numbers; correct it") from exc
     if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
         raise DataError(f"{path} is not a 3x3 camera matrix (fx 0 cx, 0 fy cy, 0 0 1); correct it")

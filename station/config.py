@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import re
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
@@ -156,10 +156,10 @@ def load_config(path: Path | None) -> StationConfig:
     if path is None:
         return StationConfig()
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = parse_toml(read_text(path, MAX_SETTINGS_BYTES))
     except (OSError, UnicodeDecodeError) as exc:
         raise ConfigError(f"{path} cannot be read ({exc}); give a TOML file") from exc
-    except tomllib.TOMLDecodeError as exc:
+    except ValueError as exc:
         raise ConfigError(f"{path} is no TOML ({exc}); correct that line") from exc
     _refuse_unknown(content, StationConfig, path, "")
     try:

@@ -12,9 +12,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from shared.bounded import MAX_PICTURE_BYTES, read_file
 from shared.calibration import Calibration
 from shared.errors import DataError
-from shared.geometry import FloatArray, IntArray, inverse, rotation_from_quat, se3
+from shared.geometry import FloatArray, IntArray, inverse, pose
 from shared.recorded_files import asl_numbers, asl_rows, exposures_ns
 from shared.sensor_yaml import number, read_camera, read_exposure_ns, read_imu_noise, read_mounting, read_rig, read_yaml
 from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frames
@@ -92,7 +93,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
 def read_image_file(path: Path) -> bytes:
     """The bytes of an image file. Raises DataError where it is missing or empty."""
     try:
-        encoded = path.read_bytes()
+        encoded = read_file(path, MAX_PICTURE_BYTES)
     except OSError as exc:
         raise DataError(f"image {path} cannot be read ({exc.strerror}); restore it or take it off the list") from exc
     if not encoded:
@@ -111,8 +112,6 @@ def _read_imu(path: Path) -> ImuBatch | None:
     t, table = _read_table(path, 6)
     if not len(t):
         return None
-    if not np.isfinite(table).all():
-        raise DataError(f"{path} holds a number that is not finite; correct it")
     return ImuBatch(t, np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(table[:, 3:]))
 
 
@@ -120,8 +119,6 @@ def _read_drive(path: Path) -> tuple[DriveSample, ...]:
     if not path.is_file():
         return ()
     t, table = _read_table(path, 2)
-    if not np.isfinite(table).all():
-        raise DataError(f"{path} holds a number that is not finite; correct it")
     return tuple(DriveSample(int(ns), float(v), float(w)) for ns, (v, w) in zip(t, table, strict=True))
 
 
@@ -132,7 +129,10 @@ def _read_truth(path: Path, T_file_ours: FloatArray) -> Truth | None:
     t, table = _read_table(path, 7)
     if not len(t):
         return None
-    T = np.stack([se3(rotation_from_quat(row[3:7]), row[:3]) for row in table]) @ T_file_ours
+    try:
+        T = np.stack([pose(row[:3], row[3:7]) for row in table]) @ T_file_ours
+    except ValueError as exc:
+        raise DataError(f"{path}: {exc}; correct it") from exc
     try:
         _, states = _read_table(path, 16)
     except DataError:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from shared.bounded import read_text
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, orthonormal, se3
+from shared.pictures import picture_size
 from shared.recorded_files import image_times_ns, images_in_order
 from shared.sensor_yaml import read_folder_camera
 from station.datasets.asl import read_image_file
@@ -49,10 +51,10 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
 
 
 def _image_size(path: Path) -> tuple[int, int]:
-    image = cv2.imdecode(np.frombuffer(read_image_file(path), np.uint8), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise DataError(f"image {path} is not a readable JPEG or PNG; remove it or copy it again")
-    return image.shape[1], image.shape[0]
+    try:
+        return picture_size(read_image_file(path))
+    except ValueError as exc:
+        raise DataError(f"image {path} {exc}; remove it or copy it again") from exc
 
 
 def read_pose(image: Path) -> FloatArray | None:
@@ -62,8 +64,10 @@ def read_pose(image: Path) -> FloatArray | None:
     if not path.is_file():
         return None
     try:
-        T = np.loadtxt(path, dtype=np.float64, ndmin=2)
-    except (OSError, ValueError) as exc:
+        T = np.loadtxt(io.StringIO(read_text(path)), dtype=np.float64, ndmin=2)
+    except OSError as exc:
+        raise DataError(f"{path} cannot be read ({exc.strerror}); copy it again") from exc
+    except ValueError as exc:
         raise DataError(f"{path} is not a 4x4 matrix of numbers; correct or remove it") from exc
     if T.shape != (4, 4):
         raise DataError(f"{path} is not a 4x4 matrix; correct or remove it")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from shared.errors import DataError
-from shared.recorded_files import VIDEO_SUFFIXES
+from shared.recorded_files import VIDEO_SUFFIXES, check_readable
 from station.datasets.asl import open_asl
 from station.datasets.dataset import Dataset
 from station.datasets.image_folder import open_image_folder
@@ -40,7 +40,7 @@ def open_dataset(path: str | Path, first: int | None = None, last: int | None = 
 def _open(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
     if not path.exists():
         raise DataError(f"{path} does not exist; give the folder or file of a recorded navigation")
-    if path.is_file():
+    if not path.is_dir():
         return _open_file(path, first, last, step)
     if path.name == "mav0" and not (path / "mav0").is_dir():
         path = path.parent if path.parent != path else path
@@ -73,6 +73,7 @@ def _check_axes(data: Dataset) -> None:
 
 
 def _open_file(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
+    check_readable(path)
     suffix = path.suffix.lower()
     if suffix == ".mcap":
         # Imported here: a recorder's libraries are needed only for recordings.

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from shared.geometry import FloatArray
-from station.model.frames import ImageArray
+from station.model.frames import ImageArray, decode_picture
 from station.model.place_map import Place
 
 # Okabe and Ito's colours first: told apart by colour-blind readers, too; then as many as a flat may need.
@@ -70,10 +70,10 @@ def label(ax: Axes, at: FloatArray, text: str, colour: str) -> None:
 
 def decode_rgb(encoded: bytes) -> ImageArray | None:
     """(H, W, 3) pixels of a JPEG or PNG; None where the file is none."""
-    if not encoded:
+    try:
+        return decode_picture(encoded, cv2.IMREAD_COLOR)[..., ::-1]
+    except ValueError:
         return None
-    image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
-    return None if image is None else np.asarray(image[..., ::-1], dtype=np.uint8)
 
 
 def without_axes(ax: Axes) -> None:

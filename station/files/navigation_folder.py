@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,10 +21,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES, MB, parse_json, read_file, shown
 from shared.calibration import Calibration
 from shared.disk import make_folder, replacing_folder
 from shared.errors import ConfigError, DataError
-from shared.geometry import FloatArray, IntArray, quat_from_rotation, rotation_from_quat, se3
+from shared.geometry import FloatArray, IntArray, are_poses, pose, quat_from_rotation
+from shared.recorded_files import MAX_TIME_NS
+from station.files.npz import UNREADABLE, open_arrays
 from station.files.ply import Columns, cloud_columns, decode_ply, encode_ply
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 
@@ -34,7 +36,10 @@ IMAGES = "keyframes"
 OBSERVATIONS = f"{IMAGES}/observations.npz"
 PICTURES = "pictures.npz"
 OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES, PICTURES, f".{PICTURES}"}  # the last half-written
+_MAX_BYTES = {REPORT: MAX_JSON_BYTES, CALIBRATION: MAX_JSON_BYTES, TRAJECTORY: 256 * MB}
 PNG_MAGIC = b"\x89PNG"
+_OF_KEYFRAMES = ("frame_index", "t_robot_ns", "T_world_cam", "segment", "names")
+_OF_OBSERVATIONS = ("observed_landmark", "observed_keyframe", "observed_uv_px")
 UPPER = np.triu_indices(3)
 COV_COLUMNS = [f"cov_{'xyz'[i]}{'xyz'[j]}" for i, j in zip(*UPPER, strict=True)]
 
@@ -69,7 +74,7 @@ def load_navigation(folder: Path) -> Navigation:
     """Read what save_navigation wrote. Raises DataError naming the file that is missing or damaged."""
     if not (folder / REPORT).is_file():
         raise DataError(f"{folder} holds no navigation (no {REPORT}); give a folder written by `station slam`")
-    return decode_navigation(lambda name: (folder / name).read_bytes(), folder)
+    return decode_navigation(lambda name: read_file(folder / name, _MAX_BYTES.get(name, MAX_FILE_BYTES)), folder)
 
 
 def encode_navigation(nav: Navigation) -> dict[str, bytes]:
@@ -149,19 +154,25 @@ def parse_tum(text: str, path: Path) -> Trajectory:
     times: list[int] = []
     poses: list[FloatArray] = []
     for line_number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
+        words = line[:MAX_LINE_BYTES].split()
         if not words or words[0].startswith("#"):
             continue
         try:
-            whole, _, fraction = words[0].partition(".")
-            t_ns = int(whole) * 1_000_000_000
-            t_ns += (-1 if whole.startswith("-") else 1) * int((fraction + "0" * 9)[:9])
+            times.append(_parse_seconds(words[0]))
             x, y, z, qx, qy, qz, qw = (float(word) for word in words[1:8])
+            poses.append(pose(np.array([x, y, z]), np.array([qw, qx, qy, qz])))
         except ValueError as exc:
             raise DataError(f"{path} line {line_number} is not `t x y z qx qy qz qw`; make the file again") from exc
-        times.append(t_ns)
-        poses.append(se3(rotation_from_quat(np.array([qw, qx, qy, qz])), np.array([x, y, z])))
     return Trajectory(np.array(times, dtype=np.int64), np.array(poses).reshape(-1, 4, 4))
+
+
+def _parse_seconds(text: str) -> int:
+    whole, _, fraction = text.partition(".")
+    t_ns = int(whole) * 1_000_000_000
+    t_ns += (-1 if whole.startswith("-") else 1) * int((fraction + "0" * 9)[:9])
+    if abs(t_ns) > MAX_TIME_NS:
+        raise ValueError(f"{shown(t_ns)} is no time")
+    return t_ns
 
 
 def _landmark_columns(nav: Navigation) -> Columns:
@@ -196,7 +207,7 @@ def _text(read: Callable[[str], bytes], path: Path) -> str:
 
 def _json(read: Callable[[str], bytes], path: Path) -> Any:
     try:
-        return json.loads(_text(read, path))
+        return parse_json(_text(read, path))
     except ValueError as exc:
         raise DataError(f"{path} is missing or damaged ({exc}); make the navigation again") from exc
 
@@ -206,14 +217,15 @@ def _decode_keyframes(
 ) -> tuple[Keyframes, tuple[IntArray, IntArray, FloatArray]]:
     path = folder / OBSERVATIONS
     try:
-        with io.BytesIO(read(OBSERVATIONS)) as file, np.load(file, allow_pickle=False) as archive:
-            content = {key: archive[key] for key in archive.files}
+        with io.BytesIO(read(OBSERVATIONS)) as file, open_arrays(file) as arrays:
+            content = {key: arrays.read(key) for key in (*_OF_KEYFRAMES, *_OF_OBSERVATIONS)}
         images = [f"{IMAGES}/{Path(str(name)).name}" if name else "" for name in content["names"]]
+        encoded = {name: read(name) for name in set(images) - {""}}
         keyframes = Keyframes(
             frame_index=content["frame_index"].astype(np.int64),
             t_robot_ns=content["t_robot_ns"].astype(np.int64),
             T_world_cam=content["T_world_cam"].astype(np.float64).reshape(-1, 4, 4),
-            encoded=tuple(read(name) if name else b"" for name in images),
+            encoded=tuple(encoded.get(name, b"") for name in images),
             segment=content["segment"].astype(np.int64),
         )
         observations = (
@@ -223,8 +235,10 @@ def _decode_keyframes(
         )
     except OSError as exc:
         raise DataError(f"{exc.filename or path} is missing or damaged; make the navigation again") from exc
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as exc:
+    except UNREADABLE as exc:
         raise DataError(f"{path} is damaged ({exc}); make the navigation again") from exc
+    if not are_poses(keyframes.T_world_cam) or not np.isfinite(observations[2]).all():
+        raise DataError(f"{path} is damaged (a pose of it is none, or an observation is nowhere); make it again")
     counts = {len(keyframes.frame_index), len(keyframes), len(keyframes.T_world_cam), len(keyframes.segment)}
     if len(counts) != 1 or len({len(column) for column in observations}) != 1:
         raise DataError(f"{path} is damaged (its arrays differ in length); make the navigation again")
@@ -243,6 +257,8 @@ def _decode_landmarks(
     except OSError as exc:
         raise DataError(f"{path} is missing or damaged ({exc.strerror}); make the navigation again") from exc
     p_world = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
+    if not np.isfinite(p_world).all():
+        raise DataError(f"{path} is damaged (a landmark of it is nowhere); make the navigation again")
     count = len(p_world)
     grey = np.full(count, 128, dtype=np.uint8)
     rgb = np.column_stack([columns.get(name, grey) for name in ("red", "green", "blue")]).astype(np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shared.bounded import MAX_FILE_BYTES, MAX_LINE_BYTES, read_file
 from shared.errors import DataError
 from shared.geometry import FloatArray
 
@@ -27,6 +29,7 @@ PLY_TYPES = {name: kind for kind, names in TYPE_NAMES.items() for name in names}
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 MAX_HEADER_BYTES = 65_536
 MAX_POINTS = 200_000_000
+ROWS_AT_ONCE = 4096
 
 Columns = dict[str, npt.NDArray[Any]]
 
@@ -61,7 +64,7 @@ def read_ply(path: Path) -> Columns:
         DataError: no PLY file, damaged, or without x, y, z; says which.
     """
     try:
-        content = path.read_bytes()
+        content = read_file(path, MAX_FILE_BYTES)
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a PLY file") from exc
     return decode_ply(content, path)
@@ -126,8 +129,10 @@ def _parse_header(path: Path, content: bytes) -> tuple[str, list[tuple[str, int,
 
 def _read_binary(path: Path, body: bytes, count: int, types: list[tuple[str, str]]) -> tuple[Columns, bytes]:
     dtype = np.dtype(types)
+    if not types:
+        raise DataError(f"{path} has points without numbers; export it as a point cloud")
     if len(body) < count * dtype.itemsize:
-        whole = len(body) // max(dtype.itemsize, 1)
+        whole = len(body) // dtype.itemsize
         raise DataError(f"{path} ends after {whole} of {count} points; copy it again")
     table = np.frombuffer(body, dtype=dtype, count=count)
     columns = {name: table[name].astype(table[name].dtype.newbyteorder("=")) for name, _ in types}
@@ -135,13 +140,21 @@ def _read_binary(path: Path, body: bytes, count: int, types: list[tuple[str, str
 
 
 def _read_ascii(path: Path, body: bytes, count: int, types: list[tuple[str, str]]) -> tuple[Columns, bytes]:
-    lines = body.split(b"\n", count)
-    rows, rest = lines[:count], lines[count] if len(lines) > count else b""
+    lines, parts = io.BytesIO(body), []
     try:
-        # By way of double: integers up to 2**53 are exact.
-        table = np.array([row.split() for row in rows], dtype=np.float64).reshape(count, len(types))
+        for first in range(0, count, ROWS_AT_ONCE):
+            rows = [_numbers(lines.readline(MAX_LINE_BYTES)) for _ in range(min(ROWS_AT_ONCE, count - first))]
+            # By way of double: integers up to 2**53 are exact.
+            parts.append(np.array(rows, dtype=np.float64).reshape(len(rows), len(types)))
     except ValueError as exc:
         raise DataError(
             f"{path} holds a line that is not {len(types)} numbers, or too few lines; copy it again"
         ) from exc
-    return {name: table[:, i].astype(kind) for i, (name, kind) in enumerate(types)}, rest
+    table = np.concatenate([np.empty((0, len(types))), *parts])
+    return {name: table[:, i].astype(kind) for i, (name, kind) in enumerate(types)}, body[lines.tell() :]
+
+
+def _numbers(line: bytes) -> list[bytes]:
+    if not line:
+        raise ValueError("the file ends")
+    return line.split()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import shutil
 import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MB, Refused, in_pieces, open_file
 from shared.disk import PRIVATE, make_folder, replacing
 from shared.errors import DataError
 from station.maps import versions
@@ -15,9 +17,12 @@ from station.maps.address import ADDRESS, address_of, heal, is_whole
 from station.maps.blobs import Damaged, blob_name
 from station.maps.contents import Contents, row_of
 from station.maps.record import MapRecord, decode_record
-from station.maps.record_files import parse_record_name
+from station.maps.record_files import RecordFile, parse_record_name
 from station.maps.store import MapStore
 
+MAX_PIECE_BYTES = MB  # no header of ours has more
+# What tarfile raises for one that is none: it trusts what it finds in headers, and follows them one in another.
+_NO_ARCHIVE = (tarfile.TarError, EOFError, ValueError, OverflowError, RecursionError)
 README = b"Maps of a Sentinel station: `station map restore FILE` brings them back. File names end in sha256-crc32.\n"
 
 
@@ -65,44 +70,90 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
     Raises:
         DataError: this is no backup, or the store cannot be written.
     """
-    damaged: list[str] = []
-    records: dict[str, list[tuple[MapRecord, bytes]]] = {}
     contents = store.for_writing()
-    there: set[str] = set()
+    found = _Found(store, path)
     try:
-        with tarfile.open(path, mode="r|") as archive:
-            for name, data in _members(archive):
-                file = parse_record_name(name)
-                address = file.address if file else name.rpartition("/")[2]
-                whole = data if is_whole(data, address) else heal(data, address)
-                if whole is None:
-                    damaged.append(f"{path}: {name} is damaged (its checksum differs); it is left out")
-                    continue
-                if whole is not data:
-                    store.notify(f"{path}: {name} had one wrong bit; it is put right. Check the disk")
-                if file:
-                    records.setdefault(file.map_id, []).append((decode_record(whole, name), whole))
-                else:
-                    contents.blobs.put([whole])
-                    there.add(address)
+        with open_file(path) as file, tarfile.open(fileobj=in_pieces(file, MAX_PIECE_BYTES), mode="r:") as archive:
+            for member in archive:
+                found.add(archive, member)
+    except (Refused, *_NO_ARCHIVE) as exc:
+        if not found.records:
+            raise DataError(f"{path} is no backup ({exc}); give a file written by `station map backup`") from exc
+        found.damaged.append(f"{path} ends early ({exc}); what came before was restored")
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
-    except (tarfile.TarError, EOFError) as exc:
-        if not records:
-            raise DataError(f"{path} is no backup ({exc}); give a file written by `station map backup`") from exc
-        damaged.append(f"{path} ends early ({exc}); what came before was restored")
     count = 0
-    for map_id, found in records.items():
-        found.sort(key=lambda pair: pair[0].number)
-        whole_ones = [pair for pair in found if {ref.address for ref in pair[0].files.values()} <= there]
-        lacking = [pair for pair in found if pair not in whole_ones]
+    for map_id, by_number in found.records.items():
+        pairs = [by_number[number] for number in sorted(by_number)]
+        whole_ones = [pair for pair in pairs if {ref.address for ref in pair[0].files.values()} <= found.addresses]
+        lacking = [pair for pair in pairs if pair not in whole_ones]
         if lacking:
             numbers = ", ".join(str(record.number) for record, _ in lacking)
-            damaged.append(
+            found.damaged.append(
                 f"{path}: map {map_id} lacks files of version {numbers}; {_store_lacking(contents, lacking)}"
             )
         count += _restore_map(contents, map_id, whole_ones)
-    return BackupReport(len(records), count, path.stat().st_size, tuple(damaged))
+    return BackupReport(len(found.records), count, path.stat().st_size, tuple(found.damaged))
+
+
+class _Found:
+    """What a backup holds; nothing of it is unpacked to the disk but files of maps, under the addresses they have."""
+
+    def __init__(self, store: MapStore, path: Path) -> None:
+        self.records: dict[str, dict[int, tuple[MapRecord, bytes]]] = {}  # of a map, by the version's number
+        self.addresses: set[str] = set()  # of the files
+        self.damaged: list[str] = []
+        self._store = store
+        self._path = path
+
+    def add(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> None:
+        """A record or a blob; what is something else is passed over. Raises what an unreadable archive does."""
+        file = parse_record_name(member.name)
+        address = file.address if file else member.name.rpartition("/")[2]
+        if not member.isfile() or not ADDRESS.fullmatch(address):
+            return
+        try:
+            data = self._whole(_read(archive, member, MAX_JSON_BYTES if file else MAX_FILE_BYTES), member.name, address)
+            if file is not None:
+                self._add_record(file, data)
+                return
+        except (Refused, _LeftOut) as exc:
+            self.damaged.append(f"{self._path}: {member.name} {exc}; it is left out")
+            return
+        self._store.contents.blobs.put([data])
+        self.addresses.add(address)
+
+    def _whole(self, data: bytes, name: str, address: str) -> bytes:
+        if is_whole(data, address):
+            return data
+        healed = heal(data, address)
+        if healed is None:
+            raise _LeftOut("is damaged (its checksum differs)")
+        self._store.notify(f"{self._path}: {name} had one wrong bit; it is put right. Check the disk")
+        return healed
+
+    def _add_record(self, file: RecordFile, data: bytes) -> None:
+        try:
+            record = decode_record(data, "it")
+        except DataError as exc:
+            raise _LeftOut(f"cannot be read: {str(exc).partition(';')[0]}") from exc
+        if (record.map_id, record.number) != (file.map_id, file.number):
+            raise _LeftOut(f"is a record of map {record.map_id}, version {record.number}")
+        self.records.setdefault(file.map_id, {}).setdefault(file.number, (record, data))
+
+
+class _LeftOut(Exception):
+    """Why a part of a backup cannot be used."""
+
+
+def _read(archive: tarfile.TarFile, member: tarfile.TarInfo, max_bytes: int) -> bytes:
+    """A member's bytes. Raises Refused for one with holes, which unpacks to any size, and for what is too large."""
+    file = archive.extractfile(member)
+    if file is None or member.issparse() or member.size > max_bytes:
+        raise Refused(f"claims {member.size} bytes, more than what is read")
+    whole = io.BytesIO()
+    shutil.copyfileobj(file, whole, MAX_PIECE_BYTES)
+    return whole.getvalue()
 
 
 def _store_lacking(contents: Contents, found: list[tuple[MapRecord, bytes]]) -> str:
@@ -164,13 +215,3 @@ def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:
     member = tarfile.TarInfo(name)
     member.size = len(data)
     archive.addfile(member, io.BytesIO(data))
-
-
-def _members(archive: tarfile.TarFile) -> Iterator[tuple[str, bytes]]:
-    """Records and blobs by name; anything else in the file is passed over, nothing is unpacked to the disk."""
-    for member in archive:
-        last = member.name.rpartition("/")[2]
-        if member.isfile() and (parse_record_name(member.name) or ADDRESS.fullmatch(last)):
-            file = archive.extractfile(member)
-            if file is not None:
-                yield member.name, file.read()

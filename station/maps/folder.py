@@ -16,11 +16,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from shared.bounded import MAX_JSON_BYTES, open_file, parse_json, read_text, shown
 from shared.disk import make_folder, replacing_folder
 from shared.errors import DataError
 from station.files.navigation_folder import load_navigation, save_navigation
-from station.maps.record import decode_place, describe_map, encode_content
-from station.model.place_map import PlaceEdge, PlaceMap
+from station.maps.record import UNREADABLE, decode_edges, decode_places, describe_map, encode_content
+from station.model.place_map import PlaceMap
 
 FORMAT = 1
 
@@ -57,39 +60,57 @@ def _write_map(place_map: PlaceMap, folder: Path) -> None:
     (folder / "map.json").write_text(json.dumps({"sha256": _sha256(body.encode())}) + "\n" + body)
 
 
+class _Document(msgspec.Struct):
+    """What must be in map.json."""
+
+    id: str
+    name: str
+    navigation: str
+    places: list[dict[str, Any]]
+    edges: list[dict[str, Any]]
+    config: dict[str, Any]
+    files: dict[str, str]  # path → SHA-256
+
+
 def load_map_folder(folder: Path) -> PlaceMap:
     """Read a folder written by save_map_folder. Raises DataError naming the file that is missing or damaged."""
-    content = _read_content(folder)
-    for name, expected in content["files"].items():
-        path = folder / name
-        if not path.is_file():
-            raise DataError(f"{path} is missing; restore the map from a copy or build it again")
-        if _sha256(path.read_bytes()) != expected:
-            raise DataError(f"{path} is damaged (its checksum differs); restore the map or build it again")
-    navigation = load_navigation(folder / "navigation")
-    return PlaceMap(
-        id=content["id"],
-        name=content["name"],
-        navigation=replace(navigation, id=content["navigation"]),
-        places=tuple(decode_place(place) for place in content["places"]),
-        edges=tuple(PlaceEdge(**edge) for edge in content["edges"]),
-        config=content["config"],
-    )
+    path = folder / "map.json"
+    try:
+        document = msgspec.convert(_read_content(folder), _Document)
+        places, edges = decode_places(document.places), decode_edges(document.edges)
+    except UNREADABLE as exc:
+        raise DataError(f"{path} is no map ({shown(exc)}); restore it from a copy or build it again") from exc
+    for name, expected in document.files.items():
+        _check_file(folder / name, expected)
+    navigation = replace(load_navigation(folder / "navigation"), id=document.navigation)
+    return PlaceMap(document.id, document.name, navigation, places, edges, document.config)
+
+
+def _check_file(path: Path, expected: str) -> None:
+    try:
+        with open_file(path) as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as exc:
+        why = exc.strerror
+        raise DataError(f"{path} is missing ({why}); restore the map from a copy or build it again") from exc
+    if digest != expected:
+        raise DataError(f"{path} is damaged (its checksum differs); restore the map or build it again")
 
 
 def _read_content(folder: Path) -> dict[str, Any]:
     path = folder / "map.json"
     try:
-        head, _, body = path.read_text().partition("\n")
-        if json.loads(head)["sha256"] != _sha256(body.encode()):
+        head, _, body = read_text(path, MAX_JSON_BYTES).partition("\n")
+        if parse_json(head)["sha256"] != _sha256(body.encode()):
             raise DataError(f"{path} is damaged (its checksum differs); restore the map or build it again")
-        content: dict[str, Any] = json.loads(body)
+        content = parse_json(body)
+        file_format = content["format"]
     except FileNotFoundError as exc:
         raise DataError(f"{folder} holds no map (no map.json); give a folder written by `station map build`") from exc
     except (ValueError, KeyError, TypeError, OSError) as exc:
-        raise DataError(f"{path} is damaged; restore the map from a copy or build it again") from exc
-    if content.get("format") != FORMAT:
-        raise DataError(f"{path} has format {content.get('format')}, this program reads {FORMAT}; update the station")
+        raise DataError(f"{path} is damaged ({shown(exc)}); restore the map or build it again") from exc
+    if file_format != FORMAT:
+        raise DataError(f"{path} has format {shown(file_format)}, this program reads {FORMAT}; update the station")
     return content
 
 

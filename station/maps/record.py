@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
+from shared.bounded import parse_json, shown
 from shared.errors import DataError
 from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
 from station.maps.address import address_of
@@ -20,6 +24,7 @@ from station.model.place_map import Place, PlaceEdge, PlaceMap
 
 FORMAT = 2  # 1 was a folder per map (station/maps/folder.py)
 MAP_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
+UNREADABLE = (ValueError, KeyError, TypeError, OverflowError, msgspec.ValidationError)  # of a document that is none
 _MEASURED = ("wall_s", "cpu_s", "realtime_factor", "versions", "id")  # differ between runs that gave the same
 
 
@@ -108,20 +113,21 @@ def encode_record(record: MapRecord) -> bytes:
 
 
 def decode_record(data: bytes, what: str) -> MapRecord:
-    """Raises Damaged when these bytes are no record."""
+    """Raises Damaged when these bytes are no record, DataError when a newer program wrote it."""
     try:
-        content = json.loads(data)
+        content = parse_json(data)
         if content["format"] > FORMAT:
             raise DataError(f"{what} has format {content['format']}, this program reads {FORMAT}; update the station")
+        msgspec.convert(content, _Document)
         return MapRecord(
             **{key: content[key] for key in _PLAIN},
-            places=tuple(decode_place(place) for place in content["places"]),
-            edges=tuple(PlaceEdge(**edge) for edge in content["edges"]),
+            places=decode_places(content["places"]),
+            edges=decode_edges(content["edges"]),
             config=content["config"],
             files={name: FileRef(**ref) for name, ref in content["files"].items()},
         )
-    except (ValueError, KeyError, TypeError) as exc:
-        raise Damaged(f"{what} is no record of a map ({exc!r}); run `station map repair`") from exc
+    except UNREADABLE as exc:
+        raise Damaged(f"{what} is no record of a map ({shown(exc)}); run `station map repair`") from exc
 
 
 def content_hash(record: MapRecord, report: bytes) -> str:
@@ -173,8 +179,21 @@ def encode_place(place: Place) -> dict[str, Any]:
     }
 
 
-def decode_place(values: dict[str, Any]) -> Place:
-    """The place that `encode_place` wrote. Raises KeyError, TypeError or ValueError."""
+def decode_places(documents: list[dict[str, Any]]) -> tuple[Place, ...]:
+    """The places that `encode_content` wrote. Raises one of UNREADABLE, also for a place that is nowhere."""
+    return tuple(_decode_place(document) for document in documents)
+
+
+def decode_edges(documents: list[dict[str, Any]]) -> tuple[PlaceEdge, ...]:
+    """The edges that `encode_content` wrote. Raises one of UNREADABLE."""
+    edges = msgspec.convert(documents, tuple[PlaceEdge, ...])
+    _check_finite(number for edge in edges for number in (edge.bearing_rad, edge.distance))
+    return edges
+
+
+def _decode_place(values: dict[str, Any]) -> Place:
+    msgspec.convert(values, _PlaceDocument)
+    _check_finite((*values["centroid_map"], values["radius"], values["quality"]))
     return Place(
         id=values["id"],
         name=values["name"],
@@ -186,3 +205,37 @@ def decode_place(values: dict[str, Any]) -> Place:
         quality=values["quality"],
         hidden=values.get("hidden", False),
     )
+
+
+def _check_finite(numbers: Iterable[float]) -> None:
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("a number of it is not finite")
+
+
+class _PlaceDocument(msgspec.Struct):
+    id: str
+    name: str
+    centroid_map: tuple[float, float, float]
+    radius: float
+    landmark_index: list[int]
+    keyframe_index: list[int]
+    representative_keyframe: int
+    quality: float
+    hidden: bool = False
+
+
+class _Document(msgspec.Struct):
+    """What must be in a record, but for its places and edges."""
+
+    map_id: Annotated[str, msgspec.Meta(pattern=f"^{MAP_ID.pattern}$")]  # it becomes a file's name
+    number: Annotated[int, msgspec.Meta(ge=1, lt=2**31)]
+    kind: VersionKind
+    why: str
+    author: str
+    created_ms: Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
+    previous: int | None
+    content: int
+    name: str
+    navigation: str
+    config: dict[str, Any]
+    files: dict[str, FileRef]

@@ -10,8 +10,18 @@ import numpy.typing as npt
 
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray
+from shared.pictures import picture_size
 
 ImageArray = npt.NDArray[np.uint8]
+
+
+def decode_picture(encoded: bytes, flags: int) -> ImageArray:
+    """Pixels of a JPEG or PNG file, as cv2's `flags` say. Raises ValueError as picture_size does."""
+    picture_size(encoded)
+    image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), flags)
+    if image is None:
+        raise ValueError("is not a readable JPEG or PNG")
+    return np.asarray(image, dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,13 +47,10 @@ class ImageFrame:
         return self._decode(cv2.IMREAD_REDUCED_COLOR_2)
 
     def _decode(self, flags: int) -> ImageArray:
-        buffer = np.frombuffer(self.encoded, dtype=np.uint8)
-        image = cv2.imdecode(buffer, flags) if len(buffer) else None
-        if image is None:
-            raise DataError(
-                f"image {self.name or self.index} is not a readable JPEG or PNG; remove it or copy it again"
-            )
-        return np.asarray(image, dtype=np.uint8)
+        try:
+            return decode_picture(self.encoded, flags)
+        except ValueError as exc:
+            raise DataError(f"image {self.name or self.index} {exc}; remove it or copy it again") from exc
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,10 @@ from typing import BinaryIO
 from mcap.data_stream import ReadDataStream
 from mcap.reader import FOOTER_SIZE, make_reader
 from mcap.records import Footer, Message
-from mcap.stream_reader import StreamReader
 
-from shared.mcap_recording import DAMAGE, MAX_RECORD_BYTES
+from shared.bounded import MB, in_pieces, open_file
+from shared.mcap_recording import DAMAGE
+from shared.mcap_records import MAX_RECORD_BYTES, bounded_records
 from station.recordings.chunks import MAGIC, Survey, has_end, parts_of
 from station.recordings.writer_lock import is_being_written
 
@@ -44,7 +45,7 @@ class RecordingCheck:
 def check_recording(path: Path) -> RecordingCheck:
     """Read a recording from end to end. One that cannot be read at all is a finding too."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return check_file(path, file, is_being_written=is_being_written(file))
     except OSError as exc:
         return RecordingCheck(path, 0, 0.0, 0, f"cannot be read ({exc.strerror}); check its permissions and the disk")
@@ -75,9 +76,8 @@ def _read(file: BinaryIO, size: int) -> tuple[Survey, str]:
         if not _fits_index(file, size):
             return found, "its index is damaged"
         file.seek(0)
-        summary = make_reader(file).get_summary()
-        file.seek(0)
-        for record in StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records:
+        summary = make_reader(in_pieces(file, MAX_RECORD_BYTES)).get_summary()
+        for record in bounded_records(file):
             if isinstance(record, Message):
                 found.add_message(record)
     except DAMAGE as exc:
@@ -97,5 +97,7 @@ def _fits_index(file: BinaryIO, size: int) -> bool:
         return True
     begin = footer.summary_start or footer_begin
     file.seek(begin)
-    content = file.read(max(0, size - len(MAGIC) - 4 - begin))  # without the checksum itself
-    return zlib.crc32(content) == footer.summary_crc
+    checksum, left = 0, size - len(MAGIC) - 4 - begin  # without the checksum itself
+    while left > 0 and (piece := file.read(min(left, MB))):
+        checksum, left = zlib.crc32(piece, checksum), left - len(piece)
+    return checksum == footer.summary_crc

@@ -15,9 +15,10 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE
 from mcap.records import Chunk, McapRecord, Message
-from mcap.stream_reader import breakup_chunk
 
-from shared.mcap_recording import DAMAGE, MAX_RECORD_BYTES
+from shared.bounded import Unpacking
+from shared.mcap_recording import DAMAGE
+from shared.mcap_records import MAX_RECORD_BYTES, records_in
 
 MAGIC = b"\x89MCAP0\r\n"  # at both ends of a finished file
 COMPRESSION = b"\x03\0\0\0lz4"
@@ -119,9 +120,9 @@ def has_end(file: BinaryIO) -> bool:
 
 
 def _sound_chunks(file: BinaryIO, size: int) -> Iterator[SoundChunk]:
-    position = _HEAD.size
+    position, unpacking = _HEAD.size, Unpacking(size)
     while (found := _find(file, position, size)) is not None:
-        chunk = _chunk(file, found - _HEAD.size, size)
+        chunk = _chunk(file, found - _HEAD.size, size, unpacking)
         if chunk is not None:
             yield chunk
         position = found + 1 if chunk is None else chunk.end + _HEAD.size
@@ -137,7 +138,7 @@ def _find(file: BinaryIO, position: int, size: int) -> int | None:
     return None
 
 
-def _chunk(file: BinaryIO, begin: int, size: int) -> SoundChunk | None:
+def _chunk(file: BinaryIO, begin: int, size: int, unpacking: Unpacking) -> SoundChunk | None:
     file.seek(begin)
     head = file.read(_HEAD.size + len(COMPRESSION) + _LENGTH.size)
     data_begin = begin + len(head)
@@ -147,7 +148,7 @@ def _chunk(file: BinaryIO, begin: int, size: int) -> SoundChunk | None:
         if not checksum or length > min(size - data_begin, MAX_RECORD_BYTES):  # ours all have a checksum
             return None
         data = file.read(length)
-        records = breakup_chunk(Chunk("lz4", data, last_ns, first_ns, checksum, whole_size), validate_crc=True)
+        records = list(records_in(Chunk("lz4", data, last_ns, first_ns, checksum, whole_size), unpacking))
     except DAMAGE:
         return None
     return SoundChunk(begin, data_begin + length, records)

@@ -12,9 +12,11 @@ from mcap.reader import make_reader
 from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.writer import CompressionType, Writer
 
+from shared.bounded import in_pieces, open_file
 from shared.disk import replacing
 from shared.errors import DataError
 from shared.mcap_recording import DAMAGE
+from shared.mcap_records import MAX_RECORD_BYTES
 from station.recordings.check import check_file
 from station.recordings.chunks import SoundChunk, Survey, parts_of
 from station.recordings.topics import LIBRARY, register_channels
@@ -54,7 +56,7 @@ def recover_recording(path: Path) -> Recovery | None:
     """
     scratch = path.with_name(f".{path.name}.recovered")
     try:
-        with path.open("r+b") as source:  # nothing is written; some network disks lock no other file
+        with open_file(path, for_writing=True) as source:  # nothing is written; some network disks lock no other file
             if not hold(source):
                 raise DataError(f"{path} is being recorded; end that, then it needs no recovery")
             if not check_file(path, source).damage:
@@ -106,7 +108,7 @@ def _library(source: BinaryIO) -> str:
     """What wrote a recording; ours where that cannot be read."""
     try:
         source.seek(0)
-        return make_reader(source).get_header().library
+        return make_reader(in_pieces(source, MAX_RECORD_BYTES)).get_header().library
     except DAMAGE:
         return LIBRARY
 

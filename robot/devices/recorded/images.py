@@ -6,36 +6,22 @@ from pathlib import Path
 
 from shared.advice import install
 from shared.errors import DataError, DeviceUnavailable
+from shared.pictures import JPEG_START, picture_size
 
 JPEG_QUALITY = 95  # next to no loss: a recorded PNG should look to SLAM as it did on disk
-JPEG_START = b"\xff\xd8"
-PNG_START = b"\x89PNG\r\n\x1a\n"
-# JPEG markers that start a frame header (ITU-T T.81, table B.1): SOF0-3, 5-7, 9-11, 13-15.
-_SIZE_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-_BARE_MARKERS = {0x01, *range(0xD0, 0xD9)}  # no length follows
 
 
 def read_size(encoded: bytes, path: Path) -> tuple[int, int]:
-    """(width, height) in pixels from the file's header. Raises DataError where it is neither JPEG nor PNG."""
-    if encoded.startswith(PNG_START) and len(encoded) >= 24:
-        return int.from_bytes(encoded[16:20], "big"), int.from_bytes(encoded[20:24], "big")
-    position = 2
-    while encoded.startswith(JPEG_START) and position + 9 <= len(encoded) and encoded[position] == 0xFF:
-        marker = encoded[position + 1]
-        if marker in _SIZE_MARKERS:
-            height = int.from_bytes(encoded[position + 5 : position + 7], "big")
-            return int.from_bytes(encoded[position + 7 : position + 9], "big"), height
-        if marker == 0xFF:  # filling
-            position += 1
-        elif marker in _BARE_MARKERS:
-            position += 2
-        else:
-            position += 2 + int.from_bytes(encoded[position + 2 : position + 4], "big")
-    raise DataError(f"image {path} is not a readable JPEG or PNG; remove it or copy it again")
+    """(width, height) in pixels from the file's header. Raises DataError where it is not a picture to be decoded."""
+    try:
+        return picture_size(encoded)
+    except ValueError as exc:
+        raise DataError(f"image {path} {exc}; remove it or copy it again") from exc
 
 
 def to_jpeg(encoded: bytes, path: Path) -> bytes:
     """The image as JPEG. Raises DataError where it cannot be decoded."""
+    read_size(encoded, path)
     if encoded.startswith(JPEG_START):
         return encoded
     try:
@@ -45,7 +31,7 @@ def to_jpeg(encoded: bytes, path: Path) -> bytes:
         raise DeviceUnavailable(
             f"PNG frames are sent as JPEG, which needs OpenCV; run: {install('simulation')}"
         ) from exc
-    image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED) if encoded else None
+    image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DataError(f"image {path} is not a readable JPEG or PNG; remove it or copy it again")
     if image.dtype == np.uint16:  # JPEG has 8 bits: without this everything above 255 would be white

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -13,10 +12,19 @@ import msgspec
 from robot.devices.ports import ImuReading
 from robot.devices.recorded.images import JPEG_QUALITY, read_size
 from shared.advice import install
+from shared.bounded import MAX_PICTURE_BYTES, read_file
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError, DeviceUnavailable
 from shared.geometry import inverse
-from shared.recorded_files import VIDEO_SUFFIXES, asl_numbers, asl_rows, exposures_ns, image_times_ns, images_in_order
+from shared.recorded_files import (
+    VIDEO_SUFFIXES,
+    asl_numbers,
+    asl_rows,
+    check_readable,
+    exposures_ns,
+    image_times_ns,
+    images_in_order,
+)
 from shared.sensor_yaml import (
     number,
     read_bare_camera,
@@ -46,7 +54,7 @@ class RecordedFrame:
         if self.read is not None:
             return self.read()
         try:
-            return self.path.read_bytes()
+            return read_file(self.path, MAX_PICTURE_BYTES)
         except OSError as exc:
             raise DataError(f"image {self.path} cannot be read ({exc.strerror}); copy it again") from exc
 
@@ -84,7 +92,7 @@ def open_recording(path: Path) -> Recording:
     """
     if not path.exists():
         raise DataError(f"{path} does not exist; give the folder or file of a recorded drive to --dataset")
-    if path.is_file():
+    if not path.is_dir():
         return _open_file(path)
     if (path / "mav0").is_dir():
         return _open_asl(path)
@@ -94,6 +102,7 @@ def open_recording(path: Path) -> Recording:
 
 
 def _open_file(path: Path) -> Recording:
+    check_readable(path)
     suffix = path.suffix.lower()
     if suffix != ".mcap" and suffix not in VIDEO_SUFFIXES:
         raise DataError(
@@ -161,8 +170,6 @@ def _read_samples(path: Path) -> Iterator[ImuReading]:
     if not path.is_file():
         return
     for sequence, (t_ns, values) in enumerate(asl_numbers(path, 6)):
-        if not all(map(math.isfinite, values)):
-            raise DataError(f"{path} holds a number that is not finite, at time {t_ns}; correct it")
         wx, wy, wz, ax, ay, az = values
         yield ImuReading(sequence, t_ns, (wx, wy, wz), (ax, ay, az))
 
@@ -171,8 +178,8 @@ def _open_images(path: Path) -> Recording:
     numbered = images_in_order(path)
     if not numbered:
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a recorded drive to --dataset")
-    an_image = numbered[0][1]
-    camera = read_folder_camera(path, lambda: read_size(an_image.read_bytes(), an_image))
+    an_image = RecordedFrame(0, numbered[0][1])
+    camera = read_folder_camera(path, lambda: read_size(an_image.encoded(), an_image.path))
     times = image_times_ns([number for number, _ in numbered], camera.rate_hz, path)
     frames = tuple(RecordedFrame(t_ns, image) for t_ns, (_, image) in zip(times, numbered, strict=True))
     remarks = (f"{path} holds no IMU samples; only its images are played",)

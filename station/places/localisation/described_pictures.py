@@ -10,13 +10,15 @@ import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shared.bounded import open_file
 from shared.disk import replacing
+from station.files.npz import UNREADABLE, Arrays, open_arrays
 from station.files.spill import Spill
 from station.vision.features import FeatureExtractor, Features, extract_encoded
 
@@ -31,8 +33,6 @@ class Row(Generic[A]):
     size: int
 
 
-# What zipfile and numpy raise for damaged files; the last two where a bit says "encrypted" or another compression.
-UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, RuntimeError, NotImplementedError)
 DIGEST = Row(np.dtype(np.uint8), hashlib.sha256().digest_size)
 UV = Row(np.dtype(np.float64), 2)
 DESCRIPTOR = Row(np.dtype(np.uint8), 128)
@@ -99,27 +99,26 @@ class DescribedPictures:
     def add(self, path: Path) -> bool:
         """Take over what `write` wrote; False, and nothing is added, when it is gone, damaged or of another version."""
         try:
-            with zipfile.ZipFile(path) as archive:
-                if str(_read_array(archive, "described_by")) != DESCRIBED_BY:
+            with open_file(path) as file, open_arrays(file) as arrays:
+                if str(arrays.read("described_by")) != DESCRIBED_BY:
                     return False
-                digests = [row.tobytes() for row in _read_array(archive, "digest")]
-                counts: list[int] = _read_array(archive, "count").tolist()
-                if len(digests) != len(counts):
+                digests = [row.tobytes() for row in arrays.read("digest")]
+                counts: list[int] = arrays.read("count").tolist()
+                if len(digests) != len(counts) or min(counts, default=0) < 0:
                     return False
-                uv_px = self._read_parts(archive, "uv_px", UV, counts)
-                descriptors = self._read_parts(archive, "descriptors", DESCRIPTOR, counts)
+                uv_px = self._read_parts(arrays, "uv_px", UV, counts)
+                descriptors = self._read_parts(arrays, "descriptors", DESCRIPTOR, counts)
         except UNREADABLE:
             return False
         self._known |= dict(zip(digests, map(Features, uv_px, descriptors), strict=True))
         return True
 
-    def _read_parts(self, archive: zipfile.ZipFile, name: str, row: Row[A], counts: list[int]) -> list[npt.NDArray[A]]:
+    def _read_parts(self, arrays: Arrays, name: str, row: Row[A], counts: list[int]) -> list[npt.NDArray[A]]:
         """Raises ValueError: other rows than these. BadZipFile: damaged, which is seen at the end."""
         parts = []
-        with archive.open(f"{name}.npy") as member:
-            shape, dtype = _read_header(member)
-            if (shape, dtype) != ((sum(counts), row.size), row.dtype):
-                raise ValueError(f"{name} has shape {shape} of {dtype}")
+        with arrays.open(name) as (header, member):
+            if (header.shape, header.dtype, header.in_columns) != ((sum(counts), row.size), row.dtype, False):
+                raise ValueError(f"{name} has shape {header.shape} of {header.dtype}")
             for count in counts:
                 data = member.read(count * row.size * row.dtype.itemsize)
                 parts.append(self._spill.put(np.frombuffer(data, row.dtype).reshape(count, row.size)))
@@ -141,20 +140,6 @@ def _write_array(
         np.lib.format.write_array_header_1_0(member, header)
         for part in parts:
             member.write(part.astype(dtype, copy=False).tobytes())
-
-
-def _read_array(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
-    with archive.open(f"{name}.npy") as member:
-        return np.lib.format.read_array(member, allow_pickle=False)
-
-
-def _read_header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    if np.lib.format.read_magic(member) != (1, 0):
-        raise ValueError("the array is of another format")
-    shape, in_columns, dtype = np.lib.format.read_array_header_1_0(member)
-    if in_columns:
-        raise ValueError("the array is of another format")
-    return shape, dtype
 
 
 def _digest(encoded: bytes) -> bytes:

@@ -11,7 +11,7 @@ import pytest
 
 from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
 from shared.errors import DataError
-from station.files.navigation_folder import load_navigation, save_navigation
+from station.files.navigation_folder import load_navigation, parse_tum, save_navigation
 from station.files.ply import read_ply, read_rows, write_ply
 from station.model.navigation import Landmarks, Navigation
 from station.slam.run import content_digest
@@ -149,6 +149,87 @@ def test_damaged_or_missing_file_is_named(tmp_path: Path, name: str) -> None:
     (folder / name).unlink()
     with pytest.raises(DataError):
         load_navigation(folder)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "0.1 nan 0 0 0 0 0 1",
+        "0.1 0 0 inf 0 0 0 1",
+        "0.1 0 0 0 0 nan 0 1",
+        "0.1 0 0 0 0 0 0 0",
+        "0.1 0 0 0 9 9 9 9",
+        f"{10**20}.0 0 0 0 0 0 0 1",
+    ],
+)
+def test_a_trajectory_holds_poses_only(line: str) -> None:
+    with pytest.raises(DataError, match="line 2"):
+        parse_tum(f"0.0 0 0 0 0 0 0 1\n{line}\n", Path("trajectory.tum"))
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, 7.0])
+def test_a_keyframe_whose_pose_is_none_is_refused(number: float, tmp_path: Path) -> None:
+    nav = small_navigation()
+    nav.keyframes.T_world_cam[1, 0, 0] = number
+    save_navigation(nav, tmp_path / "nav")
+    with pytest.raises(DataError, match=r"observations\.npz is damaged"):
+        load_navigation(tmp_path / "nav")
+
+
+@pytest.mark.parametrize(
+    ("name", "number"), [("p_world", math.nan), ("p_world", math.inf), ("observed_uv_px", math.nan)]
+)
+def test_a_landmark_or_observation_that_is_nowhere_is_refused(name: str, number: float, tmp_path: Path) -> None:
+    nav = small_navigation()
+    getattr(nav.landmarks, name)[2, 1] = number
+    save_navigation(nav, tmp_path / "nav")
+    with pytest.raises(DataError, match="nowhere"):
+        load_navigation(tmp_path / "nav")
+
+
+@pytest.mark.parametrize(("key", "sensor"), [("gravity", None), ("gyro_density", "imu"), ("rate_hz", "imu")])
+def test_a_calibration_holds_numbers_only(key: str, sensor: str | None, tmp_path: Path) -> None:
+    save_navigation(small_navigation(), tmp_path / "nav")
+    path = tmp_path / "nav" / "calibration.json"
+    content = json.loads(path.read_text())
+    (content[sensor] if sensor else content)[key] = math.nan
+    path.write_text(json.dumps(content))
+    with pytest.raises(DataError, match=r"calibration\.json is damaged"):
+        load_navigation(tmp_path / "nav")
+
+
+def test_a_report_that_nests_without_end_is_refused(tmp_path: Path) -> None:
+    save_navigation(small_navigation(), tmp_path / "nav")
+    (tmp_path / "nav" / "navigation.json").write_text("[" * 100_000)
+    with pytest.raises(DataError, match=r"navigation\.json .* too deep"):
+        load_navigation(tmp_path / "nav")
+
+
+def test_an_array_without_bytes_is_refused(tmp_path: Path) -> None:
+    """It may have any length: a list of its entries fills the memory."""
+    save_navigation(small_navigation(), tmp_path / "nav")
+    path = tmp_path / "nav" / "keyframes" / "observations.npz"
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    np.savez(path, **arrays | {"names": np.empty(10**6, dtype="V0")})
+    with pytest.raises(DataError, match="names does not have the bytes"):
+        load_navigation(tmp_path / "nav")
+
+
+@pytest.mark.parametrize("body", ["", "1 2 3\n", "1 2 3 4 5 6\n\n", "1 2\n3 4 5 6\n", "1 2 x\n1 2 3\n"])
+def test_a_ply_of_other_lines_than_it_says_is_refused(body: str, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    properties = "".join(f"property float {axis}\n" for axis in "xyz")
+    path.write_text(f"ply\nformat ascii 1.0\nelement vertex 2\n{properties}end_header\n{body}")
+    with pytest.raises(DataError, match="not 3 numbers, or too few lines"):
+        read_ply(path)
+
+
+def test_points_without_numbers_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    path.write_text("ply\nformat binary_little_endian 1.0\nelement vertex 100000000\nend_header\n")
+    with pytest.raises(DataError, match="points without numbers"):
+        read_ply(path)
 
 
 def test_ascii_and_foreign_plys_are_read(tmp_path: Path) -> None:

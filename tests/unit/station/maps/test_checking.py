@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import math
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import sqlalchemy
@@ -19,12 +22,13 @@ from station.maps import versions
 from station.maps.address import address_of, heal
 from station.maps.backup import restore_backup, write_backup
 from station.maps.blobs import Damaged
-from station.maps.record import map_content_hash
+from station.maps.record import decode_record, encode_record, map_content_hash
 from station.maps.repair.check import repair, verify
 from station.maps.repair.purging import purge_versions
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
+from tests.support.hostile_files import backup_with_records
 from tests.support.store import blobs, content_hash, cut, largest_blob, newest_record, rename_place
 
 
@@ -214,3 +218,46 @@ def test_a_restore_into_another_folder_says_what_is_to_be_done_then(place_map: P
     restore = ["map", "restore", str(tmp_path / "b.tar"), "--data", str(tmp_path / "other")]
     assert "PUT /maps/active" in CliRunner().invoke(app, restore).output
     assert "0 versions added\n" in CliRunner().invoke(app, restore).output[-20:]
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("deep.000001", b"[" * 100_000),
+        ("noise.000001", b"\xff\x00"),
+        ("newer.000001", b'{"format": 99}'),
+        ("path.000001", b'{"format": 2, "map_id": "../../outside"}'),
+    ],
+)
+def test_a_record_of_a_backup_that_cannot_be_read_costs_no_other(
+    name: str, content: bytes, place_map: PlaceMap, store: MapStore, tmp_path: Path
+) -> None:
+    write_backup(store, tmp_path / "whole.tar")
+    backup = backup_with_records(tmp_path / "b.tar", tmp_path / "whole.tar", (name, content))
+    other = MapStore(tmp_path / "other")
+    report = restore_backup(other, backup)
+    assert report.versions == 3 and other.load(place_map.id).places[0].name == "Couch"
+    assert len(report.damaged) == 1 and f"records/{name}" in report.damaged[0]
+
+
+@pytest.mark.parametrize("change", [{"map_id": "../../outside"}, {"number": 7}, {"name": 3}, {"places": [{"id": "a"}]}])
+def test_a_record_that_is_not_what_its_name_says_is_left_out(
+    change: dict[str, Any], place_map: PlaceMap, store: MapStore, tmp_path: Path
+) -> None:
+    write_backup(store, tmp_path / "whole.tar")
+    content = json.loads(encode_record(store.history(place_map.id)[-1])) | change
+    backup = backup_with_records(
+        tmp_path / "b.tar", tmp_path / "whole.tar", ("another.000001", json.dumps(content).encode())
+    )
+    other = MapStore(tmp_path / "other")
+    report = restore_backup(other, backup)
+    assert report.maps == 1 and len(report.damaged) == 1 and "records/another" in report.damaged[0]
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+@pytest.mark.parametrize("key", ["centroid_map", "radius"])
+def test_a_place_that_is_nowhere_is_refused(key: str, number: float, place_map: PlaceMap, store: MapStore) -> None:
+    content = json.loads(encode_record(store.history(place_map.id)[0]))
+    content["places"][0][key] = [0.0, number, 0.0] if key == "centroid_map" else number
+    with pytest.raises(DataError, match="not finite"):
+        decode_record(json.dumps(content).encode(), "it")

@@ -1,0 +1,43 @@
+"""Encoded pictures before they are decoded: what they are, and how large they will be."""
+
+from __future__ import annotations
+
+JPEG_START = b"\xff\xd8"
+PNG_START = b"\x89PNG\r\n\x1a\n"
+MAX_PIXELS = 2**25  # 8192 x 4096: the largest camera of any phone that recorded a drive, and 100 MB decoded
+# JPEG markers that start a frame header (ITU-T T.81, table B.1): SOF0-3, 5-7, 9-11, 13-15.
+_SIZE_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+_BARE_MARKERS = {0x01, *range(0xD0, 0xD9)}  # no length follows
+
+
+def picture_size(encoded: bytes) -> tuple[int, int]:
+    """(width, height) in pixels from the header of a JPEG or PNG file.
+
+    Raises:
+        ValueError: it is neither, or has more pixels than are decoded; goes on a sentence that begins with its name.
+    """
+    width, height = _size(encoded)
+    if not width or not height:
+        raise ValueError("is not a readable JPEG or PNG")
+    if width * height > MAX_PIXELS:
+        raise ValueError(f"has {width}x{height} pixels, more than the {MAX_PIXELS} that are decoded")
+    return width, height
+
+
+def _size(encoded: bytes) -> tuple[int, int]:
+    """(0, 0) where it is neither."""
+    if encoded.startswith(PNG_START) and encoded[12:16] == b"IHDR" and len(encoded) >= 24:
+        return int.from_bytes(encoded[16:20], "big"), int.from_bytes(encoded[20:24], "big")
+    position = 2
+    while encoded.startswith(JPEG_START) and position + 9 <= len(encoded) and encoded[position] == 0xFF:
+        marker = encoded[position + 1]
+        if marker in _SIZE_MARKERS:
+            height = int.from_bytes(encoded[position + 5 : position + 7], "big")
+            return int.from_bytes(encoded[position + 7 : position + 9], "big"), height
+        if marker == 0xFF:  # filling
+            position += 1
+        elif marker in _BARE_MARKERS:
+            position += 2
+        else:
+            position += 2 + int.from_bytes(encoded[position + 2 : position + 4], "big")
+    return 0, 0

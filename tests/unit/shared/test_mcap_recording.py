@@ -1,0 +1,60 @@
+"""What a recording's messages may not be."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mcap.writer import Writer
+
+from shared.errors import DataError
+from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, McapContent, mcap_images
+from tests.support.recordings import HELLO, finish
+
+
+def recording_of(path: Path, topic: str, data: bytes) -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_message(writer.register_channel(topic, "json", 0), 1, data, 1)
+        finish(writer)
+    return path
+
+
+def hello(**calibration: Any) -> bytes:
+    content = msgspec.msgpack.decode(msgspec.msgpack.encode(HELLO))
+    content["calibration"] |= calibration
+    packed = base64.b64encode(msgspec.msgpack.encode(content)).decode()
+    return json.dumps({"msgpack_base64": packed}).encode()
+
+
+def stamped(seconds: object, **content: Any) -> bytes:
+    return json.dumps({"timestamp": {"sec": seconds, "nsec": 0}, **content}).encode()
+
+
+@pytest.mark.parametrize(
+    ("topic", "data"),
+    [
+        (HELLO_TOPIC, hello(gravity=math.nan)),
+        (HELLO_TOPIC, hello(gravity=math.inf)),
+        (FRAME_TOPIC, stamped(10**30, exposure_ns=0)),
+        (FRAME_TOPIC, stamped(1.0e300, exposure_ns=0)),
+        (FRAME_TOPIC, stamped(1, exposure_ns=10**30)),
+        (DRIVE_TOPIC, stamped(1, linear="nan", angular=0.0)),
+        (DRIVE_TOPIC, stamped(1, linear=0.0, angular="inf")),
+        (FRAME_TOPIC, b'{"a":' * 100_000),
+    ],
+)
+def test_what_is_no_time_velocity_or_calibration_is_refused(topic: str, data: bytes, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=topic if len(data) < 100_000 else "not JSON"):
+        McapContent(recording_of(tmp_path / "a.mcap", topic, data))
+
+
+def test_a_recording_that_other_tools_packed_with_zstd_is_read(tmp_path: Path) -> None:
+    content = McapContent(recording_of(tmp_path / "a.mcap", HELLO_TOPIC, hello()))  # zstd is the writer's default
+    assert content.hello == HELLO and not list(mcap_images(tmp_path / "a.mcap"))
