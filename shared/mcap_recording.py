@@ -22,6 +22,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 
 from shared.errors import DataError, RobotSystemError
 from shared.messages import Hello
+from shared.text import explain
 
 logger = logging.getLogger(__name__)
 
@@ -82,7 +83,7 @@ class McapContent:
         try:
             hello = msgspec.msgpack.decode(base64.b64decode(content["msgpack_base64"]), type=Hello)
         except (msgspec.DecodeError, RobotSystemError, ValueError, KeyError) as exc:
-            raise DataError(f"{path}: {HELLO_TOPIC} cannot be read ({exc}); the file is damaged") from exc
+            raise DataError(f"{path}: {HELLO_TOPIC} cannot be read ({explain(exc)}); the file is damaged") from exc
         if self.hello is not None and self.hello.session_id != hello.session_id:
             logger.warning("%s: robot-server was restarted during the recording; what came after is left out", path)
             return False
