@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from shared.discovery import SERVICE_TYPE
+from shared.discovery import SERVICE_TYPE, service_label
 
 if TYPE_CHECKING:
     from zeroconf import Zeroconf
@@ -69,7 +69,7 @@ class Announcement:
     def _register(self, addresses: list[str]) -> None:
         from zeroconf import InterfaceChoice, ServiceInfo, Zeroconf
 
-        label = self._robot_id.replace(".", "-")[:63] or "robot"
+        label = service_label(self._robot_id)
         info = ServiceInfo(
             SERVICE_TYPE,
             f"{label}.{SERVICE_TYPE}",

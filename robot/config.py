@@ -15,9 +15,10 @@ from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_ANGULAR_RAD_S, MAX_LINEAR_M_S, MAX_NAME_LENGTH
+from shared.text import PRINTABLE, explain
 
 Positive = Annotated[float, Meta(gt=0)]
-ShortText = Annotated[str, Meta(max_length=MAX_NAME_LENGTH)]
+ShortText = Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)]
 
 
 Settings = TypeVar("Settings")
@@ -158,4 +159,4 @@ def convert(content: dict[str, Any], kind: type[Settings], source: str) -> Setti
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as exc:
         # msgspec says `... - at `$.server.port``; people know keys without the `$.`.
-        raise ConfigError(f"{source}: {exc}".replace("$.", "")) from exc
+        raise ConfigError(f"{source}: {explain(exc)}".replace("$.", "")) from exc

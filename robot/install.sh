@@ -5,6 +5,7 @@
 set -euo pipefail
 here=$(cd "$(dirname "$0")/.." && pwd)
 target=/opt/sentinel
+state=/var/lib/sentinel  # key, certificate and tokens
 user=sentinel
 service=yes
 [ "${1:-}" = --no-service ] && service=no
@@ -24,9 +25,18 @@ apt-get install -y -qq --no-install-recommends python3-venv python3-numpy python
   avrdude make gcc-avr avr-libc arduino-core-avr >/dev/null
 
 echo "install: $target"
-getent passwd "$user" >/dev/null || useradd --system --create-home --home-dir "$target" "$user"
+umask 022
+# Root runs what is in there, now and at the next update: only root may write it. The service has /var/lib/sentinel.
+if [ -d "$target" ] && [ "$(stat -c %U "$target")" != root ]; then
+  old="$target.before-$(date +%Y%m%d-%H%M%S)"
+  systemctl stop sentinel-robot 2>/dev/null || true  # usermod refuses while the user has processes
+  mv "$target" "$old"
+  echo "install: an earlier release gave $target to $user; it is $old now, delete it when you like"
+  usermod --home "$state" --shell /usr/sbin/nologin "$user"
+fi
+getent passwd "$user" >/dev/null || useradd --system --no-create-home --home-dir "$state" --shell /usr/sbin/nologin "$user"
 usermod -aG dialout,video,gpio,i2c "$user" 2>/dev/null || usermod -aG dialout,video "$user"
-mkdir -p "$target" && chmod 755 "$target"  # whoever logs in runs the check
+install -d -m 755 -o root -g root "$target"  # whoever logs in runs the check
 [ -x "$target/venv/bin/python" ] || python3 -m venv --system-site-packages "$target/venv"
 # Debian's numpy stays: pip may add, not replace.
 numpy=$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)')
@@ -42,11 +52,11 @@ udevadm control --reload && udevadm trigger --subsystem-match=tty || true
 # The Pi restarts by itself when Linux hangs: systemd feeds the hardware watchdog.
 install -D -m 644 "$here/robot/setup/watchdog.conf" /etc/systemd/system.conf.d/sentinel-watchdog.conf
 
-echo "install: access control in /var/lib/sentinel"
+echo "install: access control in $state"
 # A file of an earlier release has no such section, and robot-server would not start without one.
 grep -q '^\[access\]' /etc/sentinel/robot.toml || printf '\n[access]\nfolder = "/var/lib/sentinel"\n' >>/etc/sentinel/robot.toml
-install -d -m 700 -o "$user" -g "$user" /var/lib/sentinel
-as_robot() { runuser -u "$user" -- "$target/venv/bin/robot-server" "$@" --folder /var/lib/sentinel; }
+install -d -m 700 -o "$user" -g "$user" "$state"
+as_robot() { runuser -u "$user" -- "$target/venv/bin/robot-server" "$@" --folder "$state"; }
 as_robot access init
 
 if [ "$service" = yes ]; then

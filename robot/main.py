@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from shared.command_line import run_program
+from shared.repetition import start_logging
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -47,9 +48,7 @@ def serve(
     from robot import app  # numpy and the network's libraries: `--help` does without them
     from robot.config import load_config
 
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING, format="robot-server: %(levelname)s: %(message)s"
-    )
+    start_logging(logging.INFO if verbose else logging.WARNING, "robot-server: %(levelname)s: %(message)s")
     settings = load_config(
         config,
         {

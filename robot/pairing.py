@@ -91,7 +91,7 @@ class PairingDesk:
         return self._book.add(self._free_name(station_name, now_s), opened.role, now_s)
 
     def _free_name(self, name: str, now_s: float) -> str:
-        name = "".join(c for c in name if c.isprintable()).strip() or "station"
+        name = name.strip() or "station"
         taken = {record.name for record in self._book.tokens() if record.is_live(now_s)}
         names = (f"{name[: MAX_NAME_LENGTH - 4]} {n}" for n in range(2, 1000))
         return name if name not in taken else next(free for free in names if free not in taken)

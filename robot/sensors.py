@@ -8,9 +8,9 @@ from collections.abc import Awaitable, Callable
 
 from robot.devices.ports import Camera, EndOfRecording, Imu
 from robot.outbox import FrameSlot, ImuBacklog
+from shared.calibration import MAX_IMAGE_SIDE_PX
 from shared.errors import HardwareError
 from shared.framing import MAX_ROBOT_PAYLOAD
-from shared.messages import MAX_IMAGE_SIDE_PX
 
 logger = logging.getLogger(__name__)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -11,9 +11,12 @@ import numpy as np
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
 from shared.pictures import MAX_PIXELS
+from shared.text import PRINTABLE
 
 Rig = Literal["wheels", "hand-held", "unknown"]
 RIGS: tuple[str, ...] = get_args(Rig)
+MAX_IMAGE_SIDE_PX = 8192
+Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_IMAGE_SIDE_PX)]
 MAX_SHIFT_S = 10.0  # between the clocks of one robot's sensors; more is a mistake of units
 MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
 
@@ -21,8 +24,8 @@ MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
 class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     """Pinhole camera with lens distortion, mounted on the body (= IMU). The centre of the first pixel is (0, 0)."""
 
-    width: int
-    height: int
+    width: Side
+    height: Side
     fx: float
     fy: float
     cx: float
@@ -36,8 +39,8 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     is_measured: bool = True  # False: another camera's numbers, for want of its own
 
     def __post_init__(self) -> None:
-        if not (0 < self.width <= 8192 and 0 < self.height <= 8192):
-            raise ConfigError(f"camera size {self.width}x{self.height} is outside 1..8192 pixels")
+        if not (0 < self.width <= MAX_IMAGE_SIDE_PX and 0 < self.height <= MAX_IMAGE_SIDE_PX):
+            raise ConfigError(f"camera size {self.width}x{self.height} is outside 1..{MAX_IMAGE_SIDE_PX} pixels")
         if self.width * self.height > MAX_PIXELS:
             raise ConfigError(f"camera size {self.width}x{self.height} is more than {MAX_PIXELS} pixels")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion, *self.T_body_cam)
@@ -100,7 +103,8 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
 
     camera: CameraCalibration | None
     imu: ImuNoise | None
-    robot_kind: str = "generic"  # "sentinel": our own robot; anything else is a rig of which only the sensors are known
+    # "sentinel": our own robot; anything else is a rig of which only the sensors are known
+    robot_kind: Annotated[str, msgspec.Meta(max_length=64, pattern=PRINTABLE)] = "generic"
     gravity: float = 9.81
     rig: Rig = "unknown"  # what carries the sensors
 

@@ -26,6 +26,7 @@ from shared.errors import DataError, RobotSystemError
 from shared.mcap_records import bounded_records
 from shared.messages import Hello
 from shared.recorded_files import MAX_EXPOSURE_NS, MAX_TIME_NS
+from shared.text import explain
 
 logger = logging.getLogger(__name__)
 
@@ -85,7 +86,7 @@ class McapContent:
         try:
             hello = msgspec.msgpack.decode(base64.b64decode(content["msgpack_base64"]), type=Hello)
         except (msgspec.DecodeError, RobotSystemError, ValueError, KeyError) as exc:
-            raise DataError(f"{path}: {HELLO_TOPIC} cannot be read ({exc}); the file is damaged") from exc
+            raise DataError(f"{path}: {HELLO_TOPIC} cannot be read ({explain(exc)}); the file is damaged") from exc
         if self.hello is not None and self.hello.session_id != hello.session_id:
             logger.warning("%s: robot-server was restarted during the recording; what came after is left out", path)
             return False

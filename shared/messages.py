@@ -7,9 +7,11 @@ from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
+from msgspec.structs import force_setattr
 
-from shared.calibration import Calibration
+from shared.calibration import Calibration, Side
 from shared.errors import RemoteProtocolError, RobotSystemError
+from shared.text import PRINTABLE, explain, printable
 
 PROTOCOL_VERSION = 2  # 2: headers with checksums
 
@@ -19,19 +21,21 @@ MAX_SENTENCE_LENGTH = 1000
 MAX_IMU_SAMPLES_PER_BATCH = 256
 MAX_FRAMES_IN_FLIGHT = 3  # 30 fps as long as the round trip stays below 100 ms
 MAX_IMU_IN_FLIGHT = 1024  # samples: 4.5 s at 225 Hz
-MAX_IMAGE_SIDE_PX = 8192
 MAX_LIST_LENGTH = 32
 MAX_LINEAR_M_S = 3.0  # a robot in a home is slower; its own limits travel in the hello
 MAX_ANGULAR_RAD_S = 12.0
 MAX_DRIVE_TTL_MS = 250  # silence must stop the motors within 300 ms: 50 ms are left for threads and the serial line
 MAX_POSITION_M = 1000.0
+MAX_COUNT = 2**53  # a page's numbers are exact up to here
+MAX_TIME_NS = 2**62  # 146 years: a sum of two times still fits 64 bits
 
-Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH)]
-Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]
-Count = Annotated[int, Meta(ge=0)]
+Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)]
+Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]  # whoever holds a message finds it printable
+Count = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
+NextSequence = Annotated[int, Meta(ge=-1, le=MAX_COUNT)]  # -1: none yet
+Time = Annotated[int, Meta(ge=-MAX_TIME_NS, le=MAX_TIME_NS)]  # ns
 Proof = Annotated[bytes, Meta(min_length=32, max_length=32)]
 PakeMessage = Annotated[bytes, Meta(min_length=33, max_length=33)]
-ImageSide = Annotated[int, Meta(ge=1, le=MAX_IMAGE_SIDE_PX)]
 
 
 def _require(name: str, value: float, limit: float) -> None:
@@ -60,7 +64,7 @@ class Capabilities(msgspec.Struct, frozen=True, kw_only=True):
 class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     """Robot's first message: who it is and what is known of its sensors."""
 
-    protocol: int
+    protocol: Count
     robot_id: Name
     name: Name
     session_id: Name  # new at every start of robot-server: sequence numbers are comparable only within one
@@ -82,7 +86,7 @@ class Prove(_Message, frozen=True, kw_only=True, tag="prove"):
 class PairRequest(_Message, frozen=True, kw_only=True, tag="pair_request"):
     """Station's first message when it has no token yet but a code: its part of the exchange (shared/pairing.py)."""
 
-    protocol: int
+    protocol: Count
     station_name: Name
     message: PakeMessage
 
@@ -103,7 +107,7 @@ class Paired(_Message, frozen=True, kw_only=True, tag="paired"):
     """Shows that the robot knew the code, and gives the station its token; then the robot closes."""
 
     mac: Proof
-    token: Annotated[str, Meta(max_length=128)]
+    token: Annotated[str, Meta(max_length=128, pattern=PRINTABLE)]
 
     def __repr__(self) -> str:
         return "Paired()"  # the token is for nobody's log
@@ -112,16 +116,16 @@ class Paired(_Message, frozen=True, kw_only=True, tag="paired"):
 class Join(_Message, frozen=True, kw_only=True, tag="join"):
     """Station's first message. It may continue the IMU stream where an earlier connection ended."""
 
-    protocol: int
+    protocol: Count
     station_name: Name
-    resume_session_id: Annotated[str, Meta(max_length=MAX_NAME_LENGTH)] = ""
-    next_imu_sequence: int = -1  # the first sample not yet received; -1: from now on
+    resume_session_id: Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)] = ""
+    next_imu_sequence: NextSequence = -1  # the first sample not yet received; -1: from now on
 
 
 class Welcome(_Message, frozen=True, kw_only=True, tag="welcome"):
     """The robot takes the station in."""
 
-    client_id: int
+    client_id: Count
 
 
 class Refusal(_Message, frozen=True, kw_only=True, tag="refusal"):
@@ -129,21 +133,24 @@ class Refusal(_Message, frozen=True, kw_only=True, tag="refusal"):
 
     reason: Sentence
 
+    def __post_init__(self) -> None:
+        force_setattr(self, "reason", printable(self.reason))
+
 
 class Heartbeat(_Message, frozen=True, kw_only=True, tag="heartbeat"):
     """Station to robot, several times a second: I am here, and this is my time."""
 
-    seq: int
-    t_station_ns: int
+    seq: Count
+    t_station_ns: Time
 
 
 class HeartbeatReply(_Message, frozen=True, kw_only=True, tag="heartbeat_reply"):
     """Answer to one heartbeat, with the robot's clock at its arrival and at the answer's departure."""
 
-    seq: int
-    t_station_ns: int  # as received
-    t_robot_received_ns: int
-    t_robot_sent_ns: int
+    seq: Count
+    t_station_ns: Time  # as received
+    t_robot_received_ns: Time
+    t_robot_sent_ns: Time
 
 
 class Received(_Message, frozen=True, kw_only=True, tag="received"):
@@ -153,18 +160,18 @@ class Received(_Message, frozen=True, kw_only=True, tag="received"):
     fill the kernels' buffers with the past.
     """
 
-    frame_seq: int  # of the newest frame; -1: none yet
-    next_imu_sequence: int  # the first sample not yet received; -1: none yet
+    frame_seq: NextSequence  # of the newest frame; -1: none yet
+    next_imu_sequence: NextSequence  # the first sample not yet received; -1: none yet
 
 
 class CameraFrame(_Message, frozen=True, kw_only=True, tag="frame"):
     """One camera image. Newest wins: frames the connection had no time for are skipped and counted."""
 
-    seq: int  # counts every frame the camera made
-    t_robot_ns: int  # mid-exposure of the first image row
-    exposure_ns: int  # 0 where unknown
-    width: ImageSide
-    height: ImageSide
+    seq: Count  # counts every frame the camera made
+    t_robot_ns: Time  # mid-exposure of the first image row
+    exposure_ns: Count  # 0 where unknown
+    width: Side
+    height: Side
     skipped: Count  # frames skipped for this station since the one sent before
     jpeg: bytes
 
@@ -176,7 +183,7 @@ class CameraFrame(_Message, frozen=True, kw_only=True, tag="frame"):
 class ImuSample(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """One inertial reading as the sensor gave it."""
 
-    t_robot_ns: int
+    t_robot_ns: Time
     gyro_imu: tuple[float, float, float]  # rad/s
     accel_imu: tuple[float, float, float]  # m/s^2, specific force: +9.81 along up at rest
 
@@ -184,7 +191,7 @@ class ImuSample(msgspec.Struct, frozen=True, array_like=True, gc=False):
 class ImuBatch(_Message, frozen=True, kw_only=True, tag="imu"):
     """Consecutive samples: number `first_sequence`, +1, +2, ... A hole in the sensor's count starts a new batch."""
 
-    first_sequence: int
+    first_sequence: Count
     samples: Annotated[tuple[ImuSample, ...], Meta(min_length=1, max_length=MAX_IMU_SAMPLES_PER_BATCH)]
 
     @property
@@ -199,8 +206,8 @@ class ImuBatch(_Message, frozen=True, kw_only=True, tag="imu"):
 class Drive(_Message, frozen=True, kw_only=True, tag="drive"):
     """Hold this velocity for `ttl_ms`, then stop. Repeated while the joystick is held."""
 
-    seq: int  # increasing within one connection; an older one is ignored
-    t_station_ns: int
+    seq: Count  # increasing within one connection; an older one is ignored
+    t_station_ns: Time
     linear: float  # m/s, forward
     angular: float  # rad/s, left
     ttl_ms: Annotated[int, Meta(ge=1, le=MAX_DRIVE_TTL_MS)]
@@ -213,7 +220,7 @@ class Drive(_Message, frozen=True, kw_only=True, tag="drive"):
 class Stop(_Message, frozen=True, kw_only=True, tag="stop"):
     """Motors off now. Any station may say it, also one that does not drive."""
 
-    seq: int
+    seq: Count
 
 
 class PanTilt(_Message, frozen=True, kw_only=True, tag="pan_tilt"):
@@ -245,7 +252,7 @@ class Hijack(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="hijac
 class DriveApplied(_Message, frozen=True, kw_only=True, tag="drive_applied"):
     """What the motors were told, on each change and 20 times a second while driving or not."""
 
-    t_robot_ns: int
+    t_robot_ns: Time
     linear: float  # m/s
     angular: float  # rad/s
 
@@ -253,11 +260,11 @@ class DriveApplied(_Message, frozen=True, kw_only=True, tag="drive_applied"):
 class Status(_Message, frozen=True, kw_only=True, tag="status"):
     """How the robot is, once a second. Counts run since robot-server started."""
 
-    t_robot_ns: int
+    t_robot_ns: Time
     uptime_s: float
     battery_v: float | None = None
     battery_fraction: float | None = None  # 0..1
-    temperatures_c: dict[str, float] = {}
+    temperatures_c: Annotated[dict[Name, float], Meta(max_length=MAX_LIST_LENGTH)] = {}
     cpu_percent: float | None = None  # of one core, robot-server itself
     frames_captured: Count = 0
     frames_skipped: Count = 0  # for this station
@@ -266,11 +273,14 @@ class Status(_Message, frozen=True, kw_only=True, tag="status"):
     imu_lost_in_backlog: Count = 0  # for this station: it was away or slow for longer than the backlog holds
     messages_dropped: Count = 0  # for this station: drive reports and notices that found its queue full
     stations: Count = 0
-    driver: str | None = None  # name of the station that drives
+    driver: Name | None = None  # name of the station that drives
     you_drive: bool = False
     watchdog_stops: Count = 0  # the watchdog stopped moving motors because commands went silent
     commands_refused: Count = 0
     faults: Annotated[tuple[Sentence, ...], Meta(max_length=MAX_LIST_LENGTH)] = ()  # what does not work, in sentences
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "faults", tuple(map(printable, self.faults)))
 
 
 ErrorCode = Literal[
@@ -293,6 +303,9 @@ class ErrorNotice(_Message, frozen=True, kw_only=True, tag="error"):
     message: Sentence
     fatal: bool = False
     about: Literal["hijack"] | msgspec.UnsetType = msgspec.UNSET  # what was asked, where an answer is waited for
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "message", printable(self.message))
 
 
 RobotMessage = (
@@ -367,4 +380,4 @@ def _explain(peer: str, payload: bytes, exc: Exception) -> str:
         theirs = PROTOCOL_VERSION
     if theirs != PROTOCOL_VERSION:
         return version_mismatch(theirs, peer)
-    return f"the {peer} sent {len(payload)} bytes that are not a valid message: {exc}"
+    return f"the {peer} sent {len(payload)} bytes that are not a valid message: {explain(exc)}"

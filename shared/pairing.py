@@ -1,18 +1,20 @@
-"""How a short code becomes a long secret between a robot and a station: SPAKE2, bound to the robot's certificate.
+"""How a short code becomes a long secret between a robot and a station: CPace, bound to the robot's certificate.
 
-No socket, no file, no clock. `spake2` is imported only when somebody pairs.
+No socket, no file, no clock. `cryptography` is imported only when somebody pairs.
 """
 
 from __future__ import annotations
 
 import hmac
 import secrets
-from typing import Any, Literal
+from typing import Literal
 
+from shared.cpace import SHARE_BYTES, generator, multiply, session_key
 from shared.errors import ConfigError, RemoteProtocolError
 
 CODE_DIGITS = 6
-_STATION, _ROBOT = b"sentinel station", b"sentinel robot"
+_CPACE, _SPAKE2 = b"C", (b"A", b"B")  # a message's first byte: how it was made; the second until November 2026
+_CHANNEL = b"sentinel station, sentinel robot "  # and its certificate
 
 
 def new_code() -> str:
@@ -40,18 +42,18 @@ class Pake:
     """
 
     def __init__(self, side: Literal["robot", "station"], code: str, fingerprint: bytes) -> None:
-        """Raises ConfigError: `spake2` is not installed."""
+        """Raises ConfigError: `cryptography` is not installed."""
+        self._code = code
+        self._begins = side == "station"
+        self._scalar = secrets.token_bytes(SHARE_BYTES)
+        self._key = b""
         try:
-            from spake2 import SPAKE2_A, SPAKE2_B
+            share = multiply(self._scalar, generator(code.encode("ascii"), _CHANNEL + fingerprint))
         except ImportError as exc:
             raise ConfigError(
                 f"pairing needs {exc.name}, which is not installed; install sentinel-robot with [robot] or [station]"
             ) from exc
-        kind = SPAKE2_A if side == "station" else SPAKE2_B
-        self._code = code
-        self._exchange: Any = kind(code.encode("ascii"), idA=_STATION, idB=_ROBOT + fingerprint)
-        self.message: bytes = self._exchange.start()
-        self._key = b""
+        self.message = _CPACE + share
 
     def is_for(self, code: str) -> bool:
         """Whether this exchange was begun for that code."""
@@ -59,13 +61,16 @@ class Pake:
 
     def receive(self, message: bytes) -> None:
         """The other side's message. Raises RemoteProtocolError: it is none."""
-        from spake2 import SPAKEError
-        from spake2.ed25519_basic import NotOnCurve
-
+        if message.startswith(_SPAKE2):
+            raise RemoteProtocolError("the peer pairs as an earlier release did; install the same release on both")
         try:
-            self._key = self._exchange.finish(message)
-        except (SPAKEError, NotOnCurve, ValueError, AssertionError) as exc:
+            if not message.startswith(_CPACE):
+                raise ValueError("another exchange")
+            secret = multiply(self._scalar, message[1:])
+        except ValueError as exc:
             raise RemoteProtocolError("the peer's part of the pairing is not valid") from exc
+        first, second = (self.message, message) if self._begins else (message, self.message)
+        self._key = session_key(secret, (first, b""), (second, b""))
 
     def mac(self, of: Literal["robot", "station"]) -> bytes:
         """Shows that this side has the key."""

@@ -13,6 +13,7 @@ import msgspec
 from shared.access import Role, Token, is_proof, is_secret_of
 from shared.errors import ConfigError
 from shared.private_files import locked, make_private_folder, read_private, write_private
+from shared.text import is_printable
 
 FILE_NAME = "tokens.json"
 MAX_SESSIONS = 32  # of one token; beyond, the oldest ends
@@ -138,7 +139,7 @@ class TokenBook:
 
     def add(self, name: str, role: Role, now_s: float, lifetime_s: float | None = None) -> Token:
         """A new token. Raises ConfigError: a live one has this name already."""
-        if not 0 < len(name) <= 64 or not name.isprintable():
+        if not 0 < len(name) <= 64 or not is_printable(name):
             raise ConfigError(f"{name!r} is no name for a token; give 1 to 64 printable characters")
         token = Token.new()
         with self._changing():

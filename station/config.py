@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import ipaddress
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,7 +17,8 @@ from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
-from shared.messages import MAX_DRIVE_TTL_MS
+from shared.messages import MAX_DRIVE_TTL_MS, MAX_NAME_LENGTH
+from shared.text import is_printable
 
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes
@@ -25,6 +27,8 @@ BACKENDS = ("sfm", "ukf")
 AUTO = "auto"  # what suits the robot
 DASK, PROCESSES = "dask://", "processes"
 NAME_RULE = "a robot's name has 1 to 40 letters, digits, - and _, and begins with a letter"
+# Letters of any alphabet: names in DNS may have them.
+_ADDRESS = re.compile(r"(?:\[(?P<v6>[^\[\]]+)\]|(?P<host>[^\s:\[\]]+))(?::(?P<port>[0-9]{1,5}))?")
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 
@@ -139,6 +143,8 @@ class StationConfig:
         _check_range("api.port", self.api.port, 0, 65535)
         for number, robot in enumerate(self.robots):
             _check_range(f"robots[{number}].port", robot.port, 1, 65535)
+        if not 0 < len(self.name) <= MAX_NAME_LENGTH or not is_printable(self.name):  # robots would refuse it
+            raise ConfigError(f"name = {self.name!r} must have 1 to {MAX_NAME_LENGTH} characters that can be shown")
         _check_fleet(self.fleet)
         check_executor(self.executor)
 
@@ -177,14 +183,28 @@ def parse_robot(text: str, option: str) -> RobotConfig:
 
 
 def parse_address(text: str, option: str) -> tuple[str, int]:
-    """`HOST:PORT`, `[V6]:PORT` or only a host. Raises ConfigError naming the option."""
-    host, colon, port = text.rpartition(":")
-    if not colon or text.endswith("]"):
-        host, port = text, str(DEFAULT_PORT)
-    host = host.removeprefix("[").removesuffix("]")
-    if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
-        raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_PORT}")
-    return host, int(port)
+    """`HOST:PORT`, `[V6]:PORT` or only a host; V6 without a port also bare. Raises ConfigError naming the option."""
+    if _is_v6(text):
+        return text, DEFAULT_PORT
+    found = _ADDRESS.fullmatch(text)
+    if found is not None and is_printable(text) and (found["host"] or _is_v6(found["v6"])):
+        port = int(found["port"] or DEFAULT_PORT)
+        if 1 <= port <= 65535:
+            return found["host"] or found["v6"], port
+    raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_PORT}")
+
+
+def show_address(host: str, port: int) -> str:
+    """As `parse_address` reads it."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def _is_v6(text: str) -> bool:
+    try:
+        ipaddress.IPv6Address(text)
+    except ValueError:
+        return False
+    return is_printable(text)  # its zone may be anything
 
 
 def _check_fleet(fleet: tuple[RobotConfig, ...]) -> None:

@@ -14,6 +14,7 @@ from shared.access import Token
 from shared.certificates import HANDSHAKE_WITHIN_S, fingerprint_of_der, pinning_context
 from shared.errors import ConfigError, RobotSystemError
 from station.access.paired_robots import PairedRobots
+from station.config import show_address
 
 READ_BYTES = 256 * 1024
 CONNECT_WITHIN_S = 1.5
@@ -49,23 +50,30 @@ def in_words(error: BaseException, address: str) -> str:
     return f"{address} cannot be reached ({error})"
 
 
-async def connect(host: str, port: int, robots: PairedRobots | None) -> Connection:
-    """Raises OSError, UnicodeError (no host name), ConnectionRefused, ConfigError."""
+async def connect(host: str, port: int, robots: PairedRobots | None, *, is_given: bool = True) -> Connection:
+    """To the robot that this address means, or (not `is_given`: it was found) to any paired one.
+
+    Raises OSError, UnicodeError (no host name), ConnectionRefused, ConfigError.
+    """
     connection = await _open(host, port, lambda address: robots is not None and robots.needs_tls(host, port, address))
     if robots is None or not connection.fingerprint:
         return connection
-    known = robots.recognise(connection.fingerprint, host, port)
-    if isinstance(known, str):
+    recognise = robots.recognise if is_given else robots.recognise_anywhere
+    try:
+        known = await asyncio.to_thread(recognise, connection.fingerprint, host, port)  # it may write
+        if isinstance(known, str):
+            raise ConnectionRefused(known)
+    except BaseException:
         connection.writer.transport.abort()
-        raise ConnectionRefused(known)
+        raise
     return Connection(connection.reader, connection.writer, connection.fingerprint, known[1])
 
 
-async def answers(host: str, port: int, robots: PairedRobots | None) -> bool:
+async def answers(host: str, port: int, robots: PairedRobots | None, *, is_given: bool = True) -> bool:
     """Whether the robot says a first word on a new connection, which is closed again."""
     try:
         async with asyncio.timeout(CONNECT_WITHIN_S):
-            connection = await connect(host, port, robots)
+            connection = await connect(host, port, robots, is_given=is_given)
             try:
                 return bool(await connection.reader.read(1))
             finally:
@@ -98,7 +106,7 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
             raise
         try:
             if needs_tls(str(address[0])):
-                return await _shake_hands(connection, f"{host}:{port}")
+                return await _shake_hands(connection, show_address(host, port))
             return Connection(*await _streams(connection))
         except OSError as exc:
             error = exc

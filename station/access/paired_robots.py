@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Literal
 
@@ -13,8 +14,11 @@ from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
 from shared.listening import is_loopback
 from shared.private_files import locked, make_private_folder, read_private, write_private
+from station.config import show_address
 
+logger = logging.getLogger(__name__)
 FILE_NAME = "robots.json"
+MAX_ADDRESSES = 16  # of one robot; beyond, the oldest is free again
 
 
 class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
@@ -22,10 +26,16 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
 
     robot_id: str
     name: str
-    host: str  # where it was when it was paired; it is known again wherever it shows its certificate
+    host: str  # where it was when it was paired
     port: int
     fingerprint: str  # hex SHA-256 of its certificate
     token: str
+    also_at: tuple[str, ...] = ()  # further HOST:PORT that were given for it; no other robot is met there
+
+    def is_at(self, host: str, port: int) -> bool:
+        """Whether this address, as a person gives it, means this robot."""
+        here = show_address(host, port).lower()
+        return here in (show_address(self.host, self.port).lower(), *self.also_at)
 
     def __repr__(self) -> str:
         return f"PairedRobot({self.name!r}, {show_fingerprint(bytes.fromhex(self.fingerprint))})"
@@ -57,40 +67,73 @@ class PairedRobots:
 
     def needs_tls(self, host: str, port: int, address: str) -> bool:
         """Whether a robot is met by TLS only: it was paired under this name, or others reach this address too."""
-        if any((robot.host, robot.port) == (host, port) for robot in self.all()):
+        if any(robot.is_at(host, port) for robot in self.all()):
             return True
         return not self._allow_open and not is_loopback(address)
 
     def recognise(self, fingerprint: bytes, host: str, port: int) -> tuple[PairedRobot, Token] | str:
-        """Who shows this certificate, or the sentence why nothing is said to it."""
+        """Who shows this certificate at an address that a person gave, or the sentence why nothing is said to it.
+
+        An address belongs to the first paired robot that is met there: two that swap theirs must not swap drivers.
+        """
         robots = self.all()
-        shown = show_fingerprint(fingerprint)
-        for robot in robots:
+        robot = next((robot for robot in robots if robot.fingerprint == fingerprint.hex()), None)
+        owner = next((robot for robot in robots if robot.is_at(host, port)), None)
+        if owner is not None and owner != robot:
+            return self._in_its_place(show_address(host, port), owner, robot, fingerprint)
+        known = self.recognise_anywhere(fingerprint, host, port)
+        if owner is None and not isinstance(known, str):
+            self._note_address(known[0], show_address(host, port).lower())
+        return known
+
+    def recognise_anywhere(self, fingerprint: bytes, host: str, port: int) -> tuple[PairedRobot, Token] | str:
+        """The same where nobody gave an address: any paired robot may be there."""
+        for robot in self.all():
             if robot.fingerprint == fingerprint.hex():
                 token = Token.parse(robot.token)
                 return (robot, token) if token else f"the token for {robot.name} in {self.path} is damaged; pair again"
-        for robot in robots:
-            if (robot.host, robot.port) == (host, port):
-                return (
-                    f"{host}:{port} shows the certificate {shown} and not that of {robot.name}"
-                    f" ({show_fingerprint(bytes.fromhex(robot.fingerprint))}): it was set up anew, then pair again,"
-                    " or another machine answers in its place"
-                )
+        address = show_address(host, port)
         return (
-            f"the robot at {host}:{port} (certificate {shown}) is not paired with this station;"
-            f" run `robot-server pair` on it, then `station pair {host}:{port} --code CODE{self._data}`"
+            f"the robot at {address} (certificate {show_fingerprint(fingerprint)}) is not paired with this station;"
+            f" run `robot-server pair` on it, then `station pair {address} --code CODE{self._data}`"
         )
 
     def store(self, robot: PairedRobot) -> None:
         """Add a robot; it replaces one with the same certificate or address."""
         make_private_folder(self.path.parent)
+        address = show_address(robot.host, robot.port).lower()
         with locked(self.path):
-            others = [
-                known
-                for known in self.all()
-                if known.fingerprint != robot.fingerprint and (known.host, known.port) != (robot.host, robot.port)
-            ]
+            others = []
+            for known in self.all():
+                if known.fingerprint == robot.fingerprint:
+                    robot = msgspec.structs.replace(robot, also_at=_without(known.also_at, address))
+                elif (known.host, known.port) != (robot.host, robot.port):
+                    others.append(msgspec.structs.replace(known, also_at=_without(known.also_at, address)))
             self._write((*others, robot))
+
+    def _note_address(self, robot: PairedRobot, address: str) -> None:
+        """From now on nobody else is met at this address."""
+        try:
+            with locked(self.path):
+                noted = msgspec.structs.replace(robot, also_at=(*robot.also_at, address)[-MAX_ADDRESSES:])
+                self._write(tuple(noted if known == robot else known for known in self.all()))
+        except ConfigError as exc:  # a disk that takes no writes must not keep the robot from being used
+            logger.warning("that %s means %s cannot be noted: %s", address, robot.name, exc)
+
+    def _in_its_place(self, address: str, owner: PairedRobot, robot: PairedRobot | None, fingerprint: bytes) -> str:
+        """Why nothing is said to who answers at another robot's address."""
+        if robot is None:
+            return (
+                f"{address} shows the certificate {show_fingerprint(fingerprint)} and not that of {owner.name}"
+                f" ({show_fingerprint(bytes.fromhex(owner.fingerprint))}): it was set up anew, then pair again,"
+                " or another machine answers in its place"
+            )
+        return (
+            f"{address} is {owner.name}'s, and {robot.name} (certificate {show_fingerprint(fingerprint)}) is there;"
+            " they may have changed addresses: give a name that follows the robot, such as HOST.local, or pair"
+            f" {robot.name} under this address: `robot-server pair` on it, then"
+            f" `station pair {address} --code CODE{self._data}`"
+        )
 
     def forget(self, name: str) -> list[PairedRobot]:
         """Forget a robot by its name, id or host. Raises ConfigError: none has this name."""
@@ -103,3 +146,7 @@ class PairedRobots:
 
     def _write(self, robots: tuple[PairedRobot, ...]) -> None:
         write_private(self.path, msgspec.json.format(msgspec.json.encode(_File(robots=robots))))
+
+
+def _without(addresses: tuple[str, ...], address: str) -> tuple[str, ...]:
+    return tuple(known for known in addresses if known != address)

@@ -21,6 +21,7 @@ from shared.pairing import Pake
 from shared.session import Session
 from station.access.connecting import READ_BYTES, Connection, ConnectionRefused, connect_by_tls
 from station.access.paired_robots import PairedRobot
+from station.config import show_address
 
 PAIR_WITHIN_S = 15.0  # a Pi computes for some tenths of a second
 
@@ -35,7 +36,7 @@ async def pair(host: str, port: int, code: str, station_name: str) -> PairedRobo
     Args:
         code: its digits, see shared.pairing.parse_code.
     """
-    address = f"{host}:{port}"
+    address = show_address(host, port)
     try:
         async with asyncio.timeout(PAIR_WITHIN_S):
             connection = await connect_by_tls(host, port)
@@ -53,12 +54,13 @@ async def pair(host: str, port: int, code: str, station_name: str) -> PairedRobo
 
 async def _talk(connection: Connection, host: str, port: int, code: str, station_name: str) -> PairedRobot:
     session = Session("station", time.monotonic_ns())
+    address = show_address(host, port)
 
     async def hear() -> Message:
         while (message := session.next_message(time.monotonic_ns())) is None:
             data = await connection.reader.read(READ_BYTES)
             if not data:
-                raise PairingFailed(f"{host}:{port} closed the connection; try again")
+                raise PairingFailed(f"{address} closed the connection; try again")
             session.receive(data)
         match message:
             case Refusal():
@@ -70,19 +72,19 @@ async def _talk(connection: Connection, host: str, port: int, code: str, station
 
     hello = await hear()
     if not isinstance(hello, Hello) or not hello.challenge:
-        raise PairingFailed(f"the robot at {host}:{port} has no access control; there is nothing to pair")
+        raise PairingFailed(f"the robot at {address} has no access control; there is nothing to pair")
     pake = await asyncio.to_thread(Pake, "station", code, connection.fingerprint)
     request = PairRequest(protocol=PROTOCOL_VERSION, station_name=station_name[:64], message=pake.message)
     connection.writer.write(session.send(request))
     reply = await hear()
     if not isinstance(reply, PairReply):
-        raise PairingFailed(f"the robot at {host}:{port} answered with {reply}; install the same release on both")
+        raise PairingFailed(f"the robot at {address} answered with {reply}; install the same release on both")
     await asyncio.to_thread(pake.receive, reply.message)
     connection.writer.write(session.send(PairProof(mac=pake.mac("station"))))
     paired = await hear()
     # The robot's proof comes last: who does not know the code must not be remembered as the robot.
     if not isinstance(paired, Paired) or not pake.is_mac("robot", paired.mac):
-        raise PairingFailed(f"what answers at {host}:{port} does not know the code; it is not the robot that showed it")
+        raise PairingFailed(f"what answers at {address} does not know the code; it is not the robot that showed it")
     return PairedRobot(
         robot_id=hello.robot_id,
         name=hello.name,

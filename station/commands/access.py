@@ -25,7 +25,7 @@ from station.access.paired_robots import PairedRobots
 from station.access.pairing import pair as pair_with
 from station.access.visitors import LINK_S, access_folder
 from station.commands.options import Config, Data, Json
-from station.config import DEFAULT_DATA_DIR, load_config, parse_address
+from station.config import DEFAULT_DATA_DIR, load_config, parse_address, show_address
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"
@@ -135,8 +135,8 @@ def pair(
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))
         return
-    where = f"{option('--data', data)}{option('--config', config)}"
-    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {host}:{port}{where}")
+    where = f"{show_address(host, port)}{option('--data', data)}{option('--config', config)}"
+    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {where}")
 
 
 def robots(
@@ -154,7 +154,7 @@ def robots(
         print(json.dumps([dict(zip(("name", "host", "port", "fingerprint"), r, strict=True)) for r in known]))
         return
     for name, host, port, fingerprint in known:
-        print(f"{name}  {host}:{port}  certificate {show_fingerprint(bytes.fromhex(fingerprint))}")
+        print(f"{name}  {show_address(host, port)}  certificate {show_fingerprint(bytes.fromhex(fingerprint))}")
     if not known:
         print("none")
 

@@ -19,6 +19,7 @@ from station.commands.progress import Bar, working
 from station.config import check_backend, check_executor
 from station.datasets import open_dataset
 from station.files.navigation_folder import load_navigation
+from station.maps.editing import tidy_name
 from station.maps.folder import load_map_folder, save_map_folder
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceEdge, PlaceMap
@@ -67,6 +68,7 @@ def build(
     check_out_folder(out)
     if out.is_dir() and any(out.iterdir()) and not (out / "map.json").is_file():
         raise DataError(f"{out} exists and is no map; give a new folder")
+    name = name and tidy_name(name, "--name")
     config = PlacesConfig(mode, ThesisConfig(eps, min_pts))
     old = None if names_from is None else load_map_folder(names_from)
     with working("reading the navigations") as bar, open_executor(executor) as machines:

@@ -13,6 +13,7 @@ import typer
 
 from shared.certificates import show_fingerprint
 from shared.listening import bind
+from shared.repetition import start_logging
 from station.commands.options import overridden
 from station.config import (
     DEFAULT_DATA_DIR,
@@ -73,9 +74,7 @@ def serve(
     from station.app import Station  # the web and estimation libraries load only for this command
     from station.workers.scheduling import request_short_slices
 
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING, format="station: %(levelname)s: %(message)s"
-    )
+    start_logging(logging.INFO if verbose else logging.WARNING, "station: %(levelname)s: %(message)s")
     settings = _settings(load_config(config), robot, host, port, data, backend, insecure, executor)
     listener = bind(settings.api.host, settings.api.port)
     with listener:

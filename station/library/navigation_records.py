@@ -9,12 +9,13 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
 from shared.disk import make_folder, replace_file
 from shared.errors import DataError
+from shared.text import PRINTABLE
 from station.errors import Unknown
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.library.dated_id import free_dated_id
@@ -32,7 +33,7 @@ class NavigationRecord:
     """One recorded navigation and how far its SLAM is."""
 
     id: str
-    name: str
+    name: Annotated[str, msgspec.Meta(pattern=PRINTABLE)]
     state: NavigationState
     started_wall_s: float  # seconds since 1970
     backend: str

@@ -13,6 +13,7 @@ from typing import Any
 from sqlalchemy import BigInteger, Column, Integer, MetaData, String, Table, Text, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import DataError as NotStorable
 from sqlalchemy.pool import NullPool
 
 from shared.advice import install
@@ -187,6 +188,8 @@ class Database:
                 if told is not None:  # says it better than "unable to open database file"
                     raise cannot_write(self.place, told) from exc
                 raise Unwritable(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc
+            if isinstance(exc, NotStorable):  # PostgreSQL holds no NUL, SQLite does: nothing is damaged
+                raise DataError(f"{self.place} cannot hold what was given ({reason})") from exc
             if isinstance(exc, OperationalError):
                 raise DataError(f"{self.place} cannot be used ({reason}); {self._remedy(reason)}") from exc
             raise IndexDamaged(f"{self.place} is damaged ({reason})") from exc

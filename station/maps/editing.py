@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 from shared.errors import DataError
+from shared.text import is_printable
 from station.model.place_map import PlaceMap
 
 MAX_NAME = 80  # characters
 
 
 def tidy_name(name: str, what: str) -> str:
-    """Without stray spaces. Raises DataError for one that is empty or too long."""
+    """Without stray spaces. Raises DataError for one that is empty, too long or cannot be shown."""
     name = " ".join(name.split())
+    if not is_printable(name):
+        raise DataError(f"{what} holds a character that cannot be shown; give letters, digits and signs")
     if not 0 < len(name) <= MAX_NAME:
         raise DataError(f"{what} needs 1 to {MAX_NAME} characters, not {len(name)}")
     return name

@@ -16,6 +16,7 @@ import numpy as np
 
 from shared.bounded import parse_json, shown
 from shared.errors import DataError
+from shared.text import is_printable
 from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
 from station.maps.address import address_of
 from station.maps.blobs import Blobs, Damaged
@@ -58,7 +59,10 @@ class MapRecord:
 
 
 def describe_map(place_map: PlaceMap, files: dict[str, FileRef]) -> MapRecord:
-    """A record of this content, still without place in a history."""
+    """A record of this content, still without place in a history. Raises DataError: a name cannot be shown."""
+    for name in (place_map.name, *(place.name for place in place_map.places)):
+        if not is_printable(name):
+            raise DataError(f"map {place_map.id}: the name {name!r} holds characters that cannot be shown")
     return MapRecord(
         map_id=place_map.id,
         name=place_map.name,
@@ -120,7 +124,7 @@ def decode_record(data: bytes, what: str) -> MapRecord:
             raise DataError(f"{what} has format {content['format']}, this program reads {FORMAT}; update the station")
         msgspec.convert(content, _Document)
         return MapRecord(
-            **{key: content[key] for key in _PLAIN},
+            **{key: _shown(content[key]) for key in _PLAIN},
             places=decode_places(content["places"]),
             edges=decode_edges(content["edges"]),
             config=content["config"],
@@ -191,12 +195,19 @@ def decode_edges(documents: list[dict[str, Any]]) -> tuple[PlaceEdge, ...]:
     return edges
 
 
+def _shown(value: Any) -> Any:
+    """A value that people are shown. Raises ValueError: text that would do something else to a terminal."""
+    if isinstance(value, str) and not is_printable(value):
+        raise ValueError(f"{value!r} holds characters that cannot be shown")
+    return value
+
+
 def _decode_place(values: dict[str, Any]) -> Place:
     msgspec.convert(values, _PlaceDocument)
     _check_finite((*values["centroid_map"], values["radius"], values["quality"]))
     return Place(
         id=values["id"],
-        name=values["name"],
+        name=_shown(values["name"]),
         centroid_map=np.array(values["centroid_map"], dtype=np.float64),
         radius=values["radius"],
         landmark_index=np.array(values["landmark_index"], dtype=np.int64),

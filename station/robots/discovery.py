@@ -1,61 +1,80 @@
-"""Finds robots that make themselves known in the local network."""
+"""Finds robots that make themselves known in the local network. Anybody there may say anything: nothing is believed."""
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Sequence
+import asyncio
+import contextlib
+import random
+from collections.abc import Collection, Sequence
 
-from zeroconf import InterfaceChoice, ServiceBrowser, ServiceListener, Zeroconf
+from zeroconf import InterfaceChoice, ServiceStateChange, Zeroconf
+from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
 
-from shared.discovery import SERVICE_TYPE
+from shared.discovery import SERVICE_TYPE, service_label
+from station.robots.search import FoundRobot
 
-LOOKUP_MS = 2000
+SETTLE_S = 0.5  # all answer a question within a tenth of a second, or a second if somebody else has just asked it
+LOOKUP_MS = 1000
+MAX_SERVICES = 32  # looked up at once; of more by chance, so that nobody can fill the list for long
+MAX_ADDRESSES = 4  # of one service
 
 
-def find_robot(seconds: float, interfaces: Sequence[str] = ()) -> tuple[str, int] | None:
-    """Address of the first robot found within some seconds; None when there is none. Blocks.
+def find_robots(
+    seconds: float, preferred: Collection[str] = (), interfaces: Sequence[str] = ()
+) -> tuple[FoundRobot, ...]:
+    """All that make themselves known, each address of each. Blocks.
 
     Args:
-        seconds: how long to look.
+        seconds: how long to look; less once a preferred one (of none: anybody) has answered and nobody else does.
+        preferred: ids of robots that are looked up before others.
         interfaces: addresses of the network interfaces to look on; none means all.
     """
     try:
-        network = Zeroconf(interfaces=list(interfaces) or InterfaceChoice.All)
+        return asyncio.run(_find(seconds, preferred, interfaces))
     except OSError:
-        return None  # no network at all
+        return ()  # no network at all
+
+
+async def _find(seconds: float, preferred: Collection[str], interfaces: Sequence[str]) -> tuple[FoundRobot, ...]:
+    network = AsyncZeroconf(interfaces=list(interfaces) or InterfaceChoice.All)
     try:
-        names = _Names()
-        ServiceBrowser(network, SERVICE_TYPE, names)
-        deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0 and names.found.wait(left):
-            for name in names.take():
-                info = network.get_service_info(SERVICE_TYPE, name, LOOKUP_MS)
-                addresses = info.parsed_addresses() if info is not None else []
-                if info is not None and info.port and addresses:
-                    return addresses[0], info.port
-        return None
+        labels = tuple(map(service_label, preferred))
+        services = _chosen(await _listen(network.zeroconf, seconds, labels), labels)
+        await asyncio.gather(*(service.async_request(network.zeroconf, LOOKUP_MS) for service in services))
+        return tuple(found for service in services for found in _robots(service))
     finally:
-        network.close()
+        await network.async_close()
 
 
-class _Names(ServiceListener):
-    """Names of services as they turn up, filled by zeroconf's thread."""
+async def _listen(network: Zeroconf, seconds: float, labels: tuple[str, ...]) -> list[str]:
+    """Names of services that turn up; those that begin with one of `labels` are waited for."""
+    names: dict[str, None] = {}
+    fresh = asyncio.Event()
 
-    def __init__(self) -> None:
-        self.found = threading.Event()
-        self._names: list[str] = []
+    def on_change(zeroconf: Zeroconf, service_type: str, name: str, state_change: ServiceStateChange) -> None:  # noqa: ARG001
+        if state_change is not ServiceStateChange.Removed:
+            names[name] = None
+            fresh.set()
 
-    def take(self) -> list[str]:
-        self.found.clear()
-        names, self._names = self._names, []
-        return names
+    browser = AsyncServiceBrowser(network, SERVICE_TYPE, handlers=[on_change])
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await fresh.wait()
+            while True:
+                fresh.clear()
+                is_enough = not labels or any(name.startswith(labels) for name in names)
+                await asyncio.wait_for(fresh.wait(), SETTLE_S if is_enough else seconds)
+    await browser.async_cancel()
+    return list(names)
 
-    def add_service(self, zc: Zeroconf, type_: str, name: str) -> None:  # noqa: ARG002
-        self._names.append(name)
-        self.found.set()
 
-    def update_service(self, zc: Zeroconf, type_: str, name: str) -> None:
-        self.add_service(zc, type_, name)
+def _chosen(names: list[str], labels: tuple[str, ...]) -> list[AsyncServiceInfo]:
+    random.shuffle(names)
+    names.sort(key=lambda name: not name.startswith(labels))
+    return [AsyncServiceInfo(SERVICE_TYPE, name) for name in names[:MAX_SERVICES]]
 
-    def remove_service(self, zc: Zeroconf, type_: str, name: str) -> None: ...
+
+def _robots(service: AsyncServiceInfo) -> list[FoundRobot]:
+    robot_id = (service.properties.get(b"robot_id") or b"").decode(errors="replace")
+    addresses = service.parsed_scoped_addresses()[:MAX_ADDRESSES] if service.port else []
+    return [FoundRobot(robot_id, address, service.port or 0) for address in addresses]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from shared.access import prove
 from shared.errors import ConfigError, RemoteProtocolError
@@ -35,9 +35,11 @@ from station.access.connecting import (
     in_words,
 )
 from station.access.paired_robots import PairedRobots
+from station.config import show_address
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
 from station.robots.link_state import Arrivals, Hearing, LinkClock, LinkState, RateMeter
+from station.robots.search import Find, FoundRobot, RobotSearch
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +48,6 @@ REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
 AUTO = "auto"  # as host: look for a robot
-FIND_WITHIN_S = 2.0
 NO_ROBOT_FOUND = (
     "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
 )
@@ -66,11 +67,11 @@ class RobotLink:
         *,
         station_name: str = "station",
         now_ns: Callable[[], int] = time.monotonic_ns,
-        find: Callable[[float], tuple[str, int] | None] | None = None,
+        find: Find | None = None,
         robots: PairedRobots | None = None,
     ) -> None:
         """`robots`: who is paired with this station; None: robots are met without TLS wherever they are."""
-        self._find = find if find is not None or host != AUTO else _find_in_network
+        self._search = RobotSearch(robots, find or _find_in_network) if host == AUTO else None
         self._host = host
         self._port = port
         self._listener = listener
@@ -130,7 +131,8 @@ class RobotLink:
             was_connected = False
             self._retry_s = RETRY_S
             try:
-                self._reason = await self._connect_once()
+                search = self._search
+                self._reason = await (self._connect_once() if search is None else self._find_and_connect(search))
             finally:
                 was_connected, self._connected = self._connected, False
                 self.commands.close()
@@ -140,17 +142,25 @@ class RobotLink:
                 self._listener.on_disconnected(self._reason)
             await asyncio.sleep(self._retry_s)
 
+    async def _find_and_connect(self, search: RobotSearch) -> str:
+        """Try who makes itself known; returns the sentence why there is no connection any longer."""
+        found = await search.next()
+        if found is None:
+            return NO_ROBOT_FOUND
+        self._host, self._port = found.host, found.port
+        reason = await self._connect_once()
+        if self._connected:
+            return reason
+        if search.has_more:
+            self._retry_s = 0.0
+        return search.refuse(found, reason)
+
     async def _connect_once(self) -> str:
         """Connect and stay connected; returns the sentence why not any longer."""
-        if self._find is not None:
-            found = await asyncio.to_thread(self._find, FIND_WITHIN_S)
-            if found is None:
-                return NO_ROBOT_FOUND
-            self._host, self._port = found
-        address = f"{self._host}:{self._port}"
+        address = show_address(self._host, self._port)
         try:
             async with asyncio.timeout(CONNECT_WITHIN_S):
-                connection = await connect(self._host, self._port, self._robots)
+                connection = await connect(self._host, self._port, self._robots, is_given=self._search is None)
         except TimeoutError:
             self._retry_s = 0.0  # it has waited long enough; what was lost on the way does not come any more
             return f"no answer from {address}; check that the robot is on and in this network"
@@ -163,6 +173,10 @@ class RobotLink:
             logger.info("%s: %s", self._host, exc)
             return f"{self._host} is no host name; give --robot HOST:PORT"
         writer = connection.writer
+        if self._search is not None and (refusal := self._search.refusal(connection.fingerprint)):
+            writer.transport.abort()
+            self._retry_s = REFUSED_RETRY_S
+            return refusal
         self._connection = connection
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
@@ -246,7 +260,7 @@ class RobotLink:
             self._silence.clear()
             while session.state is State.QUIET or self._is_unheard(self._now_ns()):
                 num_bytes = self._arrived.bytes  # half a message that trickles is life enough
-                is_there = await answers(self._host, self._port, self._robots)
+                is_there = await answers(self._host, self._port, self._robots, is_given=self._search is None)
                 is_silent = session.state is State.QUIET and self._arrived.bytes == num_bytes
                 if is_there and (is_silent or self._is_unheard(self._now_ns())):
                     self._retry_s = 0.0
@@ -283,6 +297,8 @@ class RobotLink:
                 self._greet(message)
             case Welcome():
                 self._connected = True
+                if self._search is not None and self._connection is not None:
+                    self._search.accept(self._connection.fingerprint)
                 self.commands.open(None if self._hello is None else self._hello.capabilities)
                 self._connections += 1
                 self._hearing.note_answer(now_ns)
@@ -331,11 +347,11 @@ class RobotLink:
         self._listener.on_notice(notice)
 
 
-def _find_in_network(seconds: float) -> tuple[str, int] | None:
+def _find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:
     # Imported only here: zeroconf opens sockets of its own, and who gives an address does not need it.
-    from station.robots.discovery import find_robot
+    from station.robots.discovery import find_robots
 
-    return find_robot(seconds)
+    return find_robots(seconds, paired)
 
 
 class _Ended(Exception):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
+from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
 from station.config import RobotConfig, StationConfig
 from station.errors import Conflict, NoRobot, NotCapable, OutOfRange
@@ -33,6 +34,7 @@ from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
 
 MAX_STOP_LINES = 8
+MAX_WARNINGS = 20  # different ones of one robot in a minute
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
 
@@ -74,6 +76,7 @@ class RobotSession(IgnoringListener):
         self._driver: str | None = None  # as was notified
         self._last_driver: str | None = None
         self._logged_stops: set[tuple[str, str]] = set()  # who and why, since it moved last
+        self._warnings = Repetition(MAX_WARNINGS)
         self._hijacking = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.current_place = CurrentPlace(
@@ -228,7 +231,7 @@ class RobotSession(IgnoringListener):
         self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
 
     def on_gap(self, num_samples: int) -> None:
-        self.events.notify("link", f"{num_samples} inertial samples were lost", "warning")
+        self._warn("link", f"{num_samples} inertial samples were lost", "gap")
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.applied = applied
@@ -237,7 +240,15 @@ class RobotSession(IgnoringListener):
         self.events.changed("robot")
 
     def on_notice(self, notice: ErrorNotice) -> None:
-        self.events.notify("robot", notice.message, "error" if notice.fatal else "warning")
+        if notice.fatal:
+            self.events.notify("robot", notice.message, "error")
+        else:
+            self._warn("robot", notice.message)
+
+    def _warn(self, topic: str, text: str, key: str = "") -> None:
+        """A robot may say the same many times a second, or ever other things: the log keeps room for other lines."""
+        if (line := self._warnings.news(text, key)) is not None:
+            self.events.notify(topic, line, "warning")
 
     def _receive_fit(self, hello: Hello, fit: CalibrationFit) -> None:
         """What SLAM says of the calibration in this hello; pages are told when it means something else than before."""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from shared.errors import RobotSystemError
+from shared.repetition import start_logging
 from station.workers.request import Program, ProgramName, WorkerFailed
 
 logger = logging.getLogger(__name__)
@@ -99,7 +100,7 @@ def run_worker(socket: socket.socket, name: str, head_start_s: float, program_na
     with contextlib.suppress(OSError):  # `top` shows which robot's worker it is; only Linux has this file
         Path("/proc/self/comm").write_text(name[:15])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    start_logging(logging.INFO, "%(levelname)s %(name)s: %(message)s")
 
     def emit(event: object) -> None:
         pipe.send(Reply(None, True, event))

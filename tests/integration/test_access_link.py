@@ -7,11 +7,13 @@ import time
 from pathlib import Path
 from typing import get_args
 
+import msgspec
 import pytest
 
 from robot.access import MESSAGE_ROLES
 from shared.access import Role, Token, prove
 from shared.certificates import make_identity
+from shared.errors import ConfigError
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.messages import (
     PROTOCOL_VERSION,
@@ -32,8 +34,9 @@ from shared.messages import (
     encode_message,
 )
 from shared.token_book import TokenBook
+from station.access import paired_robots
 from station.access.connecting import ConnectionRefused, connect, connect_by_tls
-from station.access.paired_robots import PairedRobots
+from station.access.paired_robots import PairedRobot, PairedRobots
 from tests.support.access import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
 from tests.support.link import running_robot, until
 
@@ -154,6 +157,79 @@ async def test_another_certificate_at_a_known_address_is_refused_before_a_word_i
         async with linked(bench.port, robots) as (link, _):
             await until(lambda: "pair again" in link.state.reason)
             assert not link.state.connected and not bench.heard
+
+
+async def test_another_paired_robot_at_a_known_address_is_refused_and_hears_nothing(tmp_path: Path) -> None:
+    """Two robots that swap their addresses must not swap drivers."""
+    robots = PairedRobots(tmp_path / "station", data_dir=tmp_path)
+    async with guarded_robot(tmp_path / "anna") as anna, guarded_robot(tmp_path / "berta") as berta:
+        for bench, name in ((anna, "Anna"), (berta, "Berta")):
+            bench.admit("desk", Role.DRIVE, robots)
+            robots.store(msgspec.structs.replace(robots.all()[-1], name=name))
+        ports = anna.port, berta.port
+        for port in ports:
+            async with linked(port, robots) as (link, _):
+                await until(lambda: link.state.connected)
+        berta.heard.clear()
+        await anna.stop()
+        await berta.stop()
+        berta.port, anna.port = ports
+        await anna.start()
+        await berta.start()
+        async with linked(ports[0], robots) as (link, _):
+            await until(lambda: "is Anna's, and Berta" in link.state.reason)
+            assert f"--code CODE --data {tmp_path}`" in link.state.reason
+            assert not link.commands.drive(0.2, 0.0, 200)
+            assert not link.state.connected and not berta.heard
+            assert all((linear, angular) == (0.0, 0.0) for _, linear, angular in berta.motors.history)
+
+
+def test_an_address_belongs_to_the_first_paired_robot_that_is_met_there(tmp_path: Path) -> None:
+    """Also where it is not the one that the robot was paired at, and after the station was started anew."""
+    robots = PairedRobots(tmp_path)
+    first, second = bytes([1] * 32), bytes([2] * 32)
+    anna, berta = (
+        PairedRobot(
+            robot_id=name,
+            name=name,
+            host=host,
+            port=7400,
+            fingerprint=fingerprint.hex(),
+            token=Token.new().text,
+        )
+        for name, host, fingerprint in (("Anna", "192.168.1.20", first), ("Berta", "192.168.1.21", second))
+    )
+    robots.store(anna)
+    robots.store(berta)
+    assert not isinstance(robots.recognise(first, "Anna.local", 7400), str)
+    again = PairedRobots(tmp_path)
+    assert again.needs_tls("anna.local", 7400, "127.0.0.1")
+    said = again.recognise(second, "anna.local", 7400)
+    assert isinstance(said, str) and "is Anna's, and Berta" in said
+    assert not isinstance(again.recognise(first, "anna.local", 7400), str)
+    assert not isinstance(again.recognise(second, "anna.local", 7401), str)  # another one's port
+    assert isinstance(again.recognise(bytes(32), "elsewhere.local", 7400), str)  # a stranger owns nothing
+    # Who pairs there says whose it is from now on; nobody is forgotten.
+    again.store(msgspec.structs.replace(berta, host="anna.local"))
+    assert {robot.name for robot in again.all()} == {"Anna", "Berta"}
+    assert not isinstance(again.recognise(second, "anna.local", 7400), str)
+    assert isinstance(again.recognise(first, "anna.local", 7400), str)
+
+
+async def test_a_robot_is_used_under_a_new_address_where_that_cannot_be_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robots = PairedRobots(tmp_path / "station")
+    async with guarded_robot(tmp_path / "robot") as bench:
+        bench.admit("desk", Role.DRIVE, robots)
+
+        def refuse(*_: object) -> None:
+            raise ConfigError("the disk is read-only")
+
+        monkeypatch.setattr(paired_robots, "write_private", refuse)
+        connection = await connect("localhost", bench.port, PairedRobots(tmp_path / "station", allow_open=True))
+        connection.writer.transport.abort()
+        assert not isinstance(robots.recognise(bench.gate.fingerprint, "elsewhere.local", 7400), str)
 
 
 async def test_a_robot_that_was_never_paired_is_refused_with_the_remedy(tmp_path: Path) -> None:

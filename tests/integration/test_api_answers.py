@@ -76,6 +76,9 @@ async def test_drives_and_maps_are_renamed_and_their_clouds_are_ply_files(tmp_pa
             for blank in ("", "   "):
                 refused = await desk.http.patch(path, json={"name": blank})
                 assert is_problem(refused, 422) and "needs a character" in refused.json()["detail"]
+            for forged in ("Flat\x00", "\x1b[2J", "Flat\nrobot lost"):
+                refused = await desk.http.patch(path, json={"name": forged})
+                assert is_problem(refused, 422) and "cannot be shown" in refused.json()["detail"]
             assert is_problem(await desk.http.patch(f"{path}-not", json={"name": "x"}), 404)
         assert (await desk.http.get("/graph")).json()["metric"] is True
     async with running_station(1, tmp_path) as desk:

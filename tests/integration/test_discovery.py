@@ -5,13 +5,20 @@ from __future__ import annotations
 import asyncio
 import itertools
 import socket
+from pathlib import Path
 
 import pytest
+from zeroconf import ServiceInfo, Zeroconf
 
 from robot import announce
 from robot.announce import Announcement, announced_addresses
-from station.robots.discovery import find_robot
+from shared.access import Role
+from shared.discovery import SERVICE_TYPE
+from station.access.paired_robots import PairedRobots
+from station.robots.discovery import MAX_SERVICES, find_robots
 from station.robots.link import RobotLink
+from station.robots.search import FoundRobot
+from tests.support.access import guarded_robot
 from tests.support.link import Notes, running_robot, until
 
 LOOPBACK = ["127.0.0.1"]
@@ -26,13 +33,10 @@ def test_an_announced_robot_is_found_and_a_closed_one_is_not() -> None:
     port = _free_port()
     announcement = Announcement(f"robot-{port}", port, lambda: LOOPBACK, interfaces=LOOPBACK)
     try:
-        found = find_robot(10.0, LOOPBACK)
-        if found is None:
-            pytest.skip("this machine passes no multicast on its loopback interface")
-        assert found == ("127.0.0.1", port)
+        assert_found(port)
     finally:
         announcement.close()
-    while find_robot(1.0, LOOPBACK) == ("127.0.0.1", port):
+    while FoundRobot(f"robot-{port}", "127.0.0.1", port) in find_robots(1.0, interfaces=LOOPBACK):
         continue  # the goodbye takes its time; a robot that never says it fails here by the test's own time limit
 
 
@@ -43,24 +47,95 @@ def test_a_robot_that_starts_before_its_network_is_announced_when_it_has_an_addr
     port, asked = _free_port(), itertools.count()
     announcement = Announcement(f"robot-{port}", port, lambda: LOOPBACK if next(asked) > 2 else [], LOOPBACK)
     try:
-        found = find_robot(10.0, LOOPBACK)
-        if found is None:
-            pytest.skip("this machine passes no multicast on its loopback interface")
-        assert found == ("127.0.0.1", port)
+        assert_found(port)
     finally:
         announcement.close()
 
 
+def test_who_answers_with_many_names_does_not_hide_a_robot_that_was_paired() -> None:
+    port = _free_port()
+    announcement = Announcement(f"robot-{port}", port, lambda: LOOPBACK, interfaces=LOOPBACK)
+    crowd = Zeroconf(interfaces=LOOPBACK)
+    try:
+        assert_found(port)
+        strangers = [
+            ServiceInfo(SERVICE_TYPE, f"a{n}.{SERVICE_TYPE}", port=1, parsed_addresses=LOOPBACK, server=f"a{n}.local.")
+            for n in range(3 * MAX_SERVICES)
+        ]
+        for stranger in strangers:
+            crowd.registry.async_add(stranger)  # answered for from now on, without its seconds of announcing
+        for _ in range(3):
+            found = find_robots(10.0, [f"robot-{port}"], LOOPBACK)
+            assert FoundRobot(f"robot-{port}", "127.0.0.1", port) in found
+    finally:
+        crowd.close()
+        announcement.close()
+
+
+async def test_a_stranger_that_answers_first_does_not_keep_a_paired_robot_from_being_found(tmp_path: Path) -> None:
+    """One that is not paired, one that says nothing, one where nothing listens: all come first, with our robot's id."""
+    robots = PairedRobots(tmp_path / "station")
+    async with guarded_robot(tmp_path / "ours") as ours, guarded_robot(tmp_path / "strange") as stranger:
+        ours.admit("desk", Role.DRIVE, robots)
+        mute = socket.create_server(("127.0.0.1", 0))
+        ports = [stranger.port, mute.getsockname()[1], _free_port(), ours.port]
+        link = RobotLink(
+            "auto", 0, Notes(), find=lambda *_: [FoundRobot("r", "127.0.0.1", port) for port in ports], robots=robots
+        )
+        task = asyncio.create_task(link.run())
+        try:
+            await until(lambda: link.state.connected)
+            assert link.state.port == ours.port
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            mute.close()
+
+
+async def test_who_looks_for_a_robot_stays_with_the_one_it_found(tmp_path: Path) -> None:
+    """Another one in its place would be driven by whoever drove the first."""
+    robots = PairedRobots(tmp_path / "station")
+    async with guarded_robot(tmp_path / "first") as first, guarded_robot(tmp_path / "second") as second:
+        for bench in (first, second):
+            bench.admit("desk", Role.DRIVE, robots)
+        around = [first.port]
+        link = RobotLink(
+            "auto", 0, Notes(), find=lambda *_: [FoundRobot("r", "127.0.0.1", port) for port in around], robots=robots
+        )
+        task = asyncio.create_task(link.run())
+        try:
+            await until(lambda: link.state.connected)
+            around[:] = [second.port]
+            await first.stop()
+            await until(lambda: "was found before" in link.state.reason)
+            assert not second.heard
+            around[:] = [second.port, first.port]
+            await first.start()
+            await until(lambda: link.state.connected)
+            assert link.state.port == first.port and not second.heard
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+
 async def test_the_link_looks_for_a_robot_until_there_is_one() -> None:
-    answers: list[tuple[str, int] | None] = [None, None]
+    answers: list[list[FoundRobot]] = [[], []]
     async with running_robot() as bench:
-        link = RobotLink("auto", 0, Notes(), find=lambda _: answers.pop(0) if answers else ("127.0.0.1", bench.port))
+        here = [FoundRobot("r", "127.0.0.1", bench.port)]
+        link = RobotLink("auto", 0, Notes(), find=lambda *_: answers.pop(0) if answers else here)
         task = asyncio.create_task(link.run())
         await until(lambda: "no robot makes itself known" in link.state.reason)
         await until(lambda: link.state.connected)
         assert (link.state.host, link.state.port) == ("127.0.0.1", bench.port)
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
+
+
+def assert_found(port: int) -> None:
+    found = find_robots(10.0, interfaces=LOOPBACK)
+    if not found:
+        pytest.skip("this machine passes no multicast on its loopback interface")
+    assert FoundRobot(f"robot-{port}", "127.0.0.1", port) in found
 
 
 def _free_port() -> int:

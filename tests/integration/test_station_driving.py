@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import websockets
 
-from station.robots.session import MAX_STOP_LINES
+from shared.messages import ErrorNotice
+from station.robots.session import MAX_STOP_LINES, MAX_WARNINGS
 from tests.support.link import until
 from tests.support.station import Desk, running_station, store_map
 from tests.support.station_at_work import at_work, drive_off, heard, is_problem, wait_for
@@ -231,3 +232,18 @@ async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> 
         await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})
         await until(lambda: desk.station.first.current_place.answers > answers + 2)
         assert "looks aside" not in (await desk.http.get("/place/current")).json()["reason"]
+
+
+async def test_a_robot_that_warns_without_end_leaves_the_log_room_for_other_lines(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        robot = desk.station.first
+        for number in range(300):
+            robot.on_notice(ErrorNotice(code="device", message="the camera is gone"))
+            robot.on_notice(ErrorNotice(code="device", message=f"it is {number} degrees too warm"))
+            robot.on_gap(1 + number)
+        warned = [line.text for line in robot.events.log if line.level == "warning"]
+        assert warned.count("the camera is gone") == 1
+        assert sum("samples were lost" in text for text in warned) == 1
+        assert len(warned) == MAX_WARNINGS
+        robot.on_notice(ErrorNotice(code="shutdown", message="robot-server ends", fatal=True))
+        assert robot.events.log[-1].text == "robot-server ends"

@@ -14,8 +14,10 @@ from shared.errors import LocalProtocolError, RemoteProtocolError
 from shared.framing import MAX_ROBOT_PAYLOAD, MAX_STATION_PAYLOAD, FrameDecoder, encode_payload
 from shared.messages import (
     MAX_ANGULAR_RAD_S,
+    MAX_COUNT,
     MAX_DRIVE_TTL_MS,
     MAX_LINEAR_M_S,
+    MAX_TIME_NS,
     CameraFrame,
     Capabilities,
     Drive,
@@ -47,11 +49,13 @@ from shared.messages import (
     encode_message,
 )
 from shared.session import Session, State
+from shared.text import is_printable
 
-INT64 = st.integers(-(2**63), 2**63 - 1)
-COUNT = st.integers(0, 2**63 - 1)
+TIME = st.integers(-MAX_TIME_NS, MAX_TIME_NS)
+COUNT = st.integers(0, MAX_COUNT)
+NEXT = st.integers(-1, MAX_COUNT)
 ANY_FLOAT = st.floats(allow_nan=False)
-NAME = st.text(min_size=1, max_size=64)
+NAME = st.text(min_size=1, max_size=64).filter(is_printable)
 SENTENCE = st.text(max_size=1000)
 VECTOR = st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT)
 
@@ -61,20 +65,20 @@ def floats_within(limit: float) -> st.SearchStrategy[float]:
 
 
 STATION_MESSAGES: st.SearchStrategy[StationMessage] = st.one_of(
-    st.builds(Join, protocol=INT64, station_name=NAME, resume_session_id=SENTENCE.map(lambda s: s[:64])),
-    st.builds(Heartbeat, seq=INT64, t_station_ns=INT64),
+    st.builds(Join, protocol=COUNT, station_name=NAME, resume_session_id=st.just("") | NAME),
+    st.builds(Heartbeat, seq=COUNT, t_station_ns=TIME),
     st.builds(
         Drive,
-        seq=INT64,
-        t_station_ns=INT64,
+        seq=COUNT,
+        t_station_ns=TIME,
         linear=floats_within(MAX_LINEAR_M_S),
         angular=floats_within(MAX_ANGULAR_RAD_S),
         ttl_ms=st.integers(1, MAX_DRIVE_TTL_MS),
     ),
-    st.builds(Received, frame_seq=INT64, next_imu_sequence=INT64),
-    st.builds(Stop, seq=INT64),
+    st.builds(Received, frame_seq=NEXT, next_imu_sequence=NEXT),
+    st.builds(Stop, seq=COUNT),
     st.builds(Prove, token_id=NAME, proof=st.binary(min_size=32, max_size=32)),
-    st.builds(PairRequest, protocol=INT64, station_name=NAME, message=st.binary(min_size=33, max_size=33)),
+    st.builds(PairRequest, protocol=COUNT, station_name=NAME, message=st.binary(min_size=33, max_size=33)),
     st.builds(PairProof, mac=st.binary(min_size=32, max_size=32)),
     st.builds(PanTilt, pan=floats_within(math.pi), tilt=floats_within(math.pi)),
     st.builds(Hijack, x=floats_within(1000), y=floats_within(1000), yaw=floats_within(6.28)),
@@ -82,7 +86,7 @@ STATION_MESSAGES: st.SearchStrategy[StationMessage] = st.one_of(
 ROBOT_MESSAGES: st.SearchStrategy[RobotMessage] = st.one_of(
     st.builds(
         Hello,
-        protocol=INT64,
+        protocol=COUNT,
         robot_id=NAME,
         name=NAME,
         session_id=NAME,
@@ -99,14 +103,14 @@ ROBOT_MESSAGES: st.SearchStrategy[RobotMessage] = st.one_of(
         challenge=st.binary(max_size=64),
     ),
     st.builds(PairReply, message=st.binary(min_size=33, max_size=33)),
-    st.builds(Paired, mac=st.binary(min_size=32, max_size=32), token=st.text(max_size=128)),
-    st.builds(Welcome, client_id=INT64),
+    st.builds(Paired, mac=st.binary(min_size=32, max_size=32), token=NAME),
+    st.builds(Welcome, client_id=COUNT),
     st.builds(Refusal, reason=SENTENCE),
-    st.builds(HeartbeatReply, seq=INT64, t_station_ns=INT64, t_robot_received_ns=INT64, t_robot_sent_ns=INT64),
+    st.builds(HeartbeatReply, seq=COUNT, t_station_ns=TIME, t_robot_received_ns=TIME, t_robot_sent_ns=TIME),
     st.builds(
         CameraFrame,
         seq=COUNT,
-        t_robot_ns=INT64,
+        t_robot_ns=TIME,
         exposure_ns=COUNT,
         width=st.integers(1, 8192),
         height=st.integers(1, 8192),
@@ -115,18 +119,18 @@ ROBOT_MESSAGES: st.SearchStrategy[RobotMessage] = st.one_of(
     ),
     st.builds(
         ImuBatch,
-        first_sequence=INT64,
-        samples=st.lists(st.builds(ImuSample, INT64, VECTOR, VECTOR), min_size=1, max_size=8).map(tuple),
+        first_sequence=COUNT,
+        samples=st.lists(st.builds(ImuSample, TIME, VECTOR, VECTOR), min_size=1, max_size=8).map(tuple),
     ),
-    st.builds(DriveApplied, t_robot_ns=INT64, linear=ANY_FLOAT, angular=ANY_FLOAT),
+    st.builds(DriveApplied, t_robot_ns=TIME, linear=ANY_FLOAT, angular=ANY_FLOAT),
     st.builds(
         Status,
-        t_robot_ns=INT64,
+        t_robot_ns=TIME,
         uptime_s=ANY_FLOAT,
         battery_v=st.none() | ANY_FLOAT,
-        temperatures_c=st.dictionaries(st.text(max_size=10), ANY_FLOAT, max_size=3),
+        temperatures_c=st.dictionaries(NAME, ANY_FLOAT, max_size=3),
         frames_skipped=COUNT,
-        driver=st.none() | st.text(max_size=20),
+        driver=st.none() | NAME,
         faults=st.lists(SENTENCE, max_size=3).map(tuple),
     ),
     st.builds(ErrorNotice, code=st.sampled_from(["protocol", "device"]), message=SENTENCE, fatal=st.booleans()),

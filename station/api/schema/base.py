@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+
+from shared.text import is_printable
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -30,9 +32,19 @@ class Model(BaseModel):
 
 
 class Question(Model):
-    """Base of what is asked: no value is taken for another kind, so that `true` is no speed."""
+    """Base of what is asked: no value is taken for another kind, so that `true` is no speed. No text holds characters
+    that cannot be shown: much of it is a name, or ends in a log.
+    """
 
     model_config = ConfigDict(strict=True)
+
+    @field_validator("*")
+    @classmethod
+    def _is_printable(cls, value: object) -> object:
+        for text in value if isinstance(value, list) else [value]:
+            if isinstance(text, str) and not is_printable(text):
+                raise ValueError("a character cannot be shown, such as a control character")
+        return value
 
 
 class Problem(BaseModel):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 import signal
 import subprocess
@@ -59,6 +61,39 @@ def test_systemd_understands_the_unit(tmp_path: Path) -> None:
     broken.write_text(here.read_text().replace("WatchdogSec=5", "WatchdogSek=5"))
     run = subprocess.run(["systemd-analyze", "verify", "--man=no", str(broken)], capture_output=True, text=True)
     assert "WatchdogSek" in run.stderr  # it does look
+
+
+def test_root_owns_the_program_that_root_runs_and_the_service_only_its_state() -> None:
+    """The next update runs pip from the venv as root: who may write there is root."""
+    script = (ROOT / "robot" / "install.sh").read_text()
+    (made,) = re.findall(r"useradd (.+)$", script, re.MULTILINE)
+    assert '--home-dir "$state"' in made and "--create-home" not in made and "nologin" in made
+    given = re.findall(r"^.*(?:chown|-o \"\$user\").*$", script, re.MULTILINE)
+    assert given == ['install -d -m 700 -o "$user" -g "$user" "$state"']
+    assert 'install -d -m 755 -o root -g root "$target"' in script
+    values = dict(re.findall(r"^(target|state)=(\S+)", script, re.MULTILINE))
+    assert not values["state"].startswith(values["target"])
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to own files as another user")
+def test_a_program_that_an_earlier_release_gave_to_the_service_is_set_aside(tmp_path: Path) -> None:
+    """What its user may have changed is never run by root again. systemctl and usermod are out of a test's reach."""
+    script = (ROOT / "robot" / "install.sh").read_text()
+    start = script.index('if [ -d "$target" ]')
+    moving = script[start : script.index("\nfi\n", start) + 4]
+    target = tmp_path / "sentinel"
+    (target / "venv").mkdir(parents=True)
+    os.chown(target, 65534, 65534)
+    quiet = "systemctl() { :; }; usermod() { echo usermod $*; }\n"
+    names = f"target={target} state=/var/lib/sentinel user=sentinel\n"
+    for _ in range(2):  # the second time there is nothing to do
+        run = subprocess.run(["bash", "-euc", quiet + names + moving], capture_output=True, text=True)
+        assert run.returncode == 0, run.stderr
+        if target.exists():
+            assert not run.stdout
+        target.mkdir(exist_ok=True)
+    (aside,) = tmp_path.glob("sentinel.before-*")
+    assert (aside / "venv").is_dir() and target.stat().st_uid == 0
 
 
 def test_the_script_is_valid_bash_and_names_files_that_exist() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import msgspec
@@ -36,16 +37,49 @@ def test_config_file_is_read_and_unknown_keys_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "address"), [("pi:7", ("pi", 7)), ("pi", ("pi", 7400)), ("[::1]:9", ("::1", 9)), ("[::1]", ("::1", 7400))]
+    ("text", "address"),
+    [
+        ("pi:7", ("pi", 7)),
+        ("pi", ("pi", 7400)),
+        ("[::1]:9", ("::1", 9)),
+        ("[::1]", ("::1", 7400)),
+        ("::1", ("::1", 7400)),
+        ("[fe80::1%eth0]:7", ("fe80::1%eth0", 7)),
+    ],
 )
 def test_addresses_are_read(text: str, address: tuple[str, int]) -> None:
     assert parse_address(text, "--robot") == address
 
 
-@pytest.mark.parametrize("text", ["", ":7", "pi:", "pi:0", "pi:70000", "pi:x"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        ":7",
+        "pi:",
+        "pi:0",
+        "pi:70000",
+        "pi:x",
+        "[::1]:7400:3",
+        "a:b:7",
+        "[pi]:7",
+        "[::1",
+        "[::1]7",
+        "pi\x1b[2J:7",
+        "[fe80::1%\x1b]:7",
+    ],
+)
 def test_wrong_addresses_are_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="--robot"):
         parse_address(text, "--robot")
+
+
+@pytest.mark.parametrize("name", ["", "x" * 65, "desk\nrobot lost", "\x1b[2J"])
+def test_a_station_has_a_name_that_robots_take(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "station.toml"
+    path.write_text(f"name = {json.dumps(name)}\n")
+    with pytest.raises(ConfigError, match="name"):
+        load_config(path)
 
 
 def test_a_robot_on_wheels_with_an_imu_is_followed_by_the_filter_and_others_by_their_images() -> None:

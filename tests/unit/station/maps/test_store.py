@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sqlite3
 from dataclasses import replace
@@ -11,10 +12,11 @@ import numpy as np
 import pytest
 
 from shared.errors import ConfigError, DataError
+from shared.text import is_printable
 from station.maps import bucket as bucket_module
 from station.maps import store as store_module
 from station.maps.folder import save_map_folder
-from station.maps.record import map_content_hash
+from station.maps.record import decode_record, describe_map, encode_record, map_content_hash
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
@@ -47,6 +49,40 @@ def test_a_map_comes_back_as_it_was_saved(place_map: PlaceMap, address: StoreAdd
     np.testing.assert_array_equal(again.navigation.landmarks.p_world, place_map.navigation.landmarks.p_world)
     assert again.navigation.keyframes.encoded == place_map.navigation.keyframes.encoded
     assert holds(MapStore(address), place_map)
+
+
+UNPRINTABLE = ["Sofa\x00", "\x1b[2Jcorner", "Sofa \u202eroom"]
+
+
+@pytest.mark.parametrize("name", UNPRINTABLE)
+def test_names_that_cannot_be_shown_are_refused_in_every_database(
+    place_map: PlaceMap, address: StoreAddress, name: str
+) -> None:
+    store = MapStore(address)
+    with pytest.raises(DataError, match="cannot be shown"):
+        store.save(renamed(place_map, name))
+    store.save(place_map)
+    with pytest.raises(DataError, match="cannot be shown"):
+        rename_place(store, place_map.id, place_map.places[0].id, name)
+    assert holds(MapStore(address), place_map)
+
+
+@pytest.mark.parametrize("name", UNPRINTABLE)
+def test_a_record_whose_names_cannot_be_shown_is_none(place_map: PlaceMap, name: str) -> None:
+    record = json.loads(encode_record(describe_map(place_map, {})))
+    for forged in ({"name": name}, {"why": name}, {"places": [record["places"][0] | {"name": name}]}):
+        with pytest.raises(DataError, match="cannot be shown") as refused:
+            decode_record(json.dumps(record | forged).encode(), "a backup's record")
+        assert is_printable(str(refused.value))
+
+
+def test_a_question_that_a_database_cannot_hold_damages_nothing(place_map: PlaceMap, address: StoreAddress) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+    with pytest.raises(DataError) as refused:
+        store.load("map\x00")
+    assert "damaged" not in str(refused.value)
+    assert holds(store, place_map)
 
 
 def test_a_new_name_is_kept_and_names_stay_unique(place_map: PlaceMap, address: StoreAddress) -> None:

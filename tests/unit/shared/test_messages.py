@@ -1,0 +1,129 @@
+"""What may be in a message: bounded numbers, and text that a terminal, a log or a page can show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+from msgspec import inspect
+
+from shared.calibration import REFERENCE_ROBOT
+from shared.errors import RemoteProtocolError
+from shared.messages import (
+    PROTOCOL_VERSION,
+    Capabilities,
+    ErrorNotice,
+    Hello,
+    Join,
+    Refusal,
+    RobotMessage,
+    StationMessage,
+    Status,
+    decode_robot_message,
+    decode_station_message,
+    encode_message,
+)
+from shared.text import PRINTABLE, is_printable, printable
+
+FORGED = "\x1b[2J\x1b]0;owned\x07done\r\nINFO link: connected to Anna\u202e\u2028"
+SENTENCES = {"error.message", "refusal.reason", "status.faults[]"}
+HELLO = Hello(
+    protocol=PROTOCOL_VERSION,
+    robot_id="r",
+    name="R",
+    session_id="s",
+    capabilities=Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False),
+    calibration=REFERENCE_ROBOT,
+)
+
+
+def parts(kind: inspect.Type, path: str = "") -> Iterator[tuple[str, inspect.Type]]:
+    """All that a message is made of, with where it stands."""
+    yield path, kind
+    match kind:
+        case inspect.StructType():
+            prefix = f"{path}." if path else f"{kind.tag}."
+            for field in kind.fields:
+                yield from parts(field.type, f"{prefix}{field.name}")
+        case inspect.UnionType():
+            for one in kind.types:
+                yield from parts(one, path)
+        case inspect.VarTupleType():
+            yield from parts(kind.item_type, f"{path}[]")
+        case inspect.TupleType():
+            for number, one in enumerate(kind.item_types):
+                yield from parts(one, f"{path}[{number}]")
+        case inspect.DictType():
+            yield from parts(kind.key_type, f"{path}{{key}}")
+            yield from parts(kind.value_type, f"{path}{{}}")
+
+
+ALL_PARTS = [*parts(inspect.type_info(RobotMessage)), *parts(inspect.type_info(StationMessage))]
+
+
+def test_every_whole_number_in_a_message_has_bounds_that_fit_a_signed_64_bit_word() -> None:
+    numbers = [(path, kind) for path, kind in ALL_PARTS if isinstance(kind, inspect.IntType)]
+    assert len(numbers) > 20
+    for path, kind in numbers:
+        assert kind.ge is not None and kind.ge >= -(2**62), path
+        assert kind.le is not None and kind.le <= 2**62, path
+
+
+def test_every_text_in_a_message_is_a_printable_name_or_a_sentence() -> None:
+    texts = [(path, kind) for path, kind in ALL_PARTS if isinstance(kind, inspect.StrType)]
+    assert len(texts) > 10
+    for path, kind in texts:
+        assert kind.max_length is not None, path
+        assert kind.pattern == PRINTABLE or path in SENTENCES, path
+
+
+@pytest.mark.parametrize(
+    "message",
+    [ErrorNotice(code="device", message="x"), Refusal(reason="x"), Status(t_robot_ns=1, uptime_s=1.0, faults=("x",))],
+    ids=lambda message: type(message).__name__,
+)
+def test_only_printable_sentences_leave_the_decoder(message: RobotMessage) -> None:
+    plain = msgspec.msgpack.decode(encode_message(message))
+    forged = {k: FORGED if v == "x" else [FORGED] if v == ["x"] else v for k, v in plain.items()}
+    heard = decode_robot_message(msgspec.msgpack.encode(forged))
+    said = [getattr(heard, key) for key in ("message", "reason", "faults") if hasattr(heard, key)]
+    text = "".join(said[0])
+    assert is_printable(text) and len(text) == len(FORGED) and "INFO link: connected to Anna" in text
+
+
+@pytest.mark.parametrize("name", [FORGED, "a\x00", "a\n", "\x9b2J", "\u202egpj.exe"])
+def test_names_with_control_characters_are_refused_and_not_repeated(name: str) -> None:
+    for message, decode in (
+        (msgspec.structs.replace(HELLO, name=name), decode_robot_message),
+        (msgspec.structs.replace(HELLO, robot_id=name), decode_robot_message),
+        (Join(protocol=PROTOCOL_VERSION, station_name=name), decode_station_message),
+    ):
+        with pytest.raises(RemoteProtocolError, match="printable characters") as refused:
+            decode(encode_message(message))
+        assert is_printable(str(refused.value))
+
+
+def test_names_in_any_alphabet_are_taken() -> None:
+    for name in ("Küche", "居间", "می\u200cخواهم", "👩\u200d🚀", "two words"):
+        said = msgspec.structs.replace(HELLO, name=name)
+        assert decode_robot_message(encode_message(said)) == said
+
+
+def test_what_is_quoted_of_a_damaged_message_is_printable_and_short() -> None:
+    for sent in ({"type": FORGED}, {"type": FORGED * 1000}):
+        with pytest.raises(RemoteProtocolError) as refused:
+            decode_robot_message(msgspec.msgpack.encode(sent))
+        assert is_printable(str(refused.value)) and len(str(refused.value)) < 400
+
+
+@pytest.mark.parametrize("number", [2**63 - 1, 2**64 - 1, -(2**63)])
+def test_numbers_beyond_their_bounds_are_refused(number: int) -> None:
+    with pytest.raises(RemoteProtocolError, match="not a valid message"):
+        decode_station_message(msgspec.msgpack.encode({"type": "heartbeat", "seq": 1, "t_station_ns": number}))
+    with pytest.raises(RemoteProtocolError, match="not a valid message"):
+        decode_robot_message(msgspec.msgpack.encode({"type": "status", "t_robot_ns": number, "uptime_s": 1.0}))
+
+
+def test_what_cannot_be_shown_is_seen_to_have_been_there() -> None:
+    assert printable("a\x1bb\nc") == "a\N{REPLACEMENT CHARACTER}b\N{REPLACEMENT CHARACTER}c"

@@ -1,0 +1,96 @@
+"""Whom a station without an address tries, in which order; time is the test's."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+import pytest
+
+from station.access.paired_robots import PairedRobot, PairedRobots
+from station.robots.search import MAX_TRIED, REFUSED_FOR_S, FoundRobot, RobotSearch
+
+OURS = FoundRobot("sentinel", "192.168.1.20", 7400)
+STRANGERS = [FoundRobot(f"stranger-{n}", f"192.168.1.{100 + n}", 7400) for n in range(40)]
+
+
+class Network:
+    """Whoever makes itself known."""
+
+    def __init__(self, robots: Collection[FoundRobot]) -> None:
+        self.robots = robots
+        self.asked_for: list[Collection[str]] = []
+
+    def find(self, seconds: float, preferred: Collection[str]) -> Collection[FoundRobot]:
+        assert seconds > 0
+        self.asked_for.append(preferred)
+        return self.robots
+
+
+@pytest.fixture
+def paired(tmp_path: Path) -> PairedRobots:
+    robots = PairedRobots(tmp_path)
+    robots.store(
+        PairedRobot(robot_id="sentinel", name="Anna", host="192.168.1.77", port=7400, fingerprint="aa" * 32, token="x")
+    )
+    return robots
+
+
+async def test_what_looks_like_a_paired_robot_comes_first_by_its_id_or_its_address(paired: PairedRobots) -> None:
+    old_place = FoundRobot("", "192.168.1.77", 7400)
+    network = Network([*STRANGERS[:3], OURS, old_place])
+    search = RobotSearch(paired, network.find)
+    assert [await search.next() for _ in range(2)] == [OURS, old_place]
+    assert network.asked_for == [["sentinel"]]
+
+
+async def test_each_address_is_tried_before_anybody_is_looked_for_again() -> None:
+    network = Network(STRANGERS[:3])
+    search = RobotSearch(None, network.find)
+    assert {await search.next() for _ in range(3)} == set(STRANGERS[:3])
+    assert len(network.asked_for) == 1 and not search.has_more
+
+
+async def test_who_refused_comes_last_until_a_minute_is_over(paired: PairedRobots) -> None:
+    now_s = [0.0]
+    liar = FoundRobot("sentinel", "192.168.1.66", 7400)  # anybody may use our robot's id
+    search = RobotSearch(paired, Network([liar, OURS, STRANGERS[0]]).find, lambda: now_s[0])
+    assert await search.next() == liar
+    search.refuse(liar, "not paired")
+    search.accept(b"a")
+    assert [await search.next() for _ in range(3)] == [OURS, STRANGERS[0], liar]
+    now_s[0] = REFUSED_FOR_S + 1
+    assert await search.next() == liar
+
+
+async def test_a_crowd_is_tried_in_turns() -> None:
+    """Strangers beyond what one round tries are tried in the next ones, and nobody for ever."""
+    now_s = [0.0]
+    search = RobotSearch(None, Network([*STRANGERS, OURS]).find, lambda: now_s[0])
+    tried = []
+    for _ in range(3 * MAX_TRIED):
+        found = await search.next()
+        assert found is not None
+        tried.append(found)
+        now_s[0] += 1.0
+        search.refuse(found, "not paired")
+    assert set(tried) == {*STRANGERS, OURS}
+
+
+async def test_the_first_reason_of_a_round_is_told_with_how_many_others_there_were(paired: PairedRobots) -> None:
+    search = RobotSearch(paired, Network([*STRANGERS[:2], OURS]).find)
+    said = ""
+    for reason in ("the code is old", "not paired", "no answer"):
+        found = await search.next()
+        assert found is not None
+        said = search.refuse(found, reason)
+    assert said == "the code is old; 2 more made themselves known, and none took this station in"
+
+
+def test_only_the_robot_that_was_met_is_meant_from_then_on(paired: PairedRobots) -> None:
+    search = RobotSearch(paired, Network([]).find)
+    assert not search.refusal(b"\xaa" * 32)
+    search.accept(b"\xaa" * 32)
+    assert not search.refusal(b"\xaa" * 32)
+    assert "Anna was found before" in search.refusal(b"\xbb" * 32)
+    assert search.refusal(b"")  # one that shows no certificate at all
