@@ -43,13 +43,13 @@ class SimulatedMotors(_Part):
         super().__init__(robot)
         self.history: deque[tuple[int, float, float]] = deque(maxlen=MAX_HISTORY)  # t_robot_ns, m/s, rad/s
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
         self.history.append((time.monotonic_ns(), linear_m_s, angular_rad_s))
-        self._robot.command(linear_m_s, angular_rad_s)
+        self._robot.command(linear_m_s, angular_rad_s, until_ns)
 
     def stop(self) -> None:
         self.history.append((time.monotonic_ns(), 0.0, 0.0))
-        self._robot.command(0.0, 0.0)
+        self._robot.halt()
 
     def close(self) -> None:
         self.stop()

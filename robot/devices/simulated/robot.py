@@ -71,6 +71,7 @@ class SimulatedRobot:
         self._head = _Head()
         self._truth_log: deque[tuple[int, FloatArray]] = deque(maxlen=MAX_TRUTH_LOG)
         self._state = self._body.state()
+        self._drive_until_ns = 0
         self._lock = threading.RLock()
         self._stopped = threading.Event()
         self._epoch_ns = time.monotonic_ns()
@@ -101,9 +102,17 @@ class SimulatedRobot:
 
     # --- what the devices need ------------------------------------------------------------------------------------
 
-    def command(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def command(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
+        """Hold a velocity until a monotonic time; what comes later changes nothing."""
         with self._lock:
-            self._body.command(linear_m_s, angular_rad_s)
+            if time.monotonic_ns() < until_ns:  # the body's clock may be behind ours
+                self._body.command(linear_m_s, angular_rad_s)
+                self._drive_until_ns = until_ns
+
+    def halt(self) -> None:
+        """Motors off now."""
+        with self._lock:
+            self._body.command(0.0, 0.0)
 
     def point_head(self, pan_rad: float, tilt_rad: float) -> None:
         """Where the camera shall look; it gets there at the servos' speed."""
@@ -174,6 +183,8 @@ class SimulatedRobot:
 
     def _tick(self, ticks: int) -> None:
         with self._lock:
+            if self._ns(self._state.t_s) >= self._drive_until_ns:
+                self._body.command(0.0, 0.0)
             self._state = state = self._body.step()
             self._history.append(state)
             t_ns = self._ns(state.t_s)
