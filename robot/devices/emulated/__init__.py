@@ -86,7 +86,7 @@ def open_emulated(base: DeviceSet) -> DeviceSet:
         if base.motors is not None:
             base.motors.drive(*geometry.velocity(left, right), UNTIL_PINS_CHANGE_NS)
 
-    board = EmulatedBoard(on_pins=move)
+    board = EmulatedBoard(on_pins=move, keep_events=100)  # nobody asks for more than the first
     try:
         board.command("sample 0 0 9.81 0 0 0")
         mega = Mega(lambda: PySerialLine(str(board.port)), ConfigImu(), ConfigMotors(cutoff_mv=6400))
