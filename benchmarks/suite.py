@@ -32,6 +32,7 @@ SUITE = (
     Benchmark("fuzz", LINK, "bench_fuzz", "--inputs 1000000", "--inputs 2000"),
     Benchmark("stop", LINK, "bench_stop", "", "--scale 0.01", has_own_target=True),
     Benchmark("fleet", LINK, "bench_fleet", "--minutes 10", "--minutes 0.5 --robots 2"),
+    Benchmark("memory", LINK, "bench_memory", "--minutes 180 --warm-up 10", "--minutes 0.5 --warm-up 0.2"),
     Benchmark("renderer", SLAM, "bench_renderer", "--frames 200", "--frames 5"),
     Benchmark("simulated_views", SLAM, "bench_simulated_views", "--seeds 10", "--seeds 1 --pairs 2"),
     Benchmark("sfm", SLAM, "bench_sfm", "--seeds 0-3", "--seeds 1 --max-duration 12"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import sys
+import time
 from collections.abc import Awaitable, Callable
 from itertools import pairwise
 from typing import TypeVar
@@ -17,6 +18,7 @@ from shared.errors import HardwareError, RobotSystemError
 
 FRAMES, READINGS = 30, 450
 LEAST_RATE = 0.9  # of the rate a part should have
+CHECK_TTL_NS = 300_000_000  # of a motor command that is repeated every 100 ms
 GRAVITY_M_S2 = (9.3, 10.3)  # a resting accelerometer, its bias included
 
 
@@ -139,7 +141,7 @@ async def check_motors(motors: Motors, track_m: float) -> str:
         try:
             for _ in range(5):
                 # The other side rests exactly: its part of the turn is taken back by going forward.
-                motors.drive(abs(angular) * track_m / 2, angular)
+                motors.drive(abs(angular) * track_m / 2, angular, time.monotonic_ns() + CHECK_TTL_NS)
                 await asyncio.sleep(0.1)
         finally:
             motors.stop()

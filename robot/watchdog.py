@@ -2,8 +2,8 @@
 
 `DriveGuard` decides, with time as an argument. `MotorWatchdog` is the thread that makes it true; nobody else touches
 the motors. Every fresh command reaches them, also an unchanged one, so that the station feeds the firmware's watchdog.
-A start is told twice, each time after a look at the clock: this process may be stopped between look and word, and the
-firmware's motors start at the second word only, so that one that is told too late moves nothing.
+Each goes with its end: this process may be stopped between its look at the clock and its word to the motors, and what
+they hear after its end moves nothing.
 """
 
 from __future__ import annotations
@@ -71,6 +71,11 @@ class DriveGuard:
         """Stop for good."""
         self._closed = True
         self.stop()
+
+    @property
+    def until_ns(self) -> int:
+        """When the wish ends."""
+        return self._until_ns
 
     def velocity(self, now_ns: int) -> Velocity:
         """What the motors must be told now. Silence beyond the time to live is a stop."""
@@ -177,11 +182,11 @@ class MotorWatchdog:
             if not self._is_due() and not self._closed:
                 self._changed.wait(self._time_to_wait_s())
             is_due, velocity = self._is_due(), self._guard.velocity(self._now_ns())
-            is_start = self._applied.is_zero and not velocity.is_zero
-            self._told_commands = self._guard.num_commands - is_start
+            until_ns = self._guard.until_ns
+            self._told_commands = self._guard.num_commands
         # Outside the lock: a driver that blocks must not keep `stop` from being called.
         if is_due:
-            self._tell(velocity)
+            self._tell(velocity, until_ns)
 
     def _is_due(self) -> bool:
         velocity = self._guard.velocity(self._now_ns())
@@ -193,12 +198,12 @@ class MotorWatchdog:
             return LATEST_CHECK_S
         return min(LATEST_CHECK_S, max(0.0, (deadline_ns - self._now_ns()) * 1e-9))
 
-    def _tell(self, velocity: Velocity) -> None:
+    def _tell(self, velocity: Velocity, until_ns: int) -> None:
         try:
             if velocity.is_zero:
                 self._motors.stop()
             else:
-                self._motors.drive(velocity.linear_m_s, velocity.angular_rad_s)
+                self._motors.drive(velocity.linear_m_s, velocity.angular_rad_s, until_ns)
         except HardwareError as exc:
             if not self.fault:
                 logger.error("motors do not obey: %s", exc)

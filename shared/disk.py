@@ -17,6 +17,7 @@ from typing import IO, BinaryIO
 SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
 PRIVATE = 0o600  # the mode of a file that only its owner may read
 _LOOK_AGAIN_S = 0.05
+_ON_DISK = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108  # nosec B108
 
 
 def flush(path: Path) -> None:
@@ -34,6 +35,12 @@ def make_folder(folder: Path) -> None:
         make_folder(folder.parent)
         folder.mkdir(exist_ok=True)
         flush(folder.parent)
+
+
+def spill_folder() -> Path:
+    """Where files without names go that take what memory should not hold: on a disk, as far as one can be written."""
+    is_on_disk = "TMPDIR" not in os.environ and os.access(_ON_DISK, os.W_OK)
+    return _ON_DISK if is_on_disk else Path(tempfile.gettempdir())
 
 
 @contextlib.contextmanager

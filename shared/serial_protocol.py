@@ -17,10 +17,9 @@ from msgspec.structs import astuple
 
 from shared.errors import LocalProtocolError
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 MAX_PAYLOAD = 80  # type + body
 MAX_FRAME = MAX_PAYLOAD + 4  # CRC, COBS code, delimiter
-MAX_TTL_MS = 400  # the firmware shortens longer ones
 BAUD_RATE = 500_000  # exact on a 16 MHz AVR; 115200 is 2.1 % off
 
 
@@ -128,10 +127,10 @@ class Status(msgspec.Struct, frozen=True):
 
 
 class Ack(msgspec.Struct, frozen=True):
-    """Answer to a configuration or servo command."""
+    """Answer to a configuration or servo command, and to a drive command that was refused."""
 
     asked: int
-    result: int  # 0 done, 1 bad length, 2 bad value, 3 unknown type
+    result: int  # 0 done, 1 bad length, 2 bad value, 3 unknown type, 4 too late
 
 
 class MegaTime(msgspec.Struct, frozen=True):
@@ -142,15 +141,19 @@ class MegaTime(msgspec.Struct, frozen=True):
 
 
 class Drive(msgspec.Struct, frozen=True):
-    """Speeds in permille of full duty, and how long they may last without another command."""
+    """Speeds in permille of full duty, and when they end without another command.
+
+    A time of the Mega's own clock, so that a command which waited on its way is seen to be late.
+    """
 
     left: int
     right: int
-    ttl_ms: int
+    until_ms: int  # the Mega's uptime, 32 bits
+    boot_id: int  # of the boot whose uptime it is
 
     def __post_init__(self) -> None:
-        if not (abs(self.left) <= 1000 and abs(self.right) <= 1000 and 0 <= self.ttl_ms <= 65535):
-            raise LocalProtocolError(f"{self} is outside -1000..1000 permille, 0..65535 ms")
+        if not (abs(self.left) <= 1000 and abs(self.right) <= 1000):
+            raise LocalProtocolError(f"{self} is outside -1000..1000 permille")
 
 
 class Stop(msgspec.Struct, frozen=True):
@@ -200,7 +203,7 @@ _BODIES: dict[type[FirmwareMessage | Command], tuple[Type, struct.Struct]] = {
     Status: (Type.STATUS, struct.Struct("<IHII9HhhHH")),
     Ack: (Type.ACK, struct.Struct("<BB")),
     MegaTime: (Type.TIME, struct.Struct("<II")),
-    Drive: (Type.DRIVE, struct.Struct("<hhH")),
+    Drive: (Type.DRIVE, struct.Struct("<hhIH")),
     Stop: (Type.STOP, struct.Struct("")),
     AskTime: (Type.ASK_TIME, struct.Struct("<I")),
     AskHello: (Type.ASK_HELLO, struct.Struct("")),

@@ -2,20 +2,14 @@
 
 namespace sentinel {
 
-void MotorControl::command(const Drive& drive) {
-  if (drive.ttl_ms == 0) {
-    stop();
-    return;
-  }
-  if (ttl_ms_ == 0 && start_ms_ == 0) {
-    start_ms_ = START_WINDOW_MS;
-    return;
-  }
-  start_ms_ = 0;
-  ttl_ms_ = drive.ttl_ms < MAX_TTL_MS ? drive.ttl_ms : MAX_TTL_MS;
+bool MotorControl::command(const Drive& drive, uint32_t now_ms) {
+  const uint32_t ahead_ms = drive.until_ms - now_ms;  // the past is almost 2^32 ahead
+  if (ahead_ms == 0 || ahead_ms > MAX_AHEAD_MS) return false;
+  ttl_ms_ = ahead_ms < MAX_TTL_MS ? static_cast<uint16_t>(ahead_ms) : MAX_TTL_MS;
   target_left_ = drive.left;
   target_right_ = drive.right;
   ttl_stop_ = false;
+  return true;
 }
 
 void MotorControl::stop() {
@@ -35,7 +29,6 @@ void MotorControl::configure(const ConfigMotors& config) {
 
 void MotorControl::halt() {
   ttl_ms_ = 0;
-  start_ms_ = 0;
   target_left_ = target_right_ = 0;
   if (bridge_ == Bridge::RUN) {
     bridge_ = Bridge::BRAKE;
@@ -69,7 +62,6 @@ int16_t MotorControl::ramp(int16_t now, int16_t target) const {
 
 void MotorControl::tick() {
   watch_battery();
-  if (start_ms_ != 0) --start_ms_;
   if (ttl_ms_ != 0 && --ttl_ms_ == 0) {
     halt();
     ttl_stop_ = true;

@@ -8,9 +8,9 @@ namespace sentinel {
 
 // Longest silence the motors survive, whatever a command asks for: with 100 ms to spare to the 500 ms bound.
 const uint16_t MAX_TTL_MS = 400;
-// Motors at rest start with the second of two commands that far apart at most. A process that the Pi had stopped may
-// still write the one command it had decided on before, however old; it will not write another without a look at the clock.
-const uint16_t START_WINDOW_MS = 150;
+// No command ends so much later, unless its sender takes our clock for another one. More than MAX_TTL_MS, because an
+// emulated Mega is at times behind the clock that it told.
+const uint16_t MAX_AHEAD_MS = 1000;
 const int16_t FULL = 1000;  // permille
 const uint16_t BRAKE_MS = 300;
 const uint16_t LOW_BATTERY_MS = 2000;       // a start-up dip of the motors is shorter
@@ -21,7 +21,8 @@ enum class Bridge : uint8_t { COAST, BRAKE, RUN };
 class MotorControl {
  public:
   // From the main loop, with interrupts off. Commands never move a motor by themselves: tick() does.
-  void command(const Drive& drive);
+  // False where the command's time is over, however long it took to come here: then nothing has changed.
+  bool command(const Drive& drive, uint32_t now_ms);
   void stop();
   void configure(const ConfigMotors& config);
   void battery(uint16_t mv) { battery_mv_ = mv; }
@@ -47,7 +48,6 @@ class MotorControl {
   int16_t target_left_ = 0, target_right_ = 0;
   int16_t left_ = 0, right_ = 0;
   uint16_t ttl_ms_ = 0;
-  uint16_t start_ms_ = 0;  // left for the second command of a start
   uint16_t brake_ms_ = 0;
   uint16_t battery_mv_ = 0;
   uint16_t low_ms_ = 0;

@@ -75,15 +75,17 @@ uint8_t pack_quaternion(uint32_t sequence, uint32_t t_us, const int32_t* q_wxyz,
   return w.length();
 }
 
-// A drive body repeats its six bytes inverted: among 65536 damaged frames one passes a CRC-16, and it must not move a robot.
+// A drive body repeats its bytes inverted: among 65536 damaged frames one passes a CRC-16, and it must not move a robot.
+static const uint8_t DRIVE_BYTES = 10;
 Result parse(const uint8_t* body, uint8_t length, Drive* m) {
-  if (length != 12) return Result::BAD_LENGTH;
-  for (uint8_t i = 0; i < 6; ++i) {
-    if ((body[i] ^ body[i + 6]) != 0xFF) return Result::BAD_VALUE;
+  if (length != 2 * DRIVE_BYTES) return Result::BAD_LENGTH;
+  for (uint8_t i = 0; i < DRIVE_BYTES; ++i) {
+    if ((body[i] ^ body[i + DRIVE_BYTES]) != 0xFF) return Result::BAD_VALUE;
   }
   m->left = static_cast<int16_t>(read_u16(body));
   m->right = static_cast<int16_t>(read_u16(body + 2));
-  m->ttl_ms = read_u16(body + 4);
+  m->until_ms = read_u32(body + 4);
+  m->boot_id = read_u16(body + 8);
   if (m->left < -1000 || m->left > 1000 || m->right < -1000 || m->right > 1000) return Result::BAD_VALUE;
   return Result::DONE;
 }

@@ -5,7 +5,7 @@
 
 namespace sentinel {
 
-const uint8_t PROTOCOL_VERSION = 1;
+const uint8_t PROTOCOL_VERSION = 2;
 const uint8_t MAX_PAYLOAD = 80;               // type + body
 const uint8_t MAX_FRAME = MAX_PAYLOAD + 4;    // CRC, COBS code, delimiter
 const uint8_t IMU_BURST = 23;                 // accel 6, gyro 6, temperature 2, magnetometer ST1..ST2 9
@@ -28,7 +28,7 @@ enum class Type : uint8_t {
   SERVO = 0x16,
 };
 
-enum class Result : uint8_t { DONE = 0, BAD_LENGTH = 1, BAD_VALUE = 2, UNKNOWN_TYPE = 3 };
+enum class Result : uint8_t { DONE = 0, BAD_LENGTH = 1, BAD_VALUE = 2, UNKNOWN_TYPE = 3, TOO_LATE = 4 };
 
 // Bits of Status::flags.
 enum : uint16_t {
@@ -76,7 +76,8 @@ struct Status {
 
 struct Drive {
   int16_t left, right;  // permille, -1000..1000
-  uint16_t ttl_ms;
+  uint32_t until_ms;    // our uptime at which it ends
+  uint16_t boot_id;     // whose uptime: another boot's says nothing
 };
 
 struct ConfigImu {

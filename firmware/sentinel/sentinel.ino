@@ -19,7 +19,7 @@
 
 using namespace sentinel;
 
-static const uint8_t FIRMWARE_MAJOR = 1, FIRMWARE_MINOR = 0;
+static const uint8_t FIRMWARE_MAJOR = 2, FIRMWARE_MINOR = 0;
 static const uint16_t STATUS_PERIOD_MS = 100, HELLO_PERIOD_MS = 1000;
 
 static Icm20948 imu;
@@ -126,8 +126,13 @@ static void handle(const uint8_t* payload, uint8_t length) {
       Drive drive;
       result = parse(body, n, &drive);
       if (result != Result::DONE) break;
-      ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motors.command(drive); }
-      return;  // twenty a second: not acknowledged, the status shows them
+      bool is_taken = false;
+      if (drive.boot_id == boot_id) {
+        ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { is_taken = motors.command(drive, clock_ms()); }
+      }
+      if (is_taken) return;  // twenty a second: not acknowledged, the status shows them
+      result = Result::TOO_LATE;
+      break;
     }
     case Type::STOP:
       ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motors.stop(); }

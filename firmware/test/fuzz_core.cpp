@@ -25,15 +25,15 @@ static uint32_t below(uint32_t n) { return next_random() % n; }
 // A well-formed frame of any type, often with a body that is nearly right; a drive's inverted copy is always wrong.
 static Bytes frame() {
   static const uint8_t types[] = {0x01, 0x02, 0x03, 0x10, 0x10, 0x10, 0x11, 0x12, 0x13, 0x14, 0x15, 0x16, 0x7F};
-  static const uint8_t lengths[] = {0, 0, 0, 12, 12, 11, 0, 4, 0, 5, 5, 4, 60};
+  static const uint8_t lengths[] = {0, 0, 0, 20, 20, 19, 0, 4, 0, 5, 5, 4, 60};
   const uint32_t kind = below(sizeof types);
   uint8_t payload[MAX_PAYLOAD];
   payload[0] = types[kind];
   uint8_t length = static_cast<uint8_t>(1 + (below(8) == 0 ? below(MAX_PAYLOAD - 1) : lengths[kind]));
   for (uint8_t i = 1; i < length; ++i) payload[i] = static_cast<uint8_t>(below(4) == 0 ? below(256) : below(8));
-  if (payload[0] == 0x10 && length == 13) {
-    for (uint8_t i = 1; i < 7; ++i) payload[i + 6] = static_cast<uint8_t>(~payload[i]);
-    payload[1 + below(12)] ^= static_cast<uint8_t>(1 << below(8));
+  if (payload[0] == 0x10 && length == 21) {
+    for (uint8_t i = 1; i < 11; ++i) payload[i + 10] = static_cast<uint8_t>(~payload[i]);
+    payload[1 + below(20)] ^= static_cast<uint8_t>(1 << below(8));
   }
   uint8_t out[MAX_FRAME];
   const uint8_t n = encode_frame(payload, length, out);
@@ -81,8 +81,7 @@ int main(int argc, char** argv) {
       switch (static_cast<Type>(parser.payload()[0])) {
         case Type::DRIVE:
           if (parse(body, n, &drive) == Result::DONE) {
-            motors.command(drive);
-            motors.command(drive);  // a start: whatever got through moves
+            motors.command(drive, drive.until_ms - 1);  // in time: whatever got through moves
           } else {
             ++refused;
           }

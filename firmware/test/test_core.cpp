@@ -57,7 +57,7 @@ static Bytes packed(const std::string& name) {
   uint8_t out[MAX_PAYLOAD];
   uint8_t n = 0;
   if (name == "hello") {
-    n = pack(Hello{1, 1, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513}, out);
+    n = pack(Hello{2, 2, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513}, out);
   } else if (name == "imu") {
     ImuPacket p = {7, 0xFFFFFFF0u, 0x11, {}};
     for (uint8_t i = 0; i < IMU_BURST; ++i) p.burst[i] = i;
@@ -97,7 +97,7 @@ static void test_golden_commands_parse_to_their_values() {
   const auto size = [](const char* name) { return static_cast<uint8_t>(golden[name].payload.size() - 1); };
   Drive drive;
   CHECK(parse(body("drive"), size("drive"), &drive) == Result::DONE);
-  CHECK(drive.left == -1000 && drive.right == 250 && drive.ttl_ms == 300);
+  CHECK(drive.left == -1000 && drive.right == 250 && drive.until_ms == 70300 && drive.boot_id == 513);
   ConfigImu imu;
   CHECK(parse(body("config_imu"), size("config_imu"), &imu) == Result::DONE);
   CHECK(imu.gyro_scale == 3 && imu.accel_scale == 0 && imu.gyro_filter == 7 && imu.accel_filter == 1 && imu.divider == 9);
@@ -112,11 +112,13 @@ static void test_golden_commands_parse_to_their_values() {
 static void test_commands_out_of_range_are_refused() {
   Drive drive;
   Bytes body(golden["drive"].payload.begin() + 1, golden["drive"].payload.end());
-  body[6] ^= 1;  // the inverted copy disagrees
-  CHECK(parse(body.data(), 12, &drive) == Result::BAD_VALUE);
-  CHECK(parse(body.data(), 11, &drive) == Result::BAD_LENGTH);
-  Bytes fast = {0xE9, 0x03, 0, 0, 100, 0, 0x16, 0xFC, 0xFF, 0xFF, 0x9B, 0xFF};  // 1001 permille
-  CHECK(parse(fast.data(), 12, &drive) == Result::BAD_VALUE);
+  const uint8_t size = static_cast<uint8_t>(body.size());
+  CHECK(parse(body.data(), static_cast<uint8_t>(size - 1), &drive) == Result::BAD_LENGTH);
+  body.back() ^= 1;  // the inverted copy disagrees
+  CHECK(parse(body.data(), size, &drive) == Result::BAD_VALUE);
+  Bytes fast = {0xE9, 0x03, 0, 0, 100, 0, 0, 0, 1, 0};  // 1001 permille
+  for (int i = 0; i < 10; ++i) fast.push_back(static_cast<uint8_t>(~fast[static_cast<size_t>(i)]));
+  CHECK(parse(fast.data(), 20, &drive) == Result::BAD_VALUE);
   Servo servo;
   const uint8_t beyond[4] = {0xC5, 0x09, 0, 0};  // 2501 us
   CHECK(parse(beyond, 4, &servo) == Result::BAD_VALUE);
@@ -168,39 +170,46 @@ static void run(MotorControl& motors, int ms) {
   for (int i = 0; i < ms; ++i) motors.tick();
 }
 
-// As robot-server starts: every start is told twice.
-static void start(MotorControl& motors, const Drive& drive) {
-  motors.command(drive);
-  motors.command(drive);
+static const uint16_t BOOT_ID = 1;  // looked at where commands come in, not here
+
+// A command made now that ends so much later.
+static void drive(MotorControl& motors, int16_t left, int16_t right, uint32_t ttl_ms) {
+  motors.command(Drive{left, right, ttl_ms, BOOT_ID}, 0);
 }
 
-static void test_one_command_alone_starts_nothing() {
+static void test_a_command_lives_from_when_it_was_made_however_late_it_comes() {
+  const uint32_t now_ms = 0xFFFFFF00;  // the uptime wraps within the command's life
   MotorControl motors;
-  motors.command(Drive{1000, 1000, 300});  // decided on by a process that was stopped, and written when it went on
-  run(motors, START_WINDOW_MS);
-  CHECK(motors.left() == 0 && motors.bridge() == Bridge::COAST && !motors.driving());
-  motors.command(Drive{1000, 1000, 300});  // too far apart: again a first one
-  run(motors, 5);
-  CHECK(motors.left() == 0);
-  motors.stop();  // the process looked at the clock
-  motors.command(Drive{1000, 1000, 300});
-  run(motors, 5);
-  CHECK(motors.left() == 0);
-  motors.command(Drive{1000, 1000, 300});
-  run(motors, 250);
-  CHECK(motors.left() == 1000);
-  run(motors, 50);  // silence ended it: what comes then is a first one
-  CHECK(motors.left() == 0);
-  motors.command(Drive{1000, 1000, 300});
-  run(motors, 5);
-  CHECK(motors.left() == 0 && motors.bridge() != Bridge::RUN);
+  CHECK(motors.command(Drive{1000, 1000, now_ms + 300, BOOT_ID}, now_ms + 250));
+  run(motors, 49);
+  CHECK(motors.driving() && motors.left() > 0);
+  run(motors, 1);
+  CHECK(!motors.driving() && motors.left() == 0);
+}
+
+static void test_what_comes_after_its_end_neither_starts_motors_nor_keeps_them_running() {
+  const Drive late{1000, 1000, 5000, BOOT_ID};
+  for (const uint32_t now_ms : {5000u, 5001u, 7000u, 5000u + 0x7FFFFFFFu, 5000u - MAX_AHEAD_MS - 1}) {
+    MotorControl resting;
+    CHECK(!resting.command(late, now_ms));
+    run(resting, 5);
+    CHECK(!resting.driving() && resting.left() == 0 && resting.bridge() == Bridge::COAST);
+    MotorControl moving;
+    CHECK(moving.command(Drive{500, 500, now_ms + 300, BOOT_ID}, now_ms));
+    run(moving, 200);
+    CHECK(!moving.command(late, now_ms));
+    run(moving, 99);
+    CHECK(moving.left() == 500);
+    run(moving, 1);
+    CHECK(moving.left() == 0 && moving.ttl_stops() == 1);
+  }
 }
 
 static void test_motors_are_off_until_a_command_and_stop_when_commands_go_silent() {
   MotorControl motors;
   run(motors, 1000);
   CHECK(motors.left() == 0 && motors.bridge() == Bridge::COAST);
-  start(motors, Drive{1000, -1000, 300});
+  drive(motors, 1000, -1000, 300);
   CHECK(motors.left() == 0);  // only tick moves
   run(motors, 299);
   CHECK(motors.left() == 1000 && motors.right() == -1000 && motors.driving());
@@ -215,19 +224,16 @@ static void test_motors_are_off_until_a_command_and_stop_when_commands_go_silent
 
 static void test_time_to_live_has_an_upper_bound() {
   MotorControl motors;
-  start(motors, Drive{500, 500, 60000});
+  drive(motors, 500, 500, MAX_AHEAD_MS);
   run(motors, MAX_TTL_MS - 1);
   CHECK(motors.left() == 500);
   run(motors, 1);
   CHECK(motors.left() == 0);
-  motors.command(Drive{500, 500, 0});
-  run(motors, 10);
-  CHECK(motors.left() == 0 && motors.bridge() != Bridge::RUN);
 }
 
 static void test_stop_is_at_once_and_a_fresh_command_is_needed() {
   MotorControl motors;
-  start(motors, Drive{800, 800, 300});
+  drive(motors, 800, 800, 300);
   run(motors, 250);
   motors.stop();
   CHECK(motors.left() == 0 && motors.right() == 0);
@@ -239,7 +245,7 @@ static void test_speed_ramps_and_reverses_through_zero() {
   MotorControl motors;
   int16_t before = 0;
   for (int ms = 0; ms < 2000; ++ms) {
-    if (ms % 100 == 0) motors.command(Drive{static_cast<int16_t>(ms < 1000 ? 1000 : -1000), 300, 300});
+    if (ms % 100 == 0) drive(motors, static_cast<int16_t>(ms < 1000 ? 1000 : -1000), 300, 300);
     motors.tick();
     const int change = motors.left() - before;
     CHECK(change <= 10 && change >= -10);
@@ -254,19 +260,19 @@ static void test_low_battery_holds_the_motors_off_until_it_recovers() {
   motors.configure(ConfigMotors{1, 4, 10, 6400});
   motors.battery(6300);
   for (int i = 0; i < 19; ++i) {  // shorter than the grace period: a start-up dip
-    motors.command(Drive{500, 500, 300});
+    drive(motors, 500, 500, 300);
     run(motors, 100);
   }
   CHECK(motors.left() == 500 && !motors.low_battery());
   run(motors, 200);
   CHECK(motors.low_battery() && motors.left() == 0);
   motors.battery(6500);  // within the hysteresis
-  start(motors, Drive{500, 500, 300});
+  drive(motors, 500, 500, 300);
   run(motors, 50);
   CHECK(motors.left() == 0);
   motors.battery(6800);
   run(motors, 1);
-  start(motors, Drive{500, 500, 300});
+  drive(motors, 500, 500, 300);
   run(motors, 200);
   CHECK(motors.left() == 500 && !motors.low_battery());
 }
@@ -280,7 +286,7 @@ static void test_a_repeated_configuration_keeps_an_empty_battery_empty() {
   run(motors, 600);
   CHECK(motors.low_battery());
   motors.configure(ConfigMotors{0, 8, 20, 6400});
-  start(motors, Drive{500, 500, 300});
+  drive(motors, 500, 500, 300);
   run(motors, 100);
   CHECK(motors.low_battery() && motors.left() == 0);
   motors.configure(ConfigMotors{1, 4, 10, 5000});
@@ -537,7 +543,8 @@ int main(int argc, char** argv) {
       TEST(test_damage_costs_one_frame_and_an_overlong_one_is_dropped),
       TEST(test_cobs_keeps_every_length_and_zero_pattern),
       TEST(test_ring_buffer_keeps_order_and_refuses_when_full),
-      TEST(test_one_command_alone_starts_nothing),
+      TEST(test_a_command_lives_from_when_it_was_made_however_late_it_comes),
+      TEST(test_what_comes_after_its_end_neither_starts_motors_nor_keeps_them_running),
       TEST(test_motors_are_off_until_a_command_and_stop_when_commands_go_silent),
       TEST(test_time_to_live_has_an_upper_bound),
       TEST(test_stop_is_at_once_and_a_fresh_command_is_needed),

@@ -67,7 +67,11 @@ class Imu(Protocol):
 class Motors(Protocol):
     """Two sides of a skid-steer drive. Calls return at once; `stop` must work from any thread and may not raise."""
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None: ...
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
+        """Hold a velocity until a monotonic time of this computer.
+
+        The time goes along as far as the motors: a command that was held up on its way moves nothing after its end.
+        """
 
     def stop(self) -> None: ...
 

@@ -14,9 +14,8 @@ from station.api.problems import responses
 from station.api.schema.slam import SlamModel, TrajectoryModel, slam_model
 from station.errors import Conflict
 from station.files.navigation_folder import format_tum
-from station.model.navigation import Trajectory
 from station.model.points import pack_points
-from station.robots.live_slam import LiveSlam
+from station.robots.live_slam import LivePath, LiveSlam
 from station.robots.session import RobotSession
 
 of_robot = APIRouter(tags=["SLAM"])
@@ -34,21 +33,19 @@ async def trajectory(
     format: Annotated[Literal["json", "tum"], Query()] = "json",
 ) -> TrajectoryModel:
     live = robot.current_navigation.live
-    poses = [] if live is None else list(live.poses)
+    way = (LivePath(1) if live is None else live.path).trajectory()
     if format == "tum":
-        times = np.array([p.t_robot_ns for p in poses], dtype=np.int64)
-        matrices = np.array([p.T_world_body for p in poses]).reshape(-1, 4, 4)
-        text = await asyncio.to_thread(format_tum, Trajectory(times, matrices))
+        text = await asyncio.to_thread(format_tum, way)
         return Response(text, media_type="text/plain")  # type: ignore[return-value]
     chosen: list[int] = (
-        np.unique(np.linspace(0, len(poses) - 1, min(limit, len(poses))).round().astype(int)).tolist() if poses else []
+        np.unique(np.linspace(0, len(way) - 1, min(limit, len(way))).round().astype(int)).tolist() if len(way) else []
     )
     return TrajectoryModel(
         navigation=live.navigation_id if live else None,
         source=live.source if live else None,
-        total=len(poses),
-        t_robot_ns=[poses[i].t_robot_ns for i in chosen],
-        p_world=[[round(float(x), 4) for x in poses[i].T_world_body[:3, 3]] for i in chosen],
+        total=live.path.num_seen if live else 0,
+        t_robot_ns=way.t_robot_ns[chosen].tolist(),
+        p_world=way.T_world_body[chosen, :3, 3].round(4).tolist(),
     )
 
 

@@ -10,11 +10,12 @@ import os
 import shutil
 import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
+
+from shared.disk import spill_folder
 
 logger = logging.getLogger(__name__)
 A = TypeVar("A", bound=np.generic)
@@ -22,7 +23,6 @@ FILE_BYTES = 64 * 1024 * 1024  # some 250 keyframes; each file costs a file desc
 RESIDENT_BYTES = 8 * 1024 * 1024  # what stays in memory
 ALIGNED = 64  # as numpy's own arrays
 KEPT_FREE_BYTES = 1024 * 1024 * 1024  # more than a recording asks for: this must not be what ends it
-FOLDER = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108  # nosec B108
 
 
 class Spill:
@@ -102,7 +102,7 @@ class SpilledFiles(Sequence[bytes]):
 
 def _map_file(size: int) -> mmap.mmap:
     """Raises OSError when there is no room for it: found out later, touching it would end the process."""
-    folder = FOLDER if "TMPDIR" not in os.environ and os.access(FOLDER, os.W_OK) else Path(tempfile.gettempdir())
+    folder = spill_folder()
     if shutil.disk_usage(folder).free < size + KEPT_FREE_BYTES:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with tempfile.TemporaryFile(prefix="sentinel-", buffering=0, dir=folder) as file:

@@ -28,6 +28,7 @@ from station.events import LogLine
 from station.files.foxglove import camera_calibration, encode_image, time_of
 from station.model.place_answer import PlaceReport
 from station.model.slam_update import SlamUpdate
+from station.recordings.chunk_indices import ChunkIndices
 from station.recordings.topics import (
     ANSWER_TOPIC,
     CALIBRATION_TOPIC,
@@ -251,18 +252,19 @@ class Recorder:
 
     def _write_all(self) -> None:
         try:
-            with self._file:
-                self._write_entries()
+            with self._file, ChunkIndices() as indices:
+                self._write_entries(indices)
         except OSError as exc:
             self._fail_to_write(exc.strerror or str(exc))
         except Exception as exc:
             logger.exception("recorder")
             self._fail_to_write(f"an error of the recorder ({exc})")
 
-    def _write_entries(self) -> None:
+    def _write_entries(self, indices: ChunkIndices) -> None:
         if self._is_on_disk:
             flush(self.path.parent)  # its name too survives a power cut
         writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        vars(writer)["_Writer__chunk_indices"] = indices  # a list of its own would grow as long as the recording
         writer.start(profile="", library=LIBRARY)
         channels = register_channels(writer)
         checked_ns = self._now_ns()

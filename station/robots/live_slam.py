@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.geometry import FloatArray, IntArray
-from station.model.navigation import Navigation
+from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate, TrackingState
 
 MAX_LIVE_POINTS = 2_000_000
-MAX_LIVE_POSES = 500_000
+MAX_LIVE_POSES = 20_000  # the most that GET /trajectory gives
 
 
 class PointBuffer:
@@ -50,6 +49,45 @@ class LivePose:
     segment: int
 
 
+class LivePath:
+    """The way so far, evenly thinned out: a drive of hours takes the memory of its first minutes.
+
+    All poses are kept until there are MAX_LIVE_POSES; then every second one, then every fourth, and so on.
+    """
+
+    def __init__(self, max_poses: int = MAX_LIVE_POSES) -> None:
+        self._t_robot_ns: IntArray = np.full(max_poses, 0)  # filled: what is only reserved would grow with its use
+        self._T_world_body: FloatArray = np.full((max_poses, 4, 4), 0.0)
+        self._count = 0
+        self._step = 1  # of this many poses one is kept
+        self.num_seen = 0
+        self.newest: LivePose | None = None
+
+    def add(self, pose: LivePose) -> None:
+        if self.num_seen % self._step == 0:
+            if self._count == len(self._t_robot_ns):
+                self._thin_out()
+            self._t_robot_ns[self._count] = pose.t_robot_ns
+            self._T_world_body[self._count] = pose.T_world_body
+            self._count += 1
+        self.num_seen += 1
+        self.newest = pose
+
+    def trajectory(self) -> Trajectory:
+        """The kept poses, and the newest one whether it is kept or not."""
+        times, poses = self._t_robot_ns[: self._count], self._T_world_body[: self._count]
+        if self.newest is None or times[-1] == self.newest.t_robot_ns:
+            return Trajectory(times.copy(), poses.copy())
+        return Trajectory(np.append(times, self.newest.t_robot_ns), np.concatenate([poses, [self.newest.T_world_body]]))
+
+    def _thin_out(self) -> None:
+        kept = slice(None, None, 2)
+        self._count = len(self._t_robot_ns[kept])
+        self._t_robot_ns[: self._count] = self._t_robot_ns[kept].copy()
+        self._T_world_body[: self._count] = self._T_world_body[kept].copy()
+        self._step *= 2
+
+
 class LiveSlam:
     """What is known so far of one navigation."""
 
@@ -61,7 +99,7 @@ class LiveSlam:
         self.num_landmarks = 0
         self.frames = 0
         self.points = PointBuffer()
-        self.poses: deque[LivePose] = deque(maxlen=MAX_LIVE_POSES)
+        self.path = LivePath()
         self.restarts = 0
 
     def restart(self) -> None:
@@ -69,12 +107,12 @@ class LiveSlam:
         self.restarts += 1
         self.source = f"{self.navigation_id}/part-{self.restarts + 1}"
         self.points = PointBuffer()
-        self.poses.clear()
+        self.path = LivePath()
         self.num_landmarks = 0
 
     @property
     def pose(self) -> LivePose | None:
-        return self.poses[-1] if self.poses else None
+        return self.path.newest
 
     def set_message(self, message: str) -> None:
         """How SLAM is, when no update can say it."""
@@ -85,7 +123,7 @@ class LiveSlam:
         self.frames += 1
         self.state, self.message, self.num_landmarks = update.state, update.message, update.num_landmarks
         if update.T_world_body is not None:
-            self.poses.append(LivePose(update.t_robot_ns, update.T_world_body, update.segment))
+            self.path.add(LivePose(update.t_robot_ns, update.T_world_body, update.segment))
         points, rgb = update.new_points_world, update.new_points_rgb
         if points is None or not len(points):
             return False
@@ -101,6 +139,7 @@ class LiveSlam:
         live.frames = navigation.report.frames
         live.points.add(navigation.landmarks.p_world, navigation.landmarks.rgb)
         times: IntArray = navigation.trajectory.t_robot_ns
+        live.path = LivePath(max(1, len(times)))
         for t_ns, T in zip(times.tolist(), navigation.trajectory.T_world_body, strict=True):
-            live.poses.append(LivePose(t_ns, T, 0))
+            live.path.add(LivePose(t_ns, T, 0))
         return live

@@ -5,13 +5,13 @@ from pathlib import Path
 from shared import serial_protocol as sp
 
 EXAMPLES: list[tuple[str, bytes]] = [
-    ("hello", sp.pack(sp.Hello(1, 1, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513))),
+    ("hello", sp.pack(sp.Hello(2, 2, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513))),
     ("imu", sp.pack(sp.ImuPacket(7, 0xFFFFFFF0, 0x11, bytes(range(23))))),
     ("status", sp.pack(sp.Status(70000, 0x41, 99, 1, 2, 3, 4, 5, 6, 7, 8, 9, 7400, -1000, 1000, 120, 6000))),
     ("ack", sp.pack(sp.Ack(0x14, 2))),
     ("mega_time", sp.pack(sp.MegaTime(0xDEADBEEF, 1))),
-    ("drive", sp.pack(sp.Drive(-1000, 250, 300))),
-    ("drive_zero", sp.pack(sp.Drive(0, 0, 0))),
+    ("drive", sp.pack(sp.Drive(-1000, 250, 70300, 513))),
+    ("drive_zero", sp.pack(sp.Drive(0, 0, 0, 0))),
     ("stop", sp.pack(sp.Stop())),
     ("ask_time", sp.pack(sp.AskTime(0x01020304))),
     ("ask_hello", sp.pack(sp.AskHello())),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -184,10 +185,14 @@ async def test_motors_accept_commands_and_stop_from_any_thread(devices: DeviceSe
     motors = devices.motors
     if motors is None:
         pytest.skip("these devices have no motors")
-    motors.drive(0.1, -0.5)
+    motors.drive(0.1, -0.5, soon_ns())
     await asyncio.to_thread(motors.stop)
     motors.close()
     motors.stop()  # also after closing, without raising
+
+
+def soon_ns() -> int:
+    return time.monotonic_ns() + 250_000_000
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -204,10 +209,30 @@ async def test_motors_rest_until_driven_and_stop_by_word_and_by_silence(devices:
     for end in (motors.stop, lambda: None):
         while not turning():  # said again and again, as robot-server does: a busy machine may pass over one
             with contextlib.suppress(DeviceLost):  # a starved emulator may be silent for half a second
-                motors.drive(0.3, 0.0)
+                motors.drive(0.3, 0.0, soon_ns())
             await asyncio.sleep(0.05)
         end()
         await until(lambda: not turning())
+
+
+async def test_a_command_that_comes_after_its_end_moves_nothing(devices: DeviceSet, bench: Bench) -> None:
+    motors, turning = devices.motors, bench.turning
+    if motors is None or turning is None:
+        pytest.skip("nobody sees these devices' motors from outside")
+    while not turning():
+        with contextlib.suppress(DeviceLost):
+            motors.drive(0.3, 0.0, soon_ns())
+        await asyncio.sleep(0.05)
+    late_ns = time.monotonic_ns()
+    while turning():  # the last command in time ends; late ones do not keep it up
+        with contextlib.suppress(DeviceLost):
+            motors.drive(0.3, 0.0, late_ns)
+        await asyncio.sleep(0.05)
+    for _ in range(10):
+        with contextlib.suppress(DeviceLost):
+            motors.drive(0.3, 0.0, late_ns)
+        await asyncio.sleep(0.05)
+        assert not turning()
 
 
 async def test_the_head_points_and_lets_go_in_any_order(devices: DeviceSet) -> None:

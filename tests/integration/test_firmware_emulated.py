@@ -17,6 +17,7 @@ pytestmark = pytest.mark.skipif(board.missing_reason() is not None, reason=board
 
 FIRMWARE_BOUND_US = 500_000  # from the fault to zero duty at the pins
 INTERRUPTS_OFF_US = 40
+LOADER_S = 0.83  # the stock bootloader's stay
 DUTY_ERROR = 8  # permille: the emulator moves a PWM edge by a few of a period's 800 cycles
 
 
@@ -75,6 +76,43 @@ def test_a_stop_command_stops_within_milliseconds(tmp_path: Path) -> None:
     run = board.batch(tmp_path, 2, [*board.drive([1.0], 1000, 1000, 400), (1.35, board.uart(sp.Stop()))])
     assert run.duty_at(1.349e6) == (1000, 1000)
     assert run.stopped_after(1.35e6) <= 5e3
+
+
+def late(seconds: list[float], by_ms: int) -> list[tuple[float, str]]:
+    """Drive commands that come so much after their end, as a process does that was stopped before it wrote them."""
+    return board.drive(seconds, 900, 900, -by_ms)
+
+
+@pytest.mark.parametrize("by_ms", [10, 2000, 30_000, -2000])
+def test_what_comes_after_its_end_starts_nothing_however_often_it_comes(tmp_path: Path, by_ms: int) -> None:
+    """Nor what ends further ahead than any command does: its clock is not ours."""
+    run = board.batch(tmp_path, 3, late([1.0 + 0.05 * i for i in range(20)], by_ms))
+    assert all((left, right) == (0, 0) for _, left, right in run.pins)
+    refusals = [m for m in run.messages() if isinstance(m, sp.Ack) and m.asked == sp.Type.DRIVE]
+    assert [m.result for m in refusals] == [4] * 20
+
+
+def test_what_comes_after_its_end_does_not_keep_motors_running(tmp_path: Path) -> None:
+    good = board.drive([1.0, 1.1, 1.2, 1.3, 1.4], 600, 600, ttl_ms=250)
+    run = board.batch(tmp_path, 3, [*good, *late([1.45 + 0.05 * i for i in range(20)], 10)])
+    assert 245e3 <= run.stopped_after(1.4e6) <= 255e3
+
+
+def test_a_command_that_took_its_time_on_the_line_ends_when_it_would_have(tmp_path: Path) -> None:
+    run = board.batch(tmp_path, 3, board.drive([1.0], 600, 600, ttl_ms=100))
+    assert 95e3 <= run.stopped_after(1.0e6) <= 110e3
+    held_up = [(1.2, line) for _, line in board.drive([1.0], 600, 600, ttl_ms=300)]
+    run = board.batch(tmp_path, 3, held_up)
+    assert run.duty_at(1.29e6)[0] > 0
+    assert 95e3 <= run.stopped_after(1.2e6) <= 110e3
+
+
+def test_commands_of_the_time_before_a_reset_move_nothing_after_it(tmp_path: Path) -> None:
+    """Not even where they end in time by the clock that began anew."""
+    script = [*board.drive([1.0], 900, 900), (1.2, "reset"), *board.drive([2.3, 2.4], 900, 900, booted_s=1.2)]
+    run = board.batch(tmp_path, 4, [*script, *board.drive([3.0], 900, 900, boot_id=2, booted_s=1.2)])
+    assert all((left, right) == (0, 0) for t, left, right in run.pins if 1.21e6 < t < 2.99e6)
+    assert run.duty_at(3.2e6)[0] > 500
 
 
 @pytest.mark.parametrize("interrupts", ["on", "off"])
@@ -275,7 +313,7 @@ def test_hello_comes_unasked_until_the_pi_speaks(tmp_path: Path) -> None:
 @pytest.mark.skipif(not board.BOOTLOADER.is_file(), reason="Debian's arduino-core-avr has the Mega's bootloader")
 def test_with_the_stock_bootloader_a_silent_pi_is_greeted_and_a_hang_is_told(tmp_path: Path) -> None:
     """The Pi listens for 2.5 s after opening (which resets the Mega) before it writes: the hello comes within them."""
-    greeting = [(2.5, board.uart(sp.AskHello())), *board.drive([2.6, 2.8], 500, 500, 400)]
+    greeting = [(2.5, board.uart(sp.AskHello())), *board.drive([2.6, 2.8], 500, 500, 400, booted_s=LOADER_S)]
     run = board.batch(tmp_path, 4.2, [*greeting, (2.9, "hang on")], boot=board.BOOTLOADER)
     hellos = [m for m in run.messages() if isinstance(m, sp.Hello)]
     assert len(hellos) >= 4  # two unasked, the answer, and after the hang

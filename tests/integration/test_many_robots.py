@@ -164,7 +164,7 @@ async def test_a_killed_slam_worker_comes_back_and_the_other_robot_does_not_noti
         await until(lambda: first.slam_pid not in (None, victim) and first.live is not None and first.live.restarts)
         assert second.slam_pid == other and second.live.restarts == 0
         assert not any("SLAM" in line.text for line in station.robots["robot-2"].events.log)
-        await until(lambda: first.live is not None and len(first.live.poses) > 4)
+        await until(lambda: first.live is not None and first.live.path.num_seen > 4)
         assert first.live.pose is not None and first.live.pose.segment == 1
         for drive in drives:
             await here.post(f"/navigations/{drive['id']}/stop")

@@ -36,7 +36,8 @@ class Station:
                 body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
                 station.calls.append((self.path, self.headers["X-Driver"]))
                 if not station.refusal:
-                    robot.command(body.get("linear", 0.0), body.get("angular", 0.0))
+                    until_ns = time.monotonic_ns() + body.get("ttl_ms", 0) * 1_000_000
+                    robot.command(body.get("linear", 0.0), body.get("angular", 0.0), until_ns)
                 answer = json.dumps({"detail": station.refusal}).encode()
                 self.send_response(409 if station.refusal else 200)
                 self.send_header("Content-Length", str(len(answer)))

@@ -15,6 +15,7 @@ from pathlib import Path
 from socketserver import ThreadingTCPServer
 from typing import Any
 
+import numpy as np
 import pytest
 
 from robot.devices.ports import Camera, DeviceSet
@@ -46,12 +47,15 @@ def wait_for(condition: Any) -> None:
         time.sleep(0.01)
 
 
-def test_driving_moves_the_true_robot_and_silence_of_the_motors_stops_it(robot: SimulatedRobot) -> None:
+def test_driving_moves_the_true_robot_until_the_command_ends(robot: SimulatedRobot) -> None:
     start = ask(robot, cmd="truth")
-    robot.command(0.3, 0.0)
+    robot.command(0.3, 0.0, time.monotonic_ns() + 3_000_000_000)
     wait_for(lambda: abs(ask(robot, cmd="truth")["T_world_body"][0][3] - start["T_world_body"][0][3]) > 0.05)
-    robot.command(0.0, 0.0)
-    wait_for(lambda: max(map(abs, ask(robot, cmd="truth")["v_world"])) < 0.01)
+    wait_for(lambda: max(map(abs, ask(robot, cmd="truth")["v_world"])) < 0.01)  # nobody stopped it: its time is over
+    resting = ask(robot, cmd="truth")
+    robot.command(0.3, 0.0, time.monotonic_ns() - 1)
+    wait_for(lambda: ask(robot, cmd="truth")["t_robot_ns"] > resting["t_robot_ns"] + 500_000_000)
+    assert np.allclose(ask(robot, cmd="truth")["T_world_body"], resting["T_world_body"], atol=0.005)
 
 
 def test_a_hijack_puts_the_robot_where_asked_and_logs_the_truth_on_the_way(robot: SimulatedRobot) -> None:

@@ -27,10 +27,10 @@ def test_frames_equal_the_golden_bytes(name: str, payload: str, frame: str) -> N
 
 def test_messages_pack_to_the_golden_payloads() -> None:
     payload = {name: bytes.fromhex(payload) for name, payload, _ in GOLDEN}
-    assert sp.pack(sp.Drive(-1000, 250, 300)) == payload["drive"]
+    assert sp.pack(sp.Drive(-1000, 250, 70300, 513)) == payload["drive"]
     assert sp.pack(sp.Servo(1500, 0)) == payload["servo"]
     assert sp.pack(sp.ConfigMotors(True, 4, 10, 6400)) == payload["config_motors"]
-    assert sp.parse(payload["hello"]) == sp.Hello(1, 1, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513)
+    assert sp.parse(payload["hello"]) == sp.Hello(2, 2, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513)
     status = sp.parse(payload["status"])
     assert isinstance(status, sp.Status) and (status.left, status.battery_mv, status.stack_free) == (-1000, 7400, 6000)
 
@@ -88,6 +88,6 @@ def test_imu_counts_become_si_units_in_the_imu_frame() -> None:
 
 def test_values_the_firmware_would_refuse_are_refused_here() -> None:
     with pytest.raises(LocalProtocolError):
-        sp.pack(sp.Drive(1001, 0, 100))
+        sp.pack(sp.Drive(1001, 0, 100, 1))
     with pytest.raises(LocalProtocolError):
         sp.encode_frame(bytes(sp.MAX_PAYLOAD + 1))

@@ -101,8 +101,9 @@ class FakeMotors:
     def are_off(self) -> bool:
         return self.history[-1][1:] == (0.0, 0.0)
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
-        self.history.append((time.monotonic_ns(), linear_m_s, angular_rad_s))
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
+        if time.monotonic_ns() < until_ns:
+            self.history.append((time.monotonic_ns(), linear_m_s, angular_rad_s))
 
     def stop(self) -> None:
         self.history.append((time.monotonic_ns(), 0.0, 0.0))

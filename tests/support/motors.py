@@ -10,12 +10,14 @@ class FakeMotors:
 
     def __init__(self) -> None:
         self.history: list[tuple[float, float]] = []
+        self.until_ns = 0  # of the newest command
         self.told = threading.Condition()
         self.may_go_on = threading.Event()
         self.may_go_on.set()
         self.failure: Exception | None = None
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
+        self.until_ns = until_ns
         self._note(linear_m_s, angular_rad_s)
         self.may_go_on.wait(10)
         if self.failure is not None:

@@ -20,6 +20,8 @@ from robot.devices.ports import DeviceSet, Imu, ImuReading
 from shared.errors import DeviceLost
 from shared.serial_protocol import ConfigImu, ConfigMotors
 
+UNTIL_PINS_CHANGE_NS = 2**63 - 1  # a pin holds its level: it is the firmware that ends a motion
+
 
 class EmulatedImu(MegaImu):
     """The emulated Mega's IMU; closing it ends the board and the feeding."""
@@ -82,9 +84,9 @@ def open_emulated(base: DeviceSet) -> DeviceSet:
 
     def move(left: int, right: int) -> None:
         if base.motors is not None:
-            base.motors.drive(*geometry.velocity(left, right))
+            base.motors.drive(*geometry.velocity(left, right), UNTIL_PINS_CHANGE_NS)
 
-    board = EmulatedBoard(on_pins=move)
+    board = EmulatedBoard(on_pins=move, keep_events=100)  # nobody asks for more than the first
     try:
         board.command("sample 0 0 9.81 0 0 0")
         mega = Mega(lambda: PySerialLine(str(board.port)), ConfigImu(), ConfigMotors(cutoff_mv=6400))

@@ -16,7 +16,6 @@ ROOT = Path(__file__).parents[3]
 BOARD = ROOT / "firmware" / "build" / "emulator" / "board"
 ELF = ROOT / "firmware" / "build" / "sentinel.elf"
 START_TIMEOUT_S = 10.0
-MAX_EVENTS = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +30,18 @@ class BoardEvent:
 class EmulatedBoard:
     """A running board. Its serial port is at `port`; the reader thread keeps events and the duty at the motor pins."""
 
-    def __init__(self, on_pins: Callable[[int, int], None] | None = None, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        on_pins: Callable[[int, int], None] | None = None,
+        folder: Path | None = None,
+        keep_events: int = 100_000,
+    ) -> None:
         """Starts it.
 
         Args:
             on_pins: called from the reader thread with left and right duty (permille) on each change.
             folder: where the serial port's link is made; none: a temporary one.
+            keep_events: how many of the newest events stay in `events`.
         Raises:
             DeviceUnavailable: not built on this machine.
         """
@@ -50,7 +55,7 @@ class EmulatedBoard:
         self.port = Path(self._temporary.name if self._temporary else folder or ".") / "mega"
         self._on_pins = on_pins
         self.pins = (0, 0)
-        self.events: deque[BoardEvent] = deque(maxlen=MAX_EVENTS)
+        self.events: deque[BoardEvent] = deque(maxlen=keep_events)
         self._changed = threading.Condition()
         self.process = subprocess.Popen(
             [str(BOARD), "--elf", str(ELF), "--pty", str(self.port), "--realtime"],

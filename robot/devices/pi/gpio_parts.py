@@ -9,10 +9,8 @@ import select
 import subprocess
 import sys
 import threading
-import time
 
 from robot.devices.pi.kinematics import DriveGeometry
-from robot.devices.pi.mega_parts import FIRMWARE_TTL_MS
 from shared.errors import DeviceLost, DeviceUnavailable
 
 logger = logging.getLogger(__name__)
@@ -108,10 +106,9 @@ class GpioMotors:
     def __init__(self, process: GpioProcess, geometry: DriveGeometry) -> None:
         self._process, self._geometry = process, geometry
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
         left, right = self._geometry.duties(linear_m_s, angular_rad_s)
-        until_ms = time.monotonic_ns() // 1_000_000 + FIRMWARE_TTL_MS
-        self._process.send(f"drive {left} {right} {until_ms}")
+        self._process.send(f"drive {left} {right} {until_ns // 1_000_000}")
 
     def stop(self) -> None:
         try:

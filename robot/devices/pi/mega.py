@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from robot.devices.mailbox import Mailbox
 from robot.devices.pi.mega_clock import MegaClock
@@ -25,6 +26,19 @@ LONGEST_READ_S = 0.05  # a line's read waits no longer
 SILENCE_S = 1.0  # the firmware reports ten times a second
 MAY_SPEAK_NS = 200_000_000  # a firmware that runs is never silent for so long
 MAX_READINGS = 225  # a second's worth, as the port says
+
+
+@dataclass(frozen=True, slots=True)
+class ReportedUptime:
+    """The Mega's clock as a report told it: `uptime_ms` when that left, so at `heard_ns` that or later."""
+
+    boot_id: int
+    uptime_ms: int
+    heard_ns: int  # our monotonic clock
+
+    def uptime_ms_at(self, t_ns: int) -> int:
+        """The Mega's uptime (32 bits) at one of our times, early by as long as the report took to us, never late."""
+        return (self.uptime_ms + (t_ns - self.heard_ns) // 1_000_000) & 0xFFFFFFFF
 
 
 class Mega:
@@ -59,6 +73,7 @@ class Mega:
         self.hello: sp.Hello | None = None
         self.status: sp.Status | None = None
         self._uptime_ms = 0
+        self._reported: ReportedUptime | None = None  # by the firmware behind the present line
         self.lost: str = ""  # why nothing comes at present, in a sentence
         self.restarts = 0  # how often the firmware started anew under us
         self._heard_ns = now_ns()
@@ -75,25 +90,41 @@ class Mega:
         refused = {"settings": self._settings.refused} if self._settings.refused else {}
         return self._health.sentences() | refused
 
-    def send(self, command: sp.Command) -> None:
+    def send(self, command: sp.Stop | sp.Servo) -> None:
         """Give a command to the line; never waits for it.
 
         Raises:
             DeviceLost: there is no line, or the firmware behind it is not known to be the one we have set.
         """
-        frame = sp.encode(command)
         with self._write_lock:
-            if self._line is None:
-                raise DeviceLost(self.lost or "the Mega is not connected")
-            if self._new_start is not None:
-                raise DeviceLost("the Mega has started anew; its motors are off until it has been greeted")
-            if isinstance(command, sp.Drive) and not self._settings.motors_are_set:
-                raise DeviceLost(self._settings.refused or "the Mega has not confirmed its settings yet")
-            try:
-                self._line.write(frame)
-            except DeviceLost as exc:
-                self._drop(str(exc))
-                raise
+            self._write(command)
+
+    def drive(self, left: int, right: int, until_ns: int) -> None:
+        """Give a drive command to the line; never waits for it.
+
+        Args:
+            left, right: permille of full duty.
+            until_ns: when it ends, by our monotonic clock. The Mega is told in its own, and refuses what comes later.
+        Raises:
+            DeviceLost: as for `send`; or the Mega's settings or clock are not known yet.
+        """
+        with self._write_lock:
+            if not self._settings.motors_are_set:
+                raise DeviceLost(self._settings.refused or self.lost or "the Mega has not confirmed its settings yet")
+            if self._reported is None:
+                raise DeviceLost(self.lost or "the Mega has not reported its clock yet")
+            self._write(sp.Drive(left, right, self._reported.uptime_ms_at(until_ns), self._reported.boot_id))
+
+    def _write(self, command: sp.Command) -> None:
+        if self._line is None:
+            raise DeviceLost(self.lost or "the Mega is not connected")
+        if self._new_start is not None:
+            raise DeviceLost("the Mega has started anew; its motors are off until it has been greeted")
+        try:
+            self._line.write(sp.encode(command))
+        except DeviceLost as exc:
+            self._drop(str(exc))
+            raise
 
     @property
     def silence_ns(self) -> int:
@@ -180,6 +211,7 @@ class Mega:
         self._sequence_offset = None
         with self._write_lock:
             self._line = line
+            self._reported = None
             self._new_start = None
             self.lost = ""
 
@@ -256,9 +288,10 @@ class Mega:
         if isinstance(message, sp.ImuPacket):
             self._take_imu(message, now_ns)
         elif isinstance(message, sp.Status):
-            self._take_status(message)
+            self._take_status(message, now_ns)
         elif isinstance(message, sp.Ack):
             self._settings.take(message)
+            self._health.take_ack(message)
             self._note_ready()
         elif isinstance(message, sp.Hello):
             if self._new_start is None and self.hello is not None and message.boot_id == self.hello.boot_id:
@@ -269,7 +302,7 @@ class Mega:
             self.restarts += 1
             self._greet(line, message, self._decoder)
 
-    def _take_status(self, status: sp.Status) -> None:
+    def _take_status(self, status: sp.Status, now_ns: int) -> None:
         self.status = status
         before_ms, self._uptime_ms = self._uptime_ms, status.uptime_ms
         self._health.take(status)
@@ -279,6 +312,8 @@ class Mega:
             with self._write_lock:
                 self._new_start = AskPlan(time.monotonic() - BOOT_S)
             self._new_start.hear(time.monotonic())
+        if self.hello is not None:
+            self._reported = ReportedUptime(self.hello.boot_id, status.uptime_ms, now_ns)
         self._note_ready()
 
     def _note_ready(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from shared.serial_protocol import Flag, Status
+from shared.serial_protocol import Ack, Flag, Status, Type
 
 WINDOW_MS = 5000  # a counter that rose within so long tells of something that goes on
 DEEPEST_STACK_FREE = 256  # bytes
@@ -31,14 +31,21 @@ class MegaHealth:
 
     def __init__(self) -> None:
         self._past: deque[Status] = deque()
+        self._refused_ms: int | None = None  # uptime as reported last before a drive command was refused
 
     def take(self, status: Status) -> None:
         """The next report. One with a lower uptime is a new start: nothing before it counts."""
         if self._past and status.uptime_ms < self._past[-1].uptime_ms:
             self._past.clear()
+            self._refused_ms = None
         self._past.append(status)
         while self._past[-1].uptime_ms - self._past[0].uptime_ms > WINDOW_MS:
             self._past.popleft()
+
+    def take_ack(self, ack: Ack) -> None:
+        """Drive commands are answered only where they are refused."""
+        if ack.asked == Type.DRIVE and self._past:
+            self._refused_ms = self._past[-1].uptime_ms
 
     def sentences(self) -> dict[str, str]:
         """Which flag or counter → what is wrong and what to do."""
@@ -49,6 +56,8 @@ class MegaHealth:
         told = last.flags & ~SET_UP if last.uptime_ms < SET_UP_MS else last.flags
         found = {str(flag.name): text for flag, text in FLAGS.items() if told & flag}
         found |= {name: text for name, text in COUNTERS.items() if getattr(last, name) != getattr(first, name)}
+        if self._refused_ms is not None and last.uptime_ms - self._refused_ms <= WINDOW_MS:
+            found["late_commands"] = "drive commands reach the Mega after their end; its computer is too busy"
         if last.stack_free < DEEPEST_STACK_FREE:
             found["stack_free"] = f"the Mega has {last.stack_free} bytes of stack left; report this as a bug"
         return found

@@ -9,15 +9,11 @@ from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.pi.mega import Mega
 from robot.devices.ports import BatteryState, ImuReading
 from shared.errors import DeviceLost, HardwareError
-from shared.serial_protocol import Drive, Flag, Servo, Stop
+from shared.serial_protocol import Flag, Servo, Stop
 
 logger = logging.getLogger(__name__)
 
-# What the firmware lets a motor run without another command. The station repeats commands at least four times a second
-# and stops by itself after 250 ms; this is for its own death.
-FIRMWARE_TTL_MS = 300
-# Ten reports a second: a longer silence is a line that stands still, and what is written to it now would move the robot
-# when it flows again. The same when this whole process stood still.
+# Ten reports a second: a longer silence is a line that stands still, and whoever drives must be told so.
 SILENT_NS = 500_000_000
 
 
@@ -39,12 +35,12 @@ class MegaMotors:
         self._mega = mega
         self._geometry = geometry
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
         """Raises DeviceLost when the Mega is away, silent, or holds the motors off."""
         if (silence_ns := self._mega.silence_ns) > SILENT_NS:
             raise DeviceLost(f"the Mega has been silent for {silence_ns / 1e9:.1f} s; not driving until it is heard")
         left, right = self._geometry.duties(linear_m_s, angular_rad_s)
-        self._mega.send(Drive(left, right, FIRMWARE_TTL_MS))
+        self._mega.drive(left, right, until_ns)
         status = self._mega.status
         if status is not None and status.flags & Flag.LOW_BATTERY:
             raise DeviceLost(f"the motors' battery is low ({status.battery_mv / 1000:.1f} V); charge it")

@@ -129,8 +129,9 @@ class RecordedMotors:
     now_ns: Callable[[], int] = time.monotonic_ns
     history: list[tuple[int, float, float]] = field(default_factory=list)  # (time, m/s, rad/s), changes only
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
-        self._note(linear_m_s, angular_rad_s)
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
+        if self.now_ns() < until_ns:
+            self._note(linear_m_s, angular_rad_s)
 
     def stop(self) -> None:
         self._note(0.0, 0.0)

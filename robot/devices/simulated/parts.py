@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import secrets
-import time
-from collections import deque
 
 from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
 from robot.devices.simulated.robot import SimulatedRobot
 
-MAX_HISTORY = 10_000
 MAX_READINGS = 225  # a second's worth, as the port says
 
 
@@ -37,19 +34,13 @@ class SimulatedImu(_Part):
 
 
 class SimulatedMotors(_Part):
-    """Drives the simulated body and keeps what it was told."""
+    """Drives the simulated body."""
 
-    def __init__(self, robot: SimulatedRobot) -> None:
-        super().__init__(robot)
-        self.history: deque[tuple[int, float, float]] = deque(maxlen=MAX_HISTORY)  # t_robot_ns, m/s, rad/s
-
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
-        self.history.append((time.monotonic_ns(), linear_m_s, angular_rad_s))
-        self._robot.command(linear_m_s, angular_rad_s)
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
+        self._robot.command(linear_m_s, angular_rad_s, until_ns)
 
     def stop(self) -> None:
-        self.history.append((time.monotonic_ns(), 0.0, 0.0))
-        self._robot.command(0.0, 0.0)
+        self._robot.halt()
 
     def close(self) -> None:
         self.stop()

@@ -6,7 +6,6 @@ import logging
 import math
 import threading
 import time
-from collections import deque
 from pathlib import Path
 from typing import Protocol
 
@@ -15,6 +14,7 @@ import numpy as np
 from robot.devices.mailbox import Mailbox
 from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
 from robot.devices.simulated.rendering import CameraProcess, FrameRequest
+from robot.devices.simulated.truth_log import TruthLog
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
 from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.construction import built_camera
@@ -69,8 +69,9 @@ class SimulatedRobot:
         self.camera_pid: int | None = None  # of the process that renders
         self.faults: Faults = config.faults  # from the next sample and frame on
         self._head = _Head()
-        self._truth_log: deque[tuple[int, FloatArray]] = deque(maxlen=MAX_TRUTH_LOG)
+        self._truth_log = TruthLog(MAX_TRUTH_LOG)
         self._state = self._body.state()
+        self._drive_until_ns = 0
         self._lock = threading.RLock()
         self._stopped = threading.Event()
         self._epoch_ns = time.monotonic_ns()
@@ -101,9 +102,17 @@ class SimulatedRobot:
 
     # --- what the devices need ------------------------------------------------------------------------------------
 
-    def command(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def command(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
+        """Hold a velocity until a monotonic time; what comes later changes nothing."""
         with self._lock:
-            self._body.command(linear_m_s, angular_rad_s)
+            if time.monotonic_ns() < until_ns:  # the body's clock may be behind ours
+                self._body.command(linear_m_s, angular_rad_s)
+                self._drive_until_ns = until_ns
+
+    def halt(self) -> None:
+        """Motors off now."""
+        with self._lock:
+            self._body.command(0.0, 0.0)
 
     def point_head(self, pan_rad: float, tilt_rad: float) -> None:
         """Where the camera shall look; it gets there at the servos' speed."""
@@ -139,7 +148,7 @@ class SimulatedRobot:
     def truth_log(self) -> list[tuple[int, FloatArray]]:
         """All times and T_world_body so far, at TRUTH_LOG_RATE_HZ."""
         with self._lock:
-            return list(self._truth_log)
+            return self._truth_log.read()
 
     def plan(self, kind: str, seed: int) -> Route:
         """A route from where the robot is."""
@@ -174,11 +183,13 @@ class SimulatedRobot:
 
     def _tick(self, ticks: int) -> None:
         with self._lock:
+            if self._ns(self._state.t_s) >= self._drive_until_ns:
+                self._body.command(0.0, 0.0)
             self._state = state = self._body.step()
             self._history.append(state)
             t_ns = self._ns(state.t_s)
             if ticks % round(TICK_RATE_HZ / TRUTH_LOG_RATE_HZ) == 0:
-                self._truth_log.append((t_ns, self._history.pose(state.t_s)))
+                self._truth_log.append(t_ns, self._history.pose(state.t_s))
             self._head.advance()
         measurement = self._imu.measure(state)
         is_moving = bool(np.hypot(*state.v_world[:2]) > 0.02)

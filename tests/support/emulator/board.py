@@ -100,9 +100,12 @@ def uart(command: sp.Command) -> str:
     return f"uart {sp.encode(command).hex()}"
 
 
-def drive(seconds: list[float], left: int, right: int, ttl_ms: int = 250) -> list[tuple[float, str]]:
-    """Drive commands at these times, the first one twice, as robot-server starts."""
-    return [(t, uart(sp.Drive(left, right, ttl_ms))) for t in (*seconds[:1], *seconds)]
+def drive(
+    seconds: list[float], left: int, right: int, ttl_ms: int = 250, *, boot_id: int = 1, booted_s: float = 0.0
+) -> list[tuple[float, str]]:
+    """Drive commands at these times, each to end so much later by the uptime of a boot that began at `booted_s`."""
+    ends_ms = [round(1000 * (t - booted_s)) + ttl_ms & 0xFFFFFFFF for t in seconds]
+    return [(t, uart(sp.Drive(left, right, end, boot_id))) for t, end in zip(seconds, ends_ms, strict=True)]
 
 
 def symbol(name: str) -> int:

@@ -25,7 +25,7 @@ def script_of(name: str, at: float) -> list[tuple[float, str]]:
     """Script lines that break something at a time, and mend it before the next."""
     again = [at + 0.02 * k for k in range(50)]
     if "damaged" in name:
-        bad = bytearray(sp.encode(sp.Drive(600, 600, 300)))
+        bad = bytearray(sp.encode(sp.Drive(600, 600, round(1000 * at) + 1000, 1)))
         bad[3] ^= 0x10
         return [(t, f"uart {bad.hex()}") for t in again]
     if "flood" in name:

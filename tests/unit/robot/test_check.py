@@ -28,7 +28,7 @@ class SlowCamera:
 class ToldMotors:
     """Hands on what it is told."""
 
-    def __init__(self, on_drive: Callable[[float, float], None]) -> None:
+    def __init__(self, on_drive: Callable[[float, float, int], None]) -> None:
         self.drive = on_drive
 
     def stop(self) -> None: ...
@@ -43,7 +43,7 @@ async def test_one_side_turns_while_the_other_rests(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(check, "_ask", yes)
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     geometry, told = DriveGeometry(track_m=0.31), []
-    await check.check_motors(ToldMotors(lambda v, w: told.append(geometry.duties(v, w))), geometry.track_m)
+    await check.check_motors(ToldMotors(lambda v, w, _until_ns: told.append(geometry.duties(v, w))), geometry.track_m)
     assert all(left > 300 and right == 0 for left, right in told[:5])
     assert all(left == 0 and right > 300 for left, right in told[5:])
 
@@ -51,7 +51,7 @@ async def test_one_side_turns_while_the_other_rests(monkeypatch: pytest.MonkeyPa
 async def test_motors_without_a_terminal_are_named_as_not_tested(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stdin, "isatty", lambda: False)
     told: list[tuple[float, float]] = []
-    sentence = await check.check_motors(ToldMotors(lambda v, w: told.append((v, w))), 0.25)
+    sentence = await check.check_motors(ToldMotors(lambda v, w, _until_ns: told.append((v, w))), 0.25)
     assert "NOT TESTED" in sentence and told == []
 
 

@@ -118,7 +118,7 @@ class HangingMotors:
     def __init__(self) -> None:
         self.entered, self.let_go = threading.Event(), threading.Event()
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
         self.entered.set()
         self.let_go.wait(WAIT_S)
 

@@ -118,7 +118,7 @@ def test_every_command_that_is_named_exists_with_its_options(capsys: pytest.Capt
 
 def test_every_command_that_a_person_is_told_to_run_is_whole() -> None:
     told = {command for command, is_told in advised() if is_told}
-    assert {"station map history 1", "station pair 1:1 --code CODE", "station serve --robot 1:1"} <= told
+    assert {"station map history 1", "station pair 1 --code CODE", "station serve --robot 1"} <= told
     assert not wrong(told)
 
 

@@ -6,6 +6,7 @@ import os
 import pty
 import queue
 import select
+import struct
 import termios
 import threading
 import time
@@ -28,6 +29,7 @@ from shared.errors import DeviceLost, DeviceUnavailable
 
 WAIT_S = 20.0
 UNHEARD = -1
+UNTIL_NS = 250_000_000
 SETTINGS = {sp.encode(sp.ConfigImu()): sp.Type.CONFIG_IMU, sp.encode(sp.ConfigMotors()): sp.Type.CONFIG_MOTORS}
 STATUS = sp.Status(100, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 7400, 0, 0, 100, 6000)
 
@@ -105,6 +107,13 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.002)
 
 
+def told_drives(line: FakeLine) -> list[sp.Drive]:
+    """All drive commands that the line was given."""
+    payloads = [sp.cobs_decode(frame[:-1]) for frame in line.written]
+    bodies = [payload[1:11] for payload in payloads if payload is not None and payload[0] == sp.Type.DRIVE]
+    return [sp.Drive(*struct.unpack("<hhIH", body)) for body in bodies]
+
+
 def test_nobody_at_the_other_end_is_named_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mega_module, "HELLO_TIMEOUT_S", 0.1)
     with pytest.raises(DeviceUnavailable, match="flash it"), opened(FakeLine(None)):
@@ -168,16 +177,16 @@ def test_a_lost_line_is_opened_again_and_nothing_drives_meanwhile() -> None:
     first, second = FakeLine(1), FakeLine(2)
     with opened(first, second, now_ns=lambda: 0) as mega:
         motors = MegaMotors(mega, DriveGeometry())
-        motors.drive(0.2, 0.0)
+        motors.drive(0.2, 0.0, UNTIL_NS)
         first.incoming.put(DeviceLost("pulled out"))
         until(lambda: mega.lost)
         with pytest.raises(DeviceLost, match="pulled out"):
-            motors.drive(0.2, 0.0)
+            motors.drive(0.2, 0.0, UNTIL_NS)
         motors.stop()  # does not raise
         until(lambda: not mega.lost)
-        drives = [d for d in second.written if d == sp.encode(sp.Drive(*DriveGeometry().duties(0.2, 0.0), 300))]
-        assert drives == []
-        motors.drive(0.2, 0.0)
+        assert told_drives(second) == []
+        motors.drive(0.2, 0.0, UNTIL_NS)
+        assert [drive.boot_id for drive in told_drives(second)] == [2]
 
 
 def test_a_silent_mega_is_dropped() -> None:
@@ -185,20 +194,58 @@ def test_a_silent_mega_is_dropped() -> None:
         until(lambda: "said nothing" in mega.lost or "no such device" in mega.lost)
 
 
+def test_a_drive_command_ends_by_the_clock_of_the_mega_and_never_later_than_it_was_given() -> None:
+    """A report that took long to us, or waited for us, makes the end earlier."""
+    line, now_ns = FakeLine(7), [0]
+    with opened(line, now_ns=lambda: now_ns[0]) as mega:
+        for uptime_ms, heard_ms, until_ms, ends_at_ms in (
+            (5000, 1000, 1250, 5250),
+            (6000, 2400, 2250, 5850),  # sent at 2000 by our clock, read 400 ms later, when the command's time was over
+            (0xFFFFFFF0, 3000, 3100, 84),
+        ):
+            now_ns[0] = heard_ms * 1_000_000
+            line.say(msgspec.structs.replace(STATUS, uptime_ms=uptime_ms))
+            until(lambda uptime_ms=uptime_ms: mega.status and mega.status.uptime_ms == uptime_ms)
+            mega.drive(300, -300, until_ms * 1_000_000)
+            assert told_drives(line)[-1] == sp.Drive(300, -300, ends_at_ms, 7)
+
+
+def test_nothing_drives_a_mega_that_started_anew_before_its_new_clock_is_known() -> None:
+    line = FakeLine(1)
+    with opened(line, now_ns=lambda: 0) as mega:
+        line.say(hello(2))
+        until(lambda: mega.restarts)
+        until(lambda: line.written.count(sp.encode(sp.ConfigMotors())) == 2)
+        with pytest.raises(DeviceLost, match=r"not reported its clock|not confirmed its settings"):
+            mega.drive(300, 300, UNTIL_NS)
+        line.say(STATUS)
+        until(lambda: can_drive(mega))
+        assert {drive.boot_id for drive in told_drives(line)} == {2}
+
+
+def test_a_refused_drive_command_is_said() -> None:
+    line = FakeLine(1)
+    with opened(line) as mega:
+        line.say(sp.Ack(sp.Type.DRIVE, 4))
+        until(lambda: "too busy" in mega.problems().get("late_commands", ""))
+        line.say(msgspec.structs.replace(STATUS, uptime_ms=STATUS.uptime_ms + 5001))
+        until(lambda: not mega.problems())
+
+
 def test_nothing_is_written_to_a_line_that_stands_still() -> None:
-    """It would wait there and move the robot when the line flows again."""
+    """Whoever drives must hear of it."""
     line, now_ns = FakeLine(1), [0]
     with opened(line, now_ns=lambda: now_ns[0]) as mega:
         motors = MegaMotors(mega, DriveGeometry())
-        motors.drive(0.2, 0.0)
+        motors.drive(0.2, 0.0, UNTIL_NS)
         told = len(line.written)
         now_ns[0] = 501_000_000
         with pytest.raises(DeviceLost, match=r"silent for 0\.5 s"):
-            motors.drive(0.2, 0.0)
+            motors.drive(0.2, 0.0, UNTIL_NS)
         assert len(line.written) == told
         line.say(STATUS)
         until(lambda: mega.silence_ns == 0)
-        motors.drive(0.2, 0.0)
+        motors.drive(0.2, 0.0, UNTIL_NS)
 
 
 def test_motors_say_that_the_battery_is_low() -> None:
@@ -208,7 +255,7 @@ def test_motors_say_that_the_battery_is_low() -> None:
         line.say(low)
         until(lambda: mega.status == low)
         with pytest.raises(DeviceLost, match=r"6\.1 V"):
-            MegaMotors(mega, DriveGeometry()).drive(0.1, 0.0)
+            MegaMotors(mega, DriveGeometry()).drive(0.1, 0.0, UNTIL_NS)
 
 
 def test_closing_stops_the_motors() -> None:
@@ -283,7 +330,7 @@ def test_a_firmware_that_runs_without_a_hello_is_asked(monkeypatch: pytest.Monke
 def test_settings_that_are_not_confirmed_are_said_again_and_nothing_drives_before() -> None:
     line = FakeLine(1, results=(0, UNHEARD))
     with opened(line, now_ns=lambda: 0) as mega:
-        MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0)
+        MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0, UNTIL_NS)
         first_drive = next(i for i, d in enumerate(line.written) if d[1] == sp.Type.DRIVE)
         told = line.written[:first_drive]
         assert told.count(sp.encode(sp.ConfigMotors())) == 2 and told.count(sp.encode(sp.ConfigImu())) == 1
@@ -293,13 +340,13 @@ def test_settings_that_are_refused_are_named_and_nothing_drives() -> None:
     line = FakeLine(1, results=(0, *[2] * 100))
     with opened(line, now_ns=lambda: 0) as mega:
         with pytest.raises(DeviceLost, match="refuses ConfigMotors"):
-            MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0)
+            MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0, UNTIL_NS)
         assert "settings" in mega.problems()
 
 
 def can_drive(mega: Mega) -> bool:
     try:
-        MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0)
+        MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0, UNTIL_NS)
     except DeviceLost:
         return False
     return True
@@ -313,10 +360,10 @@ def test_a_falling_uptime_is_a_new_start_also_with_the_same_boot_number() -> Non
         until(lambda: line.written.count(sp.encode(sp.AskHello())) == 1)
         told = len(line.written)
         with pytest.raises(DeviceLost, match="started anew"):
-            MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0)
+            MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0, UNTIL_NS)
         MegaMotors(mega, DriveGeometry()).stop()
         assert len(line.written) == told
-        line.say(hello(1))
+        line.say(hello(1), STATUS)
         until(lambda: line.written.count(sp.encode(sp.ConfigMotors())) == 2)
         until(lambda: can_drive(mega))
 
@@ -414,7 +461,7 @@ def within(seconds: float, act: Callable[[], object]) -> None:
 
 def drive_until_full(motors: MegaMotors) -> None:
     while True:
-        motors.drive(0.2, 0.0)
+        motors.drive(0.2, 0.0, UNTIL_NS)
 
 
 @pytest.fixture

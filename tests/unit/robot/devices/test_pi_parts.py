@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -64,6 +65,10 @@ def test_exposure_reaches_the_target_or_its_limits_and_rests(scene: float) -> No
     brightness = min(255.0, scene * now.time_us * now.gain)
     is_at_limit = now == Exposure(10_000, 8.0) or now == Exposure(100, 1.0)
     assert is_at_limit or brightness == pytest.approx(TARGET, rel=0.18)
+
+
+def soon_ns() -> int:
+    return time.monotonic_ns() + 250_000_000
 
 
 class RecordingPins:
@@ -188,6 +193,16 @@ def test_gpio_process_that_stood_still_stops_the_motors_when_it_goes_on(tmp_path
     assert "700" not in log.read_text()
 
 
+def test_gpio_motors_are_told_when_a_command_ends_not_when_it_was_written() -> None:
+    """robot-server may stand still between its decision and the write: what it writes then moves nothing."""
+    lines: list[str] = []
+    process = SimpleNamespace(send=lines.append)
+    motors, pins, made_s = GpioMotors(process, DriveGeometry()), RecordingPins(), time.monotonic() - 2.0
+    motors.drive(0.2, 0.0, round((made_s + 0.25) * 1e9))
+    Guard(pins).line(lines[0], time.monotonic())
+    assert set(pins.history) == {(0, 0)}
+
+
 def test_gpio_process_that_cannot_start_is_named_in_a_sentence() -> None:
     with pytest.raises(DeviceUnavailable, match=r"pi\.gpio_pins"):
         GpioProcess((1, 2, 3, 4, 5, 6), [sys.executable, "-c", "raise SystemExit('no pins here')"])
@@ -196,12 +211,12 @@ def test_gpio_process_that_cannot_start_is_named_in_a_sentence() -> None:
 def test_gpio_motors_drive_and_stop_through_their_process() -> None:
     process = GpioProcess((1, 2, 3, 4, 5, 6), [sys.executable, "-c", GUARD_PROGRAM])
     motors = GpioMotors(process, DriveGeometry())
-    motors.drive(0.2, 0.0)
+    motors.drive(0.2, 0.0, soon_ns())
     motors.stop()
     motors.close()
     motors.stop()
     with pytest.raises(DeviceLost):
-        motors.drive(0.2, 0.0)
+        motors.drive(0.2, 0.0, soon_ns())
 
 
 def test_another_process_stops_the_motors_when_the_one_that_owned_the_pins_was_killed(tmp_path: Path) -> None:
@@ -218,7 +233,7 @@ def test_another_process_stops_the_motors_when_the_one_that_owned_the_pins_was_k
         while not are_turning():
             assert time.monotonic() < deadline
             with contextlib.suppress(DeviceLost):
-                motors.drive(0.3, 0.0)
+                motors.drive(0.3, 0.0, soon_ns())
             time.sleep(0.01)
 
     (owner,) = [child for child in psutil.Process().children() if str(log) in child.cmdline()]

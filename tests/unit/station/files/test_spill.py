@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+import shared.disk
 import station.files.spill
 from station.files.spill import Spill
 
@@ -46,7 +47,7 @@ def test_spilled_arrays_take_no_memory() -> None:
 
 
 def test_without_a_disk_arrays_stay_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(station.files.spill, "FOLDER", tmp_path / "none")
+    monkeypatch.setattr(shared.disk, "_ON_DISK", tmp_path / "none")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
     array = np.arange(5)
     spill = Spill()

@@ -7,6 +7,7 @@ import logging
 import math
 import os
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
 from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
 from tests.support.datasets import frames_of, imu_of
+from tests.support.memory import grown_bytes
 from tests.support.recordings import HELLO, START_NS, batch, frame, record
 
 
@@ -276,3 +278,25 @@ def test_what_the_station_decides_is_recorded_with_its_reasons(tmp_path: Path) -
     assert [m["state"] for m in messages_of(path, "/slam/state")] == ["tracking", "lost"]
     assert [m["pose"]["position"]["x"] for m in messages_of(path, "/slam/pose")] == [0.5]
     assert [(m["level"], m["message"]) for m in messages_of(path, "/station/log")] == [(3, "picked up")]
+
+
+def test_a_recording_of_hours_takes_no_more_memory_and_has_its_whole_index(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station.recordings.recorder, "CHUNK_BYTES", 1)  # an hour's worth of chunks at once
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+
+    def record_for_long() -> None:
+        until_count = recorder.report.messages + 3000
+        for number in range(3000):
+            recorder.on_command("page", 0.1, 0.0, number)
+        while recorder.report.messages < until_count:
+            time.sleep(0.01)
+
+    assert grown_bytes(record_for_long, record_for_long) < 200_000
+    path = recorder.close().path
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None and summary.statistics is not None
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count >= 6000
+    assert [m["ttl_ms"] for m in messages_of(path, "/drive/command")] == 2 * list(range(3000))

@@ -1,0 +1,148 @@
+"""Does memory grow with time? Resident memory of robot-server and station, at rest, and while they record and drive.
+
+    python -m benchmarks.bench_memory                                    # a try
+    python -m benchmarks.bench_memory --minutes 180 --warm-up 10         # the bound: 1 % in three hours
+    python -m benchmarks.bench_memory --devices emulated --work recording
+
+Each case has programs of its own: robot-server with simulated, recorded or emulated devices (the real firmware in an
+emulated Mega), and a station. Growth is that of the straight line through all samples after the warm-up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx
+import numpy as np
+import psutil
+
+from benchmarks.bench_fleet import program
+from benchmarks.bench_link import write_dataset
+from benchmarks.result import Figure, Run, add_results_option
+from tests.support.emulator import board
+
+DEVICES = ("simulated", "recorded", "emulated")
+WORK = ("resting", "recording")
+SAMPLE_S, COMMAND_S, TURN_S = 5.0, 0.1, 6.0
+MAX_GROWTH_PERCENT = 1.0
+JUDGED_FROM_MINUTES = 60.0  # in less than that, steps of the allocator hide a slow growth and look like a quick one
+
+
+@dataclass
+class Memory:
+    """Resident memory of one program, MB."""
+
+    t_min: list[float] = field(default_factory=list)  # since the end of the warm-up
+    mb: list[float] = field(default_factory=list)
+
+    def sample(self, t_min: float, process: psutil.Process) -> None:
+        self.t_min.append(t_min)
+        self.mb.append(process.memory_info().rss / 1e6)
+
+    def line(self) -> tuple[float, float]:
+        """MB at the begin and at the end of the straight line through all samples."""
+        slope, begin = np.polyfit(self.t_min, self.mb, 1)
+        return float(begin), float(begin + slope * self.t_min[-1])
+
+
+def robot_words(devices: str, dataset: Path) -> list[str]:
+    if devices == "recorded":
+        return ["--devices", "recorded", "--dataset", str(dataset), "--at-end", "loop"]
+    imu = ["--imu", "emulated"] if devices == "emulated" else []
+    return ["--devices", "simulated", "--world", "small", "--seed", "1", "--sim-port", "0", *imu]
+
+
+def drive(http: httpx.Client, has_ended: threading.Event) -> None:
+    """To and fro, in curves, as somebody at the joystick."""
+    for number in itertools.count():
+        if has_ended.wait(COMMAND_S):
+            return
+        way = 1 if int(number * COMMAND_S / TURN_S) % 2 else -1
+        with contextlib.suppress(httpx.HTTPError):
+            http.post("/drive", json={"linear": 0.15 * way, "angular": 0.4, "ttl_ms": 300})
+
+
+@contextlib.contextmanager
+def at_work(http: httpx.Client, work: str) -> Iterator[None]:
+    """Recording and driving, or nothing at all."""
+    if work == "resting":
+        yield
+        return
+    answer = http.post("/navigations", json={"name": "memory"})
+    answer.raise_for_status()
+    has_ended = threading.Event()
+    driver = threading.Thread(target=drive, args=(http, has_ended))
+    driver.start()
+    try:
+        yield
+    finally:
+        has_ended.set()
+        driver.join()
+
+
+def wait_for_robot(http: httpx.Client) -> None:
+    while not http.get("/robot").json()["connected"]:
+        time.sleep(0.2)
+
+
+def measure(devices: str, work: str, minutes: float, warm_up: float, dataset: Path) -> dict[str, Memory]:
+    memory = {"robot-server": Memory(), "station": Memory()}
+    with contextlib.ExitStack() as stack:
+        robot, told = stack.enter_context(program("robot.main", *robot_words(devices, dataset), "--port", "0"))
+        data = stack.enter_context(tempfile.TemporaryDirectory(prefix="sentinel-memory-"))
+        words = ["serve", "--robot", f"127.0.0.1:{told.rsplit(':', 1)[1]}", "--port", "0", "--data", data]
+        station, told = stack.enter_context(program("station.main", *words))
+        http = stack.enter_context(httpx.Client(base_url=told.rsplit(" ", 1)[1], timeout=30.0))
+        wait_for_robot(http)
+        with at_work(http, work):
+            time.sleep(60.0 * warm_up)
+            begin_s = time.monotonic()
+            while (t_min := (time.monotonic() - begin_s) / 60.0) < minutes:
+                memory["robot-server"].sample(t_min, robot)
+                memory["station"].sample(t_min, station)
+                time.sleep(SAMPLE_S)
+    return memory
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--minutes", type=float, default=2.0, help="Of each case, after its warm-up.")
+    parser.add_argument("--warm-up", type=float, default=1.0, help="Minutes before anything counts.")
+    parser.add_argument("--devices", nargs="+", choices=DEVICES, default=DEVICES)
+    parser.add_argument("--work", nargs="+", choices=WORK, default=WORK)
+    add_results_option(parser, "memory")
+    options = parser.parse_args()
+    if "emulated" in options.devices:
+        if (reason := board.missing_reason()) is not None:
+            parser.error(reason)
+        board.build()
+    run = Run.begin()
+    figures: list[Figure] = []
+    at_most = MAX_GROWTH_PERCENT if options.minutes >= JUDGED_FROM_MINUTES else None
+    print("| devices | work | program | begin MB | end MB | MB per hour | % |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    with tempfile.TemporaryDirectory() as folder:
+        write_dataset(Path(folder))
+        for devices, work in itertools.product(options.devices, options.work):
+            memory = measure(devices, work, options.minutes, options.warm_up, Path(folder))
+            for name, one in memory.items():
+                begin, end = one.line()
+                percent = 100.0 * (end / begin - 1.0)
+                per_hour = (end - begin) * 60.0 / one.t_min[-1]
+                print(f"| {devices} | {work} | {name} | {begin:.1f} | {end:.1f} | {per_hour:.1f} | {percent:.2f} |")
+                what = f"{name}, {devices} devices, {work}: growth of memory in {options.minutes:g} min"
+                figures.append(Figure(what, percent, "%", at_most=at_most, of=len(one.mb)))
+                figures.append(Figure(f"{name}, {devices} devices, {work}: memory at the end", max(one.mb[-3:]), "MB"))
+            run.write(options.results, figures)  # what there is: hours may end early
+
+
+if __name__ == "__main__":
+    main()
