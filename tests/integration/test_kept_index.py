@@ -12,13 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from station.config import MAX_ACTIVE_MAPS
 from station.model.place_map import PlaceMap
+from station.places.localisation import index_file
 from station.places.localisation.index_file import KEPT, LOCK, index_of
 from station.places.localisation.index_path import FOLDER, SUFFIX, forget_index
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import fingerprint, make_index
 from tests.support.link import until
 from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
+
+pytestmark = pytest.mark.computing
 
 VIEWS = [picture(1, camera_at(x, 0.1, -0.2, 0.1)) for x in (-0.7, 0.3, 0.9)]
 
@@ -87,12 +91,16 @@ def test_another_drive_under_the_same_id_is_not_taken_for_it(tmp_path: Path, wal
     assert fingerprint(renamed) == fingerprint(wall)
 
 
-def test_indexes_of_few_maps_are_kept_and_none_of_a_purged_one(tmp_path: Path, wall: PlaceMap) -> None:
-    maps = [replace(wall, id=f"wall-{number}") for number in range(KEPT + 2)]
+def test_indexes_of_few_maps_are_kept_and_none_of_a_purged_one(
+    tmp_path: Path, wall: PlaceMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert KEPT == MAX_ACTIVE_MAPS  # else a set of them would be described anew at each start
+    monkeypatch.setattr(index_file, "KEPT", 2)
+    maps = [replace(wall, id=f"wall-{number}") for number in range(4)]
     for number, place_map in enumerate(maps):
         look(tmp_path, place_map)
         os.utime(path_of(tmp_path, place_map), (number, number))
-    assert len(list((tmp_path / FOLDER).glob(f"*{SUFFIX}"))) == KEPT
+    assert len(list((tmp_path / FOLDER).glob(f"*{SUFFIX}"))) == 2
     assert path_of(tmp_path, maps[-1]).exists() and not path_of(tmp_path, maps[0]).exists()
     forget_index(tmp_path, maps[-1].id)
     assert not path_of(tmp_path, maps[-1]).exists()
