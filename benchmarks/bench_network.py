@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
 import math
 import random
+import signal
 import sys
 import tempfile
 import time
@@ -25,6 +25,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
@@ -49,7 +50,8 @@ CUT_EVERY = 3  # holds
 SPEED_M_S = 0.2
 EVEN = 1.5  # a gap between pictures is even that is at most so many times the median one
 
-CAMERA_PER_S, BUSY_SHARE = SimulationConfig().camera_rate_hz, 0.75  # fewer pictures taken: the machine is too busy
+# With fewer pictures taken, or packets carried so late, the machine is too busy.
+CAMERA_PER_S, BUSY_SHARE, BUSY_MS = SimulationConfig().camera_rate_hz, 0.75, 20.0
 
 # Asked, of all networks and of some.
 CLOCK_MS, DRIFT_PPM, SILENT_MS = 2.0, 50.0, 300.0
@@ -92,7 +94,7 @@ class Observed:
     def remark(self) -> str:
         """Whether this machine could do what was asked of it: what it is late with looks like the network's doing."""
         late = f"the emulator carried no packet later than {self.emulator_late_ms:.1f} ms"
-        if self.taken_per_s >= BUSY_SHARE * CAMERA_PER_S:
+        if self.taken_per_s >= BUSY_SHARE * CAMERA_PER_S and self.emulator_late_ms <= BUSY_MS:
             return late
         return (
             f"{late}; this machine is too busy: the robot took {self.taken_per_s:.1f} of {CAMERA_PER_S:g} pictures a"
@@ -285,6 +287,10 @@ def measure(name: str, options: argparse.Namespace) -> Observed:
         return asyncio.run(observe(network, name, Path(folder), options))
 
 
+def interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=list(PROFILES))
@@ -295,6 +301,7 @@ def main() -> int:
     add_results_option(parser, "network")
     options = parser.parse_args()
     run = Run.begin()
+    signal.signal(signal.SIGTERM, interrupt)  # as Ctrl-C: its programs have sessions of their own and would stay
     if (reason := missing_reason()) is not None:
         print(f"bench_network: {reason}", file=sys.stderr)
         return 1
@@ -314,5 +321,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(KeyboardInterrupt):
-        sys.exit(main())
+    sys.exit(main())
