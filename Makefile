@@ -8,13 +8,13 @@ SEED ?= 1
 PORT ?= 8080
 MINUTES ?= 10
 
-.PHONY: help demo setup test lint audit check firmware bench bench-stop bench-slam bench-page results soak clean clean-cache
+.PHONY: help demo setup test lint audit check firmware bench bench-stop bench-slam bench-page bench-network results soak clean clean-cache
 
 help:
 	@echo "make demo            simulated robot + station + page at http://127.0.0.1:8080 (ONCE=1: end by itself, SEED=n: another flat, PORT=n)"
 	@echo "make test            everything that needs no hardware: lint, types, tests"
 	@echo "make setup           only install, into .venv"
-	@echo "make lint | audit | firmware | bench (QUICK=1: a try) | bench-stop (SCALE=0.1) | bench-slam | bench-page | soak (MINUTES=10) | clean | clean-cache"
+	@echo "make lint | audit | firmware | bench (QUICK=1: a try) | bench-stop (SCALE=0.1) | bench-slam | bench-page | bench-network (root) | soak (MINUTES=10) | clean | clean-cache"
 	@echo "make results         measure what docs/results.md lacks of the present code, for hours; goes on where it was ended"
 	@echo "                     (ONLY=\"clock fuzz\": these alone, QUICK=1: a try, RENDER=1: only make the page anew)"
 
@@ -71,6 +71,9 @@ bench-slam: $(VENV)/.dev
 
 bench-page: $(VENV)/.dev
 	@$(BIN)/python -m benchmarks.bench_page
+
+bench-network: $(VENV)/.dev
+	@$(BIN)/python -m benchmarks.bench_network $(if $(DEMO),--demo $(DEMO))
 
 soak: $(VENV)/.dev
 	@$(BIN)/python -m benchmarks.bench_link --minutes $(MINUTES)
