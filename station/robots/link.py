@@ -35,9 +35,10 @@ from station.access.connecting import (
     in_words,
 )
 from station.access.paired_robots import PairedRobots
+from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
-from station.robots.link_state import Arrivals, Hearing, LinkClock, LinkState, RateMeter
+from station.robots.link_state import Arrivals, Hearing, LinkState, RateMeter
 
 logger = logging.getLogger(__name__)
 
@@ -107,6 +108,7 @@ class RobotLink:
             connections=self._connections,
             rtt_ms=None if self._clock.rtt_ns is None else self._clock.rtt_ns * 1e-6,
             clock_offset_ns=self._clock.offset_ns(self._now_ns()),
+            clock_bound_ns=self._clock.bound_ns(self._now_ns()),
             clock_drift_ppm=self._clock.drift_ppm,
             frame_rate_hz=frame_rate_hz,
             imu_rate_hz=imu_rate_hz,

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from shared.clock import RemoteClock
-from shared.messages import CameraFrame, ErrorNotice, HeartbeatReply, Hello, ImuBatch, Received, Status
+from shared.messages import CameraFrame, ErrorNotice, Hello, ImuBatch, Received, Status
 
 RATE_WINDOW_NS = 2_000_000_000
-KEPT_ROUND_TRIPS = 600  # a minute of heartbeats
 # Heartbeats are answered before anything else is sent. So late an answer, and the robot spoke on for so long with so
 # many messages: it does not hear us. After a stall of the network all comes at once, and the answers right behind.
 UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
@@ -28,6 +26,7 @@ class LinkState:
     connections: int = 0  # how often a connection was made
     rtt_ms: float | None = None  # of the last heartbeat
     clock_offset_ns: int | None = None  # t_station - t_robot, now
+    clock_bound_ns: int | None = None  # the offset may be wrong by that at most; None: nothing was answered yet
     clock_drift_ppm: float | None = None  # the robot's clock is this much faster than the station's
     frame_rate_hz: float = 0.0  # over the last seconds
     imu_rate_hz: float = 0.0
@@ -73,42 +72,6 @@ class Arrivals:
     def confirmation(self) -> Received:
         """For the robot: up to where everything is here."""
         return Received(frame_seq=self._newest_frame, next_imu_sequence=self.next_imu_sequence)
-
-
-class LinkClock:
-    """The robot's clock as the station sees it: the lower line of arrivals, less half of the shortest round trip."""
-
-    def __init__(self) -> None:
-        self._remote = RemoteClock()
-        self._round_trips_ns: deque[int] = deque(maxlen=KEPT_ROUND_TRIPS)
-        self._least_delay_ns = 0
-        self.rtt_ns: int | None = None
-
-    def add_reply(self, reply: HeartbeatReply, now_ns: int) -> None:
-        inside_robot_ns = reply.t_robot_sent_ns - reply.t_robot_received_ns
-        self.rtt_ns = now_ns - reply.t_station_ns - inside_robot_ns
-        self._round_trips_ns.append(self.rtt_ns)
-        self._least_delay_ns = max(0, min(self._round_trips_ns) // 2)
-        self.add_stamp(reply.t_robot_sent_ns, now_ns)
-
-    def add_stamp(self, t_robot_ns: int, now_ns: int) -> None:
-        """Something the robot stamped when it sent it has arrived."""
-        self._remote.add(t_robot_ns, now_ns)
-
-    def to_station_ns(self, t_robot_ns: int) -> int | None:
-        """Station time of a robot time; None before the first arrival."""
-        fit = self._remote.fit
-        return None if fit is None else fit.to_local_ns(t_robot_ns) - self._least_delay_ns
-
-    def offset_ns(self, now_ns: int) -> int | None:
-        """t_station - t_robot at present."""
-        fit = self._remote.fit
-        return None if fit is None else now_ns - fit.to_remote_ns(now_ns + self._least_delay_ns)
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """How much faster the robot's clock runs."""
-        return None if self._remote.fit is None else self._remote.fit.drift_ppm
 
 
 class RateMeter:

@@ -37,6 +37,7 @@ class LossesModel(Model):
 
 class ClockModel(Model):
     offset_s: float | None = Field(description="t_station - t_robot")
+    bound_ms: float | None = Field(description="by how much the offset may be wrong at most")
     drift_ppm: float | None
     rtt_ms: float | None
 
@@ -161,6 +162,7 @@ def robot_model(robot: RobotSession) -> RobotModel:
         clock=ClockModel.of(
             state,
             offset_s=None if state.clock_offset_ns is None else state.clock_offset_ns * 1e-9,
+            bound_ms=None if state.clock_bound_ns is None else state.clock_bound_ns * 1e-6,
             drift_ppm=state.clock_drift_ppm,
         ),
         battery=BatteryModel(voltage_v=status.battery_v, fraction=status.battery_fraction)

@@ -61,6 +61,8 @@ export interface CapabilitiesModel {
 export interface ClockModel {
   /** t_station - t_robot */
   offset_s: number | null;
+  /** by how much the offset may be wrong at most */
+  bound_ms: number | null;
   drift_ppm: number | null;
   rtt_ms: number | null;
 }

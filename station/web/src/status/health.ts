@@ -1,6 +1,6 @@
 // How everything is, in words and numbers.
 import type { Library } from "../library/library";
-import type { BatteryModel, RobotModel, SlamModel } from "../link/messages";
+import type { BatteryModel, ClockModel, RobotModel, SlamModel } from "../link/messages";
 import { by, make, setText, show, within } from "../ui/dom";
 import { capitalised, percent } from "../ui/text";
 import { Guide } from "./guide";
@@ -59,7 +59,7 @@ export class HealthView {
       ["Data", `${((robot.rates.bytes_per_s * 8) / 1e6).toFixed(1)} Mbit/s`, false],
       [
         "Clock",
-        robot.clock.drift_ppm === null ? "not known yet" : `drift ${robot.clock.drift_ppm.toFixed(0)} ppm`,
+        describeClock(robot.clock),
         false,
       ],
       [
@@ -83,4 +83,9 @@ export class HealthView {
 function describe({ voltage_v, fraction }: BatteryModel): string {
   const voltage = voltage_v === null ? [] : [`${voltage_v.toFixed(1)} V`];
   return [...voltage, ...(fraction === null ? [] : [percent(fraction)])].join(" · ");
+}
+
+function describeClock({ bound_ms, drift_ppm }: ClockModel): string {
+  if (bound_ms === null || drift_ppm === null) return "not known yet";
+  return `known within ${bound_ms.toFixed(1)} ms · drift ${drift_ppm.toFixed(0)} ppm`;
 }
