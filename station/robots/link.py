@@ -168,6 +168,7 @@ class RobotLink:
         self._connection = connection
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
+        self._arrived.begin_connection()
         self._silence.clear()
         self.commands.restart_count()
         # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
@@ -197,7 +198,7 @@ class RobotLink:
     async def _read(self, reader: asyncio.StreamReader) -> None:
         session = self._session
         while data := await reader.read(READ_BYTES):
-            self._arrived.bytes += len(data)
+            self._arrived.add_bytes(len(data), self._now_ns())
             session.receive(data)
             try:
                 while (message := session.next_message(self._now_ns())) is not None:
@@ -298,7 +299,7 @@ class RobotLink:
                 pass
 
     def _confirm(self) -> None:
-        self._due.put(self._arrived.confirmation)
+        self._due.put(self._arrived.confirmation(self._now_ns()))
 
     def _greet(self, hello: Hello) -> None:
         is_same_run = self._hello is not None and self._hello.session_id == hello.session_id

@@ -47,6 +47,16 @@ class Arrivals:
         self.bytes = self.frames = self.frames_skipped = 0
         self.imu_samples = self.imu_gaps = self.imu_lost = 0
         self.next_imu_sequence = self._newest_frame = -1
+        self._connection_bytes = self._read_ns = 0
+
+    def begin_connection(self) -> None:
+        """The robot counts the bytes of each connection from its beginning."""
+        self._connection_bytes = 0
+
+    def add_bytes(self, count: int, now_ns: int) -> None:
+        self.bytes += count
+        self._connection_bytes += count
+        self._read_ns = now_ns
 
     def begin_run(self) -> None:
         """The robot was started anew, or is another one: it numbers frames and samples from the beginning."""
@@ -68,10 +78,14 @@ class Arrivals:
         self.imu_samples += len(batch.samples)
         return missing
 
-    @property
-    def confirmation(self) -> Received:
+    def confirmation(self, now_ns: int) -> Received:
         """For the robot: up to where everything is here."""
-        return Received(frame_seq=self._newest_frame, next_imu_sequence=self.next_imu_sequence)
+        return Received(
+            frame_seq=self._newest_frame,
+            next_imu_sequence=self.next_imu_sequence,
+            num_bytes=self._connection_bytes,
+            held_ns=max(0, now_ns - self._read_ns),
+        )
 
 
 class RateMeter:
