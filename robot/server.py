@@ -43,7 +43,7 @@ from shared.messages import (
     Status,
     Welcome,
 )
-from shared.prompt_sending import send_promptly
+from shared.prompt_sending import UNSENT_BYTES, send_promptly
 from shared.reception import Reception
 from shared.session import Event, State, reply_to
 
@@ -145,7 +145,7 @@ class RobotServer:
         if self._ends:  # its handshake took longer than we live
             writer.transport.abort()
             return
-        send_promptly(writer.get_extra_info("socket"))
+        send_promptly(writer.get_extra_info("socket"), UNSENT_BYTES)
         client = StationClient(self._next_client_id, reader, writer, self._now_ns, self._devices.clock)
         self._next_client_id += 1
         self._doorstep.receive(client)

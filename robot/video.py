@@ -22,6 +22,10 @@ from shared.messages import MAX_FRAMES_IN_FLIGHT, CameraFrame
 MAX_WAIT_NS = 200_000_000
 RECONSIDERED_NS = 1_000_000_000  # how often the rate may change: one that swings is not even
 FIRST_PERIOD_NS = 33_000_000
+# On this machine nothing is made smaller while more than this is carried: what looks thin is a busy machine, which
+# making pictures smaller would keep busier. Less than this is a relay to a network.
+THIN_BYTES_PER_S = 1_000_000.0
+HERE_IN_FLIGHT = 3
 LONGEST_PERIOD_NS = 500_000_000
 
 
@@ -69,7 +73,8 @@ class VideoStream:
     """Which frames one station gets, of which size. Starts with the next one. Time is an argument."""
 
     def __init__(self, slot: FrameSlot, meter: LinkMeter, *, is_on_this_machine: bool = False) -> None:
-        """`is_on_this_machine`: no network lies between, as far as is known before anything was measured."""
+        """`is_on_this_machine`: no network lies between, unless little is carried."""
+        self._is_on_this_machine = is_on_this_machine
         self._slot = slot
         self._meter = meter
         self._looked = slot.count  # frames before were sent, or passed over
@@ -119,12 +124,20 @@ class VideoStream:
             self._looked = self._slot.count
             return None
         self._reconsider(picture, now_ns)
-        if len(self._in_flight) >= MAX_FRAMES_IN_FLIGHT or not self._meter.has_room(now_ns):
-            return None
-        if not self._is_due(picture, now_ns):
+        if not self._has_room(now_ns) or not self._is_due(picture, now_ns):
             return None
         self._looked = self._slot.count
         return picture, self._sizes.quality(len(picture.frame.jpeg), self._budget.num_bytes)
+
+    @property
+    def _is_unlimited(self) -> bool:
+        estimate = self._meter.estimate
+        return self._is_on_this_machine and (estimate is None or estimate.bytes_per_s > THIN_BYTES_PER_S)
+
+    def _has_room(self, now_ns: int) -> bool:
+        if self._is_unlimited:
+            return len(self._in_flight) < HERE_IN_FLIGHT
+        return len(self._in_flight) < MAX_FRAMES_IN_FLIGHT and self._meter.has_room(now_ns)
 
     def _is_due(self, picture: Picture, now_ns: int) -> bool:
         """By the camera's own beat, so that the gaps are even; by our clock where the camera paused."""
@@ -134,7 +147,9 @@ class VideoStream:
 
     def _reconsider(self, picture: Picture, now_ns: int) -> None:
         estimate = self._meter.estimate
-        if estimate is None:
+        if self._is_unlimited:
+            self._budget = UNLIMITED
+        if estimate is None or self._is_unlimited:
             return
         own_bytes = len(picture.frame.jpeg)
         least_bytes = min(own_bytes, self._sizes.size(own_bytes, LEAST_QUALITY))

@@ -6,6 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from shared.messages import CameraFrame, ErrorNotice, Hello, ImuBatch, Received, Status
+from station.robots.network import NOT_CONNECTED, NetworkState
 
 RATE_WINDOW_NS = 2_000_000_000
 # Heartbeats are answered before anything else is sent. So late an answer, and the robot spoke on for so long with so
@@ -24,6 +25,7 @@ class LinkState:
     hello: Hello | None = None  # of the present or the last connection
     reason: str = "not connected yet"  # why not connected, in a sentence
     connections: int = 0  # how often a connection was made
+    network: NetworkState = NOT_CONNECTED
     rtt_ms: float | None = None  # of the last heartbeat
     clock_offset_ns: int | None = None  # t_station - t_robot, now
     clock_bound_ns: int | None = None  # the offset may be wrong by that at most; None: nothing was answered yet

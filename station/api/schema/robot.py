@@ -42,6 +42,15 @@ class ClockModel(Model):
     rtt_ms: float | None
 
 
+class NetworkModel(Model):
+    """What a driver needs to know of the network between station and robot."""
+
+    grade: Literal["none", "silent", "good", "slow", "bad"]
+    sentence: str = Field(description="for a person")
+    round_trip_ms: float | None = Field(description="of nine in ten heartbeats at most")
+    picture_age_ms: float | None = Field(description="of nine in ten pictures at most, on arrival at the station")
+
+
 class BatteryModel(Model):
     voltage_v: float | None
     fraction: float | None
@@ -85,6 +94,7 @@ class RobotModel(Model):
         description="of the navigation that is recorded, or the last one since the robot connected; null: none yet"
     )
     connections: int
+    network: NetworkModel
     rates: RatesModel
     losses: LossesModel
     clock: ClockModel
@@ -153,6 +163,7 @@ def robot_model(robot: RobotSession) -> RobotModel:
         capabilities=CapabilitiesModel.of(hello.capabilities) if hello else None,
         calibrated=hello is not None and hello.calibration.camera is not None,
         calibration_fit=None if fit is None else calibration_fit_model(fit),
+        network=NetworkModel.of(state.network),
         rates=RatesModel(
             frames_hz=round(state.frame_rate_hz, 1),
             imu_hz=round(state.imu_rate_hz, 1),

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from robot.devices.ports import CapturedFrame
 from robot.frame_budget import LEAST_QUALITY, SIZE_AT, UNLIMITED, SizeModel, budget
 from robot.link_meter import LinkEstimate, LinkMeter
-from robot.video import MAX_WAIT_NS, FrameSlot, Picture, VideoStream
+from robot.video import HERE_IN_FLIGHT, MAX_WAIT_NS, FrameSlot, Picture, VideoStream
 from shared.messages import MAX_FRAMES_IN_FLIGHT
 
 MS, S = 1_000_000, 1_000_000_000
@@ -37,6 +37,7 @@ class ThinLink:
     now_ns: int = 0
     frames: list[tuple[int, int, int]] = field(default_factory=list)  # (taken, arrived, bytes)
     most_waiting_bytes: float = 0.0
+    is_on_this_machine: bool = False
     counts_bytes: bool = True  # False: a station of before `Received.num_bytes`
 
     def __post_init__(self) -> None:
@@ -46,7 +47,7 @@ class ThinLink:
         self._sent = self._read = self._read_ns = 0
         self.slot = FrameSlot(self._make_smaller)
         self.meter = LinkMeter()
-        self.stream = VideoStream(self.slot, self.meter)
+        self.stream = VideoStream(self.slot, self.meter, is_on_this_machine=self.is_on_this_machine)
 
     def run(self, seconds: float) -> None:
         end_ns = self.now_ns + round(seconds * S)
@@ -194,16 +195,23 @@ def test_a_picture_that_is_made_smaller_too_late_is_passed_over() -> None:
     assert stream.next_frame(MAX_WAIT_NS + 1) is None and stream.is_at_end
 
 
-def test_a_station_that_confirms_nothing_gets_one_picture_while_nothing_is_known_of_its_link() -> None:
+@pytest.mark.parametrize(("is_on_this_machine", "most"), [(False, 1), (True, HERE_IN_FLIGHT)])
+def test_a_station_that_confirms_nothing_gets_little(is_on_this_machine: bool, most: int) -> None:
     slot, meter = FrameSlot(lambda picture, quality: None), LinkMeter()
-    stream = VideoStream(slot, meter, is_on_this_machine=True)
+    stream = VideoStream(slot, meter, is_on_this_machine=is_on_this_machine)
     seqs = []
     for n in range(MAX_FRAMES_IN_FLIGHT + 2):
-        slot.put(captured(), n * 33 * MS)
+        slot.put(captured(1000), n * 33 * MS)
         if (frame := stream.next_frame(n * 33 * MS)) is not None:
             meter.send(len(frame.jpeg), True, n * 33 * MS)
             seqs.append(frame.seq)
-    assert seqs == [0]
+    assert seqs == list(range(most))
+
+
+def test_a_relay_on_this_machine_is_found_to_be_thin() -> None:
+    link = ThinLink(lambda _: 250_000.0, delay_ms=40.0, is_on_this_machine=True)
+    link.run(20.0)
+    assert link.rate_hz(10.0) >= 8.0 and float(np.percentile(link.ages_ms(10.0), 99)) <= 250.0
 
 
 @given(st.lists(st.integers(0, 5), max_size=20))

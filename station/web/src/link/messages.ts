@@ -340,6 +340,17 @@ export interface NavigationStart {
   name: string;
 }
 
+/** What a driver needs to know of the network between station and robot. */
+export interface NetworkModel {
+  grade: "none" | "silent" | "good" | "slow" | "bad";
+  /** for a person */
+  sentence: string;
+  /** of nine in ten heartbeats at most */
+  round_trip_ms: number | null;
+  /** of nine in ten pictures at most, on arrival at the station */
+  picture_age_ms: number | null;
+}
+
 /** What it shall be called. */
 export interface NewName {
   name: string;
@@ -494,6 +505,7 @@ export interface RobotModel {
   /** of the navigation that is recorded, or the last one since the robot connected; null: none yet */
   calibration_fit: CalibrationFitModel | null;
   connections: number;
+  network: NetworkModel;
   rates: RatesModel;
   losses: LossesModel;
   clock: ClockModel;

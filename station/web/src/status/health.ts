@@ -50,6 +50,7 @@ export class HealthView {
           : robot.reason,
         !robot.connected,
       ],
+      ["Network", capitalised(robot.network.sentence), robot.network.grade !== "good"],
       [
         "Video",
         `${robot.rates.frames_hz.toFixed(0)} /s · ${robot.losses.frames_skipped} skipped`,
@@ -57,11 +58,7 @@ export class HealthView {
       ],
       ["IMU", `${robot.rates.imu_hz.toFixed(0)} /s · ${robot.losses.imu_lost} lost`, robot.losses.imu_lost > 0],
       ["Data", `${((robot.rates.bytes_per_s * 8) / 1e6).toFixed(1)} Mbit/s`, false],
-      [
-        "Clock",
-        describeClock(robot.clock),
-        false,
-      ],
+      ["Clock", describeClock(robot.clock), false],
       [
         "Robot CPU",
         robot.cpu_percent === null ? "–" : `${robot.cpu_percent.toFixed(0)} % of a core`,
