@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from robot.link_meter import LinkEstimate
 
 EVEN_RATE_HZ = 20.0  # SLAM follows corners from picture to picture and needs 15; lost packets cost some
-USED_SHARE = 0.8  # of what the link carries: what is used whole has a queue
+USED_SHARE = 0.9  # of what the link carries: what is used whole has a queue
 LONGEST_SERVICE_S = 0.12  # a picture's time on the link, of the 250 ms that it may be old on arrival
 LONGEST_INTERVAL_S = 0.5
 SPARE = 1.25  # as much more must fit before the pictures come more often: a rate that swings is not even

@@ -12,10 +12,13 @@ import statistics
 from collections import deque
 from dataclasses import dataclass
 
-MEMORY = 0.8  # of a picture's weight at the next one: half a second at fifteen a second
+KEPT_FRAMES = 15  # a second of pictures, or two
+# A lost packet holds up a picture, and those behind it come at once: the middle one is not fooled by a few of either.
+# Where they are many it is; so much more than was carried in all, waiting for lost packets included, is not believed.
+RECOVERED = 1.5
+LONGEST_SERVICE_NS = 300_000_000  # an outage is no rate
 KEPT_TRIPS = 50  # of a few bytes: some seconds
 LEAST_SERVICE_NS = 1_000_000  # two event loops cannot tell less
-LONGEST_SERVICE_NS = 300_000_000  # an outage is no rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,7 @@ class LinkMeter:
         self._trips_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
         self._sent = self._confirmed = 0
         self._frames: deque[_Sent] = deque()  # the pictures under way
-        self._bytes = self._service_ns = 0.0  # of pictures, older ones forgotten
+        self._served: deque[tuple[int, int]] = deque(maxlen=KEPT_FRAMES)  # bytes and time of the last pictures
         self._frame_confirmed_ns = 0
         self._others = 0  # bytes beside pictures since the last picture
         self._last_frame_ns: int | None = None
@@ -114,9 +117,14 @@ class LinkMeter:
         begin_ns = max(frame.t_ns + trip_ns, self._frame_confirmed_ns)
         self._frame_confirmed_ns = read_ns
         service_ns = min(max(read_ns - begin_ns, LEAST_SERVICE_NS), LONGEST_SERVICE_NS)
-        self._bytes = MEMORY * self._bytes + frame.num_bytes
-        self._service_ns = MEMORY * self._service_ns + service_ns
-        self.estimate = LinkEstimate(self._bytes / self._service_ns * 1e9, trip_ns, self._other_rate)
+        self._served.append((frame.num_bytes, service_ns))
+        self.estimate = LinkEstimate(self._rate(), trip_ns, self._other_rate)
+
+    def _rate(self) -> float:
+        """Bytes a second, of the last pictures."""
+        middle = statistics.median_low(num_bytes / ns for num_bytes, ns in self._served)
+        overall = sum(num_bytes for num_bytes, _ in self._served) / sum(ns for _, ns in self._served)
+        return min(middle, RECOVERED * overall) * 1e9
 
     def _trip_ns(self) -> int:
         """The middle one: jitter belongs to it, or every picture would be blamed for it."""
