@@ -11,7 +11,7 @@ import msgspec
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
 from robot.watchdog import MotorWatchdog, Velocity
-from shared.clock import RemoteClock
+from shared.clock import MAX_CRYSTAL_DRIFT, RemoteClock
 from shared.errors import HardwareError
 from shared.lease import DriverLease
 from shared.messages import (
@@ -41,7 +41,7 @@ class CommandOrder:
     """
 
     def __init__(self) -> None:
-        self._clock = RemoteClock()
+        self._clock = RemoteClock(MAX_CRYSTAL_DRIFT)
         self._first_ns: int | None = None
         self._last_seq = -1
 

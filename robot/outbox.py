@@ -1,14 +1,12 @@
-"""What waits for stations. Frames: the newest only. IMU: one bounded backlog for all, a cursor for each."""
+"""IMU samples that wait for stations: one bounded backlog for all, a cursor for each."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from dataclasses import dataclass
 
-from robot.devices.ports import CapturedFrame, ImuReading
+from robot.devices.ports import ImuReading
 from shared.messages import (
-    MAX_FRAMES_IN_FLIGHT,
     MAX_IMU_IN_FLIGHT,
     MAX_IMU_SAMPLES_PER_BATCH,
     ImuBatch,
@@ -118,46 +116,3 @@ class ImuCursor:
         """The station has everything before this number."""
         while self._in_flight and self._in_flight[0][0] <= next_sequence:
             self._num_in_flight -= self._in_flight.popleft()[1]
-
-
-@dataclass
-class FrameSlot:
-    """The newest camera frame; `count` is how many the camera has made."""
-
-    newest: CapturedFrame | None = None
-    count: int = 0
-
-    def put(self, frame: CapturedFrame) -> None:
-        self.newest = frame
-        self.count += 1
-
-
-class FrameCursor:
-    """Which frame one station got last. Starts with the next one."""
-
-    def __init__(self, slot: FrameSlot) -> None:
-        self._slot = slot
-        self._sent = slot.count
-        self._in_flight: deque[int] = deque()  # numbers of frames not confirmed yet
-        self.skipped = 0
-
-    @property
-    def is_at_end(self) -> bool:
-        """Whether the newest frame was taken."""
-        return self._slot.count == self._sent
-
-    def next_frame(self) -> tuple[int, int, CapturedFrame] | None:
-        """(sequence number, frames skipped before it, frame); None when there is no new one, or enough on the way."""
-        frame = self._slot.newest
-        if frame is None or self.is_at_end or len(self._in_flight) >= MAX_FRAMES_IN_FLIGHT:
-            return None
-        skipped = self._slot.count - self._sent - 1
-        self._sent = self._slot.count
-        self.skipped += skipped
-        self._in_flight.append(self._slot.count - 1)
-        return self._slot.count - 1, skipped, frame
-
-    def confirm(self, seq: int) -> None:
-        """The station has this frame and all before it."""
-        while self._in_flight and self._in_flight[0] <= seq:
-            self._in_flight.popleft()

@@ -7,7 +7,8 @@ import logging
 from collections.abc import Awaitable, Callable
 
 from robot.devices.ports import Camera, EndOfRecording, Imu
-from robot.outbox import FrameSlot, ImuBacklog
+from robot.outbox import ImuBacklog
+from robot.video import FrameSlot
 from shared.calibration import MAX_IMAGE_SIDE_PX
 from shared.errors import HardwareError
 from shared.framing import MAX_ROBOT_PAYLOAD
@@ -49,7 +50,9 @@ class Faults:
             logger.info("%s works again", device)
 
 
-async def pump_camera(camera: Camera, slot: FrameSlot, faults: Faults, wake: Callable[[], None]) -> None:
+async def pump_camera(
+    camera: Camera, slot: FrameSlot, faults: Faults, wake: Callable[[], None], now_ns: Callable[[], int]
+) -> None:
     """Put every frame into the slot until the recording ends."""
 
     async def take_one() -> None:
@@ -57,7 +60,7 @@ async def pump_camera(camera: Camera, slot: FrameSlot, faults: Faults, wake: Cal
         if len(frame.jpeg) > MAX_JPEG_BYTES or max(frame.width, frame.height) > MAX_IMAGE_SIDE_PX:
             faults.set("camera", f"a camera frame of {len(frame.jpeg)} bytes is too large to send; lower its quality")
             return
-        slot.put(frame)
+        slot.put(frame, now_ns())
         wake()
         faults.clear("camera")
 

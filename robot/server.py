@@ -19,10 +19,12 @@ from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.health import CpuMeter, read_temperatures
-from robot.outbox import FrameCursor, FrameSlot, ImuBacklog, ImuCursor
+from robot.outbox import ImuBacklog, ImuCursor
+from robot.recompress import Recompressor
 from robot.sensors import Faults, pump_camera, pump_imu
 from robot.station_client import StationClient
 from robot.systemd import Systemd
+from robot.video import FrameSlot, VideoStream
 from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
 from shared.access import Role
 from shared.errors import HardwareError
@@ -44,6 +46,7 @@ from shared.messages import (
     Status,
     Welcome,
 )
+from shared.prompt_sending import UNSENT_BYTES, send_promptly
 from shared.reception import Caller, Reception
 from shared.seats import Seats, rank_of
 from shared.session import Event, State, reply_to
@@ -82,7 +85,8 @@ class RobotServer:
         self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
         self.faults = Faults(self._broadcast_fault)
-        self._frames = FrameSlot()
+        self._recompressor = Recompressor(self._wake_all)
+        self._frames = FrameSlot(self._recompressor.begin)
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
         self._seats = Seats(config.server.max_stations, SEATS_PER_TOKEN)
@@ -121,6 +125,7 @@ class RobotServer:
         finally:
             self.stop_motors()
             self._loop = None
+            self._recompressor.close()
             await self._devices.close()
 
     def stop_motors(self) -> None:
@@ -150,8 +155,7 @@ class RobotServer:
         if self._ends:  # its handshake took longer than we live
             writer.transport.abort()
             return
-        connection = writer.get_extra_info("socket")
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        send_promptly(writer.get_extra_info("socket"), UNSENT_BYTES)
         client = StationClient(self._next_client_id, caller, reader, writer, self._now_ns, self._devices.clock)
         self._next_client_id += 1
         self._doorstep.receive(client)
@@ -210,7 +214,7 @@ class RobotServer:
         client.put(Welcome(client_id=client.id))
         client.put(self._drive_report(self._applied()))
         client.put(self._status_for(client))
-        client.frames = FrameCursor(self._frames)
+        client.video = VideoStream(self._frames, client.meter, is_on_this_machine=client.is_on_this_machine)
         client.imu = self._imu_cursor(join)
         self._may_start.set()
         logger.info("%s joined as connection %d", join.station_name, client.id)
@@ -244,7 +248,9 @@ class RobotServer:
         await self._may_start.wait()
         async with asyncio.TaskGroup() as tasks:
             if self._devices.camera is not None:
-                tasks.create_task(pump_camera(self._devices.camera, self._frames, self.faults, self._wake_all))
+                tasks.create_task(
+                    pump_camera(self._devices.camera, self._frames, self.faults, self._wake_all, self._now_ns)
+                )
             if self._devices.imu is not None:
                 interval_s = self._config.server.imu_batch_interval_ms * 1e-3
                 tasks.create_task(pump_imu(self._devices.imu, self._backlog, self.faults, self._wake_all, interval_s))
@@ -332,7 +338,7 @@ class RobotServer:
             temperatures_c=read_temperatures(),
             cpu_percent=self._cpu.percent(),
             frames_captured=self._frames.count,
-            frames_skipped=client.frames.skipped if client.frames else 0,
+            frames_skipped=client.video.skipped if client.video else 0,
             imu_samples=self._backlog.end,
             imu_lost_in_sensor=self._backlog.lost_in_sensor,
             imu_lost_in_backlog=client.imu.lost if client.imu else 0,

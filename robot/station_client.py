@@ -10,9 +10,12 @@ from collections.abc import Callable
 import msgspec
 
 from robot.commands import notice
-from robot.outbox import FrameCursor, ImuCursor
+from robot.link_meter import LinkMeter
+from robot.outbox import ImuCursor
+from robot.video import VideoStream
 from shared.access import Role
 from shared.errors import RemoteProtocolError
+from shared.listening import is_loopback
 from shared.messages import (
     CameraFrame,
     DriveApplied,
@@ -62,7 +65,8 @@ class StationClient:
         self.token_id = ""
         self.pairing: tuple[Pake, str] | None = None  # the exchange so far, and the station's name
         self.imu: ImuCursor | None = None
-        self.frames: FrameCursor | None = None
+        self.meter = LinkMeter()
+        self.video: VideoStream | None = None
         self.messages_dropped = 0
         self.read_ns = now_ns()  # when the bytes now being taken in were read
         self.session = Session("robot", now_ns())
@@ -85,14 +89,24 @@ class StationClient:
     @property
     def has_all(self) -> bool:
         """Whether all sensor data have been sent to it."""
-        return (self.imu is None or self.imu.is_at_end) and (self.frames is None or self.frames.is_at_end)
+        return (self.imu is None or self.imu.is_at_end) and (self.video is None or self.video.is_at_end)
 
     def confirm(self, received: Received) -> None:
         """The station has taken something in: there is room for more on the way."""
-        if self.imu is not None and self.frames is not None:
-            self.imu.confirm(received.next_imu_sequence)
-            self.frames.confirm(received.frame_seq)
-            self._wake.set()
+        if self.imu is None or self.video is None:
+            return
+        self.imu.confirm(received.next_imu_sequence)
+        num_frames = self.video.confirm(received.frame_seq)
+        if received.num_bytes >= 0:
+            self.meter.confirm(received.num_bytes, received.held_ns, self.read_ns)
+        else:
+            for _ in range(num_frames):
+                self.meter.confirm_frame(self.read_ns)
+        self._wake.set()
+
+    @property
+    def is_on_this_machine(self) -> bool:
+        return is_loopback(self.address)
 
     def wake(self) -> None:
         """There may be something new to send."""
@@ -167,7 +181,9 @@ class StationClient:
             await self._wake.wait()
             self._wake.clear()
             while (message := self._next_message()) is not None:
-                self._writer.write(self.session.send(message))
+                data = self.session.send(message)
+                self._writer.write(data)
+                self.meter.send(len(data), isinstance(message, CameraFrame), self._now_ns())
                 await self._writer.drain()
 
     def _next_message(self) -> Message | None:
@@ -181,18 +197,7 @@ class StationClient:
             return message
         if self.imu is not None and (batch := self.imu.next_batch()) is not None:
             return batch
-        if self.frames is not None and (found := self.frames.next_frame()) is not None:
-            seq, skipped, frame = found
-            return CameraFrame(
-                seq=seq,
-                t_robot_ns=frame.t_robot_ns,
-                exposure_ns=frame.exposure_ns,
-                width=frame.width,
-                height=frame.height,
-                skipped=skipped,
-                jpeg=frame.jpeg,
-            )
-        return None
+        return None if self.video is None else self.video.next_frame(self._now_ns())
 
     async def _wait_for_end(self) -> None:
         await self._ending.wait()

@@ -18,6 +18,7 @@ BIN_NS = 200_000_000  # of each fifth of a second only the quickest arrival is k
 REFIT_NS = 500_000_000  # a fit costs a fifth of a millisecond on a PC, and a station has a clock for each robot
 MIN_SPAN_NS = 2_000_000_000  # a shorter stretch says nothing on drift
 MAX_DRIFT = 0.02  # resonators are off by 0.5 %; more is not a clock
+MAX_CRYSTAL_DRIFT = 600e-6  # of two computers: 50 ppm each, and what NTP may slew them by (500 ppm)
 STEP_NS = 1_000_000_000  # an arrival that much too early: the remote clock was set, or ours slept
 
 
@@ -51,7 +52,9 @@ class ClockFit:
 class RemoteClock:
     """Collects arrivals of one remote clock and keeps the line through the quickest ones. Memory is bounded."""
 
-    def __init__(self) -> None:
+    def __init__(self, max_drift: float = MAX_DRIFT) -> None:
+        """`max_drift`: what exceeds it is no clock's drift, but a queue on the way that fills or empties."""
+        self._max_drift = max_drift
         self._arrivals: deque[tuple[int, int]] = deque()  # (t_remote_ns, local - remote), one per bin
         self.fit: ClockFit | None = None  # the present line; None before the first arrival
         self._fitted_at_ns = 0
@@ -68,7 +71,7 @@ class RemoteClock:
         while t_remote_ns - self._arrivals[0][0] > WINDOW_NS:
             self._arrivals.popleft()
         if self.fit is None or t_remote_ns - self._fitted_at_ns >= REFIT_NS:
-            self.fit = fit_lower_line(list(self._arrivals))
+            self.fit = fit_lower_line(list(self._arrivals), self._max_drift)
             self._fitted_at_ns = t_remote_ns
         elif difference < self.fit.offset_at_ns(t_remote_ns):
             # Quicker than all before: lower the line at once, its slope follows at the next fit.
@@ -80,7 +83,7 @@ class RemoteClock:
         last_remote_ns = self._arrivals[-1][0]
         if t_remote_ns < last_remote_ns - WINDOW_NS:
             return True
-        allowed = STEP_NS + MAX_DRIFT * abs(t_remote_ns - last_remote_ns)
+        allowed = STEP_NS + self._max_drift * abs(t_remote_ns - last_remote_ns)
         return difference < self.fit.offset_at_ns(t_remote_ns) - allowed
 
     def _store(self, t_remote_ns: int, difference: int) -> None:
@@ -93,7 +96,7 @@ class RemoteClock:
             self._arrivals.append((t_remote_ns, difference))
 
 
-def fit_lower_line(arrivals: list[tuple[int, int]]) -> ClockFit:
+def fit_lower_line(arrivals: list[tuple[int, int]], max_drift: float) -> ClockFit:
     """The line below all arrivals with the least summed distance to them.
 
     Args:
@@ -106,7 +109,7 @@ def fit_lower_line(arrivals: list[tuple[int, int]]) -> ClockFit:
     points = [(remote - reference_ns, difference - base_ns) for remote, difference in arrivals]
     left, right = _edge_at(points, sum(x for x, _ in points) / len(points))
     slope = (right[1] - left[1]) / (right[0] - left[0])
-    if abs(slope) > MAX_DRIFT:
+    if abs(slope) > max_drift:
         return ClockFit(reference_ns, min(difference for _, difference in arrivals), 0.0)
     return ClockFit(reference_ns, base_ns + round(left[1] - slope * left[0]), slope)
 

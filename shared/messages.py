@@ -19,7 +19,7 @@ PROTOCOL_VERSION = 2  # 2: headers with checksums
 MAX_NAME_LENGTH = 64
 MAX_SENTENCE_LENGTH = 1000
 MAX_IMU_SAMPLES_PER_BATCH = 256
-MAX_FRAMES_IN_FLIGHT = 3  # 30 fps as long as the round trip stays below 100 ms
+MAX_FRAMES_IN_FLIGHT = 8  # and no more bytes than the link holds, beside one picture (robot/video.py)
 MAX_IMU_IN_FLIGHT = 1024  # samples: 4.5 s at 225 Hz
 MAX_LIST_LENGTH = 32
 MAX_LINEAR_M_S = 3.0  # a robot in a home is slower; its own limits travel in the hello
@@ -153,18 +153,20 @@ class HeartbeatReply(_Message, frozen=True, kw_only=True, tag="heartbeat_reply")
     t_robot_sent_ns: Time
 
 
-class Received(_Message, frozen=True, kw_only=True, tag="received"):
+class Received(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="received"):
     """What the station has taken in, after each frame and with each heartbeat.
 
     The robot lets only MAX_FRAMES_IN_FLIGHT and MAX_IMU_IN_FLIGHT be on the way: a stalled station or network must not
-    fill the kernels' buffers with the past.
+    fill the kernels' buffers with the past. From bytes and times it learns what the link carries.
     """
 
     frame_seq: NextSequence  # of the newest frame; -1: none yet
     next_imu_sequence: NextSequence  # the first sample not yet received; -1: none yet
+    num_bytes: NextSequence = -1  # of this connection, within TLS; -1: an older station, which does not count them
+    held_ns: Count = 0  # since the last of them was read
 
 
-class CameraFrame(_Message, frozen=True, kw_only=True, tag="frame"):
+class CameraFrame(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="frame"):
     """One camera image. Newest wins: frames the connection had no time for are skipped and counted."""
 
     seq: Count  # counts every frame the camera made
@@ -173,6 +175,7 @@ class CameraFrame(_Message, frozen=True, kw_only=True, tag="frame"):
     width: Side
     height: Side
     skipped: Count  # frames skipped for this station since the one sent before
+    quality: Annotated[int, Meta(ge=0, le=100)] = 0  # of a JPEG made smaller for a thin link; 0: as the camera made it
     jpeg: bytes
 
     def __str__(self) -> str:

@@ -13,6 +13,7 @@ from typing import Any, cast
 from shared.access import Token
 from shared.certificates import HANDSHAKE_WITHIN_S, fingerprint_of_der, pinning_context
 from shared.errors import ConfigError, RobotSystemError
+from shared.prompt_sending import UNSENT_COMMAND_BYTES, send_promptly
 from station.access.paired_robots import PairedRobots
 from station.config import show_address
 
@@ -95,7 +96,7 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
         connection = socket.socket(family, kind, protocol)
         try:
             connection.setblocking(False)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            send_promptly(connection, UNSENT_COMMAND_BYTES)
             await loop.sock_connect(connection, address)
         except OSError as exc:
             error = exc

@@ -177,6 +177,7 @@ class Recorder:
             "width": frame.width,
             "height": frame.height,
             "skipped": frame.skipped,
+            "quality": frame.quality,
         }
         self._put(FRAME_TOPIC, frame.t_robot_ns, content, t_station_ns)
         self._put(IMAGE_TOPIC, frame.t_robot_ns, encode_image(frame.t_robot_ns, frame.jpeg), t_station_ns)

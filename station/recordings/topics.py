@@ -42,7 +42,15 @@ JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
     HELLO_TOPIC: ("sentinel.Hello", _object(robot_id=_TEXT, name=_TEXT, session_id=_TEXT, msgpack_base64=_TEXT)),
     FRAME_TOPIC: (
         "sentinel.Frame",
-        _object(timestamp=_TIME, seq=_INTEGER, exposure_ns=_INTEGER, width=_INTEGER, height=_INTEGER, skipped=_INTEGER),
+        _object(
+            timestamp=_TIME,
+            seq=_INTEGER,
+            exposure_ns=_INTEGER,
+            width=_INTEGER,
+            height=_INTEGER,
+            skipped=_INTEGER,
+            quality=_INTEGER,
+        ),
     ),
     CALIBRATION_TOPIC: (CALIBRATION_SCHEMA_NAME, _object(timestamp=_TIME, frame_id=_TEXT)),
     IMU_TOPIC: ("sentinel.Imu", _object(timestamp=_TIME, sequence=_INTEGER, gyro=_VECTOR, accel=_VECTOR)),

@@ -36,9 +36,11 @@ from station.access.connecting import (
 )
 from station.access.paired_robots import PairedRobots
 from station.config import show_address
+from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
-from station.robots.link_state import Arrivals, Hearing, LinkClock, LinkState, RateMeter
+from station.robots.link_state import Arrivals, Hearing, LinkState, RateMeter
+from station.robots.network import NetworkState, RecentDelays
 from station.robots.search import Find, FoundRobot, RobotSearch
 
 logger = logging.getLogger(__name__)
@@ -83,12 +85,13 @@ class RobotLink:
         self._session = Session("station", now_ns())
         self._due = DueMessages()
         self._silence = asyncio.Event()
-        self.commands = LinkCommands(self._due, now_ns)
+        self.commands = LinkCommands(self._due, now_ns, late_ms=lambda: self._delays.late_ms)
         self._connected = False
         self._reason = "not connected yet"
         self._hello: Hello | None = None
         self._clock = LinkClock()
         self._rates = RateMeter()
+        self._delays = RecentDelays()
         self._arrived = Arrivals()
         self._hearing = Hearing()
         self._connections = 0
@@ -106,8 +109,10 @@ class RobotLink:
             hello=self._hello,
             reason="" if self._connected else self._reason,
             connections=self._connections,
+            network=self._network(frame_rate_hz),
             rtt_ms=None if self._clock.rtt_ns is None else self._clock.rtt_ns * 1e-6,
             clock_offset_ns=self._clock.offset_ns(self._now_ns()),
+            clock_bound_ns=self._clock.bound_ns(self._now_ns()),
             clock_drift_ppm=self._clock.drift_ppm,
             frame_rate_hz=frame_rate_hz,
             imu_rate_hz=imu_rate_hz,
@@ -120,6 +125,11 @@ class RobotLink:
             status=self._status,
             notice=self._notice,
         )
+
+    def _network(self, frame_rate_hz: float) -> NetworkState:
+        if not self._connected:
+            return NetworkState("none", self._reason)
+        return self._delays.state(frame_rate_hz, self._session.state is State.QUIET)
 
     def to_station_ns(self, t_robot_ns: int) -> int | None:
         """The station's monotonic time of a robot time; None before the clocks are known."""
@@ -180,6 +190,8 @@ class RobotLink:
         self._connection = connection
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
+        self._arrived.begin_connection()
+        self._delays = RecentDelays()
         self._silence.clear()
         self.commands.restart_count()
         # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
@@ -209,7 +221,7 @@ class RobotLink:
     async def _read(self, reader: asyncio.StreamReader) -> None:
         session = self._session
         while data := await reader.read(READ_BYTES):
-            self._arrived.bytes += len(data)
+            self._arrived.add_bytes(len(data), self._now_ns())
             session.receive(data)
             try:
                 while (message := session.next_message(self._now_ns())) is not None:
@@ -278,6 +290,8 @@ class RobotLink:
             case CameraFrame():
                 self._arrived.add_frame(message)
                 self._confirm()
+                if (taken_ns := self._clock.to_station_ns(message.t_robot_ns)) is not None:
+                    self._delays.add_picture(now_ns - taken_ns)
                 self._listener.on_frame(message, now_ns)
             case ImuBatch():
                 self._receive_imu(message)
@@ -287,6 +301,8 @@ class RobotLink:
             case HeartbeatReply():
                 self._hearing.note_answer(now_ns)
                 self._clock.add_reply(message, now_ns)
+                if self._clock.rtt_ns is not None:
+                    self._delays.add_round_trip(self._clock.rtt_ns)
                 self.commands.receive_beat(message.seq)
             case Status():
                 self._status = message
@@ -312,7 +328,7 @@ class RobotLink:
                 pass
 
     def _confirm(self) -> None:
-        self._due.put(self._arrived.confirmation)
+        self._due.put(self._arrived.confirmation(self._now_ns()))
 
     def _greet(self, hello: Hello) -> None:
         is_same_run = self._hello is not None and self._hello.session_id == hello.session_id

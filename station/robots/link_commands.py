@@ -58,7 +58,9 @@ class DueMessages:
 class LinkCommands:
     """Drive, stop, point, hijack; heartbeats share their count. All methods belong on the event loop."""
 
-    def __init__(self, due: DueMessages, now_ns: Callable[[], int]) -> None:
+    def __init__(self, due: DueMessages, now_ns: Callable[[], int], late_ms: Callable[[], int] = lambda: 0) -> None:
+        """`late_ms`: by how much a command may be late just now."""
+        self._late_ms = late_ms
         self._due = due
         self._now_ns = now_ns
         self._seq = 0  # of drive, stop and heartbeat
@@ -82,10 +84,13 @@ class LinkCommands:
     def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
         """Hold a velocity (m/s, rad/s) for `ttl_ms` (above the protocol's limit: the limit); newest wins.
 
+        The time to live begins when a quick command would arrive. What a slow network takes of it is given on top, as
+        far as the limit allows, or the robot would stutter.
+
         Returns False, and sends nothing, when no robot is connected or it cannot drive.
         Raises LocalProtocolError when a number is not finite or out of the protocol's range.
         """
-        ttl_ms = max(1, min(ttl_ms, MAX_DRIVE_TTL_MS))
+        ttl_ms = max(1, min(ttl_ms + self._late_ms(), MAX_DRIVE_TTL_MS))
         try:
             command = Drive(
                 seq=self._count(), t_station_ns=self._now_ns(), linear=linear, angular=angular, ttl_ms=ttl_ms

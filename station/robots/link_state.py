@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from shared.clock import RemoteClock
-from shared.messages import CameraFrame, ErrorNotice, HeartbeatReply, Hello, ImuBatch, Received, Status
+from shared.messages import CameraFrame, ErrorNotice, Hello, ImuBatch, Received, Status
+from station.robots.network import NOT_CONNECTED, NetworkState
 
 RATE_WINDOW_NS = 2_000_000_000
-KEPT_ROUND_TRIPS = 600  # a minute of heartbeats
 # Heartbeats are answered before anything else is sent. So late an answer, and the robot spoke on for so long with so
 # many messages: it does not hear us. After a stall of the network all comes at once, and the answers right behind.
 UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
@@ -26,8 +25,10 @@ class LinkState:
     hello: Hello | None = None  # of the present or the last connection
     reason: str = "not connected yet"  # why not connected, in a sentence
     connections: int = 0  # how often a connection was made
+    network: NetworkState = NOT_CONNECTED
     rtt_ms: float | None = None  # of the last heartbeat
     clock_offset_ns: int | None = None  # t_station - t_robot, now
+    clock_bound_ns: int | None = None  # the offset may be wrong by that at most; None: nothing was answered yet
     clock_drift_ppm: float | None = None  # the robot's clock is this much faster than the station's
     frame_rate_hz: float = 0.0  # over the last seconds
     imu_rate_hz: float = 0.0
@@ -48,6 +49,16 @@ class Arrivals:
         self.bytes = self.frames = self.frames_skipped = 0
         self.imu_samples = self.imu_gaps = self.imu_lost = 0
         self.next_imu_sequence = self._newest_frame = -1
+        self._connection_bytes = self._read_ns = 0
+
+    def begin_connection(self) -> None:
+        """The robot counts the bytes of each connection from its beginning."""
+        self._connection_bytes = 0
+
+    def add_bytes(self, count: int, now_ns: int) -> None:
+        self.bytes += count
+        self._connection_bytes += count
+        self._read_ns = now_ns
 
     def begin_run(self) -> None:
         """The robot was started anew, or is another one: it numbers frames and samples from the beginning."""
@@ -69,46 +80,14 @@ class Arrivals:
         self.imu_samples += len(batch.samples)
         return missing
 
-    @property
-    def confirmation(self) -> Received:
+    def confirmation(self, now_ns: int) -> Received:
         """For the robot: up to where everything is here."""
-        return Received(frame_seq=self._newest_frame, next_imu_sequence=self.next_imu_sequence)
-
-
-class LinkClock:
-    """The robot's clock as the station sees it: the lower line of arrivals, less half of the shortest round trip."""
-
-    def __init__(self) -> None:
-        self._remote = RemoteClock()
-        self._round_trips_ns: deque[int] = deque(maxlen=KEPT_ROUND_TRIPS)
-        self._least_delay_ns = 0
-        self.rtt_ns: int | None = None
-
-    def add_reply(self, reply: HeartbeatReply, now_ns: int) -> None:
-        inside_robot_ns = reply.t_robot_sent_ns - reply.t_robot_received_ns
-        self.rtt_ns = now_ns - reply.t_station_ns - inside_robot_ns
-        self._round_trips_ns.append(self.rtt_ns)
-        self._least_delay_ns = max(0, min(self._round_trips_ns) // 2)
-        self.add_stamp(reply.t_robot_sent_ns, now_ns)
-
-    def add_stamp(self, t_robot_ns: int, now_ns: int) -> None:
-        """Something the robot stamped when it sent it has arrived."""
-        self._remote.add(t_robot_ns, now_ns)
-
-    def to_station_ns(self, t_robot_ns: int) -> int | None:
-        """Station time of a robot time; None before the first arrival."""
-        fit = self._remote.fit
-        return None if fit is None else fit.to_local_ns(t_robot_ns) - self._least_delay_ns
-
-    def offset_ns(self, now_ns: int) -> int | None:
-        """t_station - t_robot at present."""
-        fit = self._remote.fit
-        return None if fit is None else now_ns - fit.to_remote_ns(now_ns + self._least_delay_ns)
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """How much faster the robot's clock runs."""
-        return None if self._remote.fit is None else self._remote.fit.drift_ppm
+        return Received(
+            frame_seq=self._newest_frame,
+            next_imu_sequence=self.next_imu_sequence,
+            num_bytes=self._connection_bytes,
+            held_ns=max(0, now_ns - self._read_ns),
+        )
 
 
 class RateMeter:

@@ -250,10 +250,13 @@ async def test_a_stalled_station_skips_frames_keeps_imu_and_slows_nobody() -> No
                 await until(lambda n=n: len(notes.frames) == n + 1)
             await until(lambda: len(notes.sequences) == 1200)
             proxy.flow()
-            await until(lambda: slow_notes.frames and slow_notes.frames[-1][0].seq == 59)
             await until(lambda: len(slow_notes.sequences) == 1200)
+            seen = len(slow_notes.frames)
+            while len(slow_notes.frames) == seen:  # those made during the stall are too old now
+                bench.camera.put(60, size=200_000)
+                await asyncio.sleep(0.02)
             assert slow_notes.sequences == list(range(1200))
-            assert slow.state.frames + slow.state.frames_skipped == 60
+            assert slow.state.frames + slow.state.frames_skipped == slow_notes.frames[-1][0].seq + 1
             assert slow.state.frames_skipped > 10
         await proxy.cut()
 
@@ -293,9 +296,7 @@ async def test_an_error_inside_robot_server_stops_the_motors_and_ends_it() -> No
 
 
 async def test_the_robots_own_clock_is_found_although_it_drifts() -> None:
-    async with running_robot(clock_rate=1.005) as bench, linked(bench.port) as (link, _):
-        await until(lambda: (link.state.clock_drift_ppm or 0.0) > 4000)
-        offset_ns = link.state.clock_offset_ns
-        assert offset_ns is not None
+    async with running_robot(clock_rate=1.0005) as bench, linked(bench.port) as (link, _):
+        await until(lambda: link.state.clock_bound_ns is not None)
         now_ns = time.monotonic_ns()
         assert link.to_station_ns(bench.clock()) == pytest.approx(now_ns, abs=200_000_000)

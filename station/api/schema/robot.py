@@ -37,8 +37,18 @@ class LossesModel(Model):
 
 class ClockModel(Model):
     offset_s: float | None = Field(description="t_station - t_robot")
+    bound_ms: float | None = Field(description="by how much the offset may be wrong at most")
     drift_ppm: float | None
     rtt_ms: float | None
+
+
+class NetworkModel(Model):
+    """What a driver needs to know of the network between station and robot."""
+
+    grade: Literal["none", "silent", "good", "slow", "bad"]
+    sentence: str = Field(description="for a person")
+    round_trip_ms: float | None = Field(description="of nine in ten heartbeats at most")
+    picture_age_ms: float | None = Field(description="of nine in ten pictures at most, on arrival at the station")
 
 
 class BatteryModel(Model):
@@ -85,6 +95,7 @@ class RobotModel(Model):
         "null: none yet"
     )
     connections: int
+    network: NetworkModel
     rates: RatesModel
     losses: LossesModel
     clock: ClockModel
@@ -153,6 +164,7 @@ def robot_model(robot: RobotSession) -> RobotModel:
         capabilities=CapabilitiesModel.of(hello.capabilities) if hello else None,
         calibrated=hello is not None and hello.calibration.camera is not None,
         calibration_fit=None if fit is None else calibration_fit_model(fit),
+        network=NetworkModel.of(state.network),
         rates=RatesModel(
             frames_hz=round(state.frame_rate_hz, 1),
             imu_hz=round(state.imu_rate_hz, 1),
@@ -162,6 +174,7 @@ def robot_model(robot: RobotSession) -> RobotModel:
         clock=ClockModel.of(
             state,
             offset_s=None if state.clock_offset_ns is None else state.clock_offset_ns * 1e-9,
+            bound_ms=None if state.clock_bound_ns is None else state.clock_bound_ns * 1e-6,
             drift_ppm=state.clock_drift_ppm,
         ),
         battery=BatteryModel(voltage_v=status.battery_v, fraction=status.battery_fraction)

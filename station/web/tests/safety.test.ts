@@ -1,7 +1,16 @@
 // The rules of driving, without a browser: `npm test` here, or tests/unit/station/web/test_page_safety.py.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { type Direction, DriveGuard, INTERRUPTION, invitation, type Situation, whyNotDrive } from "../src/drive/safety";
+import {
+  type Direction,
+  DriveGuard,
+  INTERRUPTION,
+  invitation,
+  type Situation,
+  SlowestSecond,
+  speedShare,
+  whyNotDrive,
+} from "../src/drive/safety";
 
 const ALL_IS_WELL: Situation = {
   mayDrive: true,
@@ -141,4 +150,18 @@ void test("the page says beforehand why nobody can drive", () => {
   assert.equal(invitation({ ...ALL_IS_WELL, pictureAgeMs: 1501 }), "No driving: the picture is old");
   assert.equal(invitation({ ...ALL_IS_WELL, robot: { drive: false, camera: true } }), "This robot cannot drive");
   assert.equal(invitation({ ...ALL_IS_WELL, isConnected: false }), "No robot");
+});
+
+void test("a slow network slows the robot: it goes no farther unseen than by sight", () => {
+  assert.equal(speedShare(60, 5), 1);
+  assert.equal(speedShare(200, 50), 1);
+  assert.equal(speedShare(400, 100), 0.5);
+  for (const late of [300, 400, 500]) assert.ok(speedShare(late, 0) * late <= 250);
+});
+
+void test("the slowest second counts, and is forgotten", () => {
+  const ages = new SlowestSecond();
+  assert.equal(ages.note(400, 0), 400);
+  assert.equal(ages.note(100, 900), 400);
+  assert.equal(ages.note(100, 1001), 100);
 });

@@ -150,10 +150,22 @@ def test_a_connection_that_begins_with_an_old_burst_moves_nothing() -> None:
 
 def test_drifting_clocks_do_not_make_commands_stale() -> None:
     order = CommandOrder()
-    for step in range(20 * 300):  # five minutes, 5000 ppm: the clocks part by 1.5 s
+    for step in range(20 * 300):  # five minutes, 500 ppm as NTP may slew a clock: they part by 150 ms
         t = step * 50 * MS
-        until_ns = order.until_ns(command(step, int(t * 0.995)), t + (step * 7919 % 20) * MS)
+        until_ns = order.until_ns(command(step, int(t * 0.9995)), t + (step * 7919 % 20) * MS)
         assert step < 2 or until_ns is not None
+
+
+def test_a_queue_that_fills_is_not_taken_for_a_drift() -> None:
+    """No crystal drifts by 18 ms a second: what comes that much later each second is old."""
+    order = CommandOrder()
+    fresh_ms = []
+    for step in range(20 * 30):
+        t = step * 50 * MS
+        late_ns = t * 18 // 1000
+        if order.until_ns(command(step, t), t + late_ns) is not None:
+            fresh_ms.append(late_ns // MS)
+    assert max(fresh_ms) <= 200
 
 
 def desk(now_ns: int) -> tuple[CommandDesk, FakeMotors]:

@@ -9,7 +9,15 @@ import { PageHands } from "./hands";
 import { HeadControl } from "./head";
 import { DriveLine } from "./line";
 import { DrivePanel } from "./panel";
-import { type Direction, DriveGuard, INTERRUPTION, invitation, type Situation } from "./safety";
+import {
+  type Direction,
+  DriveGuard,
+  INTERRUPTION,
+  invitation,
+  type Situation,
+  SlowestSecond,
+  speedShare,
+} from "./safety";
 import type { VideoView } from "./video";
 
 const REPEAT_MS = 50;
@@ -23,6 +31,9 @@ export class DriveControl {
   private driver: string | null = null;
   private robot: CapabilitiesModel | null = null;
   private isConnected = false;
+  private roundTripMs = 0;
+  private share = 1; // of the wanted speed, as the network leaves it
+  private readonly pictureAges = new SlowestSecond();
 
   constructor(
     private readonly video: VideoView,
@@ -58,6 +69,7 @@ export class DriveControl {
   show(robot: RobotModel): void {
     this.robot = robot.capabilities;
     this.isConnected = robot.connected;
+    this.roundTripMs = robot.network.round_trip_ms ?? 0;
     this.head.show(robot);
     document.body.dataset.robot = robot.connected && robot.capabilities?.drive ? "drives" : "none";
     const v = robot.applied ?? { linear: 0, angular: 0 };
@@ -67,7 +79,7 @@ export class DriveControl {
   showDriver(driver: string | null): void {
     this.driver = driver;
     const other = driver === driverName ? null : driver;
-    const free = driver === null ? invitation(this.situation()) : "You drive";
+    const free = driver === null ? invitation(this.situation()) : youDrive(this.share);
     this.panel.showDriver(other === null ? free : `${other} drives`, other);
     show(by("take-over"), other !== null && this.line !== null);
   }
@@ -75,6 +87,8 @@ export class DriveControl {
   private tick(): void {
     this.hands.readGamepad();
     const situation = this.situation();
+    this.share = speedShare(this.pictureAges.note(ageOf(situation), performance.now()), this.roundTripMs);
+    if (this.driver === driverName) this.showDriver(this.driver);
     if (this.driver === null) this.panel.showInvitation(invitation(situation)); // pictures grow old without anybody telling
     this.guard.tick(situation);
   }
@@ -92,7 +106,7 @@ export class DriveControl {
 
   private drive([x, y]: Direction): boolean {
     if (!this.line || !this.robot) return false;
-    const limit = this.panel.speedLimit;
+    const limit = this.panel.speedLimit * this.share;
     // Backwards, the robot turns as a car does: the stick's right stays the picture's right.
     const linear = y * limit * this.robot.max_linear_m_s;
     const angular = -x * limit * this.robot.max_angular_rad_s;
@@ -112,4 +126,13 @@ export class DriveControl {
   private say(text: string): void {
     this.panel.say(text, this.line?.newestSeq ?? 0);
   }
+}
+
+/** Where no camera looks, or no picture has come, there is nothing late to drive by. */
+function ageOf(situation: Situation): number {
+  return situation.robot?.camera && situation.pictureAgeMs < Infinity ? situation.pictureAgeMs : 0;
+}
+
+function youDrive(share: number): string {
+  return share < 0.9 ? `You drive, slowed to ${Math.round(share * 100)} %: the network is slow` : "You drive";
 }

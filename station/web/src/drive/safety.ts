@@ -6,6 +6,8 @@ import type { CapabilitiesModel } from "../link/messages";
 export type Direction = readonly [x: number, y: number];
 
 export const STALE_MS = 500; // nobody drives by an older picture
+const SIGHT_MS = 250; // what is seen so late and answered so soon is driven as by sight
+const REMEMBERED_MS = 1000; // the slowest second counts: a speed that follows each picture would stutter
 const TELL_AFTER_MS = 1500; // a picture this old is no hiccup: the control says beforehand that it cannot drive
 
 /** What takes hands or eyes off the robot. Each of them stops it, and says why in these words. */
@@ -40,6 +42,24 @@ export function whyNotDrive(s: Situation): string {
   if (!s.robot.camera) return "";
   if (s.pictureAgeMs === Infinity) return "no picture of the robot has come yet";
   return s.pictureAgeMs > STALE_MS ? `the picture is ${(s.pictureAgeMs / 1000).toFixed(1)} s old` : "";
+}
+
+/**
+ * The share of the wanted speed that the network leaves, 0..1. What passes before the robot answers to what it met is the
+ * picture's age and the command's way; the robot goes no farther in it than by sight.
+ */
+export function speedShare(pictureAgeMs: number, roundTripMs: number): number {
+  return Math.min(1, SIGHT_MS / (pictureAgeMs + roundTripMs));
+}
+
+/** The largest of the values of the last second. */
+export class SlowestSecond {
+  private values: [atMs: number, value: number][] = [];
+
+  note(value: number, nowMs: number): number {
+    this.values = [...this.values.filter(([atMs]) => nowMs - atMs <= REMEMBERED_MS), [nowMs, value]];
+    return Math.max(...this.values.map(([, each]) => each));
+  }
 }
 
 /** What a hand on the stick would do while nobody drives, in words. */

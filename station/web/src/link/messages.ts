@@ -61,6 +61,8 @@ export interface CapabilitiesModel {
 export interface ClockModel {
   /** t_station - t_robot */
   offset_s: number | null;
+  /** by how much the offset may be wrong at most */
+  bound_ms: number | null;
   drift_ppm: number | null;
   rtt_ms: number | null;
 }
@@ -338,6 +340,17 @@ export interface NavigationStart {
   name: string;
 }
 
+/** What a driver needs to know of the network between station and robot. */
+export interface NetworkModel {
+  grade: "none" | "silent" | "good" | "slow" | "bad";
+  /** for a person */
+  sentence: string;
+  /** of nine in ten heartbeats at most */
+  round_trip_ms: number | null;
+  /** of nine in ten pictures at most, on arrival at the station */
+  picture_age_ms: number | null;
+}
+
 /** What it shall be called. */
 export interface NewName {
   name: string;
@@ -492,6 +505,7 @@ export interface RobotModel {
   /** of the last navigation since the robot connected that knows whether it fits, or of the last; null: none yet */
   calibration_fit: CalibrationFitModel | null;
   connections: number;
+  network: NetworkModel;
   rates: RatesModel;
   losses: LossesModel;
   clock: ClockModel;

@@ -1,6 +1,6 @@
 // How everything is, in words and numbers.
 import type { Library } from "../library/library";
-import type { BatteryModel, RobotModel, SlamModel } from "../link/messages";
+import type { BatteryModel, ClockModel, RobotModel, SlamModel } from "../link/messages";
 import { by, make, setText, show, within } from "../ui/dom";
 import { capitalised, percent } from "../ui/text";
 import { Guide } from "./guide";
@@ -50,6 +50,7 @@ export class HealthView {
           : robot.reason,
         !robot.connected,
       ],
+      ["Network", capitalised(robot.network.sentence), robot.network.grade !== "good"],
       [
         "Video",
         `${robot.rates.frames_hz.toFixed(0)} /s · ${robot.losses.frames_skipped} skipped`,
@@ -57,11 +58,7 @@ export class HealthView {
       ],
       ["IMU", `${robot.rates.imu_hz.toFixed(0)} /s · ${robot.losses.imu_lost} lost`, robot.losses.imu_lost > 0],
       ["Data", `${((robot.rates.bytes_per_s * 8) / 1e6).toFixed(1)} Mbit/s`, false],
-      [
-        "Clock",
-        robot.clock.drift_ppm === null ? "not known yet" : `drift ${robot.clock.drift_ppm.toFixed(0)} ppm`,
-        false,
-      ],
+      ["Clock", describeClock(robot.clock), false],
       [
         "Robot CPU",
         robot.cpu_percent === null ? "–" : `${robot.cpu_percent.toFixed(0)} % of a core`,
@@ -83,4 +80,9 @@ export class HealthView {
 function describe({ voltage_v, fraction }: BatteryModel): string {
   const voltage = voltage_v === null ? [] : [`${voltage_v.toFixed(1)} V`];
   return [...voltage, ...(fraction === null ? [] : [percent(fraction)])].join(" · ");
+}
+
+function describeClock({ bound_ms, drift_ppm }: ClockModel): string {
+  if (bound_ms === null || drift_ppm === null) return "not known yet";
+  return `known within ${bound_ms.toFixed(1)} ms · drift ${drift_ppm.toFixed(0)} ppm`;
 }

@@ -1,0 +1,137 @@
+"""What one station's link carries, from what was sent and what the station confirms. No socket, no clock.
+
+A picture needs its bytes' time on the link, plus what a few bytes need there and back. Both are seen: the time of a
+few bytes while no picture is on its way, and the time of each picture. One that was sent behind another one begins
+when that one's last byte has arrived.
+Source of measuring a bottleneck by what is delivered: Cardwell et al., "BBR", ACM Queue 14(5), 2016.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections import deque
+from dataclasses import dataclass
+
+KEPT_FRAMES = 15  # a second of pictures, or two
+# A lost packet holds up a picture, and those behind it come at once: the middle one is not fooled by a few of either.
+# Where they are many it is; so much more than was carried in all, waiting for lost packets included, is not believed.
+RECOVERED = 1.5
+LONGEST_SERVICE_NS = 300_000_000  # an outage is no rate
+KEPT_TRIPS = 50  # of a few bytes: some seconds
+LEAST_SERVICE_NS = 1_000_000  # two event loops cannot tell less
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEstimate:
+    """What a station's link carries at present."""
+
+    bytes_per_s: float  # while something is on its way all the time
+    trip_ns: int  # of a few bytes, until the station's word of them is back
+    other_bytes_per_s: float  # what is sent beside pictures
+
+    @property
+    def held_bytes(self) -> float:
+        """What the link holds by itself; more than that waits in a queue."""
+        return self.bytes_per_s * self.trip_ns * 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    end: int  # bytes sent on this connection with it
+    num_bytes: int
+    t_ns: int
+    is_frame: bool
+    met_frame: bool  # a picture was on its way before it
+    left_ns: int  # when it has left us, as far as the link is known
+
+
+class LinkMeter:
+    """Counts the bytes of one connection."""
+
+    def __init__(self) -> None:
+        self._under_way: deque[_Sent] = deque()
+        self._trips_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
+        self._sent = self._confirmed = 0
+        self._frames: deque[_Sent] = deque()  # the pictures under way
+        self._served: deque[tuple[int, int]] = deque(maxlen=KEPT_FRAMES)  # bytes and time of the last pictures
+        self._frame_confirmed_ns = 0
+        self._others = 0  # bytes beside pictures since the last picture
+        self._last_frame_ns: int | None = None
+        self._other_rate = 0.0
+        self.estimate: LinkEstimate | None = None  # None: no picture has been confirmed yet
+
+    @property
+    def unconfirmed_bytes(self) -> int:
+        return self._sent - self._confirmed
+
+    def has_room(self, now_ns: int) -> bool:
+        """Whether another picture would not wait behind one: at most one is on its way beyond what the link holds.
+
+        The word of a picture's arrival takes its time; a picture that should have left by now counts as if it had, but
+        no more than one, and not while one is overdue.
+        """
+        if not self._frames:
+            return True
+        if self.estimate is None or now_ns < self._frames[-1].left_ns:
+            return False
+        if now_ns > self._frames[0].left_ns + 2 * self.estimate.trip_ns:
+            return False
+        return self.unconfirmed_bytes <= self.estimate.held_bytes + self._frames[-1].num_bytes
+
+    def send(self, num_bytes: int, is_frame: bool, now_ns: int) -> None:
+        """These bytes were handed to the kernel."""
+        self._sent += num_bytes
+        service_ns = 0 if self.estimate is None else round(num_bytes / self.estimate.bytes_per_s * 1e9)
+        begin_ns = max(now_ns, self._frames[-1].left_ns) if self._frames else now_ns
+        sent = _Sent(self._sent, num_bytes, now_ns, is_frame, bool(self._frames), begin_ns + service_ns)
+        self._under_way.append(sent)
+        if is_frame:
+            self._frames.append(sent)
+            self._measure_others(now_ns)
+        else:
+            self._others += num_bytes
+
+    def confirm_frame(self, now_ns: int) -> None:
+        """A station of before `Received.num_bytes` has one more picture, and all that was sent before it."""
+        if self._frames:
+            self.confirm(self._frames[0].end, 0, now_ns)
+
+    def confirm(self, num_bytes: int, held_ns: int, now_ns: int) -> None:
+        """The station has that many bytes of this connection, the last of them since `held_ns`."""
+        read_ns = now_ns - max(0, held_ns)
+        newest: _Sent | None = None
+        while self._under_way and self._under_way[0].end <= num_bytes:
+            newest = self._under_way.popleft()
+            if newest.is_frame:
+                self._frames.popleft()
+                self._note_frame(newest, read_ns)
+        self._confirmed = max(self._confirmed, min(num_bytes, self._sent))
+        if newest is not None and not newest.is_frame:
+            trip_ns = max(0, read_ns - newest.t_ns)
+            # Behind a picture it may have waited; what was quick all the same was not held up.
+            if not newest.met_frame or not self._trips_ns or trip_ns < self._trip_ns():
+                self._trips_ns.append(trip_ns)
+
+    def _note_frame(self, frame: _Sent, read_ns: int) -> None:
+        trip_ns = self._trip_ns()
+        begin_ns = max(frame.t_ns + trip_ns, self._frame_confirmed_ns)
+        self._frame_confirmed_ns = read_ns
+        service_ns = min(max(read_ns - begin_ns, LEAST_SERVICE_NS), LONGEST_SERVICE_NS)
+        self._served.append((frame.num_bytes, service_ns))
+        self.estimate = LinkEstimate(self._rate(), trip_ns, self._other_rate)
+
+    def _rate(self) -> float:
+        """Bytes a second, of the last pictures."""
+        middle = statistics.median_low(num_bytes / ns for num_bytes, ns in self._served)
+        overall = sum(num_bytes for num_bytes, _ in self._served) / sum(ns for _, ns in self._served)
+        return min(middle, RECOVERED * overall) * 1e9
+
+    def _trip_ns(self) -> int:
+        """The middle one: jitter belongs to it, or every picture would be blamed for it."""
+        return round(statistics.median(self._trips_ns)) if self._trips_ns else 0
+
+    def _measure_others(self, now_ns: int) -> None:
+        if self._last_frame_ns is not None and now_ns > self._last_frame_ns:
+            rate = self._others / (now_ns - self._last_frame_ns) * 1e9
+            self._other_rate = 0.9 * self._other_rate + 0.1 * rate
+        self._last_frame_ns, self._others = now_ns, 0

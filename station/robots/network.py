@@ -1,0 +1,89 @@
+"""How the network between station and robot is, for whoever drives: in numbers and in words. Time is an argument."""
+
+from __future__ import annotations
+
+import statistics
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal
+
+NetworkGrade = Literal["none", "silent", "good", "slow", "bad"]
+KEPT = 20  # two seconds of heartbeats, one of pictures
+# From a thing's happening to the robot's reaction: its picture's way here, and the command's way back.
+GOOD_LOOP_MS = 250.0  # people drive by this as by sight
+SLOW_LOOP_MS = 600.0  # and by this only slowly
+LEAST_RATE_HZ = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkState:
+    """What a driver needs to know of the network."""
+
+    grade: NetworkGrade
+    sentence: str  # for a person
+    round_trip_ms: float | None = None  # of nine in ten heartbeats at most
+    picture_age_ms: float | None = None  # of nine in ten pictures at most, on arrival
+
+
+NOT_CONNECTED = NetworkState("none", "not connected yet")
+
+
+class RecentDelays:
+    """The last heartbeats' round trips and pictures' ages."""
+
+    def __init__(self) -> None:
+        self._round_trips_ns: deque[int] = deque(maxlen=KEPT)
+        self._ages_ns: deque[int] = deque(maxlen=KEPT)
+        self._least_ns: int | None = None
+
+    def add_round_trip(self, delay_ns: int) -> None:
+        self._round_trips_ns.append(delay_ns)
+        self._least_ns = delay_ns if self._least_ns is None else min(self._least_ns, delay_ns)
+
+    def add_picture(self, age_ns: int) -> None:
+        self._ages_ns.append(age_ns)
+
+    @property
+    def round_trip_ms(self) -> float | None:
+        return _most_of(self._round_trips_ns)
+
+    @property
+    def picture_age_ms(self) -> float | None:
+        return _most_of(self._ages_ns)
+
+    @property
+    def late_ms(self) -> int:
+        """By how much a command may come later than the quickest ones, all of it blamed on its own way."""
+        if self._least_ns is None or self.round_trip_ms is None:
+            return 0
+        return max(0, round(self.round_trip_ms - self._least_ns * 1e-6))
+
+    def state(self, picture_rate_hz: float, is_quiet: bool) -> NetworkState:
+        """How the network of a connected robot is."""
+        trip_ms, age_ms = self.round_trip_ms, self.picture_age_ms
+        loop_ms = (trip_ms or 0.0) + (age_ms or 0.0)
+        is_rare = age_ms is not None and picture_rate_hz < LEAST_RATE_HZ
+        if is_quiet:
+            return NetworkState("silent", "the robot has said nothing for a second", trip_ms, age_ms)
+        if loop_ms <= GOOD_LOOP_MS and not is_rare:
+            return NetworkState("good", "the network is good", trip_ms, age_ms)
+        if loop_ms <= SLOW_LOOP_MS:
+            what = f"slow network: {self._numbers(picture_rate_hz)}; drive slowly"
+            return NetworkState("slow", what, trip_ms, age_ms)
+        what = f"bad network: {self._numbers(picture_rate_hz)}; come closer to the access point"
+        return NetworkState("bad", what, trip_ms, age_ms)
+
+    def _numbers(self, picture_rate_hz: float) -> str:
+        parts = []
+        if (age_ms := self.picture_age_ms) is not None:
+            parts.append(f"{picture_rate_hz:.0f} pictures a second, {age_ms:.0f} ms old")
+        if (trip_ms := self.round_trip_ms) is not None:
+            parts.append(f"{trip_ms:.0f} ms there and back")
+        return ", ".join(parts)
+
+
+def _most_of(delays_ns: deque[int]) -> float | None:
+    """Nine in ten are at most that, in ms."""
+    if len(delays_ns) < 2:
+        return delays_ns[0] * 1e-6 if delays_ns else None
+    return statistics.quantiles(delays_ns, n=10, method="inclusive")[-1] * 1e-6
