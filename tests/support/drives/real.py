@@ -115,17 +115,25 @@ def _drive(data: Dataset, part: Part, localizer: Localizer, T_world_map: FloatAr
     slam = RunningSlam(data.calibration, 1, live_backend(data, "auto")) if has_live_poses(data, "auto") else None
     events: list[Event] = []
     for item in data.events():
-        poses = slam.poses_after(item) if slam else []
+        told = slam.told_after(item) if slam else []
         if isinstance(item, ImuBatch | DriveSample):
-            events += [item, *poses]
+            events += [item, *told]
             continue
-        events += poses
+        events += told
         t_ns = item.t_robot_ns + shift_ns
         if t_ns < next_ns or (T_world_map is not None and t_ns not in T_world_body):
             continue
         next_ns = t_ns + period_ns
         T_map_body = None if T_world_map is None else in_map(T_world_map, T_world_body[t_ns])
-        events.append(LookedAt(item.t_robot_ns, localizer.attempt(item, data.calibration), T_map_body, 0.0, False))
+        events.append(
+            LookedAt(
+                item.t_robot_ns,
+                localizer.attempt(item, data.calibration, slam.fit if slam else None),
+                T_map_body,
+                0.0,
+                False,
+            )
+        )
     seconds = float(times[-1] - times[0]) / 1e9
     return RecordedDrive(part.folder, data.calibration, tuple(events), None, seconds)
 
