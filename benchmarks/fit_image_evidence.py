@@ -29,6 +29,7 @@ from station.places.tracking.map_view import MapView
 from tests.support.drives.judging import where_taken
 from tests.support.drives.recorded import LookedAt, generator_of
 from tests.support.likelihood_fit import (
+    RIGHT_M,
     Fit,
     fitted_failing,
     fitted_right,
@@ -50,9 +51,7 @@ def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: d
                 "p": [float(v) / view.unit for v in (z.T_map_cam @ camera.T_cam_body_matrix)[:3, 3]],
                 "extent": z.extent / view.unit,
                 "inliers": z.num_inliers,
-                "support": support(
-                    view.sightings.in_usual_views(len(z.landmarks)), view.sightings.in_view(z.T_map_cam, camera)
-                ),
+                "support": support(len(z.landmarks), view.sightings.in_view(z.T_map_cam, camera)),
             }
             for z in image.attempt.candidates
         ],
@@ -75,6 +74,9 @@ def rows_of(cache: Path, kinds: Sequence[str]) -> tuple[list[dict[str, Any]], li
     for path in stored(cache):
         world = load(path)
         if world.kind not in kinds or world.place_map is None:
+            continue
+        if world.quality is not None and world.quality.error_m > RIGHT_M / 2:
+            print(f"{path.name}: left out, the map is too bent to say which pose is right", file=sys.stderr, flush=True)
             continue
         worlds.append(f"{world.kind} {world.name} {world.misfit}".strip())
         view = MapView.of(world.place_map)

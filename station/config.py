@@ -234,8 +234,12 @@ def choose_backend(name: str, calibration: Calibration) -> str:
     """
     if name != AUTO:
         return name
-    is_measured = calibration.camera is not None and calibration.camera.is_measured
-    return "ukf" if is_measured and calibration.imu is not None and calibration.has_wheels else "sfm"
+    return "ukf" if can_filter(calibration) and calibration.has_wheels else "sfm"
+
+
+def can_filter(calibration: Calibration) -> bool:
+    """Whether there is all that ukf needs: an IMU, and a camera that was measured."""
+    return calibration.imu is not None and calibration.camera is not None and calibration.camera.is_measured
 
 
 def check_backend(name: str) -> None:

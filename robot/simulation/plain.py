@@ -86,7 +86,7 @@ def make_plain(
         builder.obstacles.append(
             Obstacle((x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2, 0.0, CEILING_M, "wall", 0)
         )
-    ambient = 0.35 if style.is_night else 0.72
+    ambient = 0.5 if style.is_night else 0.72
     surfaces = tuple(lit(surface, lamps, ambient) for surface in builder.surfaces)
     start = _start(plan, rooms)
     light = _room_light(style, light_seed, len(rooms))
@@ -308,7 +308,7 @@ class _Furnisher:
         for side, run in enumerate(runs):
             width, height, s, chance = (float(v) for v in rng.uniform([0.3, 0.3, 0.3, 0.0], [0.7, 0.6, 0.7, 1.0]))
             middle = s * run.length_m
-            if chance < 0.6 and self._is_open(side, middle, width + 0.1):
+            if chance < 0.75 and self._is_open(side, middle, width + 0.1):
                 z0 = float(rng.choice([0.3, 0.55, 0.95]))
                 look = TexturePicker.series("print", int(rng.integers(0, 2**31)), width, height, 350)
                 self._hang(run, middle - width / 2, middle + width / 2, (z0, z0 + height), look, OFF_WALL_M)

@@ -46,7 +46,7 @@ def paint_white_paint(canvas: Canvas) -> None:
         x, y = canvas.spot()
         reach = max(2, canvas.length_px(0.01, 0.04))
         cv2.ellipse(canvas.image, (x, y), (2 * reach, reach), 0, 0, 360, scaled(base, 0.96), -1, cv2.LINE_AA)
-    _specks(canvas, 0.8, 4, 10, 0.75)
+    _specks(canvas, 2.5, 4, 12, 0.62)
     board = max(2, int(0.06 * canvas.texels_per_m))
     canvas.image[height - board :] = scaled(base, 1.04)
     canvas.image[height - board - 1 : height - board + 1] = scaled(base, 0.82)
@@ -72,24 +72,24 @@ def paint_laminate(canvas: Canvas) -> None:
             cv2.line(canvas.image, (int(x), top), (int(x), bottom), scaled(base, 0.72), 2)
             x += length
         cv2.line(canvas.image, (0, top), (width, top), scaled(base, 0.76), 2)
-    canvas.speckle((0.02 * m,), 0.04, aspect=14.0)
-    _specks(canvas, 6, 5, 14, 0.65)
+    canvas.speckle((0.02 * m, 0.008 * m), 0.2, aspect=10.0)
+    _specks(canvas, 12, 5, 14, 0.55)
 
 
 def paint_carpet(canvas: Canvas) -> None:
     """One colour, trodden a little darker here and there."""
     canvas.fill(canvas.muted_colour(120, 180))
     _soft_patches(canvas, 0.6, 0.05)
-    canvas.speckle((2.0,), 0.02)
-    _specks(canvas, 6, 6, 20, 0.68)
+    canvas.speckle((0.015 * canvas.texels_per_m,), 0.2)
+    _specks(canvas, 12, 6, 20, 0.6)
 
 
 def paint_lino(canvas: Canvas) -> None:
     """Linoleum or poured floor: a faint marbling."""
     canvas.fill(_tone(canvas, 135, 185))
     _soft_patches(canvas, 0.5, 0.04)
-    _soft_patches(canvas, 0.09, 0.05)
-    _specks(canvas, 6, 6, 20, 0.7)
+    canvas.speckle((0.09 * canvas.texels_per_m, 0.02 * canvas.texels_per_m), 0.2)
+    _specks(canvas, 12, 6, 20, 0.6)
 
 
 def paint_large_tiles(canvas: Canvas) -> None:
@@ -99,11 +99,11 @@ def paint_large_tiles(canvas: Canvas) -> None:
     canvas.fill(base)
     side = int(0.6 * canvas.texels_per_m)
     for x in range(side, width, side):
-        cv2.line(canvas.image, (x, 0), (x, height), scaled(base, 0.74), 2)
+        cv2.line(canvas.image, (x, 0), (x, height), scaled(base, 0.6), 2)
     for y in range(side, height, side):
-        cv2.line(canvas.image, (0, y), (width, y), scaled(base, 0.74), 2)
-    _soft_patches(canvas, 0.3, 0.03)
-    _specks(canvas, 6, 6, 16, 0.68)
+        cv2.line(canvas.image, (0, y), (width, y), scaled(base, 0.6), 2)
+    canvas.speckle((0.1 * canvas.texels_per_m, 0.025 * canvas.texels_per_m), 0.18)
+    _specks(canvas, 12, 6, 16, 0.6)
 
 
 def paint_plain_rug(canvas: Canvas) -> None:
@@ -111,7 +111,7 @@ def paint_plain_rug(canvas: Canvas) -> None:
     base, m = canvas.muted_colour(80, 190), canvas.texels_per_m
     width, height = canvas.size_px
     canvas.fill(base)
-    draw_pattern(canvas, scaled(base, 0.82), canvas.length_px(0.1, 0.2))
+    draw_pattern(canvas, scaled(base, 0.66), canvas.length_px(0.1, 0.2))
     _soft_patches(canvas, 0.25, 0.05)
     inset = int(0.1 * m)
     cv2.rectangle(canvas.image, (inset, inset), (width - inset, height - inset), scaled(base, 0.75), max(2, inset // 3))
@@ -127,8 +127,8 @@ def paint_lacquer(canvas: Canvas) -> None:
     canvas.fill(base)
     if tone >= 2:
         draw_wood_grain(canvas, base)
-    canvas.speckle((0.03 * canvas.texels_per_m,), 0.03, aspect=12.0)
-    _specks(canvas, 2, 4, 10, 0.75)
+    canvas.speckle((0.03 * canvas.texels_per_m,), 0.12, aspect=6.0)
+    _specks(canvas, 8, 4, 10, 0.6)
     canvas.edge(scaled(base, 0.85), 1)
 
 
@@ -138,10 +138,10 @@ def paint_fronts(canvas: Canvas) -> None:
     tone = int(rng.integers(0, 4))
     base = [WHITE, (205, 214, 218), (172, 178, 180), (150, 180, 200)][tone]
     canvas.fill(base)
-    if tone == 3:
+    if tone >= 2:
         draw_wood_grain(canvas, base)
     _soft_patches(canvas, 0.6, 0.012)
-    _specks(canvas, 2, 4, 10, 0.75)
+    _specks(canvas, 4, 4, 10, 0.6)
     is_low = height < 1.2 * m
     columns, rows = max(1, round(width / m / 0.55)), max(1, round(height / m / 0.28)) if is_low else 1
     for c in range(columns):
@@ -152,24 +152,27 @@ def paint_fronts(canvas: Canvas) -> None:
 
 
 def _draw_front(canvas: Canvas, base: Colour, is_drawer: bool) -> None:
-    """The gap around one front, its handle: lying on a drawer, upright on a door."""
+    """The gap around one front, its sunk panel, its handle: lying on a drawer, upright on a door."""
     (width, height), m = canvas.size_px, canvas.texels_per_m
-    canvas.edge(scaled(base, 0.55), 1)
+    canvas.edge(scaled(base, 0.45), 2)
+    frame = int(0.045 * m)
+    cv2.rectangle(canvas.image, (frame, frame), (width - 1 - frame, height - 1 - frame), scaled(base, 0.7), 2)
     half, at = int(0.05 * m), (width // 2, height // 3) if is_drawer else (width - int(0.05 * m), height // 2)
     reach = (half, 0) if is_drawer else (0, half)
     ends = (at[0] - reach[0], at[1] - reach[1]), (at[0] + reach[0], at[1] + reach[1])
-    cv2.line(canvas.image, *ends, scaled(base, 0.5), max(2, int(0.01 * m)), cv2.LINE_AA)
+    cv2.line(canvas.image, *ends, scaled(base, 0.35), max(2, int(0.013 * m)), cv2.LINE_AA)
 
 
 def paint_soft_cloth(canvas: Canvas) -> None:
     """Upholstery and bed linen of one colour, some with broad stripes; seams and a few shallow creases."""
     base = canvas.muted_colour(105, 215)
     canvas.fill(base)
-    if canvas.rng.random() < 0.3:
+    if canvas.rng.random() < 0.4:
         stripe = max(2, int(0.07 * canvas.texels_per_m))
         for x in range(0, canvas.size_px[0], 2 * stripe):
-            canvas.image[:, x : x + stripe] = scaled(base, 0.84)
+            canvas.image[:, x : x + stripe] = scaled(base, 0.78)
     _soft_patches(canvas, 0.35, 0.06)
+    canvas.speckle((0.02 * canvas.texels_per_m,), 0.24)
     for _ in range(2 + int(1.5 * canvas.area_m2)):
         x, y = canvas.spot()
         end = (int(x + canvas.rng.normal(0, 0.15 * canvas.texels_per_m)), y + canvas.length_px(-0.05, 0.05))
@@ -183,7 +186,7 @@ def paint_curtain(canvas: Canvas) -> None:
     width, _ = canvas.size_px
     base = canvas.muted_colour(160, 225)
     canvas.fill(base)
-    draw_pattern(canvas, scaled(base, 0.88), canvas.length_px(0.1, 0.18))
+    draw_pattern(canvas, scaled(base, 0.72), canvas.length_px(0.1, 0.18))
     x = np.arange(width) / canvas.texels_per_m
     wave = np.zeros(width)
     for period in (0.11, 0.17, 0.29):
@@ -201,6 +204,9 @@ def paint_door_leaf(canvas: Canvas) -> None:
     frame = int(0.07 * m)
     cv2.rectangle(canvas.image, (0, -2), (width - 1, height + 2), scaled(base, 0.85), 2)
     cv2.rectangle(canvas.image, (frame, frame), (width - 1 - frame, height + 2), scaled(base, 0.66), 2)
+    for low_m, high_m in ((0.15, 0.85), (1.1, 1.85)):  # two sunk panels
+        ends = (2 * frame, height - int(high_m * m)), (width - 1 - 2 * frame, height - int(low_m * m))
+        cv2.rectangle(canvas.image, *ends, scaled(base, 0.66), 3)
     at = (width - frame - int(0.09 * m), height - int(1.03 * m))
     cv2.circle(canvas.image, at, int(0.02 * m), (150, 154, 156), -1, cv2.LINE_AA)
     cv2.line(canvas.image, at, (at[0] - int(0.11 * m), at[1]), (140, 144, 146), max(2, int(0.016 * m)), cv2.LINE_AA)

@@ -115,7 +115,7 @@ def paint_patterned_cloth(canvas: Canvas) -> None:
     """A cover or a cushion with a printed pattern that repeats: stripes, checks, dots or leaves."""
     base = canvas.muted_colour(120, 220)
     canvas.fill(base)
-    draw_pattern(canvas, scaled(base, float(canvas.rng.choice([0.75, 0.85]))), canvas.length_px(0.06, 0.11))
+    draw_pattern(canvas, scaled(base, float(canvas.rng.choice([0.6, 0.75]))), canvas.length_px(0.06, 0.11))
     canvas.image[:] = cv2.GaussianBlur(canvas.image, (0, 0), 0.002 * canvas.texels_per_m + 0.4)
     canvas.edge(scaled(base, 0.75), max(1, int(0.004 * canvas.texels_per_m)))
 
@@ -170,7 +170,7 @@ def paint_wicker(canvas: Canvas) -> None:
     long, thick = max(4, int(0.06 * m)), max(3, int(0.022 * m))
     for row, y in enumerate(range(0, height, thick)):
         for x in range(-(row % 2) * long // 2, width, long):
-            tone = scaled(base, float(rng.uniform(0.92, 1.05)))
+            tone = scaled(base, float(rng.uniform(0.85, 1.1)))
             cv2.rectangle(canvas.image, (x + 1, y + 1), (x + long - 2, y + thick - 1), tone, -1)
 
 
@@ -264,7 +264,7 @@ def _draw_lying_grain(canvas: Canvas, colour: Colour) -> None:
             away = y - ky
             line += np.sign(away) * reach * np.exp(-(((x - kx) / (2.5 * reach)) ** 2) - (away / (2 * reach)) ** 2)
         points = np.round(np.stack([x, line], axis=1)).astype(np.int32)
-        tone = scaled(colour, float(rng.uniform(0.85, 0.95)))
+        tone = scaled(colour, float(rng.uniform(0.68, 0.92)))
         cv2.polylines(canvas.image, [points], False, tone, max(1, int(0.003 * m)), cv2.LINE_AA)
     for kx, ky, reach in knots:
         cv2.ellipse(canvas.image, (kx, ky), (reach, reach // 2 + 1), 0, 0, 360, scaled(colour, 0.6), -1, cv2.LINE_AA)

@@ -56,7 +56,8 @@ def locate_command(
     backend: Annotated[
         str,
         typer.Option(
-            "--backend", help="SLAM beside it: ukf, sfm (no poses on the way), or auto: what suits the robot."
+            "--backend",
+            help="SLAM beside it: ukf, sfm (no poses on the way), or auto: ukf where there is what it needs, for its poses on the way.",
         ),
     ] = "auto",
     first: Annotated[int | None, typer.Option(help="Number of the first frame to use.")] = None,

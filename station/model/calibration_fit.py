@@ -47,11 +47,13 @@ def why_misfit(fit: CalibrationFit | None) -> str:
 
 
 def why_unsure(fit: CalibrationFit | None) -> str:
-    """As `why_misfit`, but empty too where the focal length is all that does not fit, and near enough to correct it."""
+    """As `why_misfit`, but empty too where what does not fit is near enough, less its sigma, to be corrected."""
     if fit is None:
         return ""
-    shift = fit.time_shift_s, fit.time_shift_sigma_s
-    other = _other_misfits(np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg), shift)
+    mounting_sigma, shift_sigma = np.array(fit.mounting_sigma_deg), fit.time_shift_sigma_s
+    mounting = _drawn_to_zero(np.array(fit.mounting_deg), mounting_sigma)
+    shift = float(_drawn_to_zero(np.array(fit.time_shift_s), np.array(shift_sigma)))
+    other = _other_misfits(mounting, mounting_sigma, (shift, shift_sigma))
     return why_misfit(fit) if other or _is_far(fit) else ""
 
 
@@ -96,6 +98,11 @@ def judge(
         verdict=verdict,
         sentence=sentence,
     )
+
+
+def _drawn_to_zero(values: FloatArray, sigma: FloatArray) -> FloatArray:
+    """By one standard deviation, at most to zero."""
+    return np.asarray(np.sign(values) * np.maximum(np.abs(values) - sigma, 0.0))
 
 
 def _is_far(fit: CalibrationFit) -> bool:

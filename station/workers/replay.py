@@ -16,7 +16,7 @@ import numpy as np
 
 from shared.errors import ConfigError
 from shared.geometry import FloatArray
-from station.config import choose_backend
+from station.config import AUTO, can_filter, choose_backend
 from station.datasets import Dataset
 from station.maps.record import map_content_hash
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
@@ -100,16 +100,22 @@ def locate_live(
     Raises DataError when the recording has no images, or one that cannot be read.
     """
     with repeatable(options.threads):
-        updates = run_slam(data, options, pace, say)[1] if has_live_poses(data, options.backend) else []
+        beside = replace(options, backend=live_backend(data, options.backend))
+        updates = run_slam(data, beside, pace, say)[1] if has_live_poses(data, options.backend) else []
         say("looking at the pictures of the map")
         return locate(data, place_map, updates, options, pace, say)
 
 
 def has_live_poses(data: Dataset, backend: str) -> bool:
     """Whether SLAM would give poses on the way: sfm has none before the end, and a filter needs IMU and a film."""
-    if choose_backend(backend, data.calibration) == "sfm" or data.imu is None or len(data.frame_times_ns) < 2:
+    if live_backend(data, backend) == "sfm" or data.imu is None or len(data.frame_times_ns) < 2:
         return False
     return float(np.median(np.diff(data.frame_times_ns))) <= 1e9 / MIN_FILM_HZ
+
+
+def live_backend(data: Dataset, backend: str) -> str:
+    """What follows the robot beside the search for its place: "auto" is ukf in any hands, for its poses on the way."""
+    return "ukf" if backend == AUTO and can_filter(data.calibration) else choose_backend(backend, data.calibration)
 
 
 def follow(

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
@@ -20,7 +21,7 @@ from station.maps.store import MapStore
 from station.model.frames import ImuBatch
 from station.places.making.build import build_map
 from station.places.making.changes import with_place_hidden
-from station.workers.replay import ReplayOptions, answer_line, has_live_poses, replay
+from station.workers.replay import ReplayOptions, answer_line, has_live_poses, live_backend, replay
 from tests.support.made_up_workers import made_up_navigation
 from tests.support.paths import RECORDINGS
 from tests.support.recordings import record_made_up_room
@@ -152,6 +153,9 @@ def test_slam_runs_beside_where_it_has_poses_on_the_way(made_up: Path) -> None:
     assert not has_live_poses(film(1), "auto")  # keyframes
     assert not has_live_poses(film(20, frames=1), "auto")
     assert not has_live_poses(open_dataset(made_up / "images"), "auto")
+    in_hands = replace(film(20), calibration=msgspec.structs.replace(REFERENCE_ROBOT, rig="hand-held"))
+    assert has_live_poses(in_hands, "auto") and live_backend(in_hands, "auto") == "ukf"
+    assert not has_live_poses(in_hands, "sfm")
 
 
 def test_mistakes_get_one_sentence_and_leave_nothing(made_up: Path, tmp_path: Path) -> None:

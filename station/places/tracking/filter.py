@@ -84,16 +84,21 @@ def weigh(
     """The belief after an image, not normalised: Bayes' rule, and a Kalman update of hypotheses that a candidate fits.
 
     What was "lost" goes to the candidates by their shares: to the hypothesis that expects one, else to a new one with
-    the next of the `numbers`.
+    the next of the `numbers`. Where a candidate fits only if the wheels slipped, the hypothesis falls into two: they
+    did, or the image is false.
     """
     found = before.lost * image.one_is_right * image.share  # (C,) weight: it was lost, and is there
     hypotheses = []
     for i, h in enumerate(before.hypotheses):
         h = replace(h, weight=h.weight * image.at[i])
-        if (corrects := image.corrects[i]) is not None:
-            candidate, fit = corrects
-            h = h.corrected(image.candidates[candidate], fit, T_nav_body, image.counted_log_odds, c)
-        gained = float(found[[by == i for by in image.expected_by]].sum())
+        if (correction := image.corrects[i]) is not None:
+            if correction.fit.slipped:
+                hypotheses.append(replace(h, weight=h.weight * (1 - correction.probability)))
+                h = replace(h, weight=h.weight * correction.probability)
+            h = h.corrected(
+                image.candidates[correction.candidate], correction.fit, T_nav_body, image.counted_log_odds, c
+            )
+        gained = float(found[[expecting == i for expecting in image.expected_by]].sum())
         hypotheses.append(replace(h, weight=h.weight + gained))
     for m, weight, by in zip(image.candidates, found, image.expected_by, strict=True):
         if by is None:

@@ -26,7 +26,7 @@ from station.places.tracking.fitted import FailureOdds, RecognisedOdds
 from station.places.tracking.map_view import MapView
 
 LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
-LITTLE = 0.05  # of what a usual keyframe saw: added, so that a view of nothing has a logarithm
+LITTLE = 5.0  # landmarks: added, so that a view of nothing has a logarithm
 SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
 
 
@@ -40,6 +40,15 @@ class MatchFigures:
     features: int  # of the whole image
 
 
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """A candidate that a hypothesis may be corrected by."""
+
+    candidate: int
+    fit: Agreement
+    probability: float  # that it is right, were the hypothesis true: else the image is false
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageLikelihood:
     """What an image says to a belief: a factor on every weight, and where it may have been taken."""
@@ -50,7 +59,7 @@ class ImageLikelihood:
     candidates: Sequence[PoseMeasurement] = ()  # (C,) none of an image that was not recognised
     share: FloatArray = field(default_factory=lambda: np.zeros(0))  # (C,) of each candidate, if one of them is right
     one_is_right: float = 0.0  # probability: so much of the lost weight goes to the candidates
-    corrects: Sequence[tuple[int, Agreement] | None] = ()  # (H,) by which candidate, and how it fits; None: by none
+    corrects: Sequence[Correction | None] = ()  # (H,) None: by no candidate
     expected_by: Sequence[int | None] = ()  # (C,) the hypothesis that a candidate fits; None: it is a new one
     counted_log_odds: float = 0.0  # how much the image counts for what it recognises
 
@@ -91,13 +100,15 @@ class ImageEvidence:
         worth = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
         expected_by = [_expected_by(fits, j) for j in range(len(candidates))]
         freshness = self._novelty(candidates, figures, before, expected_by, share, worth)
-        factors, corrects = [], []
+        factors: list[float] = []
+        corrects: list[Correction | None] = []
         for i in range(len(before.hypotheses)):
             elsewhere = float(np.delete(repeats, i).max(initial=0.0))
             likelihood = (1 - false) * at[i] + false * (1 - again + again * elsewhere)
             factors.append(float(likelihood) ** freshness)
             best = int(np.argmax(density[i]))
-            corrects.append((best, fits[i][best]) if fits[i][best].squared < SAME_POSE else None)
+            is_right = float((1 - false) * density[i][best] / likelihood)
+            corrects.append(Correction(best, fits[i][best], is_right) if fits[i][best].squared < SAME_POSE else None)
         repeated = 1 - again + again * float(repeats.max(initial=0.0))
         likeliest = int(np.argmax(share))
         strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
@@ -126,7 +137,7 @@ class ImageEvidence:
         share = self.config.fitted.usual_support
         camera = self._cameras[m.map_index]
         if camera is not None and sightings.is_enough:
-            share = support(sightings.in_usual_views(len(z.landmarks)), sightings.in_view(z.T_map_cam, camera))
+            share = support(len(z.landmarks), sightings.in_view(z.T_map_cam, camera))
         return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
 
     def _rarer(self, figures: MatchFigures) -> float:
@@ -248,7 +259,7 @@ def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:
 def support(recognised: float, expected: float) -> float:
     """The share of what should be in view that was recognised, small counts drawn to what is not surprising.
 
-    Both in the number of landmarks that a usual keyframe of the map saw (`Sightings.in_view`).
+    Both in landmarks (`Sightings.in_view`).
     """
     return (recognised + LITTLE) / (expected + LITTLE)
 

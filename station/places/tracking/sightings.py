@@ -40,7 +40,7 @@ class Sightings:
         return self._seen.is_enough
 
     def in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> float:
-        """How many landmarks a camera should recognise at this pose (4, 4), in those that a usual keyframe saw."""
+        """How many landmarks a camera should recognise at this pose (4, 4)."""
         if self._tree is None:
             return 0.0
         near = np.array(self._tree.query_ball_point(T_map_cam[:3, 3], LANDMARK_REACH * self._unit), dtype=np.int64)
@@ -53,11 +53,7 @@ class Sightings:
         right = camera.fx * p_cam[:, 0] / p_cam[:, 2] + camera.cx
         down = camera.fy * p_cam[:, 1] / p_cam[:, 2] + camera.cy
         inside = (right >= 0) & (right < camera.width) & (down >= 0) & (down < camera.height)
-        return float(np.count_nonzero(inside) / self._seen.per_keyframe)
-
-    def in_usual_views(self, landmarks: int) -> float:
-        """A number of landmarks in those that a usual keyframe saw."""
-        return landmarks / self._seen.usual
+        return float(np.count_nonzero(inside) * self._seen.every)
 
     def _known_from(self, eye: FloatArray, near: IntArray) -> FloatArray:
         """(n, 3) from a position (3,) to the landmarks that these keyframes (k,) saw and that look alike from there."""
@@ -99,13 +95,12 @@ class _Seen:
             landmarks.observed_landmark[observed[kept[observed]]]
             for observed in landmarks.observations_by_keyframe(count)
         ]
-        self.per_keyframe = float(np.median([len(seen) for seen in self._landmarks])) if count else 0.0
-        self.usual = max(1.0, self.per_keyframe * every)  # landmarks in a keyframe, those that were left out included
+        self.every = every  # one of so many landmarks is among those kept
 
     @property
     def is_enough(self) -> bool:
         """Whether a usual keyframe saw anything to speak of."""
-        return self.per_keyframe >= 10
+        return bool(self._landmarks) and float(np.median([len(seen) for seen in self._landmarks])) >= 10
 
     def by(self, keyframes: IntArray) -> tuple[IntArray, IntArray]:
         """Every (landmark, keyframe) that these keyframes (k,) saw: arrays (n,), (n,)."""

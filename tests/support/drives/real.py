@@ -26,9 +26,9 @@ from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
-from station.workers.replay import ReplayOptions, follow
+from station.workers.replay import ReplayOptions, follow, has_live_poses, live_backend
 from tests.support.drives.recorded import Event, LookedAt, RecordedDrive, RecordedWorld, in_map
-from tests.support.drives.simulated import Spent, compare
+from tests.support.drives.simulated import RunningSlam, Spent, compare
 from tests.support.paths import RECORDINGS
 
 KIND = "real"
@@ -104,7 +104,7 @@ def make_real(name: str) -> RecordedWorld:
 
 
 def _drive(data: Dataset, part: Part, localizer: Localizer, T_world_map: FloatArray | None) -> RecordedDrive:
-    """Images whose true place in the map is not known, where it is asked for, are left out."""
+    """With the live SLAM's poses where there are any; images whose true place in the map is not known are left out."""
     camera = data.calibration.camera
     shift_ns = round(1e9 * camera.time_shift_s) if camera else 0
     times = data.frame_times_ns + shift_ns
@@ -112,11 +112,14 @@ def _drive(data: Dataset, part: Part, localizer: Localizer, T_world_map: FloatAr
     T_world_body = {int(times[k]): T for k, T in zip(kept, T_true, strict=True)}
     period_ns = 0 if part.every_image else round(1e9 / LIVE_RATE_HZ)
     next_ns = int(times[0])
+    slam = RunningSlam(data.calibration, 1, live_backend(data, "auto")) if has_live_poses(data, "auto") else None
     events: list[Event] = []
     for item in data.events():
+        poses = slam.poses_after(item) if slam else []
         if isinstance(item, ImuBatch | DriveSample):
-            events.append(item)
+            events += [item, *poses]
             continue
+        events += poses
         t_ns = item.t_robot_ns + shift_ns
         if t_ns < next_ns or (T_world_map is not None and t_ns not in T_world_body):
             continue

@@ -39,7 +39,7 @@ def row(**otherwise: Any) -> dict[str, Any]:
     support=st.floats(0.01, 3.0),
     features=st.integers(60, 800),
     failed_before=st.sampled_from([0.0, 1.0]),
-    in_view=st.floats(0.0, 9.0),
+    in_view=st.floats(0.0, 900.0),
 )
 def test_what_is_fitted_is_what_the_estimator_computes(
     extent: float, inliers: int, support: float, features: int, failed_before: float, in_view: float
@@ -57,7 +57,7 @@ def test_what_is_fitted_is_what_the_estimator_computes(
 def test_the_odds_that_made_images_up_are_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(likelihood_fit, "RIDGE", 0.0)
     rng = np.random.default_rng(0)
-    f = FailureOdds(5.0, features=-1.0, again=2.0, in_view=-0.8)
+    f = FailureOdds(8.5, features=-1.0, again=2.0, in_view=-0.8)
     rows, tried = [], []
     for k in range(6000):
         features = int(rng.integers(80, 800))
@@ -71,7 +71,7 @@ def test_the_odds_that_made_images_up_are_found_again(monkeypatch: pytest.Monkey
             pose["error_m"] = 0.1 if j == right else 2.0
         kind = ("flat", "hall")[k % 2]
         rows.append(row(kind=kind, features=features, poses=poses))
-        before, in_view = float(rng.random() < 0.4), float(rng.exponential(1.0))
+        before, in_view = float(rng.random() < 0.4), float(rng.exponential(100.0))
         failed = rng.random() < failure_probability(f, features, before, in_view)
         seen = [] if failed else poses
         tried.append(row(kind=kind, features=features, poses=seen, failed_before=before, in_view=in_view))

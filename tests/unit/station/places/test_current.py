@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import largest
 from tests.support.places import SECOND, estimator_of, make_map, pose, seen
@@ -197,6 +198,42 @@ def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
     estimator.on_candidates([seen(9.5, pose(6.0, 0.0), inliers=16)])
     answer = estimator.answer(10 * SECOND)
     assert answer.place is not None and answer.place.id == "map-0"
+
+
+def drive_along(estimator: CurrentPlaceEstimator, x: tuple[float, float], steps: int = 30) -> int:
+    """Odometry from one x to another, a step a tenth of a second; returns the robot's time afterwards."""
+    t_ns = SECOND
+    for at in np.linspace(*x, steps):
+        t_ns += SECOND // 10
+        estimator.on_odometry(t_ns, pose(float(at), 0.0))
+    return t_ns
+
+
+def test_a_look_alike_that_only_slipping_wheels_explain_does_not_take_a_sure_belief_with_it() -> None:
+    estimator = estimator_of(make_map())
+    estimator.on_odometry(0, pose(0.0, 0.0))
+    for k in range(8):
+        estimator.on_odometry(k * SECOND // 8, pose(0.0, 0.0))
+        estimator.on_candidates([seen(k / 8, pose(0.0, 0.0))])
+    t_ns = drive_along(estimator, (0.0, 6.0))
+    estimator.on_candidates([seen(t_ns / SECOND, pose(0.4, 0.0), inliers=25, extent=0.12)])
+    answer = estimator.answer(t_ns)
+    assert answer.position_map is not None
+    assert answer.position_map[0] == pytest.approx(6.0, abs=0.5)
+
+
+def test_wheels_that_turned_on_the_spot_are_seen_by_what_stays_in_view() -> None:
+    estimator = estimator_of(make_map())
+    estimator.on_odometry(0, pose(0.0, 0.0))
+    for k in range(8):
+        estimator.on_odometry(k * SECOND // 8, pose(0.0, 0.0))
+        estimator.on_candidates([seen(k / 8, pose(0.0, 0.0))])
+    t_ns = drive_along(estimator, (0.0, 3.0))  # the robot stands at a wall
+    for _ in range(8):
+        t_ns += SECOND // 2
+        estimator.on_candidates([seen(t_ns / SECOND, pose(0.0, 0.0))])
+    answer = estimator.answer(t_ns)
+    assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
 
 
 def test_of_look_alikes_the_one_that_odometry_expects_is_believed() -> None:

@@ -30,7 +30,7 @@ def test_in_a_room_driven_through_all_day_as_much_is_in_view_and_not_every_keyfr
         return seen_by(keyframes)
 
     monkeypatch.setattr(often._seen, "by", by)
-    assert often.in_view(T, CAMERA) == pytest.approx(once, rel=0.1) and once > 0.5
+    assert often.in_view(T, CAMERA) == pytest.approx(once, rel=0.1) and once > 100
     assert asked and max(asked) <= MOST_ASKED
 
 
@@ -66,4 +66,4 @@ def test_landmarks_that_are_nowhere_are_not_in_view() -> None:
     half = replace(place_map, navigation=replace(place_map.navigation, landmarks=replace(landmarks, p_world=p_world)))
     T = se3(yaw_rotation(np.pi), np.array([3.2, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
     every = Sightings(place_map, 1.0).in_view(T, CAMERA)
-    assert Sightings(half, 1.0).in_view(T, CAMERA) == pytest.approx(every, rel=0.25)  # against what is somewhere
+    assert Sightings(half, 1.0).in_view(T, CAMERA) == pytest.approx(every / 2, rel=0.25)
