@@ -26,6 +26,7 @@ from station.api.schema.robot import (
     CapabilitiesModel,
     ClockModel,
     LossesModel,
+    NetworkModel,
     RobotModel,
 )
 from station.api.schema.station import LogModel
@@ -38,6 +39,7 @@ from station.model.calibration_fit import CalibrationFit
 from station.model.place_map import Place, PlaceEdge
 from station.places.making.graph import Route
 from station.robots.link_state import LinkState
+from station.robots.network import NetworkState
 from station.robots.visits import Visit
 from station.workers.jobs import Job
 
@@ -52,6 +54,7 @@ MADE_OF: dict[type[Model], type] = {
     JobModel: Job,
     LogModel: LogLine,
     LossesModel: LinkState,
+    NetworkModel: NetworkState,
     NavigationModel: NavigationRecord,
     PlaceModel: Place,
     PlacesChangeModel: PlacesChange,
