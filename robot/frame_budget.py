@@ -1,7 +1,7 @@
 """How large a picture may be, and how often one goes out, on a link of a given rate. Pure.
 
 What is kept as long as possible, the most important last: 30 pictures a second, the camera's own quality, 15 even
-pictures a second, corners that SLAM can follow. The reasons: docs/decisions/0016-jpeg-that-adapts.md.
+pictures a second, corners that SLAM can follow. The reasons: docs/decisions/0017-jpeg-that-adapts.md.
 """
 
 from __future__ import annotations
