@@ -116,6 +116,7 @@ def main() -> None:
         arguments.results,
         [
             Figure(f"simulated views with 100 corners and more, {flats}", views, "%", of=arguments.pairs * len(rows)),
+            Figure(f"corners in a median view, world {arguments.world}, {flats}", median("strong_corners_median"), ""),
             Figure(f"corners tracked there and back within 1 px, {flats}", tracked, "%"),
             Figure(f"tracks against the true motion, epipolar distance, {flats}", median("epipolar_px_median"), "px"),
         ],

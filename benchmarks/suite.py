@@ -39,6 +39,7 @@ SUITE = (
     Benchmark("memory", LINK, "bench_memory", "--minutes 180 --warm-up 10", "--minutes 0.5 --warm-up 0.2"),
     Benchmark("renderer", SLAM, "bench_renderer", "--frames 200", "--frames 5"),
     Benchmark("simulated_views", SLAM, "bench_simulated_views", "--seeds 10", "--seeds 1 --pairs 2"),
+    Benchmark("plain_views", SLAM, "bench_simulated_views", "--world plain --seeds 10", None),
     Benchmark("sfm", SLAM, "bench_sfm", "--seeds 0-3", "--seeds 1 --max-duration 12"),
     Benchmark(
         "slam_flight", SLAM, "bench_slam", f"datasets {DATA}/euroc_v1_01_flight --start own --start given", None,
