@@ -26,8 +26,8 @@ from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer, undistort
 from robot.simulation.worlds import make_world
 from shared.geometry import inverse, skew
+from tests.support.corners import strong_corners
 
-STRONG = 4e-4
 FRAME_S = 0.05
 LK_WINDOW_PX, LK_LEVELS = (21, 21), 4
 
@@ -49,10 +49,8 @@ def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
             cv2.cvtColor(camera.expose(path.pose, float(s), config.faults).image, cv2.COLOR_BGR2GRAY)
             for s in (t, t + FRAME_S)
         )
-        p = cv2.goodFeaturesToTrack(first, 300, 0.01, 12)
-        eigenvalue = cv2.cornerMinEigenVal(first, 5)
-        at = np.round(p[:, 0]).astype(int)
-        strong.append(int((eigenvalue[at[:, 1], at[:, 0]] >= STRONG).sum()))
+        p, count = strong_corners(first)
+        strong.append(count)
         surface = renderer.render((path.pose(float(t)) @ c.T_body_cam_matrix)[None]).surface
         plain.append(float(is_plain[np.minimum(surface, len(flat.surfaces))].mean()))
         if strong[-1] < 30:
