@@ -27,7 +27,7 @@ STEP_NS = 1_000_000_000  # so far outside the corridor: a clock was set, or one 
 
 @dataclass(slots=True)
 class _Stretch:
-    """The corridor of ten seconds: differences `station - robot` and when they were seen, both in ns."""
+    """The corridor of ten seconds: differences `t_station - t_robot` and when they were seen, both in ns."""
 
     begin_ns: int
     most: tuple[int, int] | None = None  # (t_station, difference) of the quickest message from the robot
@@ -43,7 +43,7 @@ class _Stretch:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """`station - robot = difference + slope * (station - t)`, all in ns; `bound` holds at `bound_t`."""
+    """`t_station - t_robot = difference + slope * (station - t)`, all in ns; `bound` holds at `bound_t`."""
 
     t_ns: float
     difference_ns: float

@@ -50,7 +50,7 @@ def test_a_recordings_own_fit_of_its_calibration_counts_as_in_the_running_statio
     assert "known" in {answer.state for answer in replayed.answers}
     misfits = replay_drive(data, ReplayOptions(MISFIT), known_map).answers
     assert "known" not in {answer.state for answer in misfits}
-    assert misfits[-1].reason.startswith("the calibration does not fit")
+    assert any(answer.reason.startswith("the calibration does not fit") for answer in misfits)
 
 
 def test_a_different_recording_gives_other_answers(tmp_path: Path) -> None:

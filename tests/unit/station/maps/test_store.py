@@ -69,7 +69,7 @@ def test_names_that_cannot_be_shown_are_refused_in_every_database(
 
 @pytest.mark.parametrize("name", UNPRINTABLE)
 def test_a_record_whose_names_cannot_be_shown_is_none(place_map: PlaceMap, name: str) -> None:
-    record = json.loads(encode_record(describe_map(place_map, {})))
+    record = json.loads(encode_record(describe_map(place_map, {}))) | {"number": 1}
     for forged in ({"name": name}, {"why": name}, {"places": [record["places"][0] | {"name": name}]}):
         with pytest.raises(DataError, match="cannot be shown") as refused:
             decode_record(json.dumps(record | forged).encode(), "a backup's record")
