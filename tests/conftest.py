@@ -1,5 +1,7 @@
 """Settings for all tests."""
 
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,3 +20,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(Path(__file__).parent).parts[0] in COMPUTING:
             item.add_marker(pytest.mark.computing)
+
+
+@pytest.fixture
+def started_by_a_shell() -> Iterator[None]:
+    """SIGHUP as a shell leaves it: where the tests run under `nohup`, the programs they start would outlive it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)

@@ -97,6 +97,7 @@ def test_tokens_are_added_listed_linked_and_revoked_from_the_command_line(tmp_pa
         assert isinstance(run.invoke(station_app, [*command, "--data", "/nowhere"]).exception, ConfigError)
 
 
+@pytest.mark.usefixtures("started_by_a_shell")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 async def test_a_signal_ends_the_station_in_good_order(tmp_path: Path, number: signal.Signals) -> None:
     words = ("serve", "--robot", "127.0.0.1:1", "--port", "0", "--data", str(tmp_path))
@@ -106,6 +107,7 @@ async def test_a_signal_ends_the_station_in_good_order(tmp_path: Path, number: s
         assert await asyncio.wait_for(process.wait(), 120) == 0
 
 
+@pytest.mark.usefixtures("started_by_a_shell")
 def test_what_was_started_to_outlive_its_terminal_does() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

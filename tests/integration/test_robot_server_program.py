@@ -72,6 +72,7 @@ def run_to_end(*options: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.usefixtures("started_by_a_shell")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 async def test_a_signal_ends_it_cleanly_and_the_stations_are_told(tmp_path: Path, number: int) -> None:
     dataset = str(image_folder(tmp_path / "d"))
