@@ -8,6 +8,7 @@ from playwright.async_api import Page, expect
 from tests.e2e.conftest import LAPTOP, PHONE, Room
 from tests.support.link import until
 from tests.support.openapi import furnish
+from tests.support.page import drive_by_key
 from tests.support.paths import ROOT
 from tests.support.station import store_map
 from tests.support.station_at_work import keep_navigation
@@ -128,8 +129,7 @@ async def test_the_keyboard_reaches_everything_and_works_it(room: Room) -> None:
     await expect(page.locator("#navigation-dialog")).to_be_hidden()
     # Back where the person was; and a key that means driving does so again.
     assert await page.evaluate("document.activeElement.getAttribute('aria-label')") == "More about Drive nav-1"
-    await page.keyboard.down("w")
-    await until(lambda: room.motors_run)
+    await drive_by_key(page, "w", lambda: room.motors_run)
     await page.keyboard.press("Space")  # STOP, also while a button has the focus
     await until(lambda: room.motors_rest)
     await expect(page.locator("#navigation-dialog")).to_be_hidden()
