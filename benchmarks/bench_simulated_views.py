@@ -49,7 +49,7 @@ def measure(world: str, seed: int, pairs: int) -> dict[str, float]:
             cv2.cvtColor(camera.expose(path.pose, float(s), config.faults).image, cv2.COLOR_BGR2GRAY)
             for s in (t, t + FRAME_S)
         )
-        p, count = strong_corners(first)
+        p, count = strong_corners(np.asarray(first, dtype=np.uint8))
         strong.append(count)
         surface = renderer.render((path.pose(float(t)) @ c.T_body_cam_matrix)[None]).surface
         plain.append(float(is_plain[np.minimum(surface, len(flat.surfaces))].mean()))

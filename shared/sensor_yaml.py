@@ -38,8 +38,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise DataError(f"{path} cannot be read as text ({exc}); copy it again") from exc
     lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
     try:
-        # OpenCV marks its matrices with tags of its own, which the safe loader refuses.
-        content = yaml.load("\n".join(lines).replace("!!opencv-matrix", ""), _Loader)  # noqa: S506  # nosec B506  as safe as its base
+        # OpenCV marks its matrices with tags of its own, which the safe loader refuses. Ours is as safe as its base.
+        content = yaml.load("\n".join(lines).replace("!!opencv-matrix", ""), _Loader)  # noqa: S506  # nosec B506
     except yaml.YAMLError as exc:
         raise DataError(f"{path} is not readable YAML ({_first_line(exc)}); correct it") from exc
     except (ValueError, RecursionError) as exc:  # a date that no calendar has, nesting without end
