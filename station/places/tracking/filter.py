@@ -85,13 +85,14 @@ def weigh(
 
     What was "lost" goes to the candidates by their shares: to the hypothesis that expects one, else to a new one with
     the next of the `numbers`. Where a candidate fits only if the wheels slipped, the hypothesis falls into two: they
-    did, or the image is false.
+    did, or the image is false; where another hypothesis expects the candidate, that one is the slip already.
     """
     found = before.lost * image.one_is_right * image.share  # (C,) weight: it was lost, and is there
     hypotheses = []
     for i, h in enumerate(before.hypotheses):
         h = replace(h, weight=h.weight * image.at[i])
-        if (correction := image.corrects[i]) is not None:
+        correction = image.corrects[i]
+        if correction is not None and not (correction.fit.slipped and image.expected_by[correction.candidate] != i):
             if correction.fit.slipped:
                 hypotheses.append(replace(h, weight=h.weight * (1 - correction.probability)))
                 h = replace(h, weight=h.weight * correction.probability)

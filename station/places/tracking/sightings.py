@@ -96,11 +96,8 @@ class _Seen:
             for observed in landmarks.observations_by_keyframe(count)
         ]
         self.every = every  # one of so many landmarks is among those kept
-
-    @property
-    def is_enough(self) -> bool:
-        """Whether a usual keyframe saw anything to speak of."""
-        return bool(self._landmarks) and float(np.median([len(seen) for seen in self._landmarks])) >= 10
+        # Whether a usual keyframe saw anything to speak of.
+        self.is_enough = count > 0 and float(np.median([len(seen) for seen in self._landmarks])) >= 10
 
     def by(self, keyframes: IntArray) -> tuple[IntArray, IntArray]:
         """Every (landmark, keyframe) that these keyframes (k,) saw: arrays (n,), (n,)."""

@@ -216,7 +216,10 @@ def test_a_look_alike_that_only_slipping_wheels_explain_does_not_take_a_sure_bel
         estimator.on_odometry(k * SECOND // 8, pose(0.0, 0.0))
         estimator.on_candidates([seen(k / 8, pose(0.0, 0.0))])
     t_ns = drive_along(estimator, (0.0, 6.0))
-    estimator.on_candidates([seen(t_ns / SECOND, pose(0.4, 0.0), inliers=25, extent=0.12)])
+    for _ in range(10):
+        t_ns += SECOND // 10
+        estimator.on_odometry(t_ns, pose(6.0, 0.0))
+        estimator.on_candidates([seen(t_ns / SECOND, pose(0.4, 0.0), inliers=25, extent=0.12)])
     answer = estimator.answer(t_ns)
     assert answer.position_map is not None
     assert answer.position_map[0] == pytest.approx(6.0, abs=0.5)
