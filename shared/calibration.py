@@ -10,7 +10,6 @@ import numpy as np
 
 from shared.errors import ConfigError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
-from shared.pictures import MAX_PIXELS
 from shared.text import PRINTABLE
 
 Rig = Literal["wheels", "hand-held", "unknown"]
@@ -41,8 +40,6 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not (0 < self.width <= MAX_IMAGE_SIDE_PX and 0 < self.height <= MAX_IMAGE_SIDE_PX):
             raise ConfigError(f"camera size {self.width}x{self.height} is outside 1..{MAX_IMAGE_SIDE_PX} pixels")
-        if self.width * self.height > MAX_PIXELS:
-            raise ConfigError(f"camera size {self.width}x{self.height} is more than {MAX_PIXELS} pixels")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion, *self.T_body_cam)
         if not all(math.isfinite(n) for n in numbers):
             raise ConfigError("camera calibration holds a number that is not finite")

@@ -186,7 +186,8 @@ def _json(data: bytes, path: Path) -> dict[str, Any]:
 
 def _time(content: dict[str, Any]) -> int:
     stamp = content["timestamp"]
-    return _bounded(stamp["sec"] * NANO + stamp["nsec"], MAX_TIME_NS)
+    seconds, nanoseconds = _bounded(stamp["sec"], MAX_TIME_NS // NANO), _bounded(stamp["nsec"], MAX_TIME_NS)
+    return _bounded(seconds * NANO + nanoseconds, MAX_TIME_NS)
 
 
 def _bounded(value: Any, limit: int) -> int:

@@ -50,6 +50,8 @@ def records_in(chunk: Chunk, unpacking: Unpacking) -> Iterator[McapRecord]:
     stream = ReadDataStream(BytesIO(data))
     while stream.count < len(data):
         kind, length = stream.read1(), stream.read8()
+        if length > len(data) - stream.count:
+            raise ValueError(f"a record of a chunk claims {length} bytes, more than the chunk holds")
         if kind == Opcode.MESSAGE:
             yield Message.read(stream, length)
         elif kind == Opcode.CHANNEL:

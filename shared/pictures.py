@@ -4,7 +4,7 @@ from __future__ import annotations
 
 JPEG_START = b"\xff\xd8"
 PNG_START = b"\x89PNG\r\n\x1a\n"
-MAX_PIXELS = 2**25  # 8192 x 4096: the largest camera of any phone that recorded a drive, and 100 MB decoded
+MAX_PIXELS = 2**26  # 8192 x 8192, as large as a calibration may say; 200 MB decoded in colour
 # JPEG markers that start a frame header (ITU-T T.81, table B.1): SOF0-3, 5-7, 9-11, 13-15.
 _SIZE_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _BARE_MARKERS = {0x01, *range(0xD0, 0xD9)}  # no length follows

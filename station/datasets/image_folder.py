@@ -6,18 +6,18 @@ import io
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from shared.bounded import read_text
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, orthonormal, se3
-from shared.pictures import picture_size
 from shared.recorded_files import image_times_ns, images_in_order
 from shared.sensor_yaml import read_folder_camera
 from station.datasets.asl import read_image_file
 from station.datasets.dataset import Dataset, Truth, choose_frames
-from station.model.frames import ImageFrame
+from station.model.frames import ImageFrame, decode_picture
 
 
 def open_image_folder(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
@@ -52,9 +52,10 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
 
 def _image_size(path: Path) -> tuple[int, int]:
     try:
-        return picture_size(read_image_file(path))
+        height, width = decode_picture(read_image_file(path), cv2.IMREAD_GRAYSCALE).shape[:2]  # turned as EXIF says
     except ValueError as exc:
         raise DataError(f"image {path} {exc}; remove it or copy it again") from exc
+    return width, height
 
 
 def read_pose(image: Path) -> FloatArray | None:

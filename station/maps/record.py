@@ -16,7 +16,7 @@ import numpy as np
 
 from shared.bounded import parse_json, shown
 from shared.errors import DataError
-from shared.text import is_printable
+from shared.text import is_printable, printable
 from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
 from station.maps.address import address_of
 from station.maps.blobs import Blobs, Damaged
@@ -196,10 +196,8 @@ def decode_edges(documents: list[dict[str, Any]]) -> tuple[PlaceEdge, ...]:
 
 
 def _shown(value: Any) -> Any:
-    """A value that people are shown. Raises ValueError: text that would do something else to a terminal."""
-    if isinstance(value, str) and not is_printable(value):
-        raise ValueError(f"{value!r} holds characters that cannot be shown")
-    return value
+    """A value that people are shown: without what a terminal obeys, which earlier releases let into names."""
+    return printable(value) if isinstance(value, str) else value
 
 
 def _decode_place(values: dict[str, Any]) -> Place:

@@ -5,15 +5,19 @@ from __future__ import annotations
 import base64
 import json
 import math
+import struct
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+import zstandard
+from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from shared.errors import DataError
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, McapContent, mcap_images
+from tests.support.hostile_files import mcap_of_chunks
 from tests.support.recordings import HELLO, finish
 
 
@@ -44,6 +48,7 @@ def stamped(seconds: object, **content: Any) -> bytes:
         (HELLO_TOPIC, hello(gravity=math.inf)),
         (FRAME_TOPIC, stamped(10**30, exposure_ns=0)),
         (FRAME_TOPIC, stamped(1.0e300, exposure_ns=0)),
+        (FRAME_TOPIC, stamped("0123456789", exposure_ns=0)),
         (FRAME_TOPIC, stamped(1, exposure_ns=10**30)),
         (DRIVE_TOPIC, stamped(1, linear="nan", angular=0.0)),
         (DRIVE_TOPIC, stamped(1, linear=0.0, angular="inf")),
@@ -58,3 +63,11 @@ def test_what_is_no_time_velocity_or_calibration_is_refused(topic: str, data: by
 def test_a_recording_that_other_tools_packed_with_zstd_is_read(tmp_path: Path) -> None:
     content = McapContent(recording_of(tmp_path / "a.mcap", HELLO_TOPIC, hello()))  # zstd is the writer's default
     assert content.hello == HELLO and not list(mcap_images(tmp_path / "a.mcap"))
+
+
+@pytest.mark.parametrize("kind", [Opcode.MESSAGE, Opcode.STATISTICS])
+def test_a_record_longer_than_its_chunk_is_damage_and_no_traceback(kind: Opcode, tmp_path: Path) -> None:
+    content = struct.pack("<BQ", kind, 2**64 - 1)
+    path = mcap_of_chunks(tmp_path / "a.mcap", zstandard.compress(content), "zstd", len(content))
+    content = McapContent(path)  # read up to there
+    assert content.hello is None and not list(mcap_images(path))
