@@ -39,6 +39,11 @@ class CalibrationFit:
     verdict: FitVerdict
     sentence: str  # for a person
 
+    def __post_init__(self) -> None:
+        """Raises ValueError: a focal length that none has."""
+        if not self.focal_scale > 0:
+            raise ValueError(f"a calibration's fit says that its focal length is {self.focal_scale} times the told one")
+
 
 @dataclass(frozen=True, slots=True)
 class _Excess:
@@ -56,17 +61,18 @@ def why_misfit(fit: CalibrationFit | None) -> str:
 
 def why_doubtful(fit: CalibrationFit | None) -> str:
     """As `why_misfit`, and where it seems not to fit although the drive was too short to know."""
-    return fit.sentence if fit is not None and (_excesses(fit) or fit.verdict == MISFITS) else ""
+    return (
+        fit.sentence if fit is not None and fit.verdict != FITS and (_excesses(fit) or fit.verdict == MISFITS) else ""
+    )
 
 
 def why_unsure(fit: CalibrationFit | None) -> str:
     """As `why_misfit`, but empty too where what does not fit is near enough, less its sigma, to be corrected."""
     if fit is None:
         return ""
-    turned = _drawn_to_zero(np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg))
-    shift_s = float(_drawn_to_zero(np.array(fit.time_shift_s), np.array(fit.time_shift_sigma_s)))
-    surely = replace(fit, mounting_deg=_three(turned), time_shift_s=shift_s)
-    is_other = any(excess.is_known for excess in (*_turns(surely), *_shifts(surely)))
+    surely_turned = _drawn_to_zero(np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg))
+    turns = _turns(replace(fit, mounting_deg=_three(surely_turned)))
+    is_other = any(excess.is_known for excess in (*turns, *_shifts(fit)))  # nothing corrects a time shift
     return why_misfit(fit) if is_other or _is_far(fit) else ""
 
 

@@ -18,6 +18,7 @@ from shared.errors import ConfigError
 from station.config import AUTO, can_filter, choose_backend
 from station.datasets import Dataset
 from station.maps.record import map_content_hash
+from station.model.calibration_fit import CalibrationFit, newer
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
@@ -165,6 +166,7 @@ def locate(
     update = next(following, None)
     interval_ns = round(1e9 / options.rate_hz)
     next_ns: int | None = None
+    fit: CalibrationFit | None = None
     answers = []
     for event in _paced(data.events(), pace):
         if isinstance(event, ImuBatch):
@@ -178,7 +180,8 @@ def locate(
             if update.T_world_body is not None:
                 places.add_pose(update.t_robot_ns, update.T_world_body, update.segment)
             if update.calibration_fit is not None:
-                places.use_fit(update.calibration_fit)
+                fit = newer(fit, update.calibration_fit)
+                places.use_fit(fit)
             update = next(following, None)
     return tuple(answers), tuple(hijacks)
 
