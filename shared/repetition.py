@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Callable
 
@@ -20,13 +21,18 @@ class Repetition:
         self._limit = limit
         self._now_s = now_s
         self._lines: dict[str, tuple[float, int]] = {}  # key → when it passed, how often it came since; oldest first
+        self._lock = threading.Lock()  # logging asks its filters from any thread
 
     def news(self, line: str, key: str = "") -> str | None:
         """The line, with how often it was held back before; None: it is held back.
 
         `key`: what makes it the same line, where that is not its text.
         """
-        now_s, key = self._now_s(), key or line
+        with self._lock:
+            return self._news(line, key or line)
+
+    def _news(self, line: str, key: str) -> str | None:
+        now_s = self._now_s()
         passed_s, held = self._lines.get(key, (-REPEAT_S, 0))
         recent = sum(now_s - t_s < REPEAT_S for t_s, _ in self._lines.values())
         if now_s - passed_s < REPEAT_S or recent >= self._limit:

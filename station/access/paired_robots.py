@@ -107,7 +107,7 @@ class PairedRobots:
             for known in self.all():
                 if known.fingerprint == robot.fingerprint:
                     robot = msgspec.structs.replace(robot, also_at=_without(known.also_at, address))
-                elif (known.host, known.port) != (robot.host, robot.port):
+                elif show_address(known.host, known.port).lower() != address:
                     others.append(msgspec.structs.replace(known, also_at=_without(known.also_at, address)))
             self._write((*others, robot))
 

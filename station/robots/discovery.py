@@ -7,7 +7,7 @@ import contextlib
 import random
 from collections.abc import Collection, Sequence
 
-from zeroconf import InterfaceChoice, ServiceStateChange, Zeroconf
+from zeroconf import BadTypeInNameException, InterfaceChoice, ServiceStateChange, Zeroconf
 from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
 
 from shared.discovery import SERVICE_TYPE, service_label
@@ -71,7 +71,11 @@ async def _listen(network: Zeroconf, seconds: float, labels: tuple[str, ...]) ->
 def _chosen(names: list[str], labels: tuple[str, ...]) -> list[AsyncServiceInfo]:
     random.shuffle(names)
     names.sort(key=lambda name: not name.startswith(labels))
-    return [AsyncServiceInfo(SERVICE_TYPE, name) for name in names[:MAX_SERVICES]]
+    services = []
+    for name in names[:MAX_SERVICES]:
+        with contextlib.suppress(BadTypeInNameException):  # anybody may announce any name
+            services.append(AsyncServiceInfo(SERVICE_TYPE, name))
+    return services
 
 
 def _robots(service: AsyncServiceInfo) -> list[FoundRobot]:

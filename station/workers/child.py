@@ -99,7 +99,8 @@ def run_worker(socket: socket.socket, name: str, head_start_s: float, program_na
     importance = Importance(head_start_s)
     with contextlib.suppress(OSError):  # `top` shows which robot's worker it is; only Linux has this file
         Path("/proc/self/comm").write_text(name[:15])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to handle
+    for number in (signal.SIGINT, signal.SIGHUP):  # Ctrl-C and a closed terminal are the station's to handle
+        signal.signal(number, signal.SIG_IGN)
     start_logging(logging.INFO, "%(levelname)s %(name)s: %(message)s")
 
     def emit(event: object) -> None:

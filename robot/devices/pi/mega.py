@@ -25,6 +25,7 @@ REOPEN_PERIOD_S = 0.5
 LONGEST_READ_S = 0.05  # a line's read waits no longer
 SILENCE_S = 1.0  # the firmware reports ten times a second
 MAY_SPEAK_NS = 200_000_000  # a firmware that runs is never silent for so long
+UPTIME_WRAP_MS = 1 << 32
 MAX_READINGS = 225  # a second's worth, as the port says
 
 
@@ -306,7 +307,8 @@ class Mega:
         self.status = status
         before_ms, self._uptime_ms = self._uptime_ms, status.uptime_ms
         self._health.take(status)
-        if status.uptime_ms < before_ms and self._new_start is None:
+        has_fallen = 0 < before_ms - status.uptime_ms < UPTIME_WRAP_MS // 2  # by more: it went round, after 49.7 days
+        if has_fallen and self._new_start is None:
             # A new start whose hello was lost, or the same boot number after a power cut: the settings are gone.
             logger.warning("the Mega's uptime fell: it started anew")
             with self._write_lock:

@@ -56,7 +56,8 @@ class MegaHealth:
         told = last.flags & ~SET_UP if last.uptime_ms < SET_UP_MS else last.flags
         found = {str(flag.name): text for flag, text in FLAGS.items() if told & flag}
         found |= {name: text for name, text in COUNTERS.items() if getattr(last, name) != getattr(first, name)}
-        if self._refused_ms is not None and last.uptime_ms - self._refused_ms <= WINDOW_MS:
+        refused_ms = self._refused_ms  # read once, as past above
+        if refused_ms is not None and last.uptime_ms - refused_ms <= WINDOW_MS:
             found["late_commands"] = "drive commands reach the Mega after their end; its computer is too busy"
         if last.stack_free < DEEPEST_STACK_FREE:
             found["stack_free"] = f"the Mega has {last.stack_free} bytes of stack left; report this as a bug"

@@ -88,7 +88,8 @@ READY = b"ready"
 
 def serve(connection: Connection, world: str, seed: int, config: SimulationConfig, cache_dir: Path | None) -> None:
     """Body of the process: answer requests until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
+    for number in (signal.SIGINT, signal.SIGHUP):  # Ctrl-C and a closed terminal reach all; the parent ends us
+        signal.signal(number, signal.SIG_IGN)
     cv2.setNumThreads(1)
     told = simulated_calibration(config).camera
     assert told is not None

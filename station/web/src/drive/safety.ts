@@ -49,7 +49,7 @@ export function whyNotDrive(s: Situation): string {
  * picture's age and the command's way; the robot goes no farther in it than by sight.
  */
 export function speedShare(pictureAgeMs: number, roundTripMs: number): number {
-  return Math.min(1, SIGHT_MS / (pictureAgeMs + roundTripMs));
+  return Math.min(1, SIGHT_MS / Math.max(1, pictureAgeMs + roundTripMs)); // clocks that jumped make an age negative
 }
 
 /** The largest of the values of the last second. */
