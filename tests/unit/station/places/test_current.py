@@ -200,6 +200,15 @@ def test_one_weak_contradiction_does_not_move_a_tracked_robot() -> None:
     assert answer.place is not None and answer.place.id == "map-0"
 
 
+def sure_at_the_first_place() -> CurrentPlaceEstimator:
+    """After a second in which every image was recognised there."""
+    estimator = estimator_of(make_map())
+    for k in range(8):
+        estimator.on_odometry(k * SECOND // 8, pose(0.0, 0.0))
+        estimator.on_candidates([seen(k / 8, pose(0.0, 0.0))])
+    return estimator
+
+
 def drive_along(estimator: CurrentPlaceEstimator, x: tuple[float, float], steps: int = 30) -> int:
     """Odometry from one x to another, a step a tenth of a second; returns the robot's time afterwards."""
     t_ns = SECOND
@@ -210,11 +219,7 @@ def drive_along(estimator: CurrentPlaceEstimator, x: tuple[float, float], steps:
 
 
 def test_a_look_alike_that_only_slipping_wheels_explain_does_not_take_a_sure_belief_with_it() -> None:
-    estimator = estimator_of(make_map())
-    estimator.on_odometry(0, pose(0.0, 0.0))
-    for k in range(8):
-        estimator.on_odometry(k * SECOND // 8, pose(0.0, 0.0))
-        estimator.on_candidates([seen(k / 8, pose(0.0, 0.0))])
+    estimator = sure_at_the_first_place()
     t_ns = drive_along(estimator, (0.0, 6.0))
     for _ in range(10):
         t_ns += SECOND // 10
@@ -226,11 +231,7 @@ def test_a_look_alike_that_only_slipping_wheels_explain_does_not_take_a_sure_bel
 
 
 def test_wheels_that_turned_on_the_spot_are_seen_by_what_stays_in_view() -> None:
-    estimator = estimator_of(make_map())
-    estimator.on_odometry(0, pose(0.0, 0.0))
-    for k in range(8):
-        estimator.on_odometry(k * SECOND // 8, pose(0.0, 0.0))
-        estimator.on_candidates([seen(k / 8, pose(0.0, 0.0))])
+    estimator = sure_at_the_first_place()
     t_ns = drive_along(estimator, (0.0, 3.0))  # the robot stands at a wall
     for _ in range(8):
         t_ns += SECOND // 2
