@@ -70,8 +70,7 @@ class CurrentPlaceEstimator:
         self.config = (config or BeliefConfig()).for_rig(calibration is None or calibration.has_wheels)
         self._maps = tuple(MapView.of(m) for m in maps)
         self._map_ids = {m.id for m in maps}
-        camera = calibration.camera if calibration else None
-        self._evidence = ImageEvidence(self._maps, camera, self.config)
+        self._evidence = ImageEvidence(self._maps, calibration, self.config)
         self._reporter = Reporter(self._maps, self.config, seed)
         self._belief = prior(self.config)
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
