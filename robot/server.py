@@ -85,7 +85,7 @@ class RobotServer:
         self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
         self.faults = Faults(self._broadcast_fault)
-        self._recompressor = Recompressor(self._wake_all)
+        self._recompressor = Recompressor(self._wake_all, now_ns)
         self._frames = FrameSlot(self._recompressor.begin)
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
