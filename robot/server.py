@@ -184,6 +184,8 @@ class RobotServer:
             return
         if isinstance(message, Received):
             client.confirm(message)
+            if client.meter.has_heard_ns is not None:
+                self.desk.note_heard(client.id, client.meter.has_heard_ns)
             return
         if isinstance(message, Heartbeat):
             t_robot_ns = self._devices.clock()
