@@ -48,7 +48,7 @@ from shared.messages import (
 )
 from shared.prompt_sending import UNSENT_BYTES, send_promptly
 from shared.reception import Caller, Reception
-from shared.seats import Seats, rank_of
+from shared.seats import Rank, Seats, rank_of
 from shared.session import Event, State, reply_to
 
 logger = logging.getLogger(__name__)
@@ -85,7 +85,7 @@ class RobotServer:
         self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
         self.faults = Faults(self._broadcast_fault)
-        self._recompressor = Recompressor(self._wake_all)
+        self._recompressor = Recompressor(self._wake_all, now_ns)
         self._frames = FrameSlot(self._recompressor.begin)
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
@@ -184,6 +184,8 @@ class RobotServer:
             return
         if isinstance(message, Received):
             client.confirm(message)
+            if client.meter.has_heard_ns is not None:
+                self.desk.note_heard(client.id, client.meter.has_heard_ns)
             return
         if isinstance(message, Heartbeat):
             t_robot_ns = self._devices.clock()
@@ -201,11 +203,9 @@ class RobotServer:
         client.put(notice("not_allowed", text, about=about))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
-        silent = next((c for c in self._clients.values() if c.session.state is State.QUIET), None)
-        if self._seats.is_full and silent is not None:
-            # Most likely the dead connection of a station that is back by another one.
+        rank = _rank(client)
+        if self._seats.is_full and (silent := self._silent_station(rank)) is not None:
             self._end(silent, "silent", "this station was silent, and another needs its place")
-        rank = rank_of(client.role or Role.WATCH)
         if not client.caller.know(self._seats, client.token_id, rank, lambda: self._replace(client)):
             limit = self._config.server.max_stations
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
@@ -218,6 +218,14 @@ class RobotServer:
         client.imu = self._imu_cursor(join)
         self._may_start.set()
         logger.info("%s joined as connection %d", join.station_name, client.id)
+
+    def _silent_station(self, rank: Rank) -> StationClient | None:
+        """Most likely the dead connection of a station that is back by another one.
+
+        Not of one that may drive, for one that only watches: it may be in the middle of a roam.
+        """
+        silent = [c for c in self._clients.values() if c.session.state is State.QUIET and _rank(c) <= rank]
+        return min(silent, key=_rank, default=None)
 
     def _replace(self, client: StationClient) -> None:
         self._end(
@@ -361,6 +369,10 @@ class RobotServer:
             return None, None
         self.faults.clear("battery")
         return state.voltage_v, state.fraction
+
+
+def _rank(client: StationClient) -> Rank:
+    return rank_of(client.role or Role.WATCH)
 
 
 class _Streams(asyncio.StreamReaderProtocol):

@@ -335,6 +335,8 @@ class RobotLink:
         if not is_same_run:  # another count of samples, and perhaps another clock
             self._arrived.begin_run()
             self._clock = LinkClock()
+        if self._hello is not None and self._hello.robot_id != hello.robot_id:
+            self.commands.forget_stop()
         self._hello = hello
         connection = self._connection
         if hello.challenge and connection is not None and connection.token is not None:

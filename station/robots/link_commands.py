@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 
 from shared.errors import LocalProtocolError
@@ -68,14 +69,20 @@ class LinkCommands:
         self._able: Capabilities | None = None
         self._answer: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for what the robot says
         self._answer_seq = 0  # of the heartbeat behind the question
+        self._stop_seq: int | None = None  # of a stop that the robot has not confirmed; 0: not sent either
+        self._stop_is_confirmed = asyncio.Event()
 
     def restart_count(self) -> None:
         """A connection was made; the robot counts anew for each."""
         self._seq = 0
+        if self.awaits_stop:
+            self._stop_seq = 0
 
     def open(self, able: Capabilities | None) -> None:
-        """The robot let us in: from now on it hears commands, as far as it is able."""
+        """The robot let us in: from now on it hears commands, as far as it is able, a stop of before first."""
         self._is_connected, self._able = True, able
+        if self.awaits_stop:
+            self.stop(until_confirmed=True)
 
     def close(self) -> None:
         """There is no robot any more."""
@@ -99,10 +106,41 @@ class LinkCommands:
             raise LocalProtocolError(f"drive command refused: {exc}") from exc
         return self._put(command, self._able is not None and self._able.drive)
 
-    def stop(self) -> bool:
-        """Motors off now. False when no robot is connected (its own watchdog has stopped it by then)."""
+    def stop(self, *, until_confirmed: bool = False) -> bool:
+        """Motors off now. False when no robot is connected (its own watchdog has stopped it by then).
+
+        A connection may be dead and nobody know: with `until_confirmed` the stop is sent again over each new one until
+        the robot has confirmed it. Meanwhile another station may drive it.
+        """
         self._due.discard(Drive)
-        return self._is_connected and self._put(Stop(seq=self._count()))
+        seq = self._count() if self._is_connected else 0
+        if until_confirmed:
+            self._stop_seq = seq
+            self._stop_is_confirmed.clear()
+        if not self._is_connected:
+            return False
+        self._put(Stop(seq=seq))
+        if until_confirmed:
+            self.beat()  # the robot answers in order: its answer to what follows confirms the stop
+        return True
+
+    @property
+    def awaits_stop(self) -> bool:
+        """A stop is not confirmed yet."""
+        return self._stop_seq is not None
+
+    async def stop_is_confirmed(self, within_s: float) -> bool:
+        """Whether the robot has done what the last stop that waits for it asked; waits for that so long at most."""
+        if self.awaits_stop:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(within_s):
+                    await self._stop_is_confirmed.wait()
+        return not self.awaits_stop
+
+    def forget_stop(self) -> None:
+        """No stop waits any more: the robot has confirmed it, or is another one."""
+        self._stop_seq = None
+        self._stop_is_confirmed.set()
 
     def point(self, pan: float, tilt: float) -> bool:
         """Point the camera head (rad, positive left and up); newest wins. False when there is none."""
@@ -144,6 +182,8 @@ class LinkCommands:
         """The robot answered this heartbeat, and refused nothing before it."""
         if seq >= self._answer_seq:
             self._resolve(None)
+        if self._stop_seq and seq > self._stop_seq:
+            self.forget_stop()
 
     def receive_notice(self, notice: ErrorNotice) -> None:
         if notice.about == "hijack":

@@ -34,6 +34,7 @@ from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
 
 MAX_STOP_LINES = 8
+STOP_CONFIRMED_WITHIN_S = 0.15  # whoever pressed STOP hears within 0.2 s what became of it
 MAX_WARNINGS = 20  # different ones of one robot in a minute
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
@@ -163,17 +164,24 @@ class RobotSession(IgnoringListener):
 
         Said again while nothing moves it is no news, and one rest has no more than MAX_STOP_LINES: a program that
         repeats, also one with ever other reasons, would leave the log no room for other lines. False when no robot is
-        connected.
+        connected. What is no letting go is sent again over each new connection until the robot has confirmed it.
         """
         if self.driving.is_moving:
             self._logged_stops.clear()
         said = (by, why or "")
         is_news = said not in self._logged_stops and len(self._logged_stops) < MAX_STOP_LINES
-        is_sent = self.driving.stop(by)
+        is_sent = self.driving.stop(by, until_confirmed=why != "")
         if is_news and (why or (why is None and is_sent)):
             self._logged_stops.add(said)
             self.events.notify("drive", f"{by} stopped: {why}" if why else f"{by} stopped the robot")
         return is_sent
+
+    async def stop_is_confirmed(self) -> bool:
+        """Whether the robot has confirmed the last stop within STOP_CONFIRMED_WITHIN_S; the log is told when not."""
+        is_confirmed = await self.link.commands.stop_is_confirmed(STOP_CONFIRMED_WITHIN_S)
+        if not is_confirmed:
+            self._warn("link", "STOP was sent, and the robot has not confirmed it yet; it is sent again until it has")
+        return is_confirmed
 
     async def hijack(self, spot: tuple[float, float, float] | None) -> None:
         """Put a simulated robot down at x m, y m, yaw rad of its world, or (None) wherever it likes.
@@ -221,6 +229,8 @@ class RobotSession(IgnoringListener):
 
     def on_connected(self, hello: Hello) -> None:
         self.events.notify("link", f"connected to {hello.name}")
+        if self.link.commands.awaits_stop:
+            self.events.notify("link", "the STOP that the robot had not confirmed was sent to it again", "warning")
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:

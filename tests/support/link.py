@@ -255,9 +255,11 @@ class Notes:
 
 
 @asynccontextmanager
-async def linked(port: int, name: str = "desk") -> AsyncIterator[tuple[RobotLink, Notes]]:
+async def linked(
+    port: int, name: str = "desk", now_ns: Callable[[], int] = time.monotonic_ns
+) -> AsyncIterator[tuple[RobotLink, Notes]]:
     notes = Notes()
-    link = RobotLink("127.0.0.1", port, notes, station_name=name)
+    link = RobotLink("127.0.0.1", port, notes, station_name=name, now_ns=now_ns)
     task = asyncio.create_task(link.run())
     try:
         await until(lambda: link.state.connected)
