@@ -22,6 +22,7 @@ from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.listening import bind
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationChanged,
     ErrorNotice,
     Hello,
     Join,
@@ -129,6 +130,9 @@ async def guarded_station(tmp_path: Path, robot_port: int = 1) -> AsyncIterator[
         yield Guarded(desk, tokens, context, folder)
 
 
+ANSWERS = Hello | Welcome | Refusal | CalibrationChanged | ErrorNotice | PairReply | Paired
+
+
 class Talk:
     """A station that says whatever a test wants, in whatever order."""
 
@@ -146,7 +150,7 @@ class Talk:
         """The next message that is not a report; None: the robot closed."""
         while True:
             message = self._session.next_message(0)
-            if isinstance(message, Hello | Welcome | Refusal | ErrorNotice | PairReply | Paired):
+            if isinstance(message, ANSWERS):
                 return message
             if message is None:
                 try:
