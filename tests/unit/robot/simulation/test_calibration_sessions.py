@@ -42,7 +42,7 @@ def detect(image_file: Path) -> tuple[IntArray, npt.NDArray[np.float32]]:
     parameters.markerBorderBits = 2
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     found, tags, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
-    if tags is None:
+    if not found:
         return np.empty(0, np.int64), np.empty((0, 2), np.float32)
     corners = np.concatenate([tag[0][KALIBR_ORDER] for tag in found])
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
