@@ -45,7 +45,7 @@ class BoardSet:
 def find_all(name: str, target: Target, paths: list[Path], published: list[float], bound: float) -> BoardSet:
     """The views in image files, and how long it took to find them."""
     finder = make_finder(target)
-    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
+    images = [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8) for path in paths]
     finder.find(images[0])  # what is set up once
     begin = time.process_time()
     seen = [view_board(finder, target, image, path.name, 0) for image, path in zip(images, paths, strict=True)]
