@@ -177,14 +177,14 @@ def _notes(
         first = ", ".join(f"{m.begin_s:.0f} s" for m in stillness.moments[:5])
         more = ", ..." if len(stillness.moments) > 5 else ""
         yield f"it was moved {len(stillness.moments)} times ({first}{more}); these moments are cut out"
-    if longest_s < WALK_REST_S:
+    if MIN_REST_S <= longest_s < WALK_REST_S:
         yield (
             f"{longest_s / 60:.1f} minutes at rest tell the white noise and only an upper limit of the random walks;"
             f" these need 5 minutes, better {ADVISED_S / 60:.0f}"
         )
     for name, sensor in (("gyroscope", gyro), ("accelerometer", accel)):
         walk = sensor.noise.walk
-        if longest_s >= WALK_REST_S and not walk.is_known:
+        if longest_s >= WALK_REST_S and not walk.is_known and not sensor.drifts:
             yield f"{longest_s / 60:.0f} minutes do not show the {name}'s random walk: it is {walk.high:.2g} at most"
         if sensor.drifts:
             yield f"the {name} drifted, as while warming up; switch it on 10 minutes before: the random walk is a limit"
