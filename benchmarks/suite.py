@@ -59,6 +59,7 @@ SUITE = (
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
     Benchmark("calibration_fit", SLAM, "bench_calibration_fit", "--flats 1-8", "--flats 1 --told focal=1"),
+    Benchmark("calibrate_imu", SLAM, "bench_calibrate_imu", "--seeds 20", "--seeds 1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
