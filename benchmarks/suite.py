@@ -63,6 +63,7 @@ SUITE = (
         "calibrate_camera", SLAM, "bench_calibrate_camera", f"--data {DATA} --halves 20", f"--data {DATA} --halves 1",
         data=f"{DATA}/aprilgrid_euroc",
     ),
+    Benchmark("calibrate_imu", SLAM, "bench_calibrate_imu", "--seeds 20", "--seeds 1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
