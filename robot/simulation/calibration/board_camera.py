@@ -107,18 +107,19 @@ def where_rays_meet(
     """Where on the board's surface rays (h, 3, w) from cameras (h, 3, 3), (h, 3), one a row, arrive.
 
     Returns x and y in the board's frame and the depth along the optical axis, each (h, w) m; behind the camera the
-    depth is negative.
+    depth is negative. A ray along the board gets there nowhere: values that are not finite.
     """
     directions = np.matmul(R_board_cam.astype(np.float32), rays)
     origin = t_board_cam.astype(np.float32)[:, :, None]
     dx, dy, dz = directions[:, 0], directions[:, 1], directions[:, 2]
-    depth = -origin[:, 2] / dz
-    x = origin[:, 0] + depth * dx
-    if board.bend_m:
-        for _ in range(BEND_ROUNDS):
-            depth = (_height(board, x) - origin[:, 2]) / dz
-            x = origin[:, 0] + depth * dx
-    return x, origin[:, 1] + depth * dy, depth
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        depth = -origin[:, 2] / dz
+        x = origin[:, 0] + depth * dx
+        if board.bend_m:
+            for _ in range(BEND_ROUNDS):
+                depth = (_height(board, x) - origin[:, 2]) / dz
+                x = origin[:, 0] + depth * dx
+        return x, origin[:, 1] + depth * dy, depth
 
 
 def _height(board: Board, x: Float32Array) -> Float32Array:
