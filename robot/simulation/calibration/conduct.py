@@ -4,21 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from types import MappingProxyType
 
 from robot.simulation.calibration.board_camera import Optics
+from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.waving import Wave
 from shared.errors import ConfigError
-
-
-class Kind(StrEnum):
-    """What is to be calibrated."""
-
-    CAMERA = "camera"  # stills of a board moved before the camera
-    CAMERA_IMU = "camera-imu"  # camera and IMU waved before a board on the wall
-    IMU = "imu"  # an IMU at rest, no images
-
 
 LIVELY, STILL = Wave(), Wave(turn_deg=(0.15, 0.15, 0.15), distance_share=0.0, aside_share=0.0)
 LIT, DARK, DEFOCUSED = Optics(), Optics(light=0.02), Optics(lens_blur_px=6.0)
@@ -41,10 +32,17 @@ class Conduct:
     has_imu: bool = True
     sway_rad_s: float = 0.0  # rate at which the resting IMU sways, as in a hand
     is_knocked: bool = False
+    drives: bool = True  # to and fro before the board
+    turns: bool = True  # on the spot
+    rest_s: float = 2.0  # between two commands
+    is_blocked: bool = False  # something stands in the robot's way
 
 
 _CAMERA, _CAMERA_IMU, _IMU = Conduct(seconds=60.0), Conduct(seconds=30.0), Conduct(seconds=1800.0)
-GOOD: Mapping[Kind, Conduct] = MappingProxyType({Kind.CAMERA: _CAMERA, Kind.CAMERA_IMU: _CAMERA_IMU, Kind.IMU: _IMU})
+_WHEELS = Conduct(seconds=90.0)
+GOOD: Mapping[Kind, Conduct] = MappingProxyType(
+    {Kind.CAMERA: _CAMERA, Kind.CAMERA_IMU: _CAMERA_IMU, Kind.IMU: _IMU, Kind.WHEELS: _WHEELS}
+)
 POOR: Mapping[Kind, Mapping[str, Conduct]] = MappingProxyType(
     {
         Kind.CAMERA: {
@@ -73,6 +71,16 @@ POOR: Mapping[Kind, Mapping[str, Conduct]] = MappingProxyType(
             "too-short": replace(_IMU, seconds=10.0),
             "in-hand": replace(_IMU, sway_rad_s=0.02),
             "knocked": replace(_IMU, is_knocked=True),
+        },
+        Kind.WHEELS: {
+            "too-short": replace(_WHEELS, seconds=8.0),
+            "too-dark": replace(_WHEELS, optics=DARK),
+            "too-far": replace(_WHEELS, fill=0.13),
+            "no-imu": replace(_WHEELS, has_imu=False),
+            "no-drives": replace(_WHEELS, drives=False),
+            "no-turns": replace(_WHEELS, turns=False),
+            "no-rests": replace(_WHEELS, rest_s=0.1),
+            "blocked": replace(_WHEELS, is_blocked=True),
         },
     }
 )
