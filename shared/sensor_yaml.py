@@ -28,6 +28,7 @@ DISTORTION_MODELS = {
 CONSUMER_IMU = {"gyro_density": 3e-4, "accel_density": 3e-3, "gyro_walk": 3e-5, "accel_walk": 3e-3}
 
 MAX_EXPOSURE_S = 10.0
+CAMERA_FILES = ("camera.yaml", "camera-intrinsics.txt")  # of a folder of images
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -157,7 +158,7 @@ def read_bare_camera(path: Path) -> CameraCalibration:
 
 def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) -> CameraCalibration:
     """The camera of a folder of images: its `camera.yaml`, or `camera-intrinsics.txt` and the size of an image."""
-    yaml_path, text_path = folder / "camera.yaml", folder / "camera-intrinsics.txt"
+    yaml_path, text_path = (folder / name for name in CAMERA_FILES)
     if yaml_path.is_file():
         return read_bare_camera(yaml_path)
     if not text_path.is_file():

@@ -72,13 +72,21 @@ def is_smooth(target: Target, board: Board) -> BoolArray:
     is_good = np.ones(len(board.ids), dtype=bool)
     if len(board.ids) < 2 * len(powers):
         return is_good
-    H, _ = cv2.findHomography(p_board, board.corners_px, cv2.LMEDS)
+    H = homography(p_board, board.corners_px, cv2.LMEDS)
+    if H is None:
+        return ~is_good
     rest = board.corners_px - cv2.perspectiveTransform(p_board[None], H)[0]
     A = np.stack(powers, axis=1)
     for _ in range(4):
         error = np.linalg.norm(rest - A @ np.linalg.lstsq(A[is_good], rest[is_good], rcond=None)[0], axis=1)
         is_good = error < max(SMOOTH_PX, OUTLIER * float(np.median(error[is_good])))
     return is_good
+
+
+def homography(p_board: FloatArray, uv_px: FloatArray, method: int = 0) -> FloatArray | None:
+    """(3, 3) from the board's plane (n, 2) to pixels (n, 2); None where the points do not say it."""
+    H, _ = cv2.findHomography(p_board, uv_px, method)
+    return np.asarray(H, dtype=np.float64) if np.size(H) == 9 else None
 
 
 def refine(grey: ImageArray, corners_px: FloatArray, reach_px: float) -> FloatArray:
@@ -182,7 +190,7 @@ class AprilGridFinder:
 
     def find(self, grey: ImageArray) -> Board | None:
         small, scale = smaller(grey)
-        seeds = self._find_tags(small)
+        seeds = self.find_tags(small)
         if not seeds:
             return None
         grid = _TagGrid(grey, self._corners.shape[0])
@@ -193,7 +201,7 @@ class AprilGridFinder:
         tag, corner = np.nonzero(grid.is_good)
         return Board(4 * tag + corner, grid.corners_px[tag, corner])
 
-    def _find_tags(self, grey: ImageArray) -> dict[int, FloatArray]:
+    def find_tags(self, grey: ImageArray) -> dict[int, FloatArray]:
         """Corners (4, 2) of the tags that are found by themselves, in kalibr's order."""
         tags: dict[int, FloatArray] = {}
         for detector, is_sharpened in self._detectors:
@@ -219,7 +227,7 @@ class AprilGridFinder:
             if chosen.sum() < self.LEAST_NEIGHBOURS:
                 continue
             tag = int(row * columns + column)
-            H, _ = cv2.findHomography(self._corners[chosen], grid.corners_px[chosen])
+            H = homography(self._corners[chosen], grid.corners_px[chosen])
             if H is not None:
                 corners = cv2.perspectiveTransform(self._corners[tag][None], H)[0]
                 if self._likeness(grid.grey, tag, corners) > LIKENESS:

@@ -22,7 +22,7 @@ from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frame
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
 
-def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
+def open_asl(path: Path, first: int | None, last: int | None, step: int, needs_camera: bool = True) -> Dataset:
     """Open an ASL folder; images, IMU, drive commands and truth may each be absent."""
     mav = path / "mav0"
     imu_csv, camera_csv = mav / "imu0" / "data.csv", mav / "cam0" / "data.csv"
@@ -33,10 +33,11 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int) -> Data
     camera_yaml: dict[str, object] = {}
     if camera_csv.is_file() or (mav / "cam0" / "sensor.yaml").is_file():
         yaml_path = mav / "cam0" / "sensor.yaml"
-        if not yaml_path.is_file():
+        if yaml_path.is_file():
+            camera_yaml = read_yaml(yaml_path)
+            camera = read_camera(yaml_path, camera_yaml)
+        elif needs_camera:
             raise DataError(f"{yaml_path} is missing; the camera's intrinsics belong there")
-        camera_yaml = read_yaml(yaml_path)
-        camera = read_camera(yaml_path, camera_yaml)
 
     imu, noise, T_body_imu = None, None, np.eye(4)
     if imu_csv.is_file():

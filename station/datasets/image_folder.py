@@ -13,23 +13,33 @@ from shared.bounded import read_text
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, orthonormal, se3
-from shared.recorded_files import image_times_ns, images_in_order
-from shared.sensor_yaml import read_folder_camera
+from shared.recorded_files import FIRST_STAMP, image_times_ns, images_in_order
+from shared.sensor_yaml import CAMERA_FILES, read_folder_camera
 from station.datasets.asl import read_image_file
 from station.datasets.dataset import Dataset, Truth, choose_frames
 from station.model.frames import ImageFrame, decode_picture
 
+UNKNOWN_RATE_HZ = 30.0
 
-def open_image_folder(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
-    """Open a folder of images. Times are frame number / rate from 0 on, or the stamps the images are named by."""
+
+def open_image_folder(path: Path, first: int | None, last: int | None, step: int, needs_camera: bool = True) -> Dataset:
+    """Open a folder of images. Times are frame number / rate from 0 on, or the stamps the images are named by.
+
+    Without a camera there is no rate: images that are not named by stamps are then as if taken at UNKNOWN_RATE_HZ.
+    """
     numbered = images_in_order(path)
     numbers, files = [number for number, _ in numbered], [file for _, file in numbered]
     if not files:
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a dataset")
     chosen = choose_frames(path, numbers, first, last, step)
-    camera = read_folder_camera(path, lambda: _image_size(numbered[chosen[0]][1]))
+    camera = None
+    if needs_camera or any((path / name).is_file() for name in CAMERA_FILES):
+        camera = read_folder_camera(path, lambda: _image_size(numbered[chosen[0]][1]))
+    elif numbers[0] < FIRST_STAMP:
+        numbers = list(range(len(numbers)))
     files = [files[i] for i in chosen]
-    times = np.array(image_times_ns(numbers, camera.rate_hz, path), dtype=np.int64)[chosen]
+    rate_hz = UNKNOWN_RATE_HZ if camera is None else camera.rate_hz
+    times = np.array(image_times_ns(numbers, rate_hz, path), dtype=np.int64)[chosen]
 
     def read_frames() -> Iterator[ImageFrame]:
         for index, (t_ns, file) in enumerate(zip(times, files, strict=True)):
@@ -43,7 +53,7 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         kind="images",
         calibration=Calibration(camera=camera, imu=None),
         # Three by three numbers without distortion are a guess.
-        intrinsics_known=camera.is_measured and (path / "camera.yaml").is_file(),
+        intrinsics_known=camera is not None and camera.is_measured and (path / "camera.yaml").is_file(),
         frame_times_ns=times,
         read_frames=read_frames,
         truth=truth,

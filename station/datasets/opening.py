@@ -21,7 +21,14 @@ MAX_TILT_DEG = 45.0  # no floor at home is as steep, and nobody mounts an IMU so
 Opener = Callable[[Path, int | None, int | None, int], Dataset]
 
 
-def open_dataset(path: str | Path, first: int | None = None, last: int | None = None, step: int = 1) -> Dataset:
+def open_dataset(
+    path: str | Path,
+    first: int | None = None,
+    last: int | None = None,
+    step: int = 1,
+    *,
+    needs_camera: bool = True,
+) -> Dataset:
     """Open a recorded navigation: ASL/EuRoC folder, folder of images, video file or MCAP recording.
 
     Args:
@@ -29,24 +36,25 @@ def open_dataset(path: str | Path, first: int | None = None, last: int | None = 
         first, last: numbers of the first and last frame to use (both included): the number in the file name
             for a folder of images (`frame-000398.color.jpg` is 398), the position from 0 otherwise.
         step: use every step-th of these frames. Inertial samples are cut to the range, never thinned.
+        needs_camera: False: images whose camera no file describes are opened too, without a camera calibration.
     Raises:
         DataError: the path, or a file in it, cannot be used; says which and what to do.
     """
-    data = _open(Path(path), first, last, step)
+    data = _open(Path(path), first, last, step, needs_camera)
     _check_axes(data)
     return data
 
 
-def _open(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
+def _open(path: Path, first: int | None, last: int | None, step: int, needs_camera: bool) -> Dataset:
     if not path.exists():
         raise DataError(f"{path} does not exist; give the folder or file of a recorded navigation")
     if not path.is_dir():
-        return _open_file(path, first, last, step)
+        return _open_file(path, first, last, step, needs_camera)
     if path.name == "mav0" and not (path / "mav0").is_dir():
         path = path.parent if path.parent != path else path
     if (path / "mav0").is_dir():
-        return open_asl(path, first, last, step)
-    return open_image_folder(path, first, last, step)
+        return open_asl(path, first, last, step, needs_camera)
+    return open_image_folder(path, first, last, step, needs_camera)
 
 
 def _check_axes(data: Dataset) -> None:
@@ -72,7 +80,7 @@ def _check_axes(data: Dataset) -> None:
         )
 
 
-def _open_file(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
+def _open_file(path: Path, first: int | None, last: int | None, step: int, needs_camera: bool) -> Dataset:
     check_readable(path)
     suffix = path.suffix.lower()
     if suffix == ".mcap":
@@ -80,7 +88,7 @@ def _open_file(path: Path, first: int | None, last: int | None, step: int) -> Da
         opener: Opener = importlib.import_module("station.datasets.mcap").open_mcap
         return opener(path, first, last, step)
     if suffix in VIDEO_SUFFIXES:
-        return open_video(path, first, last, step)
+        return open_video(path, first, last, step, needs_camera)
     raise DataError(
         f"{path} is no dataset; give a folder, an .mcap recording or a video ({', '.join(sorted(VIDEO_SUFFIXES))})"
     )

@@ -18,13 +18,13 @@ JPEG_QUALITY = 95  # frames are decoded and encoded again: keep what the video k
 MAX_FRAMES = 1_000_000
 
 
-def open_video(path: Path, first: int | None, last: int | None, step: int) -> Dataset:
+def open_video(path: Path, first: int | None, last: int | None, step: int, needs_camera: bool = True) -> Dataset:
     """Open a video. Times are frame position / frame rate, from 0."""
     candidates = [path.with_suffix(".yaml"), path.with_name("camera.yaml")]
     yaml_path = next((p for p in candidates if p.is_file()), None)
-    if yaml_path is None:
+    if yaml_path is None and needs_camera:
         raise DataError(f"{path} has no camera.yaml next to it; write the camera's intrinsics there")
-    camera = read_bare_camera(yaml_path)
+    camera = None if yaml_path is None else read_bare_camera(yaml_path)
     capture = cv2.VideoCapture(str(path))
     try:
         if not capture.isOpened():
@@ -36,7 +36,7 @@ def open_video(path: Path, first: int | None, last: int | None, step: int) -> Da
         capture.release()
     if not (0 < total <= MAX_FRAMES) or not rate > 0:
         raise DataError(f"{path} does not say how many frames it has; convert it to MP4 (H.264)")
-    if size != (camera.width, camera.height):
+    if camera is not None and size != (camera.width, camera.height):
         raise DataError(
             f"{path} is {size[0]}x{size[1]} but {yaml_path} says {camera.width}x{camera.height}; correct it"
         )
@@ -46,7 +46,7 @@ def open_video(path: Path, first: int | None, last: int | None, step: int) -> Da
         path=path,
         kind="video",
         calibration=Calibration(camera=camera, imu=None),
-        intrinsics_known=camera.is_measured,
+        intrinsics_known=camera is not None and camera.is_measured,
         frame_times_ns=times,
         read_frames=lambda: _read_frames(path, chosen, times.tolist()),
     )

@@ -9,7 +9,7 @@ import typer
 
 
 def register(app: typer.Typer) -> None:
-    calibrate = typer.Typer(no_args_is_help=True, help="Measure a robot's own sensors.")
+    calibrate = typer.Typer(no_args_is_help=True, help="Print a target, and measure a robot's own sensors with it.")
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}").register(calibrate)
     app.add_typer(calibrate, name="calibrate")

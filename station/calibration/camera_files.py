@@ -1,0 +1,156 @@
+"""Calibration files: our `camera.yaml`, and kalibr's camchain and IMU files, read and written.
+
+Source: kalibr's wiki, "YAML formats". kalibr's T_cam_imu maps the IMU's coordinates to the camera's, and its
+timeshift_cam_imu is ours: t_imu = t_cam + shift.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shared.bounded import shown
+from shared.calibration import CameraCalibration, ImuNoise
+from shared.errors import ConfigError, DataError
+from shared.geometry import FloatArray, inverse, orthonormal, se3
+from shared.sensor_yaml import DISTORTION_MODELS, number, numbers, read_yaml
+
+OUR_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"}
+KALIBR_NAMES = {"radtan": "radtan", "equidistant": "equidistant"}
+
+
+def lens_yaml(size: tuple[int, int], intrinsics: list[float], model: str, distortion: list[float]) -> str:
+    """What robot-server and every dataset of images read of a camera whose mounting is not known."""
+    return (
+        f"resolution: [{size[0]}, {size[1]}]\n"
+        "camera_model: pinhole\n"
+        f"intrinsics: {_list(intrinsics)}    # fx fy cx cy, px\n"
+        f"distortion_model: {OUR_NAMES[model]}\n"
+        f"distortion_coefficients: {_list(distortion)}\n"
+    )
+
+
+def camera_yaml(camera: CameraCalibration) -> str:
+    """A whole camera, mounted and timed."""
+    lens = lens_yaml(
+        (camera.width, camera.height),
+        [camera.fx, camera.fy, camera.cx, camera.cy],
+        camera.model,
+        list(camera.distortion),
+    )
+    return (
+        f"{lens}"
+        f"T_BS:\n  cols: 4\n  rows: 4\n  data: {_list(list(camera.T_body_cam))}    # camera to body (IMU)\n"
+        f"time_shift_s: {camera.time_shift_s!r}    # t_imu = t_cam + time_shift_s\n"
+        f"line_delay_s: {camera.line_delay_s!r}    # row v is exposed line_delay_s * v after row 0\n"
+        f"rate_hz: {camera.rate_hz!r}\n"
+    )
+
+
+def camchain_yaml(camera: CameraCalibration) -> str:
+    """kalibr's camchain of one camera."""
+    return lens_camchain_yaml(
+        (camera.width, camera.height),
+        [camera.fx, camera.fy, camera.cx, camera.cy],
+        camera.model,
+        list(camera.distortion),
+    ) + (
+        "  T_cam_imu:\n"
+        + "".join(f"  - {_list(row)}\n" for row in camera.T_cam_body_matrix.tolist())
+        + f"  timeshift_cam_imu: {camera.time_shift_s!r}\n"
+        + f"  line_delay: {camera.line_delay_s!r}\n"
+    )
+
+
+def lens_camchain_yaml(size: tuple[int, int], intrinsics: list[float], model: str, distortion: list[float]) -> str:
+    """kalibr's camchain of one camera whose mounting is not known."""
+    return (
+        "cam0:\n"
+        "  camera_model: pinhole\n"
+        f"  intrinsics: {_list(intrinsics)}\n"
+        f"  distortion_model: {KALIBR_NAMES[model]}\n"
+        f"  distortion_coeffs: {_list(distortion)}\n"
+        f"  resolution: [{size[0]}, {size[1]}]\n"
+        "  rostopic: /cam0/image_raw\n"
+    )
+
+
+def read_camchain(path: Path) -> CameraCalibration:
+    """The first camera of a kalibr camchain. Raises DataError naming file, key and remedy."""
+    content = read_yaml(path).get("cam0")
+    if not isinstance(content, dict):
+        raise DataError(f"{path} has no cam0; give a camchain of kalibr's")
+    if content.get("camera_model", "pinhole") != "pinhole":
+        raise DataError(f"{path}: camera_model is {shown(content['camera_model'])}; only pinhole is used")
+    model = DISTORTION_MODELS.get(str(content.get("distortion_model", "none")).lower())
+    if model is None:
+        raise DataError(f"{path}: distortion_model is {shown(content['distortion_model'])}; use radtan or equidistant")
+    fx, fy, cx, cy = numbers(content, "intrinsics", 4, path)
+    width, height = numbers(content, "resolution", 2, path)
+    distortion = numbers(content, "distortion_coeffs", 4, path) if content.get("distortion_coeffs") else [0.0] * 4
+    try:
+        return CameraCalibration(
+            width=int(width),
+            height=int(height),
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            model="equidistant" if model == "equidistant" else "radtan",
+            distortion=tuple(distortion),
+            T_body_cam=tuple(inverse(_rigid(content, "T_cam_imu", path)).ravel().tolist()),
+            time_shift_s=number(content, "timeshift_cam_imu", 0.0, path),
+            line_delay_s=number(content, "line_delay", 0.0, path),
+        )
+    except ConfigError as exc:
+        raise DataError(f"{path}: {exc}") from exc
+
+
+def imu_yaml(noise: ImuNoise) -> str:
+    """kalibr's imu.yaml."""
+    return (
+        f"accelerometer_noise_density: {noise.accel_density!r}    # m/s^2/sqrt(Hz)\n"
+        f"accelerometer_random_walk: {noise.accel_walk!r}    # m/s^3/sqrt(Hz)\n"
+        f"gyroscope_noise_density: {noise.gyro_density!r}    # rad/s/sqrt(Hz)\n"
+        f"gyroscope_random_walk: {noise.gyro_walk!r}    # rad/s^2/sqrt(Hz)\n"
+        f"update_rate: {noise.rate_hz!r}    # Hz\n"
+        "rostopic: /imu0\n"
+    )
+
+
+def read_imu(path: Path) -> ImuNoise:
+    """An imu.yaml of kalibr's, as it stands or under `imu0`. Raises DataError naming file, key and remedy."""
+    content = read_yaml(path)
+    inner = content.get("imu0")
+    if isinstance(inner, dict):
+        content = inner
+
+    def positive(key: str) -> float:
+        value = number(content, key, 0.0, path)
+        if not value > 0.0:
+            raise DataError(f"{path}: {key} must be over 0, is {shown(content.get(key))}")
+        return value
+
+    return ImuNoise(
+        gyro_density=positive("gyroscope_noise_density"),
+        accel_density=positive("accelerometer_noise_density"),
+        gyro_walk=positive("gyroscope_random_walk"),
+        accel_walk=positive("accelerometer_random_walk"),
+        rate_hz=positive("update_rate"),
+    )
+
+
+def _rigid(content: dict[str, Any], key: str, path: Path) -> FloatArray:
+    """A rigid motion (4, 4), identity where the key is absent."""
+    if content.get(key) is None:
+        return np.eye(4)
+    T = np.array(numbers(content, key, 16, path)).reshape(4, 4)
+    if abs(np.linalg.det(T[:3, :3]) - 1.0) > 0.02:
+        raise DataError(f"{path}: {key} is not a rigid motion (its rotation's determinant is not 1)")
+    return se3(orthonormal(T[:3, :3]), T[:3, 3])
+
+
+def _list(values: list[float]) -> str:
+    return f"[{', '.join(repr(float(value)) for value in values)}]"

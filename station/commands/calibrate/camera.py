@@ -1,0 +1,145 @@
+"""`station calibrate camera`: a camera's lens from images of a target."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from shared.disk import replacing
+from station.calibration.camera import (
+    LEAST_VIEWS,
+    CameraFit,
+    LensTrial,
+    Rejected,
+    best_lens,
+    calibrate_camera,
+)
+from station.calibration.camera_files import lens_camchain_yaml, lens_yaml
+from station.calibration.camera_page import write_camera_page
+from station.calibration.camera_verdict import reasons_against
+from station.calibration.distortion import LensName
+from station.calibration.target_file import read_target
+from station.calibration.views import Views, find_views, why_few
+from station.commands.options import Json, check_out_file
+from station.commands.progress import working
+from station.datasets import open_dataset
+
+
+def register(app: typer.Typer) -> None:
+    app.command()(camera)
+
+
+def camera(
+    dataset: Annotated[Path, typer.Argument(help="Images of the target: a folder, ASL folder, video or recording.")],
+    target: Annotated[Path, typer.Option("--target", help="The target.yaml of the board.")],
+    out: Annotated[Path, typer.Option("--out", help="The camera.yaml to write; nothing is written when refused.")],
+    model: Annotated[
+        Literal["auto", "radtan", "radtan5", "radtan8", "equidistant"],
+        typer.Option(help="Lens model; auto: radtan, unless it does not fit and equidistant does."),
+    ] = "auto",
+    kalibr: Annotated[Path | None, typer.Option("--kalibr", help="Write kalibr's camchain here as well.")] = None,
+    plots: Annotated[Path | None, typer.Option("--plots", help="Write residuals and coverage here, a .png.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Calibrate a camera's lens. Exit code 2 when the images do not suffice; says what to do."""
+    for path in (out, kalibr, plots):
+        if path is not None:
+            check_out_file(path)
+    board = read_target(target)
+    data = open_dataset(dataset, needs_camera=False)
+    with working(f"opening {dataset.name}") as bar:
+        bar.step("looking for the board", len(data.frame_times_ns))
+        seen = find_views(board, data, bar.advance)
+        lens: LensName | None = None if model == "auto" else model
+        found, unused = calibrate_camera(board, seen.views, seen.size, lens, bar.step)
+        rejected = (*seen.rejected, *unused)
+        if found is None:
+            reasons = [why_few(board, seen, seen.looked_at - len(rejected), LEAST_VIEWS, rejected)]
+        else:
+            reasons = reasons_against(found)
+            _write(found, not reasons, out, kalibr, plots)
+    if as_json:
+        print(json.dumps(report(found, seen, rejected, reasons)))
+    else:
+        _print(found, seen, rejected, reasons, out)
+    if reasons:
+        raise typer.Exit(2)
+
+
+def report(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...], reasons: list[str]) -> dict[str, Any]:
+    """The JSON object. What is not known, as nothing was fitted, is null."""
+    numbers = [] if found is None else found.fit.numbers.tolist()
+    return {
+        "model": None if found is None else _model(found.fit.lens),
+        "resolution": list(seen.size),
+        "intrinsics": numbers[:4] or None,
+        "distortion": numbers[4:] or None,
+        "rms_px": None if found is None else found.rms_px,
+        "sigma": {} if found is None else dict(zip(found.names, found.sigma.tolist(), strict=True)),
+        "images_used": 0 if found is None else len(found.views),
+        "images_rejected": [{"image": item.image, "reason": item.reason} for item in rejected],
+        "coverage": 0.0 if found is None else found.coverage,
+        "line_delay_s": None,  # boards that are held still do not say it; `station calibrate camera-imu` does
+        "accepted": not reasons,
+        "reasons": reasons,
+    }
+
+
+def _model(lens: LensName) -> str:
+    return "equidistant" if lens == "equidistant" else "radtan"
+
+
+def _write(found: CameraFit, accepted: bool, out: Path, kalibr: Path | None, plots: Path | None) -> None:
+    """The files that were asked for; of a refused camera only what shows why."""
+    if plots is not None:
+        write_camera_page(found, plots)
+    if not accepted:
+        return
+    numbers = found.fit.numbers.tolist()
+    lens = (found.size, numbers[:4], _model(found.fit.lens), numbers[4:])
+    with replacing(out) as file:
+        file.write(lens_yaml(*lens).encode())
+    if kalibr is not None:
+        with replacing(kalibr) as file:
+            file.write(lens_camchain_yaml(*lens).encode())
+
+
+def _print(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...], reasons: list[str], out: Path) -> None:
+    """What a person wants to know, in a few lines."""
+    if found is not None:
+        fit = found.fit
+        print(
+            f"{len(found.views)} of {seen.looked_at} images used, corners in {100 * found.coverage:.0f} % of the image"
+        )
+        print(f"{_model(fit.lens)}, {found.size[0]}x{found.size[1]}, {found.rms_px:.2f} px left over")
+        for name, value, sigma in zip(found.names, fit.numbers, found.sigma, strict=True):
+            print(
+                f"  {name:<3}{value:11.4f} +- {sigma:.4f}"
+                if name[0] in "kp"
+                else f"  {name:<3}{value:9.2f} +- {sigma:.2f}"
+            )
+        best, own = best_lens(found.trials), next(t for t in found.trials if t.lens == fit.lens)
+        if best.validation_px < 0.9 * own.validation_px:
+            print(_better(best, own))
+    for item in rejected[:SHOWN]:
+        print(f"not used: {item.image}: {item.reason}")
+    if len(rejected) > SHOWN:
+        print(f"not used: {len(rejected) - SHOWN} more (--json names all)")
+    for reason in reasons:
+        print(f"refused: {reason}")
+    if not reasons:
+        print(f"written to {out}")
+
+
+SHOWN = 10  # rejected images
+
+
+def _better(best: LensTrial, own: LensTrial) -> str:
+    line = (
+        f"of images not used for it, it foretells corners to {own.validation_px:.2f} px and leaves "
+        f"{100 * own.left_out:.1f} % of them out; --model {best.lens}: {best.validation_px:.2f} px"
+    )
+    return line if best.lens == "equidistant" else f"{line} (more numbers than the robot reads)"
