@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot.simulation.calibration.waving import WavedRig
 from robot.simulation.config import BodyParameters
 from robot.simulation.world import World
 from shared.geometry import FloatArray
@@ -22,6 +23,7 @@ CARRY_HEIGHT_M = 0.45
 CARRY_SPEED_M_S = 2.0
 MIN_CARRY_S = 1.6
 MAX_YAW_SPREAD = (-0.09, 0.07)  # of the yaw efficiency between drives: no carpet and no tiles go further
+REST_SPEED = 1e-3  # m/s, rad/s
 GRAB_S = 1.0  # a hand holds the wheels until they rest; the lag of the motors decays to nothing in it
 
 
@@ -36,6 +38,7 @@ class MotionState:
     a_world: FloatArray  # (3,) m/s^2
     omega_body: FloatArray  # (3,) rad/s
     carried: float = 0.0  # 0 on the floor .. 1 held in a hand that covers the lens
+    is_waved: bool = False  # held in a hand that leaves the lens free
 
 
 @dataclass(slots=True)
@@ -71,6 +74,7 @@ class Body:
         self._carry: _Carry | None = None
         self._grabbed: tuple[float, float, float, float] | None = None  # x, y, yaw, duration of the carry to come
         self._grabbed_ticks = 0
+        self._wave: tuple[WavedRig, int, float] | None = None  # motion, tick of its begin, seconds
         self.is_blocked = False
 
     @property
@@ -88,11 +92,17 @@ class Body:
 
     @property
     def is_carried(self) -> bool:
-        return self._carry is not None or self._grabbed is not None
+        return self._carry is not None or self._grabbed is not None or self._wave is not None
+
+    def wave(self, rig: WavedRig, duration_s: float) -> None:
+        """Somebody lifts the resting robot and waves it before a board. Raises ValueError where it does not rest."""
+        if self.is_carried or max(abs(self._plane.v), abs(self._plane.w)) > REST_SPEED:
+            raise ValueError("the robot is moving; let it rest before it is waved")
+        self._wave = rig, self._ticks, duration_s
 
     def hijack(self, x_m: float, y_m: float, yaw_rad: float) -> float:
         """Somebody lifts the robot, carries it and puts it down with wheels at rest; returns for how long (s)."""
-        if self._carry is not None:
+        if self._carry is not None or self._wave is not None:
             raise ValueError("the robot is being carried already")
         plane = self._plane
         distance = math.hypot(x_m - plane.x, y_m - plane.y)
@@ -114,6 +124,8 @@ class Body:
     def step(self) -> MotionState:
         """Advance by TICK_S and return the motion at the new instant."""
         self._ticks += 1
+        if self._wave is not None:
+            return self._step_waved(*self._wave)
         if self._carry is not None:
             return self._step_carried(self._carry)
         plane = self._plane
@@ -125,6 +137,22 @@ class Body:
         self._integrate()
         self._collide(before)
         return self.state()
+
+    def _step_waved(self, rig: WavedRig, begin: int, duration_s: float) -> MotionState:
+        t_s = (self._ticks - begin) * TICK_S
+        if t_s >= duration_s:
+            self._wave = None
+            return self.state()
+        motion = rig.at(np.array([t_s]))
+        return MotionState(
+            self._ticks * TICK_S,
+            motion.p_world[0],
+            motion.R_world_body[0],
+            motion.v_world[0],
+            motion.a_world[0],
+            motion.omega_body[0],
+            is_waved=True,
+        )
 
     def state(self) -> MotionState:
         p = self._plane

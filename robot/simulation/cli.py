@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from robot.simulation.calibration.conduct import Kind
+from robot.simulation.calibration.kind import Kind
 from robot.simulation.config import SimulationConfig, load_config, without_imperfections
 from shared.command_line import run_program
 

@@ -58,16 +58,20 @@ class BodyParameters(Section, frozen=True, kw_only=True):
 class BuildErrors(Section, frozen=True, kw_only=True):
     """How the robot's camera was built other than its calibration tells; what it tells stays as it is.
 
-    Of its wheels it tells nothing: other ones are `BodyParameters`.
+    With a seed it is another camera altogether: lens, mounting and shifts as `robot-sim calibration` draws them for
+    that seed, and the other numbers come on top. Of its wheels it tells nothing: other ones are `BodyParameters`.
     """
 
+    seed: Annotated[int, Meta(ge=0)] | None = None
     focal_percent: Annotated[float, Meta(gt=-50, lt=50)] = 0.0  # longer than told
     pitch_deg: float = 0.0  # mounting: turned about the camera's x axis, looking further up
     yaw_deg: float = 0.0  # mounting: turned about the camera's y axis, looking further to the right
+    roll_deg: float = 0.0  # mounting: turned about the camera's z axis, so that the picture turns to the left
     forward_cm: float = 0.0  # mounting: shifted along the body's axes
     left_cm: float = 0.0
     up_cm: float = 0.0
     time_shift_ms: float = 0.0  # stamps come that much earlier than told
+    line_delay_us: float = 0.0  # rows are read that much slower than told
 
 
 class Faults(Section, frozen=True, kw_only=True):

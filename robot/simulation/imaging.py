@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from robot.simulation.body import PoseFunction
+from robot.simulation.calibration.overlay import BoardOverlay, HungBoard
 from robot.simulation.config import CameraImperfections, Faults
 from robot.simulation.renderer import NO_SURFACE, Float32Array, Renderer, Rendering
 from robot.simulation.texture_strokes import ImageArray
@@ -43,9 +44,16 @@ class SimulatedCamera:
         self._noise_bank = self._rng.standard_normal(shape, dtype=np.float32)
         self._vignette = _vignette(calibration, imperfections.vignetting)
         self._person = _Person(seed)
+        self._boards = BoardOverlay(calibration)
 
     def expose(
-        self, pose: PoseFunction, t_s: float, faults: Faults, covered: float = 0.0, R_cam_head: FloatArray | None = None
+        self,
+        pose: PoseFunction,
+        t_s: float,
+        faults: Faults,
+        covered: float = 0.0,
+        R_cam_head: FloatArray | None = None,
+        hung: HungBoard | None = None,
     ) -> Exposure:
         """Take one picture.
 
@@ -54,12 +62,16 @@ class SimulatedCamera:
             t_s: mid-exposure of the first row, body's clock.
             covered: share of the lens behind a hand.
             R_cam_head: (3, 3) turn of a pan-tilt head, None where it looks straight ahead.
+            hung: a board that hangs in the world.
         """
         i = self._imperfections
         T_body_cam = self._T_body_cam if R_cam_head is None else self._T_body_cam @ se3(R_cam_head, np.zeros(3))
         readout_s = self._calibration.line_delay_s * (self._calibration.height - 1) if i.rolling_shutter else 0.0
         times = t_s + readout_s * np.linspace(0.0, 1.0, SHUTTER_POSES if readout_s > 0 else 1)
-        rendering = self._renderer.render(np.stack([pose(float(t)) @ T_body_cam for t in times]), t_s)
+        T_rows = np.stack([pose(float(t)) @ T_body_cam for t in times])
+        rendering = self._renderer.render(T_rows, t_s)
+        if hung is not None:
+            self._boards.draw(hung, rendering, T_rows)
         image = rendering.image
         if faults.person:
             image = self._person.draw(image, t_s)

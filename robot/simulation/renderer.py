@@ -67,6 +67,19 @@ def undistort(camera: CameraCalibration, xy_distorted: FloatArray) -> FloatArray
     return np.stack([x, y], axis=-1)
 
 
+def poses_by_row(T: FloatArray, height: int) -> tuple[FloatArray, FloatArray]:
+    """Rotation (H, 3, 3) and position (H, 3) per row, from poses (K, 4, 4) evenly spaced along them (Lagrange)."""
+    rows = np.linspace(0.0, 1.0, height)
+    nodes = np.linspace(0.0, 1.0, len(T)) if len(T) > 1 else np.zeros(1)
+    weights = np.ones((len(rows), len(T)))
+    for k in range(len(T)):
+        for j in range(len(T)):
+            if j != k:
+                weights[:, k] *= (rows - nodes[j]) / (nodes[k] - nodes[j])
+    mixed = np.tensordot(weights, T[:, :3, :], axes=1)
+    return mixed[:, :, :3], mixed[:, :, 3]
+
+
 class Renderer:
     """Draws one world through one camera."""
 
@@ -113,7 +126,7 @@ class Renderer:
             t_s: when, for the persons who walk.
         """
         self._move_walkers(t_s)
-        R_rows, t_rows = self._rows(np.asarray(T_world_cam_rows, dtype=np.float64))
+        R_rows, t_rows = poses_by_row(np.asarray(T_world_cam_rows, dtype=np.float64), self.camera.height)
         np.matmul(R_rows.astype(np.float32), self._rays, out=self._world_rays)
         self._inverse_depth.fill(0.0)
         self._surface.fill(NO_SURFACE)
@@ -132,18 +145,6 @@ class Renderer:
             self._corners[index], self._normals[index] = surface.corners(), surface.normal
 
     # --- geometry -------------------------------------------------------------------------------------------------
-
-    def _rows(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rotation (H, 3, 3) and position (H, 3) per row by Lagrange interpolation of the given poses."""
-        rows = np.linspace(0.0, 1.0, self.camera.height)
-        nodes = np.linspace(0.0, 1.0, len(T)) if len(T) > 1 else np.zeros(1)
-        weights = np.ones((len(rows), len(T)))
-        for k in range(len(T)):
-            for j in range(len(T)):
-                if j != k:
-                    weights[:, k] *= (rows - nodes[j]) / (nodes[k] - nodes[j])
-        mixed = np.tensordot(weights, T[:, :3, :], axes=1)
-        return mixed[:, :, :3], mixed[:, :, 3]
 
     def _visible(self, T_rows: FloatArray) -> list[tuple[int, tuple[slice, slice], float]]:
         """Surfaces that may be seen, near ones first: index, image region, greatest inverse depth."""

@@ -62,7 +62,7 @@ class ImuModel:
     def _vibrate(self, motion: MotionState, white: FloatArray) -> None:
         """High-pass filtered noise that grows with the speed of the wheels: it shakes but does not drift."""
         speed = 0.0
-        if motion.carried == 0.0:
+        if motion.carried == 0.0 and not motion.is_waved:
             speed = float(np.hypot(*motion.v_world[:2]) + 0.15 * abs(motion.omega_body[2])) / REFERENCE_SPEED_M_S
         # Unit variance, lag-1 correlation -0.5: its sum, unlike white noise's, stays small.
         self._vibration = -0.5 * self._vibration + np.sqrt(0.75) * white * min(speed, 2.0)

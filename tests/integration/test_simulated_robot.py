@@ -15,6 +15,7 @@ from pathlib import Path
 from socketserver import ThreadingTCPServer
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ from robot.devices.simulated.control import ControlDesk, ControlServer
 from robot.devices.simulated.parts import SimulatedHijack
 from robot.simulation.config import SimulationConfig
 from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
+from tests.support.tags import detect_tags
 
 WAIT_S = 60.0
 
@@ -186,3 +188,30 @@ async def test_a_camera_whose_process_dies_says_so_and_comes_back(tmp_path: Path
 def test_an_unknown_world_is_refused() -> None:
     with pytest.raises(ConfigError, match="castle"):
         open_simulated("castle", 1)
+
+
+def test_a_script_holds_a_board_before_the_camera_and_takes_it_away(robot: SimulatedRobot) -> None:
+    target = ask(robot, cmd="board", distance_m=1.0, yaw_deg=20.0, right_m=0.02)["target"]
+    assert "tagSize: 0.034" in target
+    wait_for(lambda: len(tags_in_next_picture(robot)) == 36)
+    assert ask(robot, cmd="board", gone=True) == {}
+    wait_for(lambda: len(tags_in_next_picture(robot)) == 0)
+    assert "distance_m" in ask(robot, cmd="board", distance_m=-1.0)["error"]
+
+
+def test_a_script_waves_the_robot_before_a_board(robot: SimulatedRobot) -> None:
+    before = ask(robot, cmd="truth")
+    assert ask(robot, cmd="wave", seconds=6.0)["duration_s"] == 6.0
+    wait_for(lambda: max(map(abs, ask(robot, cmd="truth")["omega_body"])) > 0.1)
+    assert "moving" in ask(robot, cmd="wave", seconds=6.0)["error"]
+    wait_for(lambda: not ask(robot, cmd="truth")["carried"])
+    assert np.allclose(ask(robot, cmd="truth")["T_world_body"], before["T_world_body"], atol=0.005)
+
+
+def tags_in_next_picture(robot: SimulatedRobot) -> set[int]:
+    """Ids of the tags that the camera shows."""
+    frame = asyncio.run(robot.frame_mailbox.get())[-1]
+    image = cv2.imdecode(np.frombuffer(frame.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    ids, _ = detect_tags(np.asarray(image, dtype=np.uint8))
+    return set((ids // 4).tolist())

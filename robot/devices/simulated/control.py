@@ -13,12 +13,14 @@ import socketserver
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any
+from typing import Annotated, Any
 
-from msgspec import structs
+import numpy as np
+from msgspec import Meta, structs
 
-from robot.config import convert
+from robot.config import Section, convert
 from robot.devices.simulated.robot import SimulatedRobot
+from robot.simulation.calibration.board import TAGS, Board, board_ahead
 from robot.simulation.config import Faults
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.geometry import se3
@@ -72,6 +74,8 @@ class ControlDesk:
             "hijack": self._hijack,
             "route": self._route,
             "faults": self._faults,
+            "board": self._board,
+            "wave": self._wave,
         }
 
     def answer(self, line: bytes) -> dict[str, Any]:
@@ -144,3 +148,46 @@ class ControlDesk:
         if changes:
             self._robot.faults = convert(structs.asdict(self._robot.faults) | changes, Faults, "faults")
         return structs.asdict(self._robot.faults)
+
+    def _board(self, question: dict[str, Any]) -> dict[str, Any]:
+        if question.get("gone"):
+            self._robot.take_board_away()
+            return {}
+        place = convert({k: v for k, v in question.items() if k != "cmd"}, BoardPlace, "board")
+        board = place.board
+        aside, turned = (place.right_m, place.down_m), np.radians([place.pitch_deg, place.yaw_deg, place.roll_deg])
+        self._robot.hang_board(board, board_ahead(board, place.distance_m, aside, turned))
+        return {"target": board.yaml()}
+
+    def _wave(self, question: dict[str, Any]) -> dict[str, Any]:
+        wave = convert({k: v for k, v in question.items() if k != "cmd"}, WaveOrder, "wave")
+        self._robot.wave(wave.board, wave.distance_m, wave.seconds, wave.seed)
+        return {"target": wave.board.yaml(), "duration_s": wave.seconds}
+
+
+class BoardSize(Section, frozen=True, kw_only=True):
+    """A board of 36 tags."""
+
+    tag_m: Annotated[float, Meta(gt=0, le=1)] = 0.034  # fills an A3 sheet across
+    distance_m: Annotated[float, Meta(gt=0, le=20)] = 0.9  # from the camera to the board's centre
+
+    @property
+    def board(self) -> Board:
+        return Board(TAGS, TAGS, self.tag_m)
+
+
+class BoardPlace(BoardSize, frozen=True, kw_only=True):
+    """Where somebody holds a board, seen from the camera."""
+
+    right_m: float = 0.0
+    down_m: float = 0.0
+    pitch_deg: float = 0.0  # turned about the camera's x, y and z axis
+    yaw_deg: float = 0.0
+    roll_deg: float = 0.0
+
+
+class WaveOrder(BoardSize, frozen=True, kw_only=True):
+    """For how long somebody waves the robot before a board."""
+
+    seconds: Annotated[float, Meta(ge=5, le=600)] = 30.0
+    seed: Annotated[int, Meta(ge=0)] = 0

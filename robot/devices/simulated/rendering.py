@@ -13,6 +13,7 @@ from typing import cast
 import cv2
 
 from robot.simulation.body import MotionState
+from robot.simulation.calibration.overlay import HungBoard
 from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.construction import built_camera
 from robot.simulation.imaging import SimulatedCamera
@@ -34,6 +35,7 @@ class FrameRequest:
     faults: Faults
     covered: float
     R_cam_head: FloatArray  # (3, 3) turn of the pan-tilt head
+    hung: HungBoard | None  # a board that hangs in the world
 
 
 class CameraProcess:
@@ -105,5 +107,7 @@ def serve(connection: Connection, world: str, seed: int, config: SimulationConfi
         while True:
             request = cast(FrameRequest, connection.recv())
             path = MotionHistory(request.states)
-            exposure = camera.expose(path.pose, request.t_s, request.faults, request.covered, request.R_cam_head)
+            exposure = camera.expose(
+                path.pose, request.t_s, request.faults, request.covered, request.R_cam_head, request.hung
+            )
             connection.send((exposure.jpeg, exposure.exposure_s))

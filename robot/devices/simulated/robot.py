@@ -16,6 +16,9 @@ from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
 from robot.devices.simulated.rendering import CameraProcess, FrameRequest
 from robot.devices.simulated.truth_log import TruthLog
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
+from robot.simulation.calibration.board import Board, board_ahead
+from robot.simulation.calibration.overlay import HungBoard
+from robot.simulation.calibration.waving import Wave, WavedRig
 from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.construction import built_camera
 from robot.simulation.recording import simulated_calibration
@@ -25,7 +28,7 @@ from robot.simulation.trajectory import MotionHistory
 from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.errors import HardwareError
-from shared.geometry import FloatArray, so3_exp
+from shared.geometry import FloatArray, se3, so3_exp
 
 logger = logging.getLogger(__name__)
 
@@ -69,6 +72,7 @@ class SimulatedRobot:
         self.camera_pid: int | None = None  # of the process that renders
         self.faults: Faults = config.faults  # from the next sample and frame on
         self._head = _Head()
+        self._hung: HungBoard | None = None
         self._truth_log = TruthLog(MAX_TRUTH_LOG)
         self._state = self._body.state()
         self._drive_until_ns = 0
@@ -133,6 +137,28 @@ class SimulatedRobot:
             raise ValueError(f"({x_m:.2f}, {y_m:.2f}) m is not free floor of this world")
         with self._lock:
             return self._body.hijack(x_m, y_m, yaw_rad)
+
+    def hang_board(self, board: Board, T_cam_board: FloatArray) -> None:
+        """Hang a board into the world, seen from where the camera is now; it stays when the robot moves."""
+        with self._lock:
+            self._hung = HungBoard(board, self._T_world_cam() @ T_cam_board)
+
+    def take_board_away(self) -> None:
+        self._hung = None
+
+    def wave(self, board: Board, distance_m: float, duration_s: float, seed: int) -> None:
+        """Hang a board ahead of the camera and wave the robot before it. Raises ValueError: it is moving."""
+        T_body_cam = self._built_camera.T_body_cam_matrix @ se3(self._head.rotation(), np.zeros(3))
+        rng = np.random.default_rng([seed, 31])
+        with self._lock:
+            rig = WavedRig(Wave(), distance_m, T_body_cam, rng, self._T_world_cam(), duration_s)
+            self._body.wave(rig, duration_s)
+            self.hang_board(board, board_ahead(board, distance_m))
+
+    def _T_world_cam(self) -> FloatArray:
+        state = self._state
+        T_world_body = se3(state.R_world_body, state.p_world)
+        return T_world_body @ self._built_camera.T_body_cam_matrix @ se3(self._head.rotation(), np.zeros(3))
 
     # --- what tests and judges may know ---------------------------------------------------------------------------
 
@@ -232,7 +258,9 @@ class SimulatedRobot:
             t_s = number * period_s
             with self._lock:
                 states = self._history.between(t_s - EXPOSURE_MARGIN_S, t_s + readout_s + EXPOSURE_MARGIN_S)
-                request = FrameRequest(t_s, states, self.faults, self._history.carried(t_s), self._head.rotation())
+                request = FrameRequest(
+                    t_s, states, self.faults, self._history.carried(t_s), self._head.rotation(), self._hung
+                )
                 t_ns = self._ns(t_s)
             jpeg, exposure_s = process.take(request)
             t_ns -= round(camera.time_shift_s * 1e9)

@@ -13,9 +13,11 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from robot.simulation.renderer import Float32Array
 from robot.simulation.texture_strokes import ImageArray
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, se3, so3_exp
 
+TAGS = 6  # along each side of the boards that are drawn here
 BORDER_BITS = 2
 BLACK, WHITE = 24, 222  # printed, in a well-lit room
 NUM_LEVELS = 6  # of half the size each
@@ -46,6 +48,11 @@ class Board:
         return self.rows * self.tag_m + (self.rows - 1) * self.gap_m
 
     @property
+    def margin_m(self) -> float:
+        """White paper around the grid."""
+        return self.tag_m * MARGIN_TEXELS / TAG_TEXELS
+
+    @property
     def centre(self) -> FloatArray:
         """(3,) m."""
         return np.array([self.width_m / 2, self.height_m / 2, 0.0])
@@ -63,6 +70,21 @@ class Board:
         return Print(self)
 
 
+# The camera sees the board as it is printed: x to the right, y up, z towards the camera.
+R_CAM_BOARD_FACING = np.diag([1.0, -1.0, -1.0])
+
+
+def board_ahead(
+    board: Board, distance_m: float, aside_m: tuple[float, float] = (0.0, 0.0), turned_rad: FloatArray | None = None
+) -> FloatArray:
+    """T_cam_board (4, 4) of a board whose centre is `distance_m` ahead and `aside_m` to the right and below.
+
+    `turned_rad` (3,) is how it is turned in front of the camera, a rotation vector in camera axes.
+    """
+    R = R_CAM_BOARD_FACING if turned_rad is None else so3_exp(turned_rad) @ R_CAM_BOARD_FACING
+    return se3(R, np.array([*aside_m, distance_m]) - R @ board.centre)
+
+
 class Print:
     """Grey pictures of the board and the wall around it, each level of half the size of the one before."""
 
@@ -74,11 +96,11 @@ class Print:
         self._texel_m = board.tag_m / TAG_TEXELS
         # Edges of the texels where x and y are 0: lower left corner of tag 0, inside the white margin.
         self._origin = np.array([width + MARGIN_TEXELS, 2 * height - MARGIN_TEXELS])
-        self.levels = [wall]
+        self._levels = [wall]
         for _ in range(NUM_LEVELS - 1):
-            last = self.levels[-1]
+            last = self._levels[-1]
             half = (last.shape[1] // 2, last.shape[0] // 2)
-            self.levels.append(
+            self._levels.append(
                 np.asarray(cv2.resize(last[: 2 * half[1], : 2 * half[0]], half, interpolation=cv2.INTER_AREA))
             )
 
@@ -86,10 +108,16 @@ class Print:
         """The level whose texels are about as large as a length on the board."""
         return int(np.clip(np.rint(np.log2(footprint_m / self._texel_m)), 0, NUM_LEVELS - 1))
 
-    def texel_map(self, level: int) -> tuple[FloatArray, FloatArray]:
-        """(scale, offset), each (2,): texel = scale * (x, y) + offset, the centre of the first texel is (0, 0)."""
-        scale = np.array([1.0, -1.0]) / (self._texel_m * 2**level)
-        return scale, self._origin / 2**level - 0.5
+    def look(self, x: Float32Array, y: Float32Array, level: int) -> ImageArray:
+        """Grey values at places (h, w) m of the board's frame."""
+        density = 1.0 / (self._texel_m * 2**level)
+        # The centre of the first texel is (0, 0).
+        u0, v0 = self._origin / 2**level - 0.5
+        map_x = x * np.float32(density) + np.float32(u0)
+        map_y = y * np.float32(-density) + np.float32(v0)
+        return np.asarray(
+            cv2.remap(self._levels[level], map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        )
 
 
 def _draw_grid(columns: int, rows: int, tag: int, gap: int) -> ImageArray:

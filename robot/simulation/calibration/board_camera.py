@@ -15,7 +15,6 @@ import numpy as np
 
 from robot.simulation.calibration.board import Board
 from robot.simulation.renderer import Float32Array, undistort
-from robot.simulation.texture_strokes import ImageArray
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray
 
@@ -44,7 +43,7 @@ class BoardCamera:
 
     def __init__(self, board: Board, camera: CameraCalibration, optics: Optics, rng: np.random.Generator) -> None:
         self._board, self._camera, self._optics, self._rng = board, camera, optics, rng
-        self._rays = [_rays(camera, offset) for offset in OFFSETS_PX]
+        self._rays = [rays_at(camera, offset) for offset in OFFSETS_PX]
         self._field = _light_field(camera, optics, rng)
 
     def expose(self, pose: PoseAt, t_s: float) -> bytes:
@@ -54,11 +53,12 @@ class BoardCamera:
         instants = ((np.arange(passes) + 0.5) / passes - 0.5) * optics.exposure_s
         row_times = t_s + camera.line_delay_s * np.arange(camera.height)
         poses = pose((instants[:, None] + row_times).ravel()).reshape(passes, camera.height, 4, 4)
-        level = self._board.print.level_for(self._footprint_m(poses[0, camera.height // 2]))
+        level = pass_level(self._board, camera, poses[0, camera.height // 2])
         total = np.zeros((camera.height, camera.width), np.float32)
         for number in range(passes):
             rays = self._rays[number % len(self._rays)]
-            cv2.accumulate(self._look(rays, poses[number], level), total)
+            x, y, _ = where_rays_meet(self._board, rays, poses[number, :, :3, :3], poses[number, :, :3, 3])
+            cv2.accumulate(self._board.print.look(x, y, level), total)
         return self._develop(total / np.float32(passes))
 
     def _passes(self, pose: PoseAt, t_s: float) -> int:
@@ -73,35 +73,6 @@ class BoardCamera:
         rounds = int(np.ceil(max(1.0, blur_px / PX_PER_PASS) / len(OFFSETS_PX)))
         return min(rounds * len(OFFSETS_PX), MAX_PASSES)
 
-    def _footprint_m(self, T_board_cam: FloatArray) -> float:
-        """The distance of two passes' rays on the board, where it stands across the view."""
-        distance = float(np.linalg.norm(T_board_cam[:3, 3] - self._board.centre))
-        return 0.5 * distance / self._camera.fx
-
-    def _look(self, rays: Float32Array, T_board_cam: FloatArray, level: int) -> ImageArray:
-        """What the rays (H, 3, W) meet: grey values (H, W)."""
-        directions = np.matmul(T_board_cam[:, :3, :3].astype(np.float32), rays)
-        origin = T_board_cam[:, :3, 3].astype(np.float32)[:, :, None]
-        dx, dy, dz = directions[:, 0], directions[:, 1], directions[:, 2]
-        reach = -origin[:, 2] / dz
-        x = origin[:, 0] + reach * dx
-        if self._board.bend_m:
-            for _ in range(BEND_ROUNDS):
-                reach = (self._height(x) - origin[:, 2]) / dz
-                x = origin[:, 0] + reach * dx
-        y = origin[:, 1] + reach * dy
-        scale, offset = self._board.print.texel_map(level)
-        map_x = x * np.float32(scale[0]) + np.float32(offset[0])
-        map_y = y * np.float32(scale[1]) + np.float32(offset[1])
-        picture = self._board.print.levels[level]
-        return np.asarray(cv2.remap(picture, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-
-    def _height(self, x: Float32Array) -> Float32Array:
-        """How far the bent board stands out at x: an arc from edge to edge, straight on beyond them."""
-        half = self._board.width_m / 2
-        share = np.clip(x / half - 1.0, -1.0, 1.0)
-        return np.asarray(self._board.bend_m * (1.0 - share * share), dtype=np.float32)
-
     def _develop(self, light: Float32Array) -> bytes:
         """Lens blur, lamps, noise, JPEG."""
         if self._optics.lens_blur_px > 0:
@@ -115,13 +86,45 @@ class BoardCamera:
         return encoded.tobytes()
 
 
-def _rays(camera: CameraCalibration, offset_px: tuple[float, float]) -> Float32Array:
+def rays_at(camera: CameraCalibration, offset_px: tuple[float, float]) -> Float32Array:
     """Rays (H, 3, W) through the pixels' centres shifted by the offset, z = 1, lens distortion undone."""
     u, v = np.meshgrid(np.arange(camera.width) + offset_px[0], np.arange(camera.height) + offset_px[1])
     xy = undistort(camera, np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=-1))
     rays = np.ones((camera.height, 3, camera.width), np.float32)
     rays[:, 0], rays[:, 1] = xy[..., 0], xy[..., 1]
     return rays
+
+
+def pass_level(board: Board, camera: CameraCalibration, T_board_cam: FloatArray) -> int:
+    """The level of the print for one of several passes, whose rays meet the board half a pixel apart."""
+    distance = float(np.linalg.norm(T_board_cam[:3, 3] - board.centre))
+    return board.print.level_for(0.5 * distance / camera.fx)
+
+
+def where_rays_meet(
+    board: Board, rays: Float32Array, R_board_cam: FloatArray, t_board_cam: FloatArray
+) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Where on the board's surface rays (h, 3, w) from cameras (h, 3, 3), (h, 3), one a row, arrive.
+
+    Returns x and y in the board's frame and the depth along the optical axis, each (h, w) m; behind the camera the
+    depth is negative.
+    """
+    directions = np.matmul(R_board_cam.astype(np.float32), rays)
+    origin = t_board_cam.astype(np.float32)[:, :, None]
+    dx, dy, dz = directions[:, 0], directions[:, 1], directions[:, 2]
+    depth = -origin[:, 2] / dz
+    x = origin[:, 0] + depth * dx
+    if board.bend_m:
+        for _ in range(BEND_ROUNDS):
+            depth = (_height(board, x) - origin[:, 2]) / dz
+            x = origin[:, 0] + depth * dx
+    return x, origin[:, 1] + depth * dy, depth
+
+
+def _height(board: Board, x: Float32Array) -> Float32Array:
+    """How far a bent board stands out at x: an arc from edge to edge, straight on beyond them."""
+    share = np.clip(x / (board.width_m / 2) - 1.0, -1.0, 1.0)
+    return np.asarray(board.bend_m * (1.0 - share * share), dtype=np.float32)
 
 
 def _light_field(camera: CameraCalibration, optics: Optics, rng: np.random.Generator) -> Float32Array:

@@ -4,21 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from types import MappingProxyType
 
 from robot.simulation.calibration.board_camera import Optics
+from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.waving import Wave
 from shared.errors import ConfigError
-
-
-class Kind(StrEnum):
-    """What is to be calibrated."""
-
-    CAMERA = "camera"  # stills of a board moved before the camera
-    CAMERA_IMU = "camera-imu"  # camera and IMU waved before a board on the wall
-    IMU = "imu"  # an IMU at rest, no images
-
 
 LIVELY, STILL = Wave(), Wave(turn_deg=(0.15, 0.15, 0.15), distance_share=0.0, aside_share=0.0)
 LIT, DARK, DEFOCUSED = Optics(), Optics(light=0.02), Optics(lens_blur_px=6.0)

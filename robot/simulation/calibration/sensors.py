@@ -23,6 +23,11 @@ GYRO_BIAS_RAD_S, ACCEL_BIAS_M_S2 = 0.015, 0.12  # standard deviations at switch-
 VIBRATION_TAPS = 24  # of the filter's response, which halves from tap to tap
 
 
+def calibration_rng(seed: int) -> np.random.Generator:
+    """The random numbers from which the robot of a seed is drawn first, then what it records."""
+    return np.random.default_rng([seed, 30])
+
+
 def draw_calibration(rng: np.random.Generator) -> Calibration:
     """The true sensors: any small camera, mounted about as the reference robot's, and an IMU of its class."""
     camera = draw_camera(rng)

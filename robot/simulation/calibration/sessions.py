@@ -17,13 +17,15 @@ import numpy as np
 
 from robot.simulation.asl import AslWriter
 from robot.simulation.body import MotionState
-from robot.simulation.calibration.board import Board
+from robot.simulation.calibration.board import R_CAM_BOARD_FACING, TAGS, Board
 from robot.simulation.calibration.board_camera import BoardCamera, PoseAt
-from robot.simulation.calibration.conduct import Conduct, Kind, conduct_of
+from robot.simulation.calibration.conduct import Conduct, conduct_of
+from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sensors import (
     IMU_RATE_HZ,
     SimulatedInertial,
     believed_camera,
+    calibration_rng,
     draw_calibration,
     vibration,
 )
@@ -34,7 +36,6 @@ from robot.simulation.renderer import undistort
 from shared.calibration import REFERENCE_IMU, Calibration, CameraCalibration
 from shared.geometry import FloatArray, IntArray, homogeneous, inverse, se3, so3_exp
 
-TAGS = 6  # a side: 36 tags
 TAG_SIZES_M = (0.024, 0.034)  # that fill A4 and A3 across
 STILL_EVERY_S = 1.0
 FILL_FACTORS = (0.6, 1.5)  # nearest and farthest still, as factors of Conduct.fill
@@ -47,8 +48,6 @@ BLOCK = 100_000  # inertial samples at once
 KNOCK_EVERY_S, KNOCK_S = 20.0, 0.2
 KNOCK_RAD_S, KNOCK_M_S2 = 0.3, 2.0
 SWAY_HZ = 0.05
-# The camera sees the board as it is printed: x to the right, y up, z towards the camera.
-R_CAM_BOARD_FACING = np.diag([1.0, -1.0, -1.0])
 R_WORLD_BOARD_UPRIGHT = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 ProgressCall = Callable[[float], None]
@@ -82,7 +81,7 @@ def record_session(
     """
     cv2.setNumThreads(1)
     conduct = conduct_of(kind, poor, seconds)
-    rng = np.random.default_rng([seed, 30])
+    rng = calibration_rng(seed)
     true = draw_calibration(rng)
     told = _believed(true, kind, conduct)
     truth: dict[str, Any] = {"kind": kind, "seed": seed, "poor": poor, "calibration": msgspec.to_builtins(true)}

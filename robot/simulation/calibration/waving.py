@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, skew
+from shared.geometry import FloatArray, se3, skew, transform
 
 # The camera looks along the world's x, its image's x axis to the right (-y), its image's y axis down (-z).
 R_WORLD_CAM_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -18,6 +18,7 @@ BANDS_HZ = ((0.12, 0.25), (0.3, 0.5), (0.6, 0.9))  # of each channel's three lar
 SHARES = (0.45, 0.35, 0.2)
 TREMOR_HZ = (6.0, 9.0)
 TREMOR_RAD, TREMOR_M = 5e-4, 1e-4  # of a hand that holds something
+FADE_S = 2.0  # from rest to waving and back
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class Wave:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """True motion of the body (= IMU) at N instants. World frame: z up, origin at the board's centre."""
+    """True motion of the body (= IMU) at N instants. World frame: z up."""
 
     t_s: FloatArray  # (N,)
     p_world: FloatArray  # (N, 3) m
@@ -49,28 +50,44 @@ class Motion:
 
 
 class _Channel:
-    """A quantity that swings about its middle: value, rate and acceleration at given times."""
+    """A quantity that swings about its middle."""
 
     def __init__(self, middle: float, amplitude: float, tremor: float, rng: np.random.Generator) -> None:
         f = np.array([rng.uniform(*band) for band in (*BANDS_HZ, TREMOR_HZ)])
         self._omega = 2 * np.pi * f
         self._amplitude = np.array([*(amplitude * share for share in SHARES), tremor])
         self._phase = rng.uniform(0, 2 * np.pi, len(f))
-        self._middle = middle
+        self.middle = middle
 
-    def at(self, t_s: FloatArray) -> FloatArray:
-        """(3, N): value, rate, acceleration."""
+    def swing(self, t_s: FloatArray) -> FloatArray:
+        """(3, N): departure from the middle, its rate and acceleration."""
         argument = np.multiply.outer(t_s, self._omega) + self._phase
         sine, cosine = np.sin(argument), np.cos(argument)
-        value = self._middle + sine @ self._amplitude
+        value = sine @ self._amplitude
         rate = cosine @ (self._amplitude * self._omega)
         return np.stack([value, rate, -sine @ (self._amplitude * self._omega**2)])
 
 
 class WavedRig:
-    """Camera and IMU, rigidly joined, in a hand before a board at `distance_m`."""
+    """Camera and IMU, rigidly joined, in a hand before a board whose centre is `distance_m` ahead of the camera."""
 
-    def __init__(self, wave: Wave, distance_m: float, T_body_cam: FloatArray, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        wave: Wave,
+        distance_m: float,
+        T_body_cam: FloatArray,
+        rng: np.random.Generator,
+        T_world_cam: FloatArray | None = None,
+        duration_s: float | None = None,
+    ) -> None:
+        """The rig is waved about the pose T_world_cam (4, 4); None: level, with the board's centre at the origin.
+
+        With duration_s it rests in that pose at the times 0 and duration_s; otherwise it is always being waved.
+        """
+        middle = se3(R_WORLD_CAM_AHEAD, np.array([-distance_m, 0.0, 0.0])) if T_world_cam is None else T_world_cam
+        self._R_middle = middle[:3, :3]
+        self._board_world = transform(middle, np.array([0.0, 0.0, distance_m]))
+        self._duration_s = duration_s
         turn = np.radians(wave.turn_deg)
         self._turn = [_Channel(0.0, float(a), TREMOR_RAD if a else 0.0, rng) for a in turn]
         aside, tremor = wave.aside_share * distance_m, TREMOR_M if wave.distance_share else 0.0
@@ -85,23 +102,32 @@ class WavedRig:
     def at(self, t_s: FloatArray) -> Motion:
         """The motion at times (N,)."""
         R, w, alpha = self._turning(t_s)
-        q, dq, ddq = (np.stack(rows, axis=1) for rows in zip(*(c.at(t_s) for c in self._board), strict=True))
+        q, dq, ddq = (np.stack(rows, axis=1) for rows in zip(*(self._at(c, t_s) for c in self._board), strict=True))
         s, ds, dds = self._body_cam - q, -dq, -ddq  # from the board's centre to the body, camera coordinates
         v = ds + np.cross(w, s)
         a = dds + 2 * np.cross(w, ds) + np.cross(alpha, s) + np.cross(w, np.cross(w, s))
         rotate = "nij,nj->ni"
         return Motion(
             t_s=t_s,
-            p_world=np.einsum(rotate, R, s),
+            p_world=self._board_world + np.einsum(rotate, R, s),
             R_world_body=R @ self._R_cam_body,
             v_world=np.einsum(rotate, R, v),
             a_world=np.einsum(rotate, R, a),
             omega_body=w @ self._R_cam_body,
         )
 
+    def _at(self, channel: _Channel, t_s: FloatArray) -> FloatArray:
+        """(3, N): the channel's value, rate and acceleration, faded in and out."""
+        swing = channel.swing(t_s)
+        if self._duration_s is not None:
+            (f, df, ddf), (x, dx, ddx) = _fade(t_s, self._duration_s), swing
+            swing = np.stack([f * x, df * x + f * dx, ddf * x + 2 * df * dx + f * ddx])
+        swing[0] += channel.middle
+        return swing
+
     def _turning(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """R_world_cam = ahead * Ry(yaw) Rx(pitch) Rz(roll) with its rate and angular acceleration, camera axes."""
-        (yaw, dyaw, ddyaw), (pitch, dpitch, ddpitch), (roll, droll, ddroll) = (c.at(t_s) for c in self._turn)
+        """R_world_cam = middle * Ry(yaw) Rx(pitch) Rz(roll) with its rate and angular acceleration, camera axes."""
+        (yaw, dyaw, ddyaw), (pitch, dpitch, ddpitch), (roll, droll, ddroll) = (self._at(c, t_s) for c in self._turn)
         e_x, e_y, e_z = np.eye(3)
         Ry, Rx, Rz = _about(e_y, yaw), _about(e_x, pitch), _about(e_z, roll)
         Rz_T = Rz.transpose(0, 2, 1)
@@ -117,7 +143,17 @@ class WavedRig:
             + d_pitch_axis * dpitch[:, None]
             + e_z * ddroll[:, None]
         )
-        return R_WORLD_CAM_AHEAD @ Ry @ Rx @ Rz, w, alpha
+        return self._R_middle @ Ry @ Rx @ Rz, w, alpha
+
+
+def _fade(t_s: FloatArray, duration_s: float) -> FloatArray:
+    """(3, N): share 0 to 1, its rate and acceleration; 0 at both ends. Source: Flash and Hogan, 1985, eq. 3."""
+    begins = t_s < duration_s / 2
+    f = np.clip(np.where(begins, t_s, duration_s - t_s) / FADE_S, 0.0, 1.0)
+    rate = 30 * f**2 * (1 - f) ** 2 / FADE_S
+    return np.stack(
+        [f**3 * (10 - 15 * f + 6 * f**2), np.where(begins, rate, -rate), 60 * f * (1 - f) * (1 - 2 * f) / FADE_S**2]
+    )
 
 
 def _about(axis: FloatArray, angle: FloatArray) -> FloatArray:

@@ -7,24 +7,23 @@ from typing import Any
 import cv2
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from robot.simulation.along import read_states
 from robot.simulation.asl import TRUTH
-from robot.simulation.calibration.conduct import POOR, Kind
+from robot.simulation.calibration.conduct import POOR
+from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sensors import draw_camera
 from robot.simulation.calibration.sessions import record_session
 from robot.simulation.calibration.waving import Wave, WavedRig
 from robot.simulation.renderer import undistort
-from shared.calibration import REFERENCE_CAMERA, Calibration, CameraCalibration
+from shared.calibration import REFERENCE_CAMERA, Calibration
 from shared.errors import ConfigError
-from shared.geometry import FloatArray, IntArray, inverse, so3_log, transform
+from shared.geometry import inverse, so3_log, transform
 from shared.sensor_yaml import read_yaml
 from station.calibration.target import Target
 from station.datasets.opening import open_dataset
-
-KALIBR_ORDER = [1, 0, 3, 2]  # OpenCV's corners of such a tag, in kalibr's order
+from tests.support.tags import detect_tags, project, read_grey
 
 
 def read_target(folder: Path) -> Target:
@@ -32,32 +31,6 @@ def read_target(folder: Path) -> Target:
     assert content["target_type"] == "aprilgrid"
     size = content["tagSize"]
     return Target("aprilgrid", content["tagCols"], content["tagRows"], size, size * content["tagSpacing"])
-
-
-def detect(image_file: Path) -> tuple[IntArray, npt.NDArray[np.float32]]:
-    """Ids (m,) of corners in Target.corners and where they are seen (m, 2) px."""
-    image = cv2.imread(str(image_file), cv2.IMREAD_GRAYSCALE)
-    assert image is not None
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.markerBorderBits = 2
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    found, tags, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
-    if not found:
-        return np.empty(0, np.int64), np.empty((0, 2), np.float32)
-    corners = np.concatenate([tag[0][KALIBR_ORDER] for tag in found])
-    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
-    cv2.cornerSubPix(image, corners, (3, 3), (-1, -1), criteria)
-    return np.asarray(4 * tags.reshape(-1, 1) + np.arange(4), dtype=np.int64).ravel(), corners
-
-
-def project(camera: CameraCalibration, p_cam: FloatArray) -> FloatArray:
-    """(n, 2) px."""
-    lens, zero = np.array(camera.distortion), np.zeros(3)
-    if camera.model == "radtan":
-        px, _ = cv2.projectPoints(p_cam, zero, zero, camera.K, lens)
-    else:
-        px, _ = cv2.fisheye.projectPoints(p_cam[:, None], zero, zero, camera.K, lens)
-    return np.asarray(px, dtype=np.float64).reshape(-1, 2)
 
 
 def truth_of(folder: Path) -> tuple[dict[str, Any], Calibration]:
@@ -78,7 +51,7 @@ def test_corners_of_a_waved_board_are_seen_where_the_truth_puts_them(tmp_path: P
     errors = []
     for image_file in sorted((tmp_path / "session/mav0/cam0/data").iterdir())[::10]:
         t_s = (int(image_file.stem) - first_ns) * 1e-9 + camera.time_shift_s
-        ids, seen = detect(image_file)
+        ids, seen = detect_tags(read_grey(image_file))
         expected = np.empty_like(seen)
         for i, (corner, (_, v)) in enumerate(zip(corners[ids], seen, strict=True)):
             T_world_cam = path.pose(t_s + camera.line_delay_s * float(v)) @ camera.T_body_cam_matrix
@@ -96,7 +69,7 @@ def test_stills_calibrate_to_the_camera_that_took_them(tmp_path: Path) -> None:
     camera = calibration.camera
     assert camera is not None and camera.model == "radtan"
     corners = read_target(tmp_path / "session").corners.astype(np.float32)
-    views = [detect(f) for f in sorted((tmp_path / "session/mav0/cam0/data").iterdir())]
+    views = [detect_tags(read_grey(f)) for f in sorted((tmp_path / "session/mav0/cam0/data").iterdir())]
     views = [view for view in views if len(view[0]) > 40]
     flags = cv2.CALIB_FIX_K3
     _, K, lens, _, _ = cv2.calibrateCamera(
@@ -107,9 +80,11 @@ def test_stills_calibrate_to_the_camera_that_took_them(tmp_path: Path) -> None:
     assert lens.ravel()[0] == pytest.approx(camera.distortion[0], abs=0.03)
 
 
-def test_rates_and_accelerations_of_a_waved_rig_are_the_derivatives_of_its_poses() -> None:
-    rig = WavedRig(Wave(), 0.5, REFERENCE_CAMERA.T_body_cam_matrix, np.random.default_rng(3))
-    h, t_s = 1e-4, np.linspace(0.0, 20.0, 50)
+@pytest.mark.parametrize("duration_s", [None, 20.0])
+def test_rates_and_accelerations_of_a_waved_rig_are_the_derivatives_of_its_poses(duration_s: float | None) -> None:
+    T_body_cam = REFERENCE_CAMERA.T_body_cam_matrix
+    rig = WavedRig(Wave(), 0.5, T_body_cam, np.random.default_rng(3), duration_s=duration_s)
+    h, t_s = 1e-4, np.linspace(0.01, 19.99, 50)
     before, now, after = rig.at(t_s - h), rig.at(t_s), rig.at(t_s + h)
     np.testing.assert_allclose((after.p_world - before.p_world) / (2 * h), now.v_world, atol=1e-5)
     np.testing.assert_allclose((after.v_world - before.v_world) / (2 * h), now.a_world, atol=1e-4)

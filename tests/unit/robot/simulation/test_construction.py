@@ -27,15 +27,31 @@ def test_without_errors_the_camera_is_the_one_that_is_told() -> None:
     assert built_camera(REFERENCE_CAMERA, BuildErrors()) == REFERENCE_CAMERA
 
 
+def test_a_seed_builds_another_camera_of_the_told_size() -> None:
+    told = msgspec.structs.replace(REFERENCE_CAMERA, width=320, height=240)
+    built, other = (built_camera(told, BuildErrors(seed=seed)) for seed in (1, 2))
+    assert built != other
+    assert (built.width, built.height, built.rate_hz) == (320, 240, told.rate_hz)
+    assert 225 <= built.fx <= 450  # half of a camera's of 640 pixels
+    assert abs(built.cx - 159.5) < 8
+    turned = np.degrees(np.linalg.norm(so3_log(told.T_body_cam_matrix[:3, :3].T @ built.T_body_cam_matrix[:3, :3])))
+    assert 0.5 < turned < 11
+    shifted = built_camera(told, BuildErrors(seed=1, time_shift_ms=3, line_delay_us=5))
+    assert shifted.time_shift_s == pytest.approx(built.time_shift_s + 3e-3)
+    assert shifted.line_delay_s == pytest.approx(built.line_delay_s + 5e-6)
+
+
 def test_each_error_changes_what_it_says() -> None:
-    errors = BuildErrors(focal_percent=2, pitch_deg=1, yaw_deg=-1, forward_cm=1, left_cm=2, up_cm=-3, time_shift_ms=5)
+    errors = BuildErrors(
+        focal_percent=2, pitch_deg=1, yaw_deg=-1, roll_deg=2, forward_cm=1, left_cm=2, up_cm=-3, time_shift_ms=5
+    )
     told, built = REFERENCE_CAMERA, built_camera(REFERENCE_CAMERA, errors)
     assert (built.fx, built.fy) == pytest.approx((1.02 * told.fx, 1.02 * told.fy))
     assert built.time_shift_s == pytest.approx(told.time_shift_s + 0.005)
     T_told, T_built = told.T_body_cam_matrix, built.T_body_cam_matrix
     np.testing.assert_allclose(T_built[:3, 3] - T_told[:3, 3], [0.01, 0.02, -0.03], atol=1e-12)
     turn = np.degrees(so3_log(T_told[:3, :3].T @ T_built[:3, :3]))
-    np.testing.assert_allclose(turn, [1.0, -1.0, 0.0], atol=0.01)
+    np.testing.assert_allclose(turn, [1.0, -1.0, 2.0], atol=0.03)
     changed = {"fx", "fy", "T_body_cam", "time_shift_s"}
     for name in set(told.__struct_fields__) - changed:
         assert getattr(built, name) == getattr(told, name)
