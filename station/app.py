@@ -11,11 +11,13 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from shared.errors import RobotSystemError
 from station.access.visitors import open_access
+from station.calibration.target import TargetKind
 from station.config import RecordingConfig, StationConfig
 from station.errors import Conflict, Unknown
 from station.events import EventKind, Events, EventsOfAll
@@ -32,15 +34,16 @@ from station.places.making.config import PlacesMode
 from station.recordings.recorder import Recorder
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.session import RobotSession, Shared
+from station.workers.calibration_interface import PaperSize
 from station.workers.jobs import Job, Jobs, JobWorker
 from station.workers.library_interface import LIBRARY, LibraryProgram
 from station.workers.place_interface import PLACES, PlaceEvent, PlaceProgram
 from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
-from station.workers.worker import warm_up
+from station.workers.worker import Worker, warm_up
 
 logger = logging.getLogger(__name__)
-STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin")
+STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin", "calibration")
 BIN_CHECK_S = 3600.0
 SESSION_RESTART_S = 1.0
 
@@ -78,6 +81,7 @@ class Station:
             place_program,
             ComputeSlots(),
         )
+        self._pages: dict[tuple[TargetKind, PaperSize], bytes] = {}  # calibration targets, as PDF
         self.robots: dict[str, RobotSession] = {}
         for robot in config.fleet:
             events = Events()
@@ -242,6 +246,46 @@ class Station:
         except Conflict:
             self.navigations.release(navigation_id)
             raise
+
+    # Calibration
+
+    async def finish_calibration(self, robot: RobotSession, session_id: str) -> Job:
+        """Estimate the camera from what a guided session has seen, in the background. Raises Unknown, Conflict."""
+        self.jobs.require_room()
+        guided = robot.guided_calibration
+        session, times_ns = await guided.stop_looking(session_id)
+
+        async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
+            try:
+                result = await worker.call(
+                    LibraryProgram.calibrate_camera, session.folder, times_ns, session.target, session.told
+                )
+            except BaseException as exc:
+                why = str(exc) if isinstance(exc, RobotSystemError) else "the estimate was ended"
+                guided.change(session_id, lambda now: replace(now, state="failed", message=why))
+                raise
+            guided.change(session_id, lambda now: replace(now, state="done", result=result))
+            return {"session": session_id, "accepted": result["accepted"]}
+
+        try:
+            job = self.jobs.start("calibrate", f"camera of {robot.name} from {len(times_ns)} pictures", work)
+        except Conflict as exc:
+            why = str(exc)
+            guided.change(session_id, lambda now: replace(now, state="failed", message=why))
+            raise
+        guided.change(session_id, lambda now: replace(now, job=job.id))
+        return job
+
+    async def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
+        """A calibration target to print, as PDF."""
+        if (kind, size) not in self._pages:
+            worker: JobWorker[LibraryProgram] = Worker("calibration target", LIBRARY)
+            try:
+                await worker.start()
+                self._pages[kind, size] = await worker.call(LibraryProgram.target_page, kind, size)
+            finally:
+                await worker.close()
+        return self._pages[kind, size]
 
     def _robot_of(self, navigation: NavigationRecord) -> RobotSession:
         """The robot that drove it, if it is one of ours."""

@@ -10,7 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Literal, Protocol, TypeVar
 
-EventKind = Literal["robot", "driver", "pose", "landmarks", "navigation", "map", "job", "place", "bin", "log"]
+EventKind = Literal[
+    "robot", "driver", "pose", "landmarks", "navigation", "map", "job", "place", "bin", "calibration", "log"
+]
 Level = Literal["info", "warning", "error"]
 KEPT_LOG_LINES = 200
 MAX_WAITING_MESSAGES = 256  # per reader: more than a minute of ordinary events

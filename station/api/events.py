@@ -10,6 +10,7 @@ from station.api.deps import RobotDep
 from station.api.limits import converse
 from station.api.messages import (
     BinMessage,
+    CalibrationMessage,
     DriverMessage,
     JobMessage,
     LandmarksMessage,
@@ -21,6 +22,7 @@ from station.api.messages import (
     RobotMessage,
 )
 from station.api.schema.base import Model
+from station.api.schema.calibration import session_model
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import navigation_model
 from station.api.schema.places import current_place, visit_model
@@ -83,6 +85,9 @@ def to_message(robot: RobotSession, event: Event) -> Model:
             )
         case "bin":
             return BinMessage()
+        case "calibration":
+            session = robot.guided_calibration.session
+            return CalibrationMessage(session=None if session is None else session_model(session))
         case "log":
             return LogMessage(line=_log(cast(LogLine, event.subject)))
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 
 from station.api.schema.base import Model, Number, Question
+from station.api.schema.calibration import CalibrationSessionModel
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import NavigationModel
 from station.api.schema.places import CurrentPlace, VisitModel
@@ -71,6 +72,13 @@ class BinMessage(Model):
     type: Literal["bin"] = "bin"
 
 
+class CalibrationMessage(Model):
+    """The guided calibration, a few times a second while a board is looked at; null: there is none."""
+
+    type: Literal["calibration"] = "calibration"
+    session: CalibrationSessionModel | None
+
+
 class LogMessage(Model):
     type: Literal["log"] = "log"
     line: LogModel
@@ -86,6 +94,7 @@ EventMessage = Annotated[
     | JobMessage
     | PlaceMessage
     | BinMessage
+    | CalibrationMessage
     | LogMessage,
     Field(discriminator="type"),
 ]

@@ -13,7 +13,19 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter
 
 from station.api import messages
-from station.api.schema import base, comparisons, fleet, jobs, maps, navigations, places, robot, slam, station
+from station.api.schema import (
+    base,
+    calibration,
+    comparisons,
+    fleet,
+    jobs,
+    maps,
+    navigations,
+    places,
+    robot,
+    slam,
+    station,
+)
 
 BASES = (BaseModel, base.Model, base.Question)
 TARGET = Path(__file__).parents[1] / "web" / "src" / "link" / "messages.ts"
@@ -46,7 +58,7 @@ def generate() -> str:
 
 def _models() -> Iterator[type[BaseModel]]:
     """Every model of the schema but the bases."""
-    for module in (base, comparisons, fleet, jobs, maps, navigations, places, robot, slam, station):
+    for module in (base, calibration, comparisons, fleet, jobs, maps, navigations, places, robot, slam, station):
         for value in vars(module).values():
             if isinstance(value, type) and issubclass(value, BaseModel) and value not in BASES:
                 yield value

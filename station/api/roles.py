@@ -23,6 +23,12 @@ OF_ROBOT: dict[str, Role] = {
     "POST /robot/hijack": DRIVE,
     "GET /calibration": WATCH,
     "GET /calibration/file": WATCH,
+    "GET /calibration/sessions": WATCH,
+    "POST /calibration/sessions": DRIVE,
+    "GET /calibration/sessions/{session_id}": WATCH,
+    "GET /calibration/sessions/{session_id}/{name}": WATCH,
+    "POST /calibration/sessions/{session_id}/finish": DRIVE,
+    "DELETE /calibration/sessions/{session_id}": DRIVE,
     "POST /calibration/use": ADMIN,  # every later drive is measured with it
     "POST /calibration/undo": ADMIN,
     "POST /robot/pair": ADMIN,
@@ -80,6 +86,7 @@ ROLES: dict[str, Role | None] = {
     "POST /places/merge": DRIVE,
     "POST /places/repeatability": DRIVE,
     # Maps and navigations
+    "GET /calibration/target.pdf": WATCH,
     "GET /maps": WATCH,
     "GET /maps/{map_id}/landmarks": WATCH,
     "GET /maps/{map_id}/images/{keyframe}.jpg": WATCH,

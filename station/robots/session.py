@@ -15,6 +15,7 @@ from shared.calibration import Calibration
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
 from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
+from station.calibration.target import Target
 from station.config import RobotConfig, StationConfig
 from station.errors import Conflict, NoRobot, NotCapable, OutOfRange
 from station.events import Broadcast, Events
@@ -26,10 +27,12 @@ from station.model.map_store import StoreAddress
 from station.robots.current_navigation import CurrentNavigation
 from station.robots.current_place import CurrentPlace
 from station.robots.driving import Driving
+from station.robots.guided_calibration import CalibrationSession, GuidedCalibration, SessionKind
 from station.robots.link import RobotLink
 from station.robots.link_events import IgnoringListener, LinkListeners
 from station.robots.link_state import LinkState
 from station.robots.navigation_files import NavigationRecorder
+from station.workers.calibration_interface import PrintedBoard
 from station.workers.place_interface import PlaceEvent, PlaceProgram
 from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
@@ -101,8 +104,9 @@ class RobotSession(IgnoringListener):
             recordings=config.recordings,
             robot=robot.name,
         )
+        self.guided_calibration = GuidedCalibration(config.data_dir / "calibrations", events, shared.make_recorder)
         events.on_line = self.current_navigation.on_log
-        listeners = LinkListeners(self.current_navigation, self.current_place, self)
+        listeners = LinkListeners(self.current_navigation, self.current_place, self.guided_calibration, self)
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
         self.driving = Driving(
             self.link.commands,
@@ -123,7 +127,7 @@ class RobotSession(IgnoringListener):
 
     async def close(self) -> None:
         """Close the navigation being recorded, and end the workers."""
-        closing = (self.current_navigation.close(), self.current_place.close())
+        closing = (self.current_navigation.close(), self.current_place.close(), self.guided_calibration.close())
         # One that fails must not keep the other open.
         for end in await asyncio.gather(*closing, return_exceptions=True):
             if isinstance(end, BaseException):
@@ -230,6 +234,15 @@ class RobotSession(IgnoringListener):
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
 
+    async def start_calibration(self, kind: SessionKind, board: Target | PrintedBoard) -> CalibrationSession:
+        """Look at a calibration board and record. Raises NoRobot, NotCapable, Conflict, DataError."""
+        state = self.link.state
+        if not state.connected or state.hello is None:
+            raise NoRobot("no robot is connected; there is nothing to calibrate")
+        if self.current_navigation.is_busy:
+            raise Conflict("a navigation is being recorded; stop it first")
+        return await self.guided_calibration.start(state.hello, kind, board)
+
     async def start_navigation(self, name: str) -> NavigationRecord:
         """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
         state = self.link.state
@@ -237,6 +250,8 @@ class RobotSession(IgnoringListener):
             raise NoRobot("no robot is connected; there is nothing to record")
         if not state.hello.capabilities.camera:
             raise NotCapable("this robot has no camera; SLAM needs one")
+        if self.guided_calibration.is_busy:
+            raise Conflict("the robot is being calibrated; finish that, or give it up")
         if not self.driving.head_is_centred:
             raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you record")
         return await self.current_navigation.start(state.hello, name)

@@ -65,14 +65,18 @@ class Jobs(Generic[ProgramT]):
         work: Callable[[JobWorker[ProgramT]], Awaitable[dict[str, Any]]],
     ) -> Job:
         """Run `work` with a fresh worker. Raises Conflict when enough jobs run."""
-        if len(self._running) >= MAX_RUNNING_JOBS:
-            raise Conflict(f"{MAX_RUNNING_JOBS} jobs run already; wait for one or cancel it with DELETE /jobs/{{id}}")
+        self.require_room()
         self._count += 1
         job = Job(id=f"job-{self._count}", kind=kind, title=title)
         worker = Worker(job.id, self._program, on_event=lambda progress: self._advance(job.id, progress))
         self._store(job)
         self._running[job.id] = (asyncio.create_task(self._run(job.id, worker, work), name=job.id), worker)
         return job
+
+    def require_room(self) -> None:
+        """Raises Conflict when enough jobs run."""
+        if len(self._running) >= MAX_RUNNING_JOBS:
+            raise Conflict(f"{MAX_RUNNING_JOBS} jobs run already; wait for one or cancel it with DELETE /jobs/{{id}}")
 
     async def cancel(self, job_id: str) -> Job:
         """End a running job. Raises Unknown; Conflict for one that was over before it could be cancelled."""

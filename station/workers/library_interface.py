@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from shared.calibration import CameraCalibration
+from station.calibration.target import Target, TargetKind
 from station.model.map_store import StoreAddress
 from station.model.navigation import NavigationReport
 from station.places.making.config import PlacesMode
+from station.workers.calibration_interface import PaperSize
 from station.workers.request import Program, ProgramName
 
 
@@ -56,6 +59,16 @@ class LibraryProgram(Program, ABC):
         self, recording: Path, backend: str, seed: int, navigation_id: str, folder: Path, executor: str = ""
     ) -> NavigationReport:
         """A recording -> its navigation folder, by running SLAM over it again."""
+
+    @abstractmethod
+    def calibrate_camera(
+        self, folder: Path, times_ns: list[int], target: Target, told: CameraCalibration
+    ) -> dict[str, Any]:
+        """The camera, from these pictures of the folder's recording; result and plot are written there."""
+
+    @abstractmethod
+    def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
+        """A target to print that fills a page, as PDF."""
 
 
 LIBRARY: ProgramName[LibraryProgram, Progress] = ProgramName("station.workers.library_jobs", "LibraryJobs")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from shared.calibration import CameraCalibration
 from shared.errors import DataError
+from station.calibration.guided import estimate_camera, store_result
+from station.calibration.target import Target, TargetKind
 from station.datasets import open_dataset
 from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
 from station.files.unwritable import cannot_write, why_unwritable
@@ -25,6 +29,7 @@ from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from station.workers.calibration_interface import RECORDING, RESIDUALS, RESULT, PaperSize
 from station.workers.executors.opening import open_executor
 from station.workers.library_interface import BuiltMap, LibraryProgram, Progress
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
@@ -105,6 +110,19 @@ class LibraryJobs(LibraryProgram):
         write_experiment(done, out)
         return results_dict(done)
 
+    def calibrate_camera(
+        self, folder: Path, times_ns: list[int], target: Target, told: CameraCalibration
+    ) -> dict[str, Any]:
+        def progress(share: float, text: str) -> None:
+            self._emit(Progress(share, text))
+
+        result = estimate_camera(folder / RECORDING, times_ns, target, told, folder / RESIDUALS, progress)
+        store_result(result, folder / RESULT)
+        return result
+
+    def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
+        return _pdf(kind, size)
+
     def reprocess(
         self, recording: Path, backend: str, seed: int, navigation_id: str, folder: Path, executor: str = ""
     ) -> NavigationReport:
@@ -138,6 +156,16 @@ class LibraryJobs(LibraryProgram):
         self._emit(Progress(0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report
+
+
+def _pdf(kind: TargetKind, size: PaperSize) -> bytes:
+    # Drawing loads matplotlib.
+    from station.calibration.target_page import page_target, write_page
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "target.pdf"
+        write_page(page_target(kind, size), size, path)
+        return path.read_bytes()
 
 
 def _count(number: int, word: str) -> str:

@@ -10,11 +10,12 @@ import contextlib
 import gc
 import importlib
 
+from station.workers.calibration_interface import WATCHER
 from station.workers.library_interface import LIBRARY
 from station.workers.place_interface import PLACES
 from station.workers.slam_interface import SLAM
 
-PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module)
+PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module, WATCHER.module)
 BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
 MAIN = ("shared.command_line",)  # and with it Typer: multiprocessing imports station.main in every child
 

@@ -11,8 +11,11 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import ConfigError
 from station.api.schema.base import Model, Number, Question
 from station.api.schema.robot import CalibrationFitModel, calibration_fit_model
-from station.errors import NoRobot, OutOfRange
+from station.calibration.target import Target
+from station.errors import Conflict, NoRobot, OutOfRange
+from station.robots.guided_calibration import CalibrationSession
 from station.robots.session import RobotSession
+from station.workers.calibration_interface import RECORDING, BoardSeen, PaperSize, PrintedBoard
 
 Four = Annotated[list[Number], Field(min_length=4, max_length=4)]
 Pose = Annotated[list[Four], Field(min_length=4, max_length=4)]
@@ -81,13 +84,99 @@ class CalibrationOrder(Question):
 
     camera: CameraOrder | None = None
     imu: ImuOrder | None = None
+    session: str | None = Field(default=None, max_length=100, description="the result of this guided calibration")
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
         parts = [part for part in (self.camera, self.imu) if part is not None]
-        if not any(value is not None for part in parts for _, value in part):
-            raise ValueError("give at least one number of the camera or the IMU")
+        has_numbers = any(value is not None for part in parts for _, value in part)
+        if has_numbers == (self.session is not None):
+            raise ValueError("give at least one number of the camera or the IMU, or else a session")
         return self
+
+
+class TargetOrder(Question):
+    """The board that is shown: one that was printed here, or another one with its numbers."""
+
+    kind: Literal["aprilgrid", "charuco", "chessboard"] = "aprilgrid"
+    size: PaperSize | None = Field(default=None, description="of the paper it was printed on; else give the numbers")
+    columns: int | None = Field(default=None, ge=2, le=50, description="tags, or inner corners")
+    rows: int | None = Field(default=None, ge=2, le=50)
+    square_m: float | None = Field(default=None, ge=1e-3, le=2.0, description="side of a tag or square, measured")
+    gap_m: float = Field(default=0.0, ge=0.0, le=2.0, description="between the tags of an AprilGrid")
+    marker_m: float = Field(default=0.0, ge=0.0, le=2.0, description="side of a ChArUco board's markers")
+
+    @model_validator(mode="after")
+    def _is_one_board(self) -> Self:
+        numbers = (self.columns, self.rows, self.square_m)
+        if (None in numbers) == (self.size is None):
+            raise ValueError("give the size of the paper, or columns, rows and square_m of another board")
+        return self
+
+
+class SessionOrder(Question):
+    kind: Literal["camera"] = "camera"
+    target: TargetOrder = Field(examples=[{"kind": "aprilgrid", "size": "A4"}])
+
+
+class MeterModel(Model):
+    """One quantity, and how well the views so far tell it."""
+
+    name: str
+    value: float
+    sigma: float = Field(description="one standard deviation")
+    wanted: float = Field(description="the sigma that is good enough")
+    unit: str
+
+
+class BoardSeenModel(Model):
+    """What one picture shows of the board, and what to do next."""
+
+    t_robot_ns: int
+    corners_px: list[list[float]]
+    instruction: str = Field(examples=["tilt it: its left edge nearer; move it to the lower edge of the picture"])
+    is_taken: bool = Field(description="this view counts")
+    num_views: int = Field(description="that count")
+    cells: list[float] = Field(description="how full each of the 3x3 cells of the picture is, 0..1, by rows")
+    poses: dict[str, float] = Field(description="how many of the wanted views of each pose there are, 0..1")
+    meter: list[MeterModel]
+    is_enough: bool
+
+
+class RejectedImage(Model):
+    image: str
+    reason: str
+
+
+class CameraResult(Model):
+    """What the estimate came to."""
+
+    model: Lens | None = Field(description="null, as the numbers: there was too little to estimate anything")
+    resolution: list[int]
+    intrinsics: list[float] | None
+    distortion: list[float] | None
+    rms_px: float | None
+    sigma: dict[str, float]
+    images_used: int
+    images_rejected: list[RejectedImage]
+    coverage: float
+    line_delay_s: float | None
+    accepted: bool
+    reasons: list[str]
+
+
+class CalibrationSessionModel(Model):
+    """A guided calibration, as far as it is."""
+
+    id: str
+    kind: Literal["camera"]
+    state: Literal["looking", "estimating", "done", "failed"]
+    message: str = Field(description="why it failed, in a sentence")
+    resolution: list[int] = Field(description="of the robot's pictures: width, height")
+    seen: BoardSeenModel | None = Field(description="the newest picture that was looked at")
+    job: str = Field(description="that estimates; empty: not yet")
+    result: CameraResult | None
+    recording: str = Field(description="the path of what was recorded")
 
 
 def calibration_model(robot: RobotSession) -> CalibrationModel:
@@ -105,6 +194,54 @@ def calibration_model(robot: RobotSession) -> CalibrationModel:
         fixed=robot.why_calibration_fixed,
         fit=None if fit is None else calibration_fit_model(fit),
     )
+
+
+def session_model(session: CalibrationSession) -> CalibrationSessionModel:
+    seen, told = session.seen, session.told
+    return CalibrationSessionModel.of(
+        session,
+        resolution=[told.width, told.height],
+        seen=None if seen is None else _seen_model(seen),
+        result=None if session.result is None else CameraResult.model_validate(session.result),
+        recording=f"/calibration/sessions/{session.id}/{RECORDING}",
+    )
+
+
+def _seen_model(seen: BoardSeen) -> BoardSeenModel:
+    return BoardSeenModel.of(
+        seen,
+        corners_px=[list(corner) for corner in seen.corners_px],
+        cells=list(seen.cells),
+        meter=[MeterModel.of(reading) for reading in seen.meter],
+    )
+
+
+def ordered_board(order: TargetOrder) -> Target | PrintedBoard:
+    """Raises OutOfRange: no such board."""
+    if order.size is not None:
+        return PrintedBoard(order.kind, order.size)
+    try:
+        assert order.columns is not None and order.rows is not None and order.square_m is not None
+        return Target(order.kind, order.columns, order.rows, order.square_m, gap_m=order.gap_m, marker_m=order.marker_m)
+    except ConfigError as exc:
+        raise OutOfRange(str(exc)) from exc
+
+
+def order_of_result(session: CalibrationSession) -> CalibrationOrder:
+    """Raises Conflict: there is no result that may be used."""
+    if session.result is None:
+        raise Conflict(f"this calibration has no result ({session.message or session.state})")
+    result = CameraResult.model_validate(session.result)
+    if not result.accepted:
+        raise Conflict(f"this result is not good enough: {'; '.join(result.reasons)}")
+    camera = CameraOrder(
+        model=result.model,
+        resolution=result.resolution,
+        intrinsics=result.intrinsics,
+        distortion=result.distortion,
+        line_delay_s=result.line_delay_s,
+    )
+    return CalibrationOrder(camera=camera)
 
 
 def _camera_model(camera: CameraCalibration) -> CameraModel:

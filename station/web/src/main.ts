@@ -1,4 +1,5 @@
 // The page: parts that show, one event stream that tells them.
+import { CalibrateDialog } from "./calibrate/dialog";
 import { DriveControl } from "./drive/control";
 import { VideoView } from "./drive/video";
 import { Library } from "./library/library";
@@ -26,6 +27,7 @@ const library = new Library({
 const health = new HealthView(library);
 const log = new EventLog();
 const places = new PlaceView();
+const calibrate = new CalibrateDialog(video.canvas);
 const map = makeMap();
 
 /** Without WebGL everything but the 3D view works. */
@@ -50,6 +52,7 @@ function take(message: EventMessage): void {
       drive.showDriver(message.robot.driver);
       health.showRobot(message.robot);
       library.setConnected(message.robot.connected);
+      show(by("calibrate"), Boolean(message.robot.capabilities?.camera));
       show(by("hijack"), Boolean(message.robot.connected && message.robot.capabilities?.hijack));
       break;
     case "driver":
@@ -74,10 +77,14 @@ function take(message: EventMessage): void {
       break;
     case "job":
       library.updateJob(message.job);
+      calibrate.showJob(message.job);
       break;
     case "place":
       places.show(message.place, message.visit);
       map?.showPlace(message.place);
+      break;
+    case "calibration":
+      calibrate.show(message.session);
       break;
     case "bin":
       attempt(() => library.reloadBin());

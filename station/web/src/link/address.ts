@@ -4,7 +4,7 @@ import type { RobotEntry } from "./messages";
 const named = new URLSearchParams(location.search).get("robot");
 // The calls that concern one robot (OF_ROBOT in station/api/roles.py).
 const OF_ROBOT =
-  /^\/(robot(\/hijack|\/pair)?|stop|drive(\/.*)?|pan-tilt|ws\/(drive|camera|events)|camera\/.*|log|pose|trajectory|landmarks|place\/.*)(\?.*)?$/;
+  /^\/(robot(\/hijack|\/pair)?|stop|drive(\/.*)?|pan-tilt|ws\/(drive|camera|events)|camera\/.*|calibration(\/(?!target\.pdf).*)?|log|pose|trajectory|landmarks|place\/.*)(\?.*)?$/;
 
 let shown = named;
 

@@ -31,6 +31,23 @@ export interface BinModel {
   gone_unix_s: number;
 }
 
+/** What one picture shows of the board, and what to do next. */
+export interface BoardSeenModel {
+  t_robot_ns: number;
+  corners_px: number[][];
+  instruction: string;
+  /** this view counts */
+  is_taken: boolean;
+  /** that count */
+  num_views: number;
+  /** how full each of the 3x3 cells of the picture is, 0..1, by rows */
+  cells: number[];
+  /** how many of the wanted views of each pose there are, 0..1 */
+  poses: Record<string, number>;
+  meter: MeterModel[];
+  is_enough: boolean;
+}
+
 /** What a drive says of the camera's calibration, with one standard deviation each. */
 export interface CalibrationFitModel {
   verdict: "fits" | "does not fit" | "not known yet";
@@ -45,6 +62,101 @@ export interface CalibrationFitModel {
   /** to be added to the calibration's */
   time_shift_s: number;
   time_shift_sigma_s: number;
+}
+
+/** The guided calibration, a few times a second while a board is looked at; null: there is none. */
+export interface CalibrationMessage {
+  type: "calibration";
+  session: CalibrationSessionModel | null;
+}
+
+/** What the robot tells of its sensors now, where that comes from, and whether it fits what was driven. */
+export interface CalibrationModel {
+  camera: CameraModel | null;
+  imu: ImuModel | null;
+  rig: "wheels" | "hand-held" | "unknown";
+  /** where the robot has it from */
+  source: string;
+  /** the one before it is kept: POST /calibration/undo */
+  can_undo: boolean;
+  /** why the robot takes no other one, in a sentence; empty: it does */
+  fixed: string;
+  /** of the last navigation with this calibration; null: none yet */
+  fit: CalibrationFitModel | null;
+}
+
+/** In the fields and units that a calibration's result has. */
+export interface CalibrationOrder {
+  camera: CameraOrder | null;
+  imu: ImuOrder | null;
+  /** the result of this guided calibration */
+  session: string | null;
+}
+
+/** A guided calibration, as far as it is. */
+export interface CalibrationSessionModel {
+  id: string;
+  kind: "camera";
+  state: "looking" | "estimating" | "done" | "failed";
+  /** why it failed, in a sentence */
+  message: string;
+  /** of the robot's pictures: width, height */
+  resolution: number[];
+  /** the newest picture that was looked at */
+  seen: BoardSeenModel | null;
+  /** that estimates; empty: not yet */
+  job: string;
+  result: CameraResult | null;
+  /** the path of what was recorded */
+  recording: string;
+}
+
+/** The centre of the first pixel is (0, 0). */
+export interface CameraModel {
+  model: "radtan" | "equidistant";
+  /** width, height */
+  resolution: number[];
+  /** fx, fy, cx, cy in px */
+  intrinsics: number[];
+  /** radtan: k1 k2 p1 p2; equidistant: k1 k2 k3 k4 */
+  distortion: number[];
+  /** 4x4, camera to body (= IMU) coordinates, m */
+  T_body_cam: number[][];
+  /** t_imu = t_cam + time_shift_s */
+  time_shift_s: number;
+  /** row v is exposed line_delay_s * v after row 0; 0: all at once */
+  line_delay_s: number;
+  /** false: another robot's numbers, for want of its own */
+  is_measured: boolean;
+}
+
+/** What is left out stays as the robot tells it now. */
+export interface CameraOrder {
+  model: "radtan" | "equidistant" | null;
+  resolution: number[] | null;
+  /** fx, fy, cx, cy in px */
+  intrinsics: number[] | null;
+  distortion: number[] | null;
+  T_body_cam: number[][] | null;
+  time_shift_s: number | null;
+  line_delay_s: number | null;
+}
+
+/** What the estimate came to. */
+export interface CameraResult {
+  /** null, as the numbers: there was too little to estimate anything */
+  model: "radtan" | "equidistant" | null;
+  resolution: number[];
+  intrinsics: number[] | null;
+  distortion: number[] | null;
+  rms_px: number | null;
+  sigma: Record<string, number>;
+  images_used: number;
+  images_rejected: RejectedImage[];
+  coverage: number;
+  line_delay_s: number | null;
+  accepted: boolean;
+  reasons: string[];
 }
 
 export interface CapabilitiesModel {
@@ -220,6 +332,23 @@ export interface HijackOrder {
   yaw: number;
 }
 
+/** Continuous-time noise, in SI units as kalibr has it. */
+export interface ImuModel {
+  gyro_noise_density: number;
+  gyro_random_walk: number;
+  accel_noise_density: number;
+  accel_random_walk: number;
+  rate_hz: number;
+}
+
+/** What is left out stays as the robot tells it now. */
+export interface ImuOrder {
+  gyro_noise_density: number | null;
+  gyro_random_walk: number | null;
+  accel_noise_density: number | null;
+  accel_random_walk: number | null;
+}
+
 export interface JobMessage {
   type: "job";
   job: JobModel;
@@ -304,6 +433,17 @@ export interface MapOrder {
   mode: "default" | "thesis" | null;
   /** use the map as soon as it is built */
   activate: boolean;
+}
+
+/** One quantity, and how well the views so far tell it. */
+export interface MeterModel {
+  name: string;
+  value: number;
+  /** one standard deviation */
+  sigma: number;
+  /** the sigma that is good enough */
+  wanted: number;
+  unit: string;
 }
 
 /** A navigation changed; null: one was deleted. */
@@ -452,6 +592,11 @@ export interface RatesModel {
   bytes_per_s: number;
 }
 
+export interface RejectedImage {
+  image: string;
+  reason: string;
+}
+
 export interface ReleaseCommand {
   type: "release";
 }
@@ -544,6 +689,11 @@ export interface SessionModel {
   role: "watch" | "drive" | "admin";
 }
 
+export interface SessionOrder {
+  kind: "camera";
+  target: TargetOrder;
+}
+
 /** The running SLAM, or the last one. */
 export interface SlamModel {
   navigation: string | null;
@@ -574,6 +724,22 @@ export interface StopModel {
 
 export interface TakeOverCommand {
   type: "take_over";
+}
+
+/** The board that is shown: one that was printed here, or another one with its numbers. */
+export interface TargetOrder {
+  kind: "aprilgrid" | "charuco" | "chessboard";
+  /** of the paper it was printed on; else give the numbers */
+  size: "A4" | "A3" | "Letter" | null;
+  /** tags, or inner corners */
+  columns: number | null;
+  rows: number | null;
+  /** side of a tag or square, measured */
+  square_m: number | null;
+  /** between the tags of an AprilGrid */
+  gap_m: number;
+  /** side of a ChArUco board's markers */
+  marker_m: number;
 }
 
 /** The station's clock, twenty times a second. A drive command that repeats it shows by it that it is not old. */
@@ -617,6 +783,7 @@ export type EventMessage =
   | JobMessage
   | PlaceMessage
   | BinMessage
+  | CalibrationMessage
   | LogMessage;
 
 export type DriveRequest =

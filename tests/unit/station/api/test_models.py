@@ -17,7 +17,7 @@ from shared.messages import Capabilities, DriveApplied
 from shared.token_book import TokenRecord
 from station.api.access import TokenModel
 from station.api.schema.base import Model
-from station.api.schema.calibration import CameraModel
+from station.api.schema.calibration import BoardSeenModel, CalibrationSessionModel, CameraModel, MeterModel
 from station.api.schema.comparisons import ComparisonModel
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import BinModel, NavigationModel
@@ -40,15 +40,19 @@ from station.library.place_changes import PlacesChange
 from station.model.calibration_fit import CalibrationFit
 from station.model.place_map import Place, PlaceEdge
 from station.places.making.graph import Route
+from station.robots.guided_calibration import CalibrationSession
 from station.robots.link_state import LinkState
 from station.robots.network import NetworkState
 from station.robots.visits import Visit
+from station.workers.calibration_interface import BoardSeen, MeterReading
 from station.workers.jobs import Job
 
 MADE_OF: dict[type[Model], type] = {
     AppliedModel: DriveApplied,
     BinModel: BinEntry,
+    BoardSeenModel: BoardSeen,
     CalibrationFitModel: CalibrationFit,
+    CalibrationSessionModel: CalibrationSession,
     CameraModel: CameraCalibration,
     CapabilitiesModel: Capabilities,
     ClockModel: LinkState,
@@ -57,6 +61,7 @@ MADE_OF: dict[type[Model], type] = {
     JobModel: Job,
     LogModel: LogLine,
     LossesModel: LinkState,
+    MeterModel: MeterReading,
     NetworkModel: NetworkState,
     NavigationModel: NavigationRecord,
     PlaceModel: Place,

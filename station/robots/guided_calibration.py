@@ -1,0 +1,199 @@
+"""A guided calibration: pictures are recorded, a worker looks for the board in them and says what to show next."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from shared.calibration import CameraCalibration
+from shared.disk import make_folder
+from shared.errors import DataError, RobotSystemError
+from shared.messages import CameraFrame, Hello
+from station.calibration.target import Target
+from station.errors import Conflict, NotCapable, Unknown
+from station.events import Latest, Notifier
+from station.library.dated_id import free_dated_id
+from station.model.frames import ImageFrame
+from station.robots.link_events import LinkListeners
+from station.robots.navigation_files import MakeRecorder, NavigationRecorder
+from station.workers.calibration_interface import RECORDING, WATCHER, BoardSeen, CalibrationProgram, PrintedBoard
+from station.workers.worker import Worker
+
+logger = logging.getLogger(__name__)
+
+LOOK_EVERY_S = 0.2
+OTHER_RUN = "the robot was started anew, or another one was connected; begin again"
+SessionKind = Literal["camera"]
+SessionState = Literal["looking", "estimating", "done", "failed"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationSession:
+    """One guided calibration, as far as it is."""
+
+    id: str
+    kind: SessionKind
+    target: Target
+    folder: Path
+    told: CameraCalibration  # what the robot told when it began
+    state: SessionState = "looking"
+    message: str = ""  # why it failed, in a sentence
+    seen: BoardSeen | None = None  # the newest picture that was looked at
+    job: str = ""  # that estimates
+    result: dict[str, Any] | None = None  # what the estimate came to
+
+
+class GuidedCalibration(LinkListeners):
+    """The newest session of one robot. What the link delivers is recorded while the board is looked at."""
+
+    def __init__(self, root: Path, events: Notifier, make_recorder: MakeRecorder) -> None:
+        super().__init__()
+        self._root = root
+        self._events = events
+        self._make_recorder = make_recorder
+        self._run = ""  # the robot's, that is recorded
+        self._recorder: NavigationRecorder | None = None
+        self._worker: Worker[CalibrationProgram, None] | None = None
+        self._frames: Latest[CameraFrame] = Latest()
+        self._looking: asyncio.Task[None] | None = None
+        self._changing = asyncio.Lock()
+        self.session: CalibrationSession | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """The board is looked at, and what the robot sends is recorded."""
+        return self.session is not None and self.session.state == "looking"
+
+    def get(self, session_id: str) -> CalibrationSession:
+        """Raises Unknown."""
+        if self.session is None or self.session.id != session_id:
+            raise Unknown(f"there is no calibration session {session_id!r}; GET /calibration/sessions lists it")
+        return self.session
+
+    async def start(self, hello: Hello, kind: SessionKind, board: Target | PrintedBoard) -> CalibrationSession:
+        """Begin to look and record; an earlier session is over. Raises Conflict, NotCapable, DataError."""
+        told = hello.calibration.camera
+        if told is None or not hello.capabilities.camera:
+            raise NotCapable("this robot has no camera to calibrate")
+        async with self._changing:
+            if self.session is not None and self.session.state in ("looking", "estimating"):
+                raise Conflict("a calibration is going on; finish it, or give it up")
+            await self._end()
+            self._worker = worker = Worker("calibration", WATCHER, on_death=self._fail)
+            await worker.start()
+            target = await worker.call(CalibrationProgram.begin, board, told)
+            session_id, folder = await asyncio.to_thread(self._make_folder)
+            self._recorder = await asyncio.to_thread(self._make_recorder, folder / RECORDING)
+            if self._recorder is not None:
+                self._recorder.on_connected(hello)
+                self.listeners = (self._recorder,)
+            self._run = hello.session_id
+            self._set(CalibrationSession(session_id, kind, target, folder, told))
+            self._looking = asyncio.create_task(self._look_on(worker), name=f"calibration {session_id}")
+        self._events.notify("calibration", "the camera is being calibrated; show it the board")
+        return self.get(session_id)
+
+    async def stop_looking(self, session_id: str) -> tuple[CalibrationSession, list[int]]:
+        """End the recording; returns the times (robot clock, ns) of the pictures that count.
+
+        Raises Unknown; Conflict when it looks no longer.
+        """
+        async with self._changing:
+            session = self.get(session_id)
+            if session.state != "looking" or self._worker is None:
+                raise Conflict(f"this calibration is over ({session.state}); begin a new one")
+            times = await self._worker.call(CalibrationProgram.taken)
+            self._set(replace(session, state="estimating"))
+            await self._end()
+            return self.get(session_id), times
+
+    async def give_up(self, session_id: str) -> None:
+        """Forget it and what was recorded. Raises Unknown; Conflict while it is estimated (cancel its job first)."""
+        async with self._changing:
+            session = self.get(session_id)
+            if session.state == "estimating":
+                raise Conflict(f"the estimate is being made; cancel it with DELETE /jobs/{session.job}")
+            await self._end()
+            await asyncio.to_thread(shutil.rmtree, session.folder, True)
+            self.session = None
+            self._events.changed("calibration")
+
+    def change(self, session_id: str, change: Callable[[CalibrationSession], CalibrationSession]) -> None:
+        """A new state of this session, if it is still the newest."""
+        if self.session is not None and self.session.id == session_id:
+            self._set(change(self.session))
+
+    async def close(self) -> None:
+        await self._end()
+
+    # What the link delivers, beside the recorder
+
+    def on_connected(self, hello: Hello) -> None:
+        if self.is_busy and hello.session_id != self._run:
+            self._fail(OTHER_RUN)
+        super().on_connected(hello)
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        super().on_frame(frame, t_station_ns)
+        if self.is_busy:
+            self._frames.put(frame)
+
+    def _fail(self, why: str) -> None:
+        if self.session is not None and self.session.state == "looking":
+            self._set(replace(self.session, state="failed", message=why))
+            self._events.notify("calibration", why, "error")
+            self.listeners = ()
+
+    def _set(self, session: CalibrationSession) -> None:
+        self.session = session
+        self._events.changed("calibration")
+
+    async def _look_on(self, worker: Worker[CalibrationProgram, None]) -> None:
+        """The newest picture, a few times a second."""
+        count = 0
+        while True:
+            frame = await self._frames.get()
+            begun_s, count = time.monotonic(), count + 1
+            image = ImageFrame(count, frame.t_robot_ns, frame.exposure_ns, frame.jpeg)
+            try:
+                seen = await worker.call(CalibrationProgram.look, image)
+            except DataError as exc:
+                logger.warning("%s", exc)
+                continue
+            except RobotSystemError as exc:
+                self._fail(str(exc))
+                return
+            if self.is_busy and self.session is not None:
+                self._set(replace(self.session, seen=seen))
+            await asyncio.sleep(max(0.0, LOOK_EVERY_S - (time.monotonic() - begun_s)))
+
+    async def _end(self) -> None:
+        """Nothing is looked at or recorded any more."""
+        self.listeners = ()
+        looking, self._looking = self._looking, None
+        if looking is not None:
+            looking.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await looking
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            await worker.close()
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            await asyncio.to_thread(recorder.close)
+
+    def _make_folder(self) -> tuple[str, Path]:
+        session_id = free_dated_id("cal", lambda name: (self._root / name).exists())
+        folder = self._root / session_id
+        try:
+            make_folder(folder)
+        except OSError as exc:
+            raise DataError(f"{folder} cannot be made ({exc.strerror}); give a folder that can be written") from exc
+        return session_id, folder

@@ -1,0 +1,128 @@
+// What the dialog of the guided calibration is made of.
+import { toRobot } from "../link/address";
+import type {
+  BoardSeenModel,
+  CalibrationModel,
+  CalibrationSessionModel,
+  CameraResult,
+  MeterModel,
+} from "../link/messages";
+import { make, present } from "../ui/dom";
+import { count } from "../ui/text";
+
+type Content = Node | string;
+
+const POSES: [string, string][] = [
+  ["flat", "flat"],
+  ["near", "near"],
+  ["far", "far"],
+  ["left", "left edge"],
+  ["right", "right edge"],
+  ["upper", "upper edge"],
+  ["lower", "lower edge"],
+];
+const NUMBERS = ["fx", "fy", "cx", "cy"];
+
+export const link = (path: string, text: string, name = ""): HTMLAnchorElement =>
+  make("a", { class: "small", href: toRobot(path), ...(name ? { download: name } : { target: "_blank" }) }, text);
+
+const fixed = (value: number | null | undefined, digits: number): string => value?.toFixed(digits) ?? "?";
+
+/** How full something is, as a bar with its name. */
+function bar(text: string, share: number, note = ""): HTMLElement {
+  const value = String(Math.min(1, share));
+  return make(
+    "li",
+    { class: share >= 1 ? "full" : "" },
+    make("span", {}, text),
+    make("progress", { max: "1", value, "aria-label": text }),
+    make("span", { class: "note" }, note),
+  );
+}
+
+/** How well each quantity is known. The bar is full when its error is as small as it should be. */
+function meterNote(reading: MeterModel): string {
+  const digits = reading.unit ? 1 : 3;
+  const unit = reading.unit ? ` ${reading.unit}` : "";
+  return `${reading.value.toFixed(digits)} ± ${reading.sigma.toFixed(digits)}${unit}`;
+}
+
+/** Which views there are, and how well they tell each quantity. */
+export function progressOf(seen: BoardSeenModel | null): Content[] {
+  if (!seen) return [];
+  return [
+    make(
+      "ul",
+      { class: "bars", "aria-label": "Views" },
+      ...POSES.map(([name, text]) => bar(text, seen.poses[name] ?? 0)),
+    ),
+    make(
+      "ul",
+      { class: "bars meter", "aria-label": "How well it is known" },
+      ...(seen.meter.length
+        ? seen.meter.map((reading) => bar(reading.name, reading.wanted / reading.sigma, meterNote(reading)))
+        : [make("li", { class: "note" }, "How well the numbers are known shows after six views.")]),
+    ),
+  ];
+}
+
+/** What the robot tells now. */
+export function presentOf(told: CalibrationModel): Content[] {
+  const camera = told.camera;
+  const focal = camera
+    ? `${camera.intrinsics
+        .slice(0, 2)
+        .map((f) => f.toFixed(1))
+        .join(", ")} px`
+    : "no camera";
+  return present(
+    make("p", { class: "note" }, `The robot tells ${told.source}: focal length ${focal}.`),
+    told.fit && make("p", { class: "note" }, `Of the last drive: ${told.fit.sentence}.`),
+    told.fixed && make("p", { class: "note bad" }, told.fixed),
+  );
+}
+
+/** What the estimate came to, with what it is told by. */
+export function resultOf(session: CalibrationSessionModel, result: CameraResult): Content[] {
+  const values = result.intrinsics;
+  const rejected = result.images_rejected;
+  const residuals = toRobot(`/calibration/sessions/${session.id}/residuals.png`);
+  return present(
+    make(
+      "p",
+      { class: result.accepted ? "verdict good" : "verdict bad", role: "status" },
+      result.accepted ? "This calibration is good." : "This calibration is not good enough.",
+    ),
+    result.reasons.length > 0 && make("ul", { class: "reasons" }, ...result.reasons.map((r) => make("li", {}, r))),
+    values &&
+      make(
+        "dl",
+        { class: "health numbers" },
+        ...NUMBERS.flatMap((name, i) => [
+          make("dt", {}, name),
+          make("dd", {}, `${fixed(values[i], 2)} ± ${fixed(result.sigma[name], 2)} px`),
+        ]),
+        make("dt", {}, "lens"),
+        make("dd", {}, `${result.model ?? ""} ${(result.distortion ?? []).map((d) => d.toFixed(4)).join(", ")}`),
+        make("dt", {}, "left over"),
+        make("dd", {}, `${fixed(result.rms_px, 2)} px rms, ${count(result.images_used, "picture")} used`),
+      ),
+    values &&
+      make(
+        "a",
+        { href: residuals, target: "_blank" },
+        make("img", {
+          class: "residuals",
+          src: residuals,
+          alt: "What is left over of each corner, and where in the picture corners were seen",
+        }),
+      ),
+    rejected.length > 0 &&
+      make(
+        "details",
+        {},
+        make("summary", {}, `${count(rejected.length, "picture")} not used`),
+        make("ul", { class: "note" }, ...rejected.map((one) => make("li", {}, `${one.image}: ${one.reason}`))),
+      ),
+  );
+}

@@ -1,0 +1,69 @@
+"""What the worker that watches a calibration board can be asked; it sends what it saw of each picture."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal
+
+from shared.calibration import CameraCalibration
+from station.calibration.target import Target, TargetKind
+from station.model.frames import ImageFrame
+from station.workers.request import Program, ProgramName
+
+# In the folder of a session:
+RECORDING, RESULT, RESIDUALS = "recording.mcap", "result.json", "residuals.png"
+PaperSize = Literal["A4", "A3", "Letter"]
+
+
+@dataclass(frozen=True, slots=True)
+class MeterReading:
+    """One quantity, and how well the views so far tell it."""
+
+    name: str
+    value: float
+    sigma: float
+    wanted: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSeen:
+    """What one picture shows of the board, and what to do next."""
+
+    t_robot_ns: int
+    corners_px: tuple[tuple[float, float], ...]
+    instruction: str
+    is_taken: bool  # this view counts
+    num_views: int
+    cells: tuple[float, ...]  # how full each of the 3x3 cells of the picture is, 0..1, by rows
+    poses: dict[str, float]
+    meter: tuple[MeterReading, ...]
+    is_enough: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedBoard:
+    """A board that fills a page of paper, as this station prints it."""
+
+    kind: TargetKind
+    size: PaperSize
+
+
+class CalibrationProgram(Program, ABC):
+    """Looks for the board in pictures and chooses those that count."""
+
+    @abstractmethod
+    def begin(self, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
+        """The first request of all; returns the board with its numbers. `camera` as the robot tells it."""
+
+    @abstractmethod
+    def look(self, frame: ImageFrame) -> BoardSeen:
+        """What this picture shows. Raises DataError for one that cannot be decoded."""
+
+    @abstractmethod
+    def taken(self) -> list[int]:
+        """The times (robot clock, ns) of the pictures that count."""
+
+
+WATCHER: ProgramName[CalibrationProgram, None] = ProgramName("station.workers.calibration", "BoardWatcher")

@@ -1,0 +1,44 @@
+"""The guided calibration on the page, from the board to print to what the robot tells afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.async_api import Browser, expect
+
+from tests.e2e.conftest import PHONE, Room
+from tests.support.board_bench import BUILT, TOLD, before_a_board
+from tests.support.station import Film
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
+
+
+async def test_a_camera_is_calibrated_on_a_phone_used_and_undone(browser: Browser, tmp_path: Path) -> None:
+    async with before_a_board(tmp_path) as (desk, bench, showing):
+        room = Room(desk, bench, Film(bench), browser)  # the film is not shown
+        page = await room.open(**PHONE)
+        await page.locator("#calibrate").click()
+        dialog = page.locator("#calibrate-dialog")
+        await expect(dialog).to_contain_text(f"focal length {TOLD.fx:.1f}")
+        assert await dialog.get_by_role("link", name="Board to print").get_attribute("href") == (
+            "/calibration/target.pdf?kind=aprilgrid&size=A4"
+        )
+        await dialog.get_by_role("button", name="Begin").click()
+        finish = dialog.get_by_role("button", name="Finish")
+        await expect(finish).to_be_disabled()
+        [session] = (await desk.http.get("/calibration/sessions")).json()
+        await showing.show_all(desk, session["id"])
+        await expect(dialog.get_by_role("list", name="How well it is known")).to_contain_text("focal length")
+        await expect(finish).to_be_enabled()
+        width = await page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        assert width <= 0, "the page is wider than the phone"
+        await finish.click()
+        await expect(dialog).to_contain_text("This calibration is good", timeout=300_000)
+        await dialog.get_by_role("button", name="Use it").click()
+        await expect(dialog).to_contain_text("The robot tells these numbers now")
+        told = (await desk.http.get("/calibration")).json()["camera"]["intrinsics"]
+        assert told[0] == pytest.approx(BUILT.fx, rel=0.01)
+        await dialog.get_by_role("button", name="Undo").click()
+        await expect(dialog.get_by_role("button", name="Use it")).to_be_visible()
+        assert (await desk.http.get("/calibration")).json()["camera"]["intrinsics"][0] == TOLD.fx

@@ -1,0 +1,74 @@
+"""The guided calibration over HTTP: a made-up camera sees a printed board, is calibrated, and the robot tells it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from station.datasets import open_dataset
+from tests.support.board_bench import BUILT, HELD, TOLD, before_a_board
+from tests.support.station import running_station
+from tests.support.station_at_work import is_problem, wait_for
+
+pytestmark = pytest.mark.timeout(600)
+ORDER = {"kind": "camera", "target": {"kind": "aprilgrid", "size": "A4"}}
+
+
+async def test_a_robot_that_tells_another_camera_is_calibrated_and_tells_its_own(tmp_path: Path) -> None:
+    async with before_a_board(tmp_path) as (desk, _, showing):
+        http = desk.http
+        session = (await http.post("/calibration/sessions", json=ORDER)).json()
+        path = f"/calibration/sessions/{session['id']}"
+        assert is_problem(await http.post("/navigations"), 409)  # one thing at a time
+        assert is_problem(await http.post("/calibration/sessions", json=ORDER), 409)
+        await showing.show_all(desk, session["id"])
+        seen = (await http.get(path)).json()["seen"]
+        assert seen["num_views"] >= 12 and seen["instruction"] and len(seen["cells"]) == 9
+        assert {reading["name"] for reading in seen["meter"]} == {"focal length", "centre", "distortion"}
+        assert len(seen["corners_px"]) >= 40
+        assert is_problem(await http.post("/calibration/use", json={"session": session["id"]}), 409)
+        job = (await http.post(f"{path}/finish")).json()
+        done = await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["state"] != "running")
+        assert done["state"] == "done", done["message"]
+        result = (await http.get(path)).json()["result"]
+        assert result["accepted"], result["reasons"]
+        fx, fy, cx, cy = result["intrinsics"]
+        assert (fx, fy) == pytest.approx((BUILT.fx, BUILT.fy), rel=0.01)
+        assert (cx, cy) == pytest.approx((BUILT.cx, BUILT.cy), abs=4.0)
+        assert (await http.get(f"{path}/residuals.png")).content.startswith(b"\x89PNG")
+        recording = await http.get(f"{path}/recording.mcap")
+        (tmp_path / "again.mcap").write_bytes(recording.content)
+        data = open_dataset(tmp_path / "again.mcap")  # an ordinary recording, of both sensors
+        assert len(data.frame_times_ns) > len(HELD) and data.calibration.imu is not None
+        told = (await http.post("/calibration/use", json={"session": session["id"]})).json()
+        assert told["camera"]["intrinsics"] == result["intrinsics"] and told["can_undo"]
+        assert told["camera"]["time_shift_s"] == TOLD.time_shift_s  # of which it says nothing
+        undone = (await http.post("/calibration/undo")).json()
+        assert undone["camera"]["intrinsics"][0] == TOLD.fx
+
+
+async def test_one_view_is_refused_and_what_is_given_up_is_gone(tmp_path: Path) -> None:
+    async with before_a_board(tmp_path) as (desk, _, _):
+        http = desk.http
+        session = (await http.post("/calibration/sessions", json=ORDER)).json()
+        path = f"/calibration/sessions/{session['id']}"
+        await wait_for(desk, path, lambda s: s["seen"] is not None and s["seen"]["num_views"] == 1)
+        job = (await http.post(f"{path}/finish")).json()
+        await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["state"] != "running")
+        over = (await http.get(path)).json()
+        assert over["state"] == "done" and not over["result"]["accepted"] and "too few" in over["result"]["reasons"][0]
+        refused = await http.post("/calibration/use", json={"session": session["id"]})
+        assert is_problem(refused, 409) and "too few" in refused.json()["detail"]
+        assert (await http.delete(path)).status_code == 204
+        assert is_problem(await http.get(path), 404) and not any((tmp_path / "calibrations").iterdir())
+        wrong = {"kind": "camera", "target": {"kind": "chessboard", "columns": 7, "rows": 1, "square_m": 0.02}}
+        assert is_problem(await http.post("/calibration/sessions", json=wrong), 422)
+        assert (await http.post("/navigations")).status_code == 201
+
+
+async def test_the_board_is_printed_from_the_page(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        page = await desk.http.get("/calibration/target.pdf?kind=charuco&size=Letter")
+        assert page.headers["content-type"] == "application/pdf" and page.content.startswith(b"%PDF")
+        assert is_problem(await desk.http.get("/calibration/target.pdf?size=A9"), 422)
