@@ -58,6 +58,11 @@ SUITE = (
     Benchmark(
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
+    Benchmark(
+        "mono", SLAM, "bench_mono",
+        f"--points 0-19 --rendered 0-9 --recorded {DATA}/euroc_v1_01_flight {DATA}/redkitchen:0-198",
+        "--points 0 --rendered 0 --seconds 2", data=f"{DATA}/redkitchen",
+    ),
     Benchmark("calibration_fit", SLAM, "bench_calibration_fit", "--flats 1-8", "--flats 1 --told focal=1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
