@@ -59,6 +59,11 @@ SUITE = (
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
     Benchmark("calibrate_wheels", SLAM, "bench_calibrate_wheels", "--seeds 0-19", "--seeds 0"),
+    Benchmark(
+        "mono", SLAM, "bench_mono",
+        f"--points 0-19 --rendered 0-9 --recorded {DATA}/euroc_v1_01_flight {DATA}/redkitchen:0-198",
+        "--points 0 --rendered 0 --seconds 2", data=f"{DATA}/redkitchen",
+    ),
     Benchmark("calibration_fit", SLAM, "bench_calibration_fit", "--flats 1-8", "--flats 1 --told focal=1"),
     Benchmark(
         "calibrate_camera", SLAM, "bench_calibrate_camera", f"--data {DATA} --halves 20", f"--data {DATA} --halves 1",
