@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 LEASE_NS = 1_000_000_000  # who has not commanded for so long gives the wheel away
 SETTLING_NS = 50_000_000  # a held-up burst is read at once; what comes so much later shows how late the burst was
 PAUSE_NS = 20_000_000  # a line through the quickest arrivals is not that wrong; a clock that stood still is
-About = Literal["hijack"] | msgspec.UnsetType  # which question a notice answers
+About = Literal["hijack", "calibration"] | msgspec.UnsetType  # which question a notice answers
 
 
 class CommandOrder:

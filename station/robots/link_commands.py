@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 
+from shared.calibration import Calibration
 from shared.errors import LocalProtocolError
 from shared.messages import (
     MAX_DRIVE_TTL_MS,
@@ -20,12 +21,26 @@ from shared.messages import (
     Received,
     StationMessage,
     Stop,
+    UndoCalibration,
+    UseCalibration,
 )
 from station.errors import NoRobot
 
 ANSWER_WITHIN_S = 2.0
+WRITTEN_WITHIN_S = 10.0  # a file, onto a slow card
 # Little is about to be sent at a time, and the most urgent first.
-SENDING_ORDER: tuple[type[StationMessage], ...] = (Prove, Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
+SENDING_ORDER: tuple[type[StationMessage], ...] = (
+    Prove,
+    Join,
+    Stop,
+    Hijack,
+    Drive,
+    PanTilt,
+    Heartbeat,
+    Received,
+    UseCalibration,
+    UndoCalibration,
+)
 
 
 class DueMessages:
@@ -71,6 +86,7 @@ class LinkCommands:
         self._answer_seq = 0  # of the heartbeat behind the question
         self._stop_seq: int | None = None  # of a stop that the robot has not confirmed; 0: not sent either
         self._stop_is_confirmed = asyncio.Event()
+        self._calibrated: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for another calibration
 
     def restart_count(self) -> None:
         """A connection was made; the robot counts anew for each."""
@@ -175,23 +191,42 @@ class LinkCommands:
             if self._answer is answer:
                 self._answer = None
 
+    async def use_calibration(self, calibration: Calibration | None) -> ErrorNotice | None:
+        """Let the robot tell this calibration, or (None) the one before its present one; one question at a time.
+
+        Returns why the robot refused, or None when it tells it now. Raises NoRobot when it said neither.
+        """
+        question = UndoCalibration() if calibration is None else UseCalibration(calibration=calibration)
+        if not self._put(question, self._is_connected):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self._calibrated = answer = asyncio.get_running_loop().create_future()
+        try:
+            async with asyncio.timeout(WRITTEN_WITHIN_S):
+                return await answer
+        except TimeoutError as exc:
+            raise NoRobot("the robot did not answer; GET /calibration says which calibration it tells") from exc
+        finally:
+            self._calibrated = None
+
+    def receive_calibration(self) -> None:
+        """The robot tells another calibration."""
+        _resolve(self._calibrated, None)
+
     def beat(self) -> None:
         self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
 
     def receive_beat(self, seq: int) -> None:
         """The robot answered this heartbeat, and refused nothing before it."""
         if seq >= self._answer_seq:
-            self._resolve(None)
+            _resolve(self._answer, None)
         if self._stop_seq and seq > self._stop_seq:
             self.forget_stop()
 
     def receive_notice(self, notice: ErrorNotice) -> None:
         if notice.about == "hijack":
-            self._resolve(notice)
-
-    def _resolve(self, refusal: ErrorNotice | None) -> None:
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_result(refusal)
+            _resolve(self._answer, notice)
+        elif notice.about == "calibration":
+            _resolve(self._calibrated, notice)
 
     def _put(self, message: StationMessage, is_possible: bool = True) -> bool:
         if is_possible:
@@ -201,3 +236,8 @@ class LinkCommands:
     def _count(self) -> int:
         self._seq += 1
         return self._seq
+
+
+def _resolve(answer: asyncio.Future[ErrorNotice | None] | None, refusal: ErrorNotice | None) -> None:
+    if answer is not None and not answer.done():
+        answer.set_result(refusal)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from shared.calibration import Calibration
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
 from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
@@ -79,6 +80,7 @@ class RobotSession(IgnoringListener):
         self._logged_stops: set[tuple[str, str]] = set()  # who and why, since it moved last
         self._warnings = Repetition(MAX_WARNINGS)
         self._hijacking = asyncio.Lock()
+        self._calibrating = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.current_place = CurrentPlace(
             shared.store,
@@ -200,6 +202,34 @@ class RobotSession(IgnoringListener):
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
         self.events.notify("hijack", HIJACK_NOTICE, "warning")
 
+    @property
+    def why_calibration_fixed(self) -> str:
+        """Why the robot takes no other calibration, in a sentence; empty when it does."""
+        hello = self.link.state.hello
+        if hello is None:
+            return "no robot is connected"
+        if hello.calibration_origin is None:
+            return "this robot takes no calibration from a station; update sentinel-robot on it"
+        return hello.calibration_origin.fixed
+
+    async def use_calibration(self, calibration: Calibration | None) -> None:
+        """Let the robot tell this calibration from now on, or (None) the one before its present one.
+
+        Raises NoRobot, NotCapable for an older robot, Conflict while a navigation is recorded or with the robot's own
+        words, OutOfRange where these say what is wrong with it.
+        """
+        hello = self.link.state.hello
+        if hello is None:
+            raise NoRobot("no robot is connected")
+        if hello.calibration_origin is None:
+            raise NotCapable(self.why_calibration_fixed)
+        if self.current_navigation.is_busy:
+            raise Conflict("a navigation is being recorded with the present calibration; stop it first")
+        async with self._calibrating:
+            refusal = await self.link.commands.use_calibration(calibration)
+        if refusal is not None:
+            raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
+
     async def start_navigation(self, name: str) -> NavigationRecord:
         """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
         state = self.link.state
@@ -231,6 +261,11 @@ class RobotSession(IgnoringListener):
         self.events.notify("link", f"connected to {hello.name}")
         if self.link.commands.awaits_stop:
             self.events.notify("link", "the STOP that the robot had not confirmed was sent to it again", "warning")
+        self.events.changed("robot")
+
+    def on_calibration(self, hello: Hello) -> None:
+        told = "" if hello.calibration_origin is None else f": {hello.calibration_origin.source}"
+        self.events.notify("calibration", f"{hello.name} tells another calibration{told}")
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:

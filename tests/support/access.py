@@ -22,6 +22,7 @@ from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.listening import bind
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationChanged,
     DriveApplied,
     ErrorNotice,
     Hello,
@@ -145,7 +146,7 @@ class Talk:
 
     async def hear(self) -> Message | None:
         """The next message that is not a report; None: the robot closed."""
-        return await self._hear(Hello, Welcome, Refusal, ErrorNotice, PairReply, Paired)
+        return await self._hear(Hello, Welcome, Refusal, CalibrationChanged, ErrorNotice, PairReply, Paired)
 
     async def hear_report(self) -> Message | None:
         """The next report of what the motors do, or the last word; None: the robot closed."""

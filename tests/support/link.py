@@ -217,6 +217,7 @@ class Notes:
 
     def __init__(self) -> None:
         self.hellos: list[Hello] = []
+        self.calibrations: list[Hello] = []  # hellos with another calibration than at the connection
         self.reasons: list[str] = []
         self.frames: list[tuple[CameraFrame, int]] = []
         self.batches: list[ImuBatch] = []
@@ -231,6 +232,9 @@ class Notes:
 
     def on_connected(self, hello: Hello) -> None:
         self.hellos.append(hello)
+
+    def on_calibration(self, hello: Hello) -> None:
+        self.calibrations.append(hello)
 
     def on_disconnected(self, reason: str) -> None:
         self.reasons.append(reason)
