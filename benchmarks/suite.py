@@ -27,6 +27,7 @@ SUITE = (
     Benchmark("link", LINK, "bench_link", "--minutes 10 --stall-minutes 2", "--minutes 0.1 --stall-minutes 0.2"),
     Benchmark("disconnects", LINK, "bench_disconnects", "--disconnects 10000", "--disconnects 20 --links 2 --pages 1"),
     Benchmark("access", LINK, "bench_access", "--frames 600", "--frames 20"),
+    Benchmark("strangers", LINK, "bench_strangers", "--seconds 30", "--seconds 1"),
     Benchmark("robot_cpu", LINK, "bench_robot_cpu", "--seconds 20", "--seconds 2"),
     Benchmark("robot_wheels", LINK, "check_robot_wheels", "", None),
     Benchmark("fuzz", LINK, "bench_fuzz", "--inputs 1000000", "--inputs 2000"),

@@ -63,6 +63,10 @@ class _Line:
     def at(self, t_station_ns: float) -> float:
         return self.difference_ns + self.slope * (t_station_ns - self.t_ns)
 
+    def distances(self, seen: FloatArray) -> FloatArray:
+        """(n,) ns of differences above the line; `seen` are (n, 2) times and differences, ns."""
+        return np.asarray(seen[:, 1] - self.difference_ns - self.slope * (seen[:, 0] - self.t_ns))
+
     def excludes(self, most: Seen | None, least: Seen | None) -> bool:
         """Whether a message came before its own sending, wherever in the corridor the truth is."""
         is_below = most is not None and most[1] < self.at(most[0]) - self.half_width_ns - LEAST_SIGMA_NS
@@ -166,7 +170,7 @@ class LinkClock:
         if line is None or newest.most is None or newest.least is None:
             return False
         before = list(self._stretches)[:-2]  # in the one between it may have jumped
-        above, below = (side[:, 1] - line.at(side[:, 0]) for side in _sides(before))
+        above, below = (line.distances(side) for side in _sides(before))
         if min(len(above), len(below)) < USUAL_STRETCHES:
             return False
         usual_ns = UNUSUAL * (LEAST_SIGMA_NS + max(above.mean() - above.min(), below.max() - below.mean()))
