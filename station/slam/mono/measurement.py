@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, IntArray
 from station.slam.mono.motion import ATTITUDE, POSE, POSITION
 from station.slam.mono.quaternion import CONJUGATE, rotate, rotate_by_q, rotation
 from station.vision.lens import BoolArray, Lens
@@ -85,7 +85,7 @@ class Predicted:
     by_ray: FloatArray  # (N, 2, 3) derivative by the direction in the world
     extra: FloatArray  # (N, 2, 2) px^2 of variance that derivatives miss, see State.with_product_moments
 
-    def of(self, rows: FloatArray | BoolArray) -> Predicted:
+    def of(self, rows: IntArray | BoolArray) -> Predicted:
         return Predicted(
             self.uv_px[rows],
             self.in_view[rows],

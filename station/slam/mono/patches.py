@@ -122,7 +122,7 @@ class PatchFinder:
         if left > right or top > bottom:
             return None
         region = self._grey[top - self._half : bottom + self._half + 1, left - self._half : right + self._half + 1]
-        score = np.asarray(cv2.matchTemplate(region, template, cv2.TM_CCOEFF_NORMED))
+        score = np.asarray(cv2.matchTemplate(region, template, cv2.TM_CCOEFF_NORMED), dtype=np.float64)
         du = np.arange(left, right + 1) - uv[0]
         dv = np.arange(top, bottom + 1)[:, None] - uv[1]
         chi2 = inverse_S[0, 0] * du * du + 2.0 * inverse_S[0, 1] * du * dv + inverse_S[1, 1] * dv * dv
