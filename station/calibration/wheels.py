@@ -23,7 +23,7 @@ from station.calibration.boards import make_finder, view_board
 from station.calibration.target import Target
 from station.datasets.dataset import Dataset
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from station.motion.drive_commands import REST_AFTER_S, commands_motion
+from station.motion.drive_commands import MIN_COMMAND, REST_AFTER_S, commands_motion
 from station.vision.camera_pose import solve_pose
 from station.vision.lens import Lens
 
@@ -52,6 +52,16 @@ class Move:
     command_rad_s: float
     went_m: float | None  # forward, as the board tells; None where it was not seen before and after
     turned_rad: float  # to the left, as the gyroscope tells
+
+    @property
+    def is_drive(self) -> bool:
+        """Straight on or back, far enough to compare."""
+        return abs(self.linear_m) > LEAST_WAY_M and self.command_rad_s < MIN_COMMAND
+
+    @property
+    def is_turn(self) -> bool:
+        """On the spot, far enough to compare."""
+        return abs(self.angular_rad) > LEAST_TURN_RAD and self.command_m_s < MIN_COMMAND
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +104,8 @@ def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None]
         return Wheels(None, None, None, None, (), ("The robot never stands still: pause two seconds between moves.",))
     poses = _board_poses(data.read_frames(), camera, target, rests, on_frame)
     moves = _moves(data.drive, data.imu, rests, poses)
-    speed = fit_factor(
-        [(m.linear_m, m.went_m) for m in moves if m.went_m is not None and abs(m.linear_m) > LEAST_WAY_M]
-    )
-    turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if abs(m.angular_rad) > LEAST_TURN_RAD])
+    speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive])
+    turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if m.is_turn])
     lag, lag_sigma = (None, None) if turn is None else _fit_lag(data.drive, data.imu, rests, turn.value)
     return Wheels(speed, turn, lag, lag_sigma, moves, tuple(_reasons(moves, poses, speed, turn)))
 
@@ -278,8 +286,7 @@ def _reasons(
 ) -> list[str]:
     """What speaks against using it, each with what to do."""
     reasons = []
-    drives = [m for m in moves if abs(m.linear_m) > LEAST_WAY_M]
-    if len(drives) < LEAST_MOVES:
+    if sum(m.is_drive for m in moves) < LEAST_MOVES:
         reasons.append("There are hardly any straight drives: drive to and fro before the board at several speeds.")
     elif speed is None:
         shown = sum(pose is not None for pose in poses)

@@ -86,7 +86,7 @@ def _speeds(found: Wheels) -> list[dict[str, float]]:
     return [
         {"command_m_s": m.command_m_s, "factor": m.went_m / m.linear_m}
         for m in found.moves
-        if m.went_m is not None and abs(m.linear_m) > 0.0 and abs(m.angular_rad) < 1e-6
+        if m.went_m is not None and m.is_drive
     ]
 
 
@@ -97,6 +97,7 @@ def _sentences(answer: dict[str, Any], out: Path) -> list[str]:
     return [
         f"full speed {answer['full_speed_m_s']:.4f} m/s, sigma {sigma['full_speed_m_s']:.4f}",
         f"track {answer['track_m']:.4f} m, sigma {sigma['track_m']:.4f}",
-        f"slip in turns {100 * answer['slip']:.0f} %, motors answer within {2 * answer['lag_s']:.2f} s",
+        f"slip in turns {100 * answer['slip']:.0f} %",
+        *([] if answer["lag_s"] is None else [f"the motors answer {2 * answer['lag_s']:.2f} s late"]),
         f"written to {out}: put it into the robot's configuration",
     ]
