@@ -58,6 +58,7 @@ SUITE = (
     Benchmark(
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
+    Benchmark("calibrate_camera_imu", SLAM, "bench_calibrate_camera_imu", "--seeds 0-19", "--seeds 0 --no-poor"),
     Benchmark("calibration_fit", SLAM, "bench_calibration_fit", "--flats 1-8", "--flats 1 --told focal=1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
