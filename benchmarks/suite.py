@@ -65,6 +65,7 @@ SUITE = (
         f"--points 0-19 --rendered 0-9 --recorded {DATA}/euroc_v1_01_flight {DATA}/redkitchen:0-198",
         "--points 0 --rendered 0 --seconds 2", data=f"{DATA}/redkitchen",
     ),
+    Benchmark("calibrate_camera_imu", SLAM, "bench_calibrate_camera_imu", "--seeds 0-19", "--seeds 0 --no-poor"),
     Benchmark("calibration_fit", SLAM, "bench_calibration_fit", "--flats 1-8", "--flats 1 --told focal=1"),
     Benchmark(
         "calibrate_camera", SLAM, "bench_calibrate_camera", f"--data {DATA} --halves 20", f"--data {DATA} --halves 1",
