@@ -110,9 +110,8 @@ class Guide:
     def poses_of(self, view: BoardView) -> set[Pose]:
         """How the board is held in a view; several may be true."""
         xy = self._lens.unproject(view.corners_px)
-        found, rotation, translation = cv2.solvePnP(
-            self._corners[view.ids], xy, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE
-        )
+        # Not IPPE: OpenCV's is wrong by 40 degrees for a board whose z axis points straight at the camera.
+        found, rotation, translation = cv2.solvePnP(self._corners[view.ids], xy, np.eye(3), np.zeros(4))
         if not found:
             return set()
         R = cv2.Rodrigues(rotation)[0]

@@ -22,7 +22,7 @@ async def test_a_robot_that_tells_another_camera_is_calibrated_and_tells_its_own
         path = f"/calibration/sessions/{session['id']}"
         assert is_problem(await http.post("/navigations"), 409)  # one thing at a time
         assert is_problem(await http.post("/calibration/sessions", json=ORDER), 409)
-        await showing.show_all(desk, session["id"])
+        await showing.show_all(desk)
         seen = (await http.get(path)).json()["seen"]
         assert seen["num_views"] >= 12 and seen["instruction"] and len(seen["cells"]) == 9
         assert {reading["name"] for reading in seen["meter"]} == {"focal length", "centre", "distortion"}

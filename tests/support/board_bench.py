@@ -54,17 +54,22 @@ class Showing:
             self._bench.imu.inject_until(time.monotonic_ns())
             await asyncio.sleep(0.1)
 
-    async def show_all(self, desk: Desk, session: str) -> None:
-        """Each as it is held until it has been looked at twice, as a person does who waits for the page."""
+    async def show_all(self, desk: Desk) -> None:
+        """Each as it is held until it was looked at, as a person does who waits for the page."""
         for number in range(len(self._pictures)):
             self.number = number
-            t_shown_ns = time.monotonic_ns()
-            looks: set[int] = set()
-            while len(looks) < 3:
-                seen = (await desk.http.get(f"/calibration/sessions/{session}")).json()["seen"]
-                if seen is not None and seen["t_robot_ns"] > t_shown_ns:
-                    looks.add(seen["t_robot_ns"])
-                await asyncio.sleep(0.05)
+            await looked_at(desk, time.monotonic_ns())
+
+
+async def looked_at(desk: Desk, t_robot_ns: int) -> None:
+    """Until three pictures from this time on were looked at: one may be on its way, two show that it is still."""
+    looks: set[int] = set()
+    while len(looks) < 3:
+        [session] = (await desk.http.get("/calibration/sessions")).json()
+        seen = session["seen"]
+        if seen is not None and seen["t_robot_ns"] > t_robot_ns:
+            looks.add(seen["t_robot_ns"])
+        await asyncio.sleep(0.05)
 
 
 def _jpeg(image: Any) -> bytes:
