@@ -12,6 +12,10 @@ class LinkListener(Protocol):
 
     def on_connected(self, hello: Hello) -> None: ...
 
+    def on_calibration(self, hello: Hello) -> None:
+        """The robot tells another calibration from now on: its hello, with that."""
+        ...
+
     def on_disconnected(self, reason: str) -> None: ...
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
@@ -38,6 +42,8 @@ class IgnoringListener:
 
     def on_connected(self, hello: Hello) -> None: ...
 
+    def on_calibration(self, hello: Hello) -> None: ...
+
     def on_disconnected(self, reason: str) -> None: ...
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None: ...
@@ -62,6 +68,10 @@ class LinkListeners:
     def on_connected(self, hello: Hello) -> None:
         for listener in self.listeners:
             listener.on_connected(hello)
+
+    def on_calibration(self, hello: Hello) -> None:
+        for listener in self.listeners:
+            listener.on_calibration(hello)
 
     def on_disconnected(self, reason: str) -> None:
         for listener in self.listeners:
