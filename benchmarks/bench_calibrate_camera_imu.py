@@ -22,7 +22,8 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.bench_mapping import parse_seeds
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
-from robot.simulation.calibration.conduct import POOR, Kind
+from robot.simulation.calibration.conduct import POOR
+from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sessions import record_session
 from shared.geometry import FloatArray, so3_log
 from station.main import app
