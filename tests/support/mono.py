@@ -95,7 +95,8 @@ class PointFinder:
     def new_features(self, existing_px: FloatArray, count: int) -> FloatArray:
         known = list(self._point_of.values())
         free = self._rng.permutation(np.setdiff1d(np.flatnonzero(self._visible), known))
-        taken, kept = list(existing_px), []
+        taken = list(existing_px)
+        kept: list[int] = []
         for i in free.tolist():
             if len(kept) < count and all(np.abs(self._uv[i] - uv).max() > 20.0 for uv in taken):
                 kept.append(i)
