@@ -11,7 +11,7 @@ from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sessions import Session, record_session
 from shared.errors import DataError
 from station.calibration.target_file import read_target
-from station.calibration.wheels import Wheels, calibrate_wheels, find_rests, fit_factor, late
+from station.calibration.wheels import Move, Wheels, calibrate_wheels, find_rests, fit_factor, late
 from station.datasets import open_dataset
 from station.main import app
 from station.model.frames import DriveSample
@@ -117,3 +117,10 @@ def test_three_sigmas_of_few_moves_hold_as_often_as_they_say() -> None:
 
 def test_two_moves_are_too_few_to_contradict_each_other() -> None:
     assert fit_factor([(1.0, 0.9), (1.0, 0.9)]) is None
+
+
+def test_an_arc_is_neither_a_drive_nor_a_turn() -> None:
+    arc = Move(0, S, 1.0, 1.0, 0.3, 0.3, 0.9, 0.8)
+    assert not arc.is_drive and not arc.is_turn
+    assert Move(0, S, 1.0, 0.0, 0.3, 0.0, 0.9, 0.0).is_drive
+    assert Move(0, S, 0.0, 1.0, 0.0, 0.3, None, 0.8).is_turn
