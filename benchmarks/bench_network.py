@@ -71,6 +71,7 @@ class Observed:
     holds: list[Hold] = field(default_factory=list)
     told: list[Told] = field(default_factory=list)  # in order of time
     offsets_ms: list[float] = field(default_factory=list)
+    untold_ms: list[float] = field(default_factory=list)  # by so much the offset is farther off than is told
     drifts_ppm: list[float] = field(default_factory=list)
     round_trips_ms: list[float] = field(default_factory=list)
     imu_lost: int = 0
@@ -169,6 +170,8 @@ async def sample(client: StationClient, seen: Observed) -> None:
         clock = (await asyncio.to_thread(client.get, "/robot"))["clock"]
         if clock["offset_s"] is not None:
             seen.offsets_ms.append(clock["offset_s"] * 1e3)
+            if clock["bound_ms"] is not None:
+                seen.untold_ms.append(abs(clock["offset_s"] * 1e3) - clock["bound_ms"])
         if clock["drift_ppm"] is not None:
             seen.drifts_ppm.append(clock["drift_ppm"])
         if clock["rtt_ms"] is not None:
@@ -271,6 +274,10 @@ def present(values: Iterable[float | None]) -> list[float]:
 def clock_figures(seen: Observed) -> Iterator[Figure]:
     offsets, drifts = list(map(abs, seen.offsets_ms)), list(map(abs, seen.drifts_ppm))
     yield Figure("error of the clock offset, longest", percentile(offsets, 100), "ms", CLOCK_MS, of=len(offsets))
+    untold_ms = max(seen.untold_ms, default=0.0)
+    yield Figure(
+        "error of the clock offset beyond what is told", max(0.0, untold_ms), "ms", at_most=0, of=len(seen.untold_ms)
+    )
     yield Figure("error of the clock drift, largest", percentile(drifts, 100), "ppm", DRIFT_PPM, of=len(drifts))
     yield Figure("round trip as the station sees it, median", percentile(seen.round_trips_ms, 50), "ms")
     yield Figure("IMU samples lost", seen.imu_lost, at_most=0)

@@ -27,6 +27,7 @@ SUITE = (
     Benchmark("link", LINK, "bench_link", "--minutes 10 --stall-minutes 2", "--minutes 0.1 --stall-minutes 0.2"),
     Benchmark("disconnects", LINK, "bench_disconnects", "--disconnects 10000", "--disconnects 20 --links 2 --pages 1"),
     Benchmark("access", LINK, "bench_access", "--frames 600", "--frames 20"),
+    Benchmark("strangers", LINK, "bench_strangers", "--seconds 30", "--seconds 1"),
     Benchmark("robot_cpu", LINK, "bench_robot_cpu", "--seconds 20", "--seconds 2"),
     Benchmark("robot_wheels", LINK, "check_robot_wheels", "", None),
     Benchmark("fuzz", LINK, "bench_fuzz", "--inputs 1000000", "--inputs 2000"),
@@ -58,7 +59,19 @@ SUITE = (
     Benchmark(
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
+    Benchmark("calibrate_wheels", SLAM, "bench_calibrate_wheels", "--seeds 0-19", "--seeds 0"),
+    Benchmark(
+        "mono", SLAM, "bench_mono",
+        f"--points 0-19 --rendered 0-9 --recorded {DATA}/euroc_v1_01_flight {DATA}/redkitchen:0-198",
+        "--points 0 --rendered 0 --seconds 2", data=f"{DATA}/redkitchen",
+    ),
+    Benchmark("calibrate_camera_imu", SLAM, "bench_calibrate_camera_imu", "--seeds 0-19", "--seeds 0 --no-poor"),
     Benchmark("calibration_fit", SLAM, "bench_calibration_fit", "--flats 1-8", "--flats 1 --told focal=1"),
+    Benchmark(
+        "calibrate_camera", SLAM, "bench_calibrate_camera", f"--data {DATA} --halves 20", f"--data {DATA} --halves 1",
+        data=f"{DATA}/aprilgrid_euroc",
+    ),
+    Benchmark("calibrate_imu", SLAM, "bench_calibrate_imu", "--seeds 20", "--seeds 1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),

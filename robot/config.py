@@ -94,7 +94,7 @@ class PiConfig(Section, frozen=True, kw_only=True):
     motors: Literal["mega", "gpio", "none"] = "mega"  # where the DRV8833 is wired to
     pan_tilt: Literal["mega", "gpio", "none"] = "mega"
     battery: Literal["mega", "ina219", "none"] = "mega"
-    # Folder with camera.yaml of this robot, for as long as no calibration.yaml is kept; empty: the reference robot's.
+    # Folder with this robot's camera.yaml, imu.yaml, while no calibration.yaml is kept; empty: the reference robot's.
     calibration: str = ""
 
     width: Annotated[int, Meta(ge=64, le=4096)] = 640

@@ -18,7 +18,7 @@ LONGEST_INTERVAL_S = 0.5
 SPARE = 1.25  # as much more must fit before the pictures come more often: a rate that swings is not even
 # JPEG quality → bytes, relative to quality 80: medians of twelve pictures of the simulated home. At 20 a corner
 # is found within 0.1 px (median) of where it is in the camera's own picture, at 10 within 0.2 px.
-SIZE_AT = {80: 1.0, 65: 0.68, 50: 0.50, 40: 0.43, 30: 0.35, 25: 0.30, 20: 0.25}
+SIZE_AT = {80: 1.0, 65: 0.68, 50: 0.50, 40: 0.43, 30: 0.35, 25: 0.30, 20: 0.25, 15: 0.20, 10: 0.145}
 LEAST_QUALITY = min(SIZE_AT)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import statistics
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 
 KEPT_FRAMES = 15  # a second of pictures, or two
@@ -54,6 +55,7 @@ class LinkMeter:
         self._frames: deque[_Sent] = deque(maxlen=KEPT_UNDER_WAY)  # the pictures under way
         self._others: deque[_Sent] = deque(maxlen=KEPT_UNDER_WAY)  # and what else is
         self._trips_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
+        self._delays_ns: deque[int] = deque(maxlen=KEPT_TRIPS)  # the way there, by two clocks
         self._sent = self._confirmed = 0
         self._served: deque[tuple[int, int]] = deque(maxlen=KEPT_FRAMES)  # bytes and time of the last pictures
         self._frame_confirmed_ns = 0
@@ -67,6 +69,11 @@ class LinkMeter:
     @property
     def unconfirmed_bytes(self) -> int:
         return self._sent - self._confirmed
+
+    @property
+    def trip_ns(self) -> int:
+        """Of a few bytes, there and back; 0: not known."""
+        return _middle(self._trips_ns)
 
     def has_room(self, now_ns: int) -> bool:
         """Whether another picture would not wait behind one: at most one is on its way beyond what the link holds.
@@ -100,9 +107,15 @@ class LinkMeter:
         if self._frames:
             self.confirm(self._frames[0].end, 0, now_ns)
 
-    def confirm(self, num_bytes: int, held_ns: int, now_ns: int) -> None:
-        """The station has that many bytes of this connection, the last of them since `held_ns`."""
-        read_ns = now_ns - max(0, held_ns)
+    def confirm(self, num_bytes: int, held_ns: int, now_ns: int, t_station_ns: int = 0) -> None:
+        """The station has that many bytes of this connection, the last of them since `held_ns`.
+
+        Args:
+            t_station_ns: when it read these, by its own clock: how long this word of it took says nothing of the link's
+                rate. 0: not told.
+        """
+        trip_end_ns = now_ns - max(0, held_ns)
+        read_ns = t_station_ns or trip_end_ns
         self._confirmed = max(self._confirmed, min(num_bytes, self._sent))
         frames, others = _pop_confirmed(self._frames, num_bytes), _pop_confirmed(self._others, num_bytes)
         for sent in (*frames[-1:], *others[-1:]):
@@ -111,18 +124,19 @@ class LinkMeter:
             self._note_frame(frame, read_ns)
         if others and not (frames and frames[-1].end > others[-1].end):
             newest = others[-1]
-            trip_ns = max(0, read_ns - newest.t_ns)
+            trip_ns = max(0, trip_end_ns - newest.t_ns)
             # Behind a picture it may have waited; what was quick all the same was not held up.
-            if not newest.met_frame or not self._trips_ns or trip_ns < self._trip_ns():
+            if not newest.met_frame or not self._trips_ns or trip_ns < self.trip_ns:
                 self._trips_ns.append(trip_ns)
+                self._delays_ns.append(read_ns - newest.t_ns)
 
     def _note_frame(self, frame: _Sent, read_ns: int) -> None:
-        trip_ns = self._trip_ns()
-        begin_ns = max(frame.t_ns + trip_ns, self._frame_confirmed_ns)
+        # The middle delay: jitter belongs to it, or every picture would be blamed for it.
+        begin_ns = max(frame.t_ns + _middle(self._delays_ns), self._frame_confirmed_ns)
         self._frame_confirmed_ns = read_ns
         service_ns = min(max(read_ns - begin_ns, LEAST_SERVICE_NS), LONGEST_SERVICE_NS)
         self._served.append((frame.num_bytes, service_ns))
-        self.estimate = LinkEstimate(self._rate(), trip_ns, self._other_rate)
+        self.estimate = LinkEstimate(self._rate(), self.trip_ns, self._other_rate)
 
     def _rate(self) -> float:
         """Bytes a second, of the last pictures."""
@@ -130,15 +144,15 @@ class LinkMeter:
         overall = sum(num_bytes for num_bytes, _ in self._served) / sum(ns for _, ns in self._served)
         return min(middle, RECOVERED * overall) * 1e9
 
-    def _trip_ns(self) -> int:
-        """The middle one: jitter belongs to it, or every picture would be blamed for it."""
-        return round(statistics.median(self._trips_ns)) if self._trips_ns else 0
-
     def _measure_others(self, now_ns: int) -> None:
         if self._last_frame_ns is not None and now_ns > self._last_frame_ns:
             rate = self._other_bytes / (now_ns - self._last_frame_ns) * 1e9
             self._other_rate = 0.9 * self._other_rate + 0.1 * rate
         self._last_frame_ns, self._other_bytes = now_ns, 0
+
+
+def _middle(values_ns: Collection[int]) -> int:
+    return round(statistics.median(values_ns)) if values_ns else 0
 
 
 def _pop_confirmed(under_way: deque[_Sent], num_bytes: int) -> list[_Sent]:

@@ -98,7 +98,7 @@ class StationClient:
         self.imu.confirm(received.next_imu_sequence)
         num_frames = self.video.confirm(received.frame_seq)
         if received.num_bytes >= 0:
-            self.meter.confirm(received.num_bytes, received.held_ns, self.read_ns)
+            self.meter.confirm(received.num_bytes, received.held_ns, self.read_ns, received.t_station_ns)
         else:
             for _ in range(num_frames):
                 self.meter.confirm_frame(self.read_ns)

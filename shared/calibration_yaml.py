@@ -5,6 +5,7 @@ Its sections `camera` and `imu` have the keys of our `camera.yaml` and of EuRoC'
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import ConfigError, DataError
 from shared.sensor_yaml import number, read_camera, read_imu_noise, read_rig, read_yaml
 
+IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
 
 
@@ -57,6 +59,22 @@ def _imu_content(imu: ImuNoise) -> dict[str, float]:
         "gyroscope_range": float(imu.gyro_range),
         "accelerometer_range": float(imu.accel_range),
     }
+
+
+def imu_text(imu: ImuNoise) -> str:
+    """An `imu.yaml` as kalibr reads it, and `read_imu_noise`, so that it serves as a dataset's `imu0/sensor.yaml`."""
+    finite = {key: value for key, value in _imu_content(imu).items() if math.isfinite(value)}
+    content = {"rostopic": "/imu0", "update_rate": float(imu.rate_hz), **finite}
+    return IMU_HEAD + yaml.safe_dump(content, sort_keys=False)
+
+
+def read_imu(path: Path) -> ImuNoise:
+    """An `imu.yaml` of ours or kalibr's. Raises DataError, which names the file and the key."""
+    content = read_yaml(path)
+    try:
+        return read_imu_noise(path, content)
+    except ConfigError as exc:
+        raise DataError(f"{path}: {exc}") from exc
 
 
 def read_calibration(path: Path) -> Calibration:

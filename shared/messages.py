@@ -177,6 +177,7 @@ class Received(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="rec
     next_imu_sequence: NextSequence  # the first sample not yet received; -1: none yet
     num_bytes: NextSequence = -1  # of this connection, within TLS; -1: an older station, which does not count them
     held_ns: Count = 0  # since the last of them was read
+    t_station_ns: Time = 0  # when that was; 0: an older station, which does not say
 
 
 class CameraFrame(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="frame"):

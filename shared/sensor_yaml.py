@@ -169,7 +169,9 @@ def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) 
 
 
 def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
-    """Noise figures from an IMU's `sensor.yaml`."""
+    """Noise figures from an IMU's `sensor.yaml`, or from kalibr's `imu.yaml` (its results have a section `imu0`)."""
+    if isinstance(content.get("imu0"), dict):
+        content = content["imu0"]
 
     def density(key: str, default: float) -> float:
         if content.get(key) == np.inf:  # a range without limit, as the simulator writes for a given recording
@@ -182,7 +184,7 @@ def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
         accel_density=density("accelerometer_noise_density", CONSUMER_IMU["accel_density"]),
         gyro_walk=density("gyroscope_random_walk", CONSUMER_IMU["gyro_walk"]),
         accel_walk=density("accelerometer_random_walk", CONSUMER_IMU["accel_walk"]),
-        rate_hz=density("rate_hz", 200.0),
+        rate_hz=density("rate_hz", density("update_rate", 200.0)),
         gyro_range=density("gyroscope_range", np.inf),
         accel_range=density("accelerometer_range", np.inf),
     )

@@ -15,6 +15,7 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, quat_from_rotation
 
+START_NS = 1_000_000_000_000  # robot clock at the first sample; all stamps of a drive have equally many digits
 TRUTH = "state_groundtruth_estimate0"
 _COLUMNS = {
     "cam0": "#timestamp [ns],filename,exposure [ns]",

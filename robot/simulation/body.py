@@ -192,7 +192,7 @@ class Body:
             return linear, angular
         s = self._plane.s
         waves = math.sin(1.3 * s + self._slip_phase[0]) + math.sin(2.9 * s + self._slip_phase[1])
-        yaw_efficiency = self._yaw_efficiency * (1.0 + 0.08 * waves)
+        yaw_efficiency = self._yaw_efficiency * (1.0 + self._parameters.yaw_waves * waves)
         return linear * self._parameters.linear_efficiency, angular * yaw_efficiency
 
     def _slope(self, y: tuple[float, ...], targets: tuple[float, float]) -> tuple[float, ...]:

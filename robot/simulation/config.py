@@ -48,6 +48,7 @@ class BodyParameters(Section, frozen=True, kw_only=True):
     slip: bool = True
     yaw_efficiency: float = 0.33  # achieved / commanded yaw rate; 2.0 rad/s commanded gave 0.43-0.84 on a real one
     yaw_efficiency_spread: float = 0.07  # between drives and along a drive
+    yaw_waves: float = 0.08  # how much grip changes along the way, as a share: amplitude of each of two waves
     linear_efficiency: float = 0.96
     icr_offset_m: float = 0.02  # the turning centre lies this far behind the IMU
     wobble: bool = True  # roll, pitch and heave from an uneven floor

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import msgspec
 
-from robot.simulation.asl import AslWriter
+from robot.simulation.asl import START_NS, AslWriter
 from robot.simulation.body import TICK_RATE_HZ, Body
 from robot.simulation.config import SimulationConfig
 from robot.simulation.construction import built_camera
@@ -25,7 +25,6 @@ from shared.calibration import REFERENCE_ROBOT, Calibration
 COMMAND_EVERY_TICKS = 15  # 15 Hz, as over the network
 REST_S = 1.5  # stands still before and after the drive
 MAX_DRIVE_S = 600.0
-START_NS = 1_000_000_000_000  # robot clock at the first sample; all stamps of a drive have equally many digits
 
 
 @dataclass(frozen=True, slots=True)

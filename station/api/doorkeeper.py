@@ -58,7 +58,7 @@ class Doorkeeper:
             if isinstance(visitor, Visitor) and connection is not None:
                 connection.recognise(visitor)
         except RobotSystemError as exc:
-            await answer_to(asked, exc)(asked.scope, receive, send)
+            await answer_to(asked, exc)(asked.scope, receive, _last(send))
             return
         if isinstance(visitor, Visitor) and visitor.token_id:
             await self._serve(visitor, asked.scope, receive, send)
@@ -126,6 +126,17 @@ def _labelled(send: Send) -> Send:
         await send(message)
 
     return labelling
+
+
+def _last(send: Send) -> Send:
+    """The connection ends with this answer: who is refused may not ask on and on, which is cheap for them alone."""
+
+    async def ending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            MutableHeaders(scope=message)["Connection"] = "close"
+        await send(message)
+
+    return ending
 
 
 async def _say_goodbye(scope: Scope, sent: list[str], send: Send) -> None:

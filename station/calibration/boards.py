@@ -282,33 +282,56 @@ class _TagGrid:
 
 
 class ChessboardFinder:
-    """Plain chessboards that are seen whole. The first corner is the one whose inner square is black.
+    """Plain chessboards. The first corner is the one whose inner square is black.
 
-    That tells a turned board from an upright one where one of the counts of corners is odd and the other even.
+    That tells a turned board from an upright one where one of the counts of corners is odd and the other even. Of a
+    board that is seen in part, the part is placed at its beginning: where it really lies nobody can see, and only the
+    board's pose depends on it.
     """
+
+    LEAST_PART = (5, 4)  # corners in one direction and the other: noise makes smaller ones
 
     def __init__(self, target: Target) -> None:
         self.target = target
 
     def find(self, grey: ImageArray) -> Board | None:
         small, scale = smaller(grey)
-        corners = self._find_corners(small)
-        if corners is None:
+        whole = self._find_whole(small)
+        grid = self._find_part(small) if whole is None else self._upright(small, whole)
+        if grid is None:
             return None
-        grid = self._upright(small, corners.reshape(self.target.rows, self.target.columns, 2))
         spacing = scale * _spacing(grid)
         at = (grid.reshape(-1, 2) + 0.5) * scale - 0.5
         refined = refine(grey, at, 0.2 * spacing)
         stays = np.linalg.norm(refined - at, axis=1) < max(1.5, 0.15 * spacing)
-        return Board(np.flatnonzero(stays), refined[stays])
+        if whole is None and not stays.all():
+            return None
+        row, column = np.indices(grid.shape[:2]).reshape(2, -1)
+        return Board((row * self.target.columns + column)[stays], refined[stays], ids_are_sure=whole is not None)
 
-    def _find_corners(self, grey: ImageArray) -> FloatArray | None:
+    def _find_whole(self, grey: ImageArray) -> FloatArray | None:
+        """All corners (rows, columns, 2)."""
         size = (self.target.columns, self.target.rows)
         found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not found:  # it wants a wide white border, which the older search does without
             flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
             found, corners = cv2.findChessboardCorners(grey, size, flags=flags)
-        return np.asarray(corners, dtype=np.float64) if found else None
+        if not found:
+            return None
+        return np.asarray(corners, dtype=np.float64).reshape(self.target.rows, self.target.columns, 2)
+
+    def _find_part(self, grey: ImageArray) -> FloatArray | None:
+        """Corners (rows, columns, 2) of a part of the board; None where what is seen is no part of it."""
+        flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, self.LEAST_PART, flags)
+        if not found:
+            return None
+        rows, columns = np.shape(meta)[:2]
+        grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
+        if rows > self.target.rows or columns > self.target.columns:
+            grid = np.rot90(grid)  # a quarter turn, which unlike a transposition is no mirror image
+        fits = grid.shape[0] <= self.target.rows and grid.shape[1] <= self.target.columns
+        return grid if fits else None
 
     def _upright(self, grey: ImageArray, grid: FloatArray) -> FloatArray:
         """The grid (rows, columns, 2), turned half round if its first inner square is white."""

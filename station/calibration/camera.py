@@ -132,9 +132,9 @@ def calibrate_camera(
 
 
 def fits_better(trials: Sequence[LensTrial]) -> bool:
-    """Whether the radial-tangential model does not fit, and the equidistant one does."""
+    """Whether the radial-tangential model does not fit: it leaves twice as much as the equidistant one."""
     radtan, equidistant = (next(t for t in trials if t.lens == name) for name in ("radtan", "equidistant"))
-    return radtan.left_out > 0.1 and equidistant.validation_px < 0.7 * radtan.validation_px
+    return radtan.rms_px > 2.0 * equidistant.rms_px
 
 
 def best_lens(trials: Sequence[LensTrial]) -> LensTrial:

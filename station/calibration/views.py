@@ -21,6 +21,8 @@ MAX_IMAGES = 300  # of a long recording, that many evenly over it
 BLURRED_PX = 2.5  # sigma of edges in an image of up to 1000 px, from which on their places are doubtful
 MOVED = 2.5  # times the blur of the sharper images
 DARK = 30.0  # mean grey level
+LEAST_WHOLE = 3  # images with all of a chessboard, without which parts of one may be of another board
+NO_BOARD = "no board was found"
 EXAMPLES = 8  # images without a board that are looked at again to say why
 
 
@@ -77,7 +79,7 @@ class _Found:
         if view is not None:
             self._views.append((view, size))
             return
-        self._rejected.append(Rejected(name, "no board", "no board was found"))
+        self._rejected.append(Rejected(name, "no board", NO_BOARD))
         if len(self._missed) < EXAMPLES:
             self._missed.append(grey)
 
@@ -89,6 +91,9 @@ class _Found:
                     Rejected(view.name, "size", f"is {other[0]}x{other[1]}, most others are {size[0]}x{size[1]}")
                 )
         fitting = [view for view, other in self._views if other == size]
+        if sum(view.ids_are_sure for view in fitting) < LEAST_WHOLE:
+            self._rejected += [Rejected(v.name, "no board", NO_BOARD) for v in fitting if not v.ids_are_sure]
+            fitting = [view for view in fitting if view.ids_are_sure]
         sharp, blurred = _sharp(fitting, size)
         return Views(tuple(sharp), size, (*self._rejected, *blurred), self._count, tuple(self._missed))
 

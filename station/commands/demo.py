@@ -27,7 +27,9 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Which flat.")] = 1,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page and the API.")] = 8080,
     world: Annotated[str, typer.Option(help="Simulated world.")] = "small",
-    backend: Annotated[str | None, typer.Option(help="SLAM: auto, ukf or sfm; without it the station's own.")] = None,
+    backend: Annotated[
+        str | None, typer.Option(help="SLAM: auto, ukf, sfm or mono; without it the station's own.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results.json, logs and data.")] = Path("demo"),
 ) -> None:
     """Simulated robot, robot-server and station: map, hijack, drive again, and name the place."""

@@ -51,7 +51,9 @@ def experiment(
     euroc: Annotated[Path | None, typer.Option(help="EuRoC V1_02 folder: path and IMU of preset I.")] = None,
     backend: Annotated[
         str | None,
-        typer.Option("--backend", help="SLAM backend for datasets: auto, ukf, sfm; without it the preset's, else sfm."),
+        typer.Option(
+            "--backend", help="SLAM backend for datasets: auto, ukf, sfm, mono; without it the preset's, else sfm."
+        ),
     ] = None,
     mode: Annotated[
         Literal["thesis", "default"] | None,

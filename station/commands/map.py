@@ -55,7 +55,7 @@ def build(
     executor: Annotated[
         str, typer.Option(help="processes (of this machine) or dask://HOST:PORT of a Dask scheduler.")
     ] = "processes",
-    backend: Annotated[str, typer.Option(help="SLAM over recordings: auto, ukf, sfm.")] = "sfm",
+    backend: Annotated[str, typer.Option(help="SLAM over recordings: auto, ukf, sfm, mono.")] = "sfm",
     seed: Annotated[int, typer.Option(help="Seed of SLAM over recordings.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
 ) -> None:

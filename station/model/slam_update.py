@@ -26,4 +26,5 @@ class SlamUpdate:
     new_points_world: FloatArray | None = None  # (n, 3) landmarks finished since the last update, for the live view
     new_points_rgb: FloatArray | None = None  # (n, 3) 0..255
     segment: int = 0
+    scale: Literal["metric", "arbitrary"] = "metric"  # of poses and points
     calibration_fit: CalibrationFit | None = None  # what the drive so far says of it

@@ -283,7 +283,7 @@ class CurrentNavigation(LinkListeners):
             return
         if (recorder := self._recorder) is not None:
             recorder.on_slam(update)
-        if update.T_world_body is not None:
+        if update.T_world_body is not None and update.scale == "metric":  # places are measured in metres
             self._on_pose(update.t_robot_ns, update.T_world_body, update.segment)
         if update.calibration_fit is not None:
             self._on_fit(hello, update.calibration_fit)

@@ -2,58 +2,76 @@
 
 A message from the robot shows an offset that is too large by its delay, one to the robot an offset that is too small by
 its delay. So the truth lies in a corridor between the least of the former and the greatest of the latter, whose middle
-is right when the quickest messages of both directions took the same time. A link that is full widens the corridor on
-one side; each stretch of ten seconds therefore counts the less the wider its corridor is than the narrowest one.
-Source of the least delay per direction: Mills, RFC 5905, section 10 (clock filter), where it is one exchange's.
+is right when the quickest messages of both directions took the same time.
+
+The corridor's slope is the clocks' drift. Of each two seconds the quickest message counts, and by how much it took
+longer than the quickest of all is exponential, with another mean each way: a direction that a queue makes late has
+little weight. Sources: corridor: Duda, Harrus, Haddad, Bernard, "Estimating global time in distributed systems", ICDCS
+1987; exponential delays: Jeske, "On maximum-likelihood estimation of clock offset", IEEE Trans. Communications 53(1),
+2005; least delay of a window: Mills, RFC 5905, section 10 (clock filter).
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from shared.clock import MAX_CRYSTAL_DRIFT
+from shared.geometry import FloatArray
 from shared.messages import HeartbeatReply
 
-STRETCH_NS = 10_000_000_000  # long enough for some quick messages each way, short enough that no crystal drifts far
-KEPT_STRETCHES = 60  # ten minutes
-LEAST_SIGMA_NS = 200_000.0  # two event loops: no stretch is known better
-DRIFT_SIGMA = 50e-6  # of crystals of small computers, before anything is measured
-STEP_NS = 1_000_000_000  # so far outside the corridor: a clock was set, or one machine slept
+STRETCH_NS = 2_000_000_000  # long enough for some quick messages each way, short enough to see soon that a clock jumped
+KEPT_STRETCHES = 300  # ten minutes
+LEAST_SIGMA_NS = 200_000.0  # two event loops: nothing is known better
+DRIFT_SIGMA = 30e-6  # of two crystals of small computers, before anything is measured
+SLEWED = 1e-4  # of the time NTP slews one of the clocks, by whatever: minutes in weeks
+SLOPES = np.linspace(-MAX_CRYSTAL_DRIFT, MAX_CRYSTAL_DRIFT, 301)  # 4 ppm apart
+_CRYSTALS = (1 - SLEWED) * np.exp(-0.5 * (SLOPES / DRIFT_SIGMA) ** 2) / (math.sqrt(math.tau) * DRIFT_SIGMA)
+UNLIKELY = -np.log(_CRYSTALS + SLEWED / (2 * MAX_CRYSTAL_DRIFT))  # each slope, before anything is measured
+REFIT_NS = 500_000_000  # a fit costs a millisecond
+# So many stretches tell what is usual. Of n of them the quickest message is one n-th of the usual excess from the
+# quickest there can be; one that is quicker by this many times the excess is another clock's.
+USUAL_STRETCHES, UNUSUAL = 5, 1.5
+
+Seen = tuple[int, int]  # (t_station, t_station - t_robot) of a message, both in ns
 
 
 @dataclass(slots=True)
 class _Stretch:
-    """The corridor of ten seconds: differences `t_station - t_robot` and when they were seen, both in ns."""
+    """The corridor of two seconds."""
 
     begin_ns: int
-    most: tuple[int, int] | None = None  # (t_station, difference) of the quickest message from the robot
-    least: tuple[int, int] | None = None  # of the quickest one to it
-
-    def middle(self, slope: float) -> tuple[float, float, float] | None:
-        """(t_station, difference there, width of the corridor along `slope`); None while one side is missing."""
-        if self.most is None or self.least is None:
-            return None
-        width = self.most[1] - self.least[1] - slope * (self.most[0] - self.least[0])
-        return (self.most[0] + self.least[0]) / 2, (self.most[1] + self.least[1]) / 2, width
+    most: Seen | None = None  # of the quickest message from the robot
+    least: Seen | None = None  # of the quickest one to it
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """`t_station - t_robot = difference + slope * (station - t)`, all in ns; `bound` holds at `bound_t`."""
+    """`t_station - t_robot = difference + slope * (station - t)`, all in ns; `bound` holds at `t`."""
 
     t_ns: float
     difference_ns: float
     slope: float = 0.0
     slope_sigma: float = DRIFT_SIGMA
+    half_width_ns: float = math.inf  # of the corridor
     bound_ns: float = math.inf
-    bound_t_ns: float = 0.0
 
     def at(self, t_station_ns: float) -> float:
         return self.difference_ns + self.slope * (t_station_ns - self.t_ns)
+
+    def distances(self, seen: FloatArray) -> FloatArray:
+        """(n,) ns of differences above the line; `seen` are (n, 2) times and differences, ns."""
+        return np.asarray(seen[:, 1] - self.difference_ns - self.slope * (seen[:, 0] - self.t_ns))
+
+    def excludes(self, most: Seen | None, least: Seen | None) -> bool:
+        """Whether a message came before its own sending, wherever in the corridor the truth is."""
+        is_below = most is not None and most[1] < self.at(most[0]) - self.half_width_ns - LEAST_SIGMA_NS
+        is_above = least is not None and least[1] > self.at(least[0]) + self.half_width_ns + LEAST_SIGMA_NS
+        return is_below or is_above
 
 
 class LinkClock:
@@ -63,18 +81,18 @@ class LinkClock:
         self._stretches: deque[_Stretch] = deque(maxlen=KEPT_STRETCHES)
         self._epoch_ns = 0  # differences are kept relative to the first: products of whole stamps would lose digits
         self._line: _Line | None = None
+        self._fitted_ns = 0
         self.rtt_ns: int | None = None  # of the last heartbeat
 
     def add_reply(self, reply: HeartbeatReply, now_ns: int) -> None:
         inside_robot_ns = reply.t_robot_sent_ns - reply.t_robot_received_ns
         self.rtt_ns = now_ns - reply.t_station_ns - inside_robot_ns
-        self._add(reply.t_station_ns, least_ns=reply.t_station_ns - reply.t_robot_received_ns)
+        self._add(now_ns, least=(reply.t_station_ns, reply.t_station_ns - reply.t_robot_received_ns))
         self.add_stamp(reply.t_robot_sent_ns, now_ns)
-        self._fit()
 
     def add_stamp(self, t_robot_ns: int, now_ns: int) -> None:
         """Something the robot stamped when it sent it has arrived."""
-        self._add(now_ns, most_ns=now_ns - t_robot_ns)
+        self._add(now_ns, most=(now_ns, now_ns - t_robot_ns))
 
     def to_station_ns(self, t_robot_ns: int) -> int | None:
         """Station time of a robot time; None before the first arrival."""
@@ -96,63 +114,98 @@ class LinkClock:
         line = self._line
         if line is None or math.isinf(line.bound_ns):
             return None
-        return round(line.bound_ns + line.slope_sigma * abs(now_ns - line.bound_t_ns))
+        return round(line.bound_ns + line.slope_sigma * abs(now_ns - line.t_ns))
 
     @property
     def drift_ppm(self) -> float | None:
         """How much faster the robot's clock runs."""
         return None if self._line is None else -self._line.slope * 1e6
 
-    def _add(self, t_station_ns: int, *, most_ns: int | None = None, least_ns: int | None = None) -> None:
+    def _add(self, now_ns: int, *, most: Seen | None = None, least: Seen | None = None) -> None:
         if not self._stretches:
-            self._epoch_ns = most_ns if most_ns is not None else least_ns or 0
-        most = None if most_ns is None else (t_station_ns, most_ns - self._epoch_ns)
-        least = None if least_ns is None else (t_station_ns, least_ns - self._epoch_ns)
-        self._forget_what_contradicts(most, least)
-        if not self._stretches or t_station_ns - self._stretches[-1].begin_ns >= STRETCH_NS:
-            self._stretches.append(_Stretch(t_station_ns))
+            self._epoch_ns = (most or least or (0, 0))[1]
+        most, least = self._near(most), self._near(least)
+        self._store(now_ns, most, least)
+        line = self._line
+        is_excluded = line is not None and line.excludes(most, least)
+        is_known = line is not None and not math.isinf(line.half_width_ns)
+        if not is_known or is_excluded or now_ns - self._fitted_ns >= REFIT_NS:
+            self._fit(now_ns)
+        if is_excluded and self._line is not None and self._line.half_width_ns < 0.0:
+            # No line is left that puts all arrivals behind their sending: a clock was set, is slewed, or slept.
+            self._stretches.clear()
+            self._store(now_ns, most, least)
+            self._fit(now_ns)
+
+    def _near(self, seen: Seen | None) -> Seen | None:
+        return None if seen is None else (seen[0], seen[1] - self._epoch_ns)
+
+    def _store(self, now_ns: int, most: Seen | None, least: Seen | None) -> None:
+        if not self._stretches or now_ns - self._stretches[-1].begin_ns >= STRETCH_NS:
+            self._stretches.append(_Stretch(now_ns))
         stretch = self._stretches[-1]
         if most is not None and (stretch.most is None or most[1] < stretch.most[1]):
             stretch.most = most
         if least is not None and (stretch.least is None or least[1] > stretch.least[1]):
             stretch.least = least
-        if self._line is None:
-            self._fit()
 
-    def _forget_what_contradicts(self, most: tuple[int, int] | None, least: tuple[int, int] | None) -> None:
-        """A message before its own sending: the line is wrong now. One of the clocks was set, or is being slewed."""
-        if self._line is None:
-            return
-        too_low_ns = 0.0 if least is None else least[1] - self._line.at(least[0])
-        too_high_ns = 0.0 if most is None else self._line.at(most[0]) - most[1]
-        outside_ns = max(too_low_ns, too_high_ns)
-        if outside_ns > STEP_NS:
+    def _fit(self, now_ns: int) -> None:
+        self._fitted_ns = now_ns
+        if self._has_jumped():
+            newest = self._stretches[-1]
             self._stretches.clear()
-            self._line = None
-        elif outside_ns > LEAST_SIGMA_NS:
-            for _ in range(len(self._stretches) // 2):
-                self._stretches.popleft()
+            self._stretches.append(newest)
+        most, least = _sides(self._stretches)
+        if len(most) and len(least):
+            self._line = fit_corridor(most, least)
+        elif len(most):
+            self._line = _Line(*most[most[:, 1].argmin()])
 
-    def _fit(self) -> None:
-        """Weighted least squares through the middles of the corridors, with what crystals are like as prior."""
-        slope = (
-            0.0 if self._line is None else self._line.slope
-        )  # of the last fit: the next one is a tenth of a second off
-        middles = [middle for stretch in self._stretches if (middle := stretch.middle(slope)) is not None]
-        if not middles:
-            quickest = [stretch.most for stretch in self._stretches if stretch.most is not None]
-            if quickest:
-                self._line = _Line(*min(quickest, key=lambda most: most[1]))
-            return
-        t, difference, width = np.array(middles).T
-        # A queue lasts: what it adds is the same in many stretches, which do not average it out.
-        sigma = LEAST_SIGMA_NS + (width - width.min()) / 2 * math.sqrt(len(middles))
-        weight = sigma**-2
-        t_mean, mean = np.average(np.stack((t, difference)), axis=1, weights=weight)
-        information = float(np.sum(weight * (t - t_mean) ** 2)) + DRIFT_SIGMA**-2
-        slope = float(np.sum(weight * (t - t_mean) * (difference - mean))) / information
-        slope = min(max(slope, -MAX_CRYSTAL_DRIFT), MAX_CRYSTAL_DRIFT)
-        slope_sigma = information**-0.5
-        bound = width / 2 + np.abs(difference - mean - slope * (t - t_mean))
-        best = int(np.argmin(bound + slope_sigma * (t[-1] - t)))
-        self._line = _Line(float(t_mean), float(mean), slope, slope_sigma, float(bound[best]), float(t[best]))
+    def _has_jumped(self) -> bool:
+        """Whether the newest stretch shows another difference of the clocks than those before it.
+
+        A jump moves both sides of the corridor alike. A queue, or a way that got quicker, moves one of them.
+        """
+        line, newest = self._line, self._stretches[-1]
+        if line is None or newest.most is None or newest.least is None:
+            return False
+        before = list(self._stretches)[:-2]  # in the one between it may have jumped
+        above, below = (line.distances(side) for side in _sides(before))
+        if min(len(above), len(below)) < USUAL_STRETCHES:
+            return False
+        usual_ns = UNUSUAL * (LEAST_SIGMA_NS + max(above.mean() - above.min(), below.max() - below.mean()))
+        rise_ns = newest.least[1] - line.at(newest.least[0]) - below.max()
+        fall_ns = above.min() - (newest.most[1] - line.at(newest.most[0]))
+        return bool(-fall_ns > rise_ns > usual_ns or -rise_ns > fall_ns > usual_ns)
+
+
+def _sides(stretches: Iterable[_Stretch]) -> tuple[FloatArray, FloatArray]:
+    """Both sides of the corridor: (n, 2) times and differences of the quickest messages from and to the robot, ns."""
+    most = [stretch.most for stretch in stretches if stretch.most is not None]
+    least = [stretch.least for stretch in stretches if stretch.least is not None]
+    return np.array(most, dtype=float).reshape(-1, 2), np.array(least, dtype=float).reshape(-1, 2)
+
+
+def fit_corridor(most: FloatArray, least: FloatArray) -> _Line:
+    """The line in the middle between both sides.
+
+    Args:
+        most, least: (n, 2) and (m, 2), n, m > 0: times and differences of what lies above and below the truth, ns.
+    """
+    t_ns = most[-1, 0]
+    above = most[:, 1] - SLOPES[:, None] * (most[:, 0] - t_ns)  # (slopes, n)
+    below = least[:, 1] - SLOPES[:, None] * (least[:, 0] - t_ns)
+    late = above.mean(axis=1) - above.min(axis=1), below.max(axis=1) - below.mean(axis=1)
+    misfit = UNLIKELY + len(most) * np.log(late[0] + LEAST_SIGMA_NS) + len(least) * np.log(late[1] + LEAST_SIGMA_NS)
+    weight = np.exp(misfit.min() - misfit)
+    slope = float(np.average(SLOPES, weights=weight))
+    slope_sigma = float(np.average((SLOPES - slope) ** 2, weights=weight)) ** 0.5 + (SLOPES[1] - SLOPES[0]) / 2
+    above, below = (side[:, 1] - slope * (side[:, 0] - t_ns) for side in (most, least))
+    high, low = float(above.min()), float(below.max())
+    middle = (high + low) / 2
+    # Behind the sending of each message the truth is known to lie; from there it drifts.
+    bound = max(
+        float(np.min(side + slope_sigma * (t_ns - seen[:, 0])))
+        for side, seen in ((above - middle, most), (middle - below, least))
+    )
+    return _Line(t_ns, middle, slope, slope_sigma, (high - low) / 2, bound)

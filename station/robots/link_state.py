@@ -87,6 +87,7 @@ class Arrivals:
             next_imu_sequence=self.next_imu_sequence,
             num_bytes=self._connection_bytes,
             held_ns=max(0, now_ns - self._read_ns),
+            t_station_ns=self._read_ns,
         )
 
 

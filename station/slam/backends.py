@@ -52,6 +52,10 @@ def make_backend(
             from station.slam.ukf.config import UkfConfig
 
             return UkfBackend(calibration, UkfConfig(landmarks=landmarks), seed, initial_state)
+        if name == "mono":
+            from station.slam.mono.backend import MonoBackend
+
+            return MonoBackend(calibration)
     except ImportError as exc:
         raise ConfigError(f"backend {name} needs {exc.name}, which is missing; run: {install('station')}") from exc
     raise ConfigError(f"backend {name!r} is unknown; choose one of {', '.join((AUTO, *BACKENDS))}")

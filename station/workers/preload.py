@@ -16,7 +16,8 @@ from station.workers.place_interface import PLACES
 from station.workers.slam_interface import SLAM
 
 PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module, WATCHER.module)
-BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend")  # some need libraries that a machine may lack
+# some need libraries that a machine may lack
+BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend", "station.slam.mono.backend")
 MAIN = ("shared.command_line",)  # and with it Typer: multiprocessing imports station.main in every child
 
 for _name in (*PROGRAMS, *BACKENDS, *MAIN):

@@ -107,8 +107,8 @@ def locate_live(
 
 
 def has_live_poses(data: Dataset, backend: str) -> bool:
-    """Whether SLAM would give poses on the way: sfm has none before the end, and a filter needs IMU and a film."""
-    if live_backend(data, backend) == "sfm" or data.imu is None or len(data.frame_times_ns) < 2:
+    """Whether SLAM would give poses in metres on the way: sfm and mono have none, and a filter needs IMU and a film."""
+    if live_backend(data, backend) in ("sfm", "mono") or data.imu is None or len(data.frame_times_ns) < 2:
         return False
     return float(np.median(np.diff(data.frame_times_ns))) <= 1e9 / MIN_FILM_HZ
 
@@ -177,7 +177,7 @@ def locate(
             next_ns = event.t_robot_ns + interval_ns - STAMP_ROUNDING_NS
             answers.append(places.answer(event).answer)
         while update is not None and update.t_robot_ns <= _begin(event):
-            if update.T_world_body is not None:
+            if update.T_world_body is not None and update.scale == "metric":
                 places.add_pose(update.t_robot_ns, update.T_world_body, update.segment)
             if update.calibration_fit is not None:
                 fit = newer(fit, update.calibration_fit)

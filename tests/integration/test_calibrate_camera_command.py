@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +49,7 @@ def report(result: Result) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A target and a folder of twelve images of it, without any description of the camera."""
     root = tmp_path_factory.mktemp("images")
     target = page_target("aprilgrid", "A4")
@@ -62,7 +61,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         shift = (float(rng.uniform(-0.35, 0.35)), float(rng.uniform(-0.25, 0.25)))
         image = photograph(page, CAMERA, T_cam_board(target, tilt, float(rng.uniform(0.26, 0.4)), shift), seed=i)
         cv2.imwrite(str(root / "good" / f"{i:02d}.png"), image)
-    yield root
+    return root
 
 
 def changed(images: Path, folder: Path, change: Any) -> Path:

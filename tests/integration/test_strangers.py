@@ -113,6 +113,18 @@ async def test_a_connection_that_asks_for_nothing_is_ended_in_time_and_one_that_
         leave([(reader, writer), (trickling, trickler)])
 
 
+async def test_a_connection_ends_with_a_refusal_and_goes_on_for_who_is_known(tmp_path: Path) -> None:
+    async with guarded_station(tmp_path) as station, asyncio.timeout(WAIT_S):
+        stranger = await opened(station)
+        stranger[1].write(2 * head("/stop", 0))
+        assert (await stranger[0].read()).count(b"HTTP/1.1 401 ") == 1
+        known = await opened(station)
+        known[1].write(2 * head("/stop", 0, f"Authorization: Bearer {station.tokens[Role.ADMIN]}"))
+        for _ in range(2):
+            await known[0].readuntil(b"HTTP/1.1 503 ")
+        leave([stranger, known])
+
+
 @pytest.mark.parametrize("path", ["/maps", "/stop", "/drive", "/nothing"])
 async def test_who_has_no_token_is_refused_before_the_body_is_read(tmp_path: Path, path: str) -> None:
     async with guarded_station(tmp_path) as station:

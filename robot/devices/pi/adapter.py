@@ -13,7 +13,7 @@ from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaBattery, MegaImu, MegaMotors, MegaPanTilt
 from robot.devices.pi.serial_line import PySerialLine
 from robot.devices.ports import Battery, Camera, DeviceSet, Motors, PanTilt
-from shared.calibration import REFERENCE_ROBOT, Calibration, CameraCalibration
+from shared.calibration import REFERENCE_ROBOT, Calibration, CameraCalibration, ImuNoise
 from shared.errors import ConfigError
 from shared.serial_protocol import ACCEL_RANGES_G, GYRO_RANGES_DEG_S, ConfigImu, ConfigMotors
 
@@ -74,8 +74,12 @@ def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
 
 
 def load_calibration(config: PiConfig, own: Calibration | None = None) -> Calibration:
-    """The robot's own calibration, else its camera.yaml, or the reference robot's, which says so; the size must fit."""
-    calibration = own or msgspec.structs.replace(REFERENCE_ROBOT, camera=_camera_of(config))
+    """The robot's own calibration, else its camera.yaml and imu.yaml; what these lack is the reference robot's.
+
+    Raises:
+        ConfigError: it is of pictures of another size.
+    """
+    calibration = own or msgspec.structs.replace(REFERENCE_ROBOT, camera=_camera_of(config), imu=_imu_of(config))
     camera = calibration.camera
     if config.camera and camera is not None:
         size = (camera.width, camera.height)
@@ -89,10 +93,28 @@ def load_calibration(config: PiConfig, own: Calibration | None = None) -> Calibr
 
 def _camera_of(config: PiConfig) -> CameraCalibration:
     """As its camera.yaml says, else as the reference robot's."""
-    if config.calibration:
-        return _read_own_camera(Path(config.calibration) / "camera.yaml")
+    folder = Path(config.calibration)
+    # Who measured only the IMU has no camera.yaml; who has neither is told that it is missing.
+    if config.calibration and ((folder / "camera.yaml").is_file() or not (folder / "imu.yaml").is_file()):
+        return _read_own_camera(folder / "camera.yaml")
     assert REFERENCE_ROBOT.camera is not None
     return msgspec.structs.replace(REFERENCE_ROBOT.camera, is_measured=False)
+
+
+def _imu_of(config: PiConfig) -> ImuNoise:
+    """As its imu.yaml says, else the reference robot's. Readings end where the reference robot's do, at the latest."""
+    from shared.calibration_yaml import read_imu
+
+    path, reference = Path(config.calibration) / "imu.yaml", REFERENCE_ROBOT.imu
+    assert reference is not None
+    if not config.calibration or not path.is_file():
+        return reference
+    own = read_imu(path)
+    return msgspec.structs.replace(
+        own,
+        gyro_range=min(own.gyro_range, reference.gyro_range),
+        accel_range=min(own.accel_range, reference.accel_range),
+    )
 
 
 def _read_own_camera(path: Path) -> CameraCalibration:

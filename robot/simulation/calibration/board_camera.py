@@ -16,7 +16,7 @@ import numpy as np
 from robot.simulation.calibration.board import Board
 from robot.simulation.renderer import Float32Array, undistort
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, inverse, transform
 
 # Where in a pixel the passes look: a square turned so that neither rows nor columns fall together.
 OFFSETS_PX = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
@@ -62,12 +62,14 @@ class BoardCamera:
         return self._develop(total / np.float32(passes))
 
     def _passes(self, pose: PoseAt, t_s: float) -> int:
-        """As many as the motion blur needs, a multiple of the offsets."""
+        """As many as the motion blur needs, a multiple of the offsets; one where no part of the board is in view."""
         half = self._optics.exposure_s / 2
-        first, last = np.linalg.inv(pose(np.array([t_s - half, t_s + half])))
+        first, last = inverse(pose(np.array([t_s - half, t_s + half])))
         size = np.array([self._board.width_m, self._board.height_m])
-        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size
-        moved = [(T[:3, :2] @ corners.T + T[:3, 3:]).T for T in (first, last)]
+        corners = np.column_stack([np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size, np.zeros(4)])
+        moved = [transform(T, corners) for T in (first, last)]
+        if max(p[:, 2].max() for p in moved) <= 0.0:
+            return 1  # behind the camera
         pixels = [self._camera.fx * p[:, :2] / np.maximum(p[:, 2:], 0.05) for p in moved]
         blur_px = float(np.linalg.norm(pixels[1] - pixels[0], axis=1).max())
         rounds = int(np.ceil(max(1.0, blur_px / PX_PER_PASS) / len(OFFSETS_PX)))
@@ -107,18 +109,19 @@ def where_rays_meet(
     """Where on the board's surface rays (h, 3, w) from cameras (h, 3, 3), (h, 3), one a row, arrive.
 
     Returns x and y in the board's frame and the depth along the optical axis, each (h, w) m; behind the camera the
-    depth is negative.
+    depth is negative. A ray along the board gets there nowhere: values that are not finite.
     """
     directions = np.matmul(R_board_cam.astype(np.float32), rays)
     origin = t_board_cam.astype(np.float32)[:, :, None]
     dx, dy, dz = directions[:, 0], directions[:, 1], directions[:, 2]
-    depth = -origin[:, 2] / dz
-    x = origin[:, 0] + depth * dx
-    if board.bend_m:
-        for _ in range(BEND_ROUNDS):
-            depth = (_height(board, x) - origin[:, 2]) / dz
-            x = origin[:, 0] + depth * dx
-    return x, origin[:, 1] + depth * dy, depth
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        depth = -origin[:, 2] / dz
+        x = origin[:, 0] + depth * dx
+        if board.bend_m:
+            for _ in range(BEND_ROUNDS):
+                depth = (_height(board, x) - origin[:, 2]) / dz
+                x = origin[:, 0] + depth * dx
+        return x, origin[:, 1] + depth * dy, depth
 
 
 def _height(board: Board, x: Float32Array) -> Float32Array:

@@ -32,10 +32,17 @@ class Conduct:
     has_imu: bool = True
     sway_rad_s: float = 0.0  # rate at which the resting IMU sways, as in a hand
     is_knocked: bool = False
+    drives: bool = True  # to and fro before the board
+    turns: bool = True  # on the spot
+    rest_s: float = 2.0  # between two commands
+    is_blocked: bool = False  # something stands in the robot's way
 
 
 _CAMERA, _CAMERA_IMU, _IMU = Conduct(seconds=60.0), Conduct(seconds=30.0), Conduct(seconds=1800.0)
-GOOD: Mapping[Kind, Conduct] = MappingProxyType({Kind.CAMERA: _CAMERA, Kind.CAMERA_IMU: _CAMERA_IMU, Kind.IMU: _IMU})
+_WHEELS = Conduct(seconds=90.0)
+GOOD: Mapping[Kind, Conduct] = MappingProxyType(
+    {Kind.CAMERA: _CAMERA, Kind.CAMERA_IMU: _CAMERA_IMU, Kind.IMU: _IMU, Kind.WHEELS: _WHEELS}
+)
 POOR: Mapping[Kind, Mapping[str, Conduct]] = MappingProxyType(
     {
         Kind.CAMERA: {
@@ -64,6 +71,16 @@ POOR: Mapping[Kind, Mapping[str, Conduct]] = MappingProxyType(
             "too-short": replace(_IMU, seconds=10.0),
             "in-hand": replace(_IMU, sway_rad_s=0.02),
             "knocked": replace(_IMU, is_knocked=True),
+        },
+        Kind.WHEELS: {
+            "too-short": replace(_WHEELS, seconds=8.0),
+            "too-dark": replace(_WHEELS, optics=DARK),
+            "too-far": replace(_WHEELS, fill=0.13),
+            "no-imu": replace(_WHEELS, has_imu=False),
+            "no-drives": replace(_WHEELS, drives=False),
+            "no-turns": replace(_WHEELS, turns=False),
+            "no-rests": replace(_WHEELS, rest_s=0.1),
+            "blocked": replace(_WHEELS, is_blocked=True),
         },
     }
 )

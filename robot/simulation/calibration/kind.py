@@ -11,3 +11,4 @@ class Kind(StrEnum):
     CAMERA = "camera"  # stills of a board moved before the camera
     CAMERA_IMU = "camera-imu"  # camera and IMU waved before a board on the wall
     IMU = "imu"  # an IMU at rest, no images
+    WHEELS = "wheels"  # a robot drives before a board and turns

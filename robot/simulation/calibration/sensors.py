@@ -5,7 +5,10 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
+from robot.simulation.asl import START_NS, AslWriter
+from robot.simulation.body import MotionState
 from robot.simulation.calibration.waving import Motion
+from robot.simulation.config import ImuImperfections
 from shared.calibration import (
     REFERENCE_CAMERA,
     REFERENCE_IMU,
@@ -14,7 +17,7 @@ from shared.calibration import (
     CameraCalibration,
     ImuNoise,
 )
-from shared.geometry import FloatArray, se3, so3_exp
+from shared.geometry import FloatArray, IntArray, se3, so3_exp
 
 IMU_RATE_HZ = 200.0
 MAX_MOUNTING_RAD, MAX_MOUNTING_M = np.radians(6.0), 0.04
@@ -107,13 +110,13 @@ class SimulatedInertial:
         switch_on = np.array([GYRO_BIAS_RAD_S] * 3 + [ACCEL_BIAS_M_S2] * 3)
         self.bias = switch_on * rng.standard_normal(6)  # gyro, accel; now
 
-    def read(self, motion: Motion) -> tuple[FloatArray, FloatArray]:
-        """Readings (N, 6), rad/s and m/s^2, and the biases (N, 6) in them."""
+    def rates_and_forces(self, motion: Motion) -> FloatArray:
+        """What it should read (N, 6): rad/s, m/s^2."""
         force = np.einsum("nji,nj->ni", motion.R_world_body, motion.a_world + self._gravity)
-        return self.disturb(np.concatenate([motion.omega_body, force], axis=1))
+        return np.concatenate([motion.omega_body, force], axis=1)
 
     def disturb(self, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What it makes of true rates and forces (N, 6)."""
+        """Readings (N, 6) of true rates and forces, and the biases (N, 6) in them."""
         count = len(true)
         biases = self.bias + np.cumsum(self._walk * self._rng.standard_normal((count, 6)), axis=0)
         self.bias = biases[-1]
@@ -122,8 +125,53 @@ class SimulatedInertial:
         return np.clip(read, -limit, limit), biases
 
 
-def vibration(rng: np.random.Generator, count: int) -> FloatArray:
-    """Shaking (count, 6) of unit variance that does not drift, as `robot.simulation.sensors` has it while driving."""
+def write_inertial(
+    writer: AslWriter,
+    motion: Motion,
+    true: Calibration,
+    has_imu: bool,
+    rng: np.random.Generator,
+    shaking: FloatArray | None = None,
+) -> dict[str, list[float]]:
+    """Write readings and true states of a motion; returns the mean biases for the truth.
+
+    `shaking` (N, 6) rad/s, m/s^2 comes on top of the motion.
+    """
+    assert true.imu is not None
+    inertial = SimulatedInertial(true.imu, true.gravity, rng)
+    truly = inertial.rates_and_forces(motion)
+    readings, biases = inertial.disturb(truly if shaking is None else truly + shaking)
+    stamps = robot_times_ns(motion.t_s)
+    if has_imu:
+        writer.add_imu_block(stamps, readings)
+    for i, t_ns in enumerate(stamps.tolist()):
+        state = MotionState(
+            float(motion.t_s[i]),
+            motion.p_world[i],
+            motion.R_world_body[i],
+            motion.v_world[i],
+            motion.a_world[i],
+            motion.omega_body[i],
+        )
+        writer.add_truth(t_ns, state, (biases[i, :3], biases[i, 3:]))
+    return mean_biases(biases.mean(axis=0))
+
+
+def mean_biases(bias: FloatArray) -> dict[str, list[float]]:
+    """As in truth.json, of (6,): gyro, accelerometer."""
+    return {"gyro_bias": bias[:3].tolist(), "accel_bias": bias[3:].tolist()}
+
+
+def robot_times_ns(t_s: FloatArray) -> IntArray:
+    """Stamps of a recording's seconds."""
+    return START_NS + np.rint(t_s * 1e9).astype(np.int64)
+
+
+def motor_vibration(rng: np.random.Generator, count: int) -> FloatArray:
+    """What motors and gears at a medium speed add (count, 6): it shakes but does not drift, as `ImuModel` has it."""
     white = rng.standard_normal((count + VIBRATION_TAPS, 6))
     response = np.sqrt(0.75) * (-0.5) ** np.arange(VIBRATION_TAPS)
-    return np.stack([np.convolve(column, response, mode="valid")[:count] for column in white.T], axis=1)
+    unit = np.stack([np.convolve(column, response, mode="valid")[:count] for column in white.T], axis=1)
+    imu = ImuImperfections()
+    strength = np.array([imu.gyro_vibration_rad_s] * 3 + [imu.accel_vibration_m_s2] * 3) * [1, 1, 1, 0.7, 0.7, 1.3]
+    return np.asarray(strength * unit)

@@ -15,8 +15,8 @@ import cv2
 import msgspec
 import numpy as np
 
-from robot.simulation.asl import AslWriter
-from robot.simulation.body import MotionState
+from robot.simulation.asl import START_NS, AslWriter
+from robot.simulation.body import TICK_RATE_HZ
 from robot.simulation.calibration.board import R_CAM_BOARD_FACING, TAGS, Board
 from robot.simulation.calibration.board_camera import BoardCamera, PoseAt
 from robot.simulation.calibration.conduct import Conduct, conduct_of
@@ -27,16 +27,19 @@ from robot.simulation.calibration.sensors import (
     believed_camera,
     calibration_rng,
     draw_calibration,
-    vibration,
+    mean_biases,
+    motor_vibration,
+    robot_times_ns,
+    write_inertial,
 )
-from robot.simulation.calibration.waving import Motion, WavedRig
-from robot.simulation.config import ImuImperfections
-from robot.simulation.recording import START_NS
+from robot.simulation.calibration.waving import WavedRig
+from robot.simulation.calibration.wheels import on_wheels, record_wheels
 from robot.simulation.renderer import undistort
 from shared.calibration import REFERENCE_IMU, Calibration, CameraCalibration
-from shared.geometry import FloatArray, IntArray, homogeneous, inverse, se3, so3_exp
+from shared.geometry import FloatArray, homogeneous, inverse, se3, so3_exp
 
 TAG_SIZES_M = (0.024, 0.034)  # that fill A4 and A3 across
+WHEELS_BOARD = Board(5, 3, 0.06)  # fills A3, too, and is read from farther away
 STILL_EVERY_S = 1.0
 FILL_FACTORS = (0.6, 1.5)  # nearest and farthest still, as factors of Conduct.fill
 ROLL_DEG = 35.0  # of the board in stills
@@ -83,25 +86,30 @@ def record_session(
     conduct = conduct_of(kind, poor, seconds)
     rng = calibration_rng(seed)
     true = draw_calibration(rng)
+    if kind is Kind.WHEELS:
+        true = on_wheels(true)
     told = _believed(true, kind, conduct)
     truth: dict[str, Any] = {"kind": kind, "seed": seed, "poor": poor, "calibration": msgspec.to_builtins(true)}
     with AslWriter(out, told) as writer:
         if kind is Kind.IMU:
             truth |= _record_rest(writer, true, conduct, motors, rng, on_progress)
         else:
-            board = Board(TAGS, TAGS, float(rng.choice(TAG_SIZES_M)))
+            board = Board(TAGS, TAGS, float(rng.choice(TAG_SIZES_M))) if kind is not Kind.WHEELS else WHEELS_BOARD
             writer.add_file("target.yaml", board.yaml())
             board = replace(board, tag_m=board.tag_m * conduct.size_error)
             board = replace(board, bend_m=board.width_m * conduct.bend_share)
-            record = _record_stills if kind is Kind.CAMERA else _record_wave
+            record = {Kind.CAMERA: _record_stills, Kind.CAMERA_IMU: _record_wave, Kind.WHEELS: record_wheels}[kind]
             truth |= {"board": asdict(board), **record(writer, board, true, conduct, rng, on_progress)}
         writer.add_file("truth.json", msgspec.json.format(msgspec.json.encode(truth)).decode())
         return Session(writer.num_frames, writer.num_imu, truth)
 
 
 def _believed(true: Calibration, kind: Kind, conduct: Conduct) -> Calibration:
-    """What sensor.yaml tells. Who joins camera and IMU has calibrated the camera before."""
+    """What sensor.yaml tells. Who joins camera and IMU has calibrated the camera before; the wheels come last."""
     assert true.camera is not None
+    if kind is Kind.WHEELS:
+        noise = msgspec.structs.replace(REFERENCE_IMU, rate_hz=TICK_RATE_HZ)
+        return Calibration(camera=true.camera, imu=noise if conduct.has_imu else None, rig="wheels")
     noise = msgspec.structs.replace(REFERENCE_IMU, rate_hz=IMU_RATE_HZ)
     return Calibration(
         camera=None if kind is Kind.IMU else believed_camera(true.camera, knows_lens=kind is Kind.CAMERA_IMU),
@@ -187,7 +195,9 @@ def _record_wave(
         T_board_cam[:, :3, 3] -= np.outer(times > conduct.seconds / 2, R_world_board.T @ slip)
         return T_board_cam
 
-    biases = _write_imu(writer, rig.at(np.arange(0.0, conduct.seconds, 1 / noise.rate_hz)), true, conduct, rng)
+    biases = write_inertial(
+        writer, rig.at(np.arange(0.0, conduct.seconds, 1 / noise.rate_hz)), true, conduct.has_imu, rng
+    )
     shots = BoardCamera(board, camera, conduct.optics, rng)
     times = np.arange(MARGIN_S, conduct.seconds - MARGIN_S, 1 / camera.rate_hz)
     for number, t_s in enumerate(times.tolist()):
@@ -195,28 +205,6 @@ def _record_wave(
         writer.add_frame(stamp_ns, shots.expose(pose, t_s), conduct.optics.exposure_s)
         on_progress((number + 1) / len(times))
     return {"T_world_board": T_world_board.tolist(), "slips_m": conduct.slips_m, **biases}
-
-
-def _write_imu(
-    writer: AslWriter, motion: Motion, true: Calibration, conduct: Conduct, rng: np.random.Generator
-) -> dict[str, Any]:
-    """Readings and true states; returns the mean biases for the truth."""
-    assert true.imu is not None
-    readings, biases = SimulatedInertial(true.imu, true.gravity, rng).read(motion)
-    stamps = _stamps(motion.t_s)
-    if conduct.has_imu:
-        writer.add_imu_block(stamps, readings)
-    for i, t_ns in enumerate(stamps.tolist()):
-        state = MotionState(
-            float(motion.t_s[i]),
-            motion.p_world[i],
-            motion.R_world_body[i],
-            motion.v_world[i],
-            motion.a_world[i],
-            motion.omega_body[i],
-        )
-        writer.add_truth(t_ns, state, (biases[i, :3], biases[i, 3:]))
-    return _mean_biases(biases.mean(axis=0))
 
 
 # --- an IMU at rest ---------------------------------------------------------------------------------------------------
@@ -241,12 +229,12 @@ def _record_rest(
         if conduct.is_knocked:
             disturbed += _knocks(t_s, rng)
         if motors:
-            disturbed += _vibration(len(t_s), rng)
+            disturbed += motor_vibration(rng, len(t_s))
         readings, biases = inertial.disturb(disturbed)
-        writer.add_imu_block(_stamps(t_s), readings)
+        writer.add_imu_block(robot_times_ns(t_s), readings)
         total += biases.sum(axis=0)
         on_progress(min(first + BLOCK, count) / count)
-    return {"motors": motors, **_mean_biases(total / count)}
+    return {"motors": motors, **mean_biases(total / count)}
 
 
 def _at_rest(t_s: FloatArray, R_world_body: FloatArray, gravity: float, conduct: Conduct) -> FloatArray:
@@ -265,18 +253,3 @@ def _knocks(t_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     is_knock = t_s % KNOCK_EVERY_S < KNOCK_S
     jolt = rng.standard_normal((len(t_s), 6)) * ([KNOCK_RAD_S] * 3 + [KNOCK_M_S2] * 3)
     return np.asarray(jolt * is_knock[:, None])
-
-
-def _vibration(count: int, rng: np.random.Generator) -> FloatArray:
-    """What motors and gears add: (count, 6)."""
-    imu = ImuImperfections()
-    strength = np.array([imu.gyro_vibration_rad_s] * 3 + [imu.accel_vibration_m_s2] * 3) * [1, 1, 1, 0.7, 0.7, 1.3]
-    return strength * vibration(rng, count)
-
-
-def _stamps(t_s: FloatArray) -> IntArray:
-    return START_NS + np.rint(t_s * 1e9).astype(np.int64)
-
-
-def _mean_biases(bias: FloatArray) -> dict[str, Any]:
-    return {"gyro_bias": bias[:3].tolist(), "accel_bias": bias[3:].tolist()}

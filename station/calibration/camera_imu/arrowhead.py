@@ -102,22 +102,17 @@ def eliminate_knots(equations: NormalEquations, free: IntArray, damping: float) 
     return Elimination(by_border, alone, border - cross.T @ by_border, equations.g_border[free] + cross.T @ alone, free)
 
 
-def cluster_scores(blocks: Sequence[Rows], left: Elimination, segments: int, border_size: int) -> FloatArray:
-    """(clusters, f): gradients of the cost by the free border, knots eliminated, summed over so many segments each."""
+def scores(block: Rows, left: Elimination, border_size: int) -> FloatArray:
+    """(N, f): gradient of each measurement's cost by the free border, with the knots following."""
     f = len(left.free)
-    num_segments = len(left.knots_by_border) // KNOT - ORDER + 1
     place = np.full(border_size, -1)
     place[left.free] = np.arange(f)
-    scores = np.zeros((num_segments, f))
-    own = np.zeros((num_segments, WIDTH))
-    for block in blocks:
-        free = place[block.columns]
-        direct = np.zeros((len(block.segment), f))
-        direct[:, free[free >= 0]] = np.einsum("nm,nmc->nc", block.residual, block.by_border[..., free >= 0])
-        np.add.at(scores, block.segment, direct)
-        np.add.at(own, block.segment, np.einsum("nm,nmw->nw", block.residual, block.by_knots))
-    reach = np.lib.stride_tricks.sliding_window_view(left.knots_by_border, WIDTH, axis=0)[
-        ::KNOT
-    ]  # (segments, f, WIDTH)
-    scores -= np.einsum("sfw,sw->sf", reach, own)
-    return np.asarray(np.add.reduceat(scores, np.arange(0, num_segments, segments), axis=0))
+    place = place[block.columns]
+    out = np.zeros((len(block.segment), f))
+    out[:, place[place >= 0]] = np.einsum("nm,nmc->nc", block.residual, block.by_border[..., place >= 0])
+    by_knots = np.einsum("nm,nmw->nw", block.residual, block.by_knots)
+    order = np.argsort(block.segment, kind="stable")
+    segments, begin = np.unique(block.segment[order], return_index=True)
+    for segment, rows in zip(segments, np.split(order, begin[1:]), strict=True):
+        out[rows] -= by_knots[rows] @ left.knots_by_border[KNOT * segment : KNOT * segment + WIDTH]
+    return out

@@ -18,9 +18,9 @@ from shared.geometry import FloatArray, IntArray
 from station.calibration.camera_imu.arrowhead import (
     Elimination,
     NormalEquations,
-    cluster_scores,
     eliminate_knots,
     normal_equations,
+    scores,
 )
 from station.calibration.camera_imu.rows import (
     Corners,
@@ -45,13 +45,15 @@ from station.calibration.camera_imu.unknowns import (
     intrinsics_of,
 )
 
-SAMPLES_PER_KNOT = (4, 2)  # the second where the first cannot follow the motion
+SAMPLES_PER_KNOT = 2.0  # of the IMU: follows all that it can see
+MIN_SPACING_S = 0.01  # a hand trembles at up to 12 Hz
 MARGIN_S = 0.1  # of motion before the first and after the last image: the time shift moves these meanwhile
 HUBER = 3.0  # sigmas of a corner: beyond, it counts less
 DAMPING = 1e-9
 MAX_ITERATIONS = 25
-CONVERGED = 1e-2  # sigmas: no unknown of the calibration moves more
+ROUGHLY, CONVERGED = 0.3, 0.02  # sigmas: no unknown of the calibration moves more
 CLUSTER_S = 0.5  # residuals nearer to each other than that may be alike
+IMAGE_PARTS = 8  # in each direction, in which they may be alike as well
 # Gravity differs by 0.026 m/s^2 from pole to equator, a consumer accelerometer's scale by half a percent.
 SIGMA_GRAVITY = 0.05
 SIGMA_FIRST_BIAS = np.repeat([0.2, 1.0], 3)  # rad/s, m/s^2: more than a consumer IMU's
@@ -83,14 +85,28 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    problem: Problem  # with the noise that the residuals have
+    """Residuals and equations are those before the last step, which was a small part of a sigma."""
+
+    problem: Problem
     unknowns: Unknowns
+    corners: Corners  # those within the motion
+    blocks: list[Rows]  # corners, inertial samples
+    equations: NormalEquations
     free: IntArray  # (f,) columns of the border that were found
     covariance: FloatArray  # (f, f)
     fit: Fit
-    corner_residuals_px: FloatArray  # (M, 2) of the corners within the motion
-    corners: Corners  # those
     has_converged: bool
+
+    @property
+    def worst_moment(self) -> tuple[float, float]:
+        """When (s, IMU clock) the residuals were largest for CLUSTER_S, and how many times their usual size."""
+        worst = (0.0, 0.0)
+        for block, times in zip(self.blocks, clusters_in_time(self.blocks, self.unknowns), strict=True):
+            squares = (block.residual**2).mean(axis=1)
+            rms = np.sqrt(np.bincount(times, squares) / np.maximum(np.bincount(times), 1))
+            ratio = float(rms.max() / np.median(rms[rms > 0]))
+            worst = max(worst, (ratio, self.unknowns.motion.start_s + (int(rms.argmax()) + 0.5) * CLUSTER_S))
+        return worst[1], worst[0]
 
     def sigma(self, columns: slice) -> FloatArray:
         """Standard deviations of columns of the border that are free."""
@@ -98,13 +114,14 @@ class Solution:
         return np.sqrt(np.diag(self.covariance)[at])
 
 
-def start_unknowns(problem: Problem, poses: CameraPoses, match: TurningMatch, samples_per_knot: int) -> Unknowns:
+def start_unknowns(problem: Problem, poses: CameraPoses, match: TurningMatch) -> Unknowns:
     """The camera's own poses as the body's motion, at the time shift at which both turn alike."""
     t_s = poses.t_s + match.shift_s
     R = poses.T_target_cam[:, :3, :3] @ match.R_body_cam.T
     imu = problem.samples
     begin, end = max(t_s[0] - MARGIN_S, imu.t_s[0]), min(t_s[-1] + MARGIN_S, imu.t_s[-1])
-    motion = motion_through(t_s, R, poses.T_target_cam[:, :3, 3], begin, end, samples_per_knot * imu.interval_s)
+    spacing = max(SAMPLES_PER_KNOT * imu.interval_s, MIN_SPACING_S)
+    motion = motion_through(t_s, R, poses.T_target_cam[:, :3, 3], begin, end, spacing)
     inside = (imu.t_s > t_s[0]) & (imu.t_s < t_s[-1])
     turned = motion.orientations(motion.weights(imu.t_s[inside])).R
     up = (turned @ imu.accel[inside][..., None])[..., 0].mean(axis=0)  # what moves it averages out
@@ -129,43 +146,62 @@ def solve(problem: Problem, start: Unknowns, progress: Progress, free_target: bo
     Raises:
         DegenerateGeometry: the measurements leave the motion or the calibration open.
     """
-    unknowns, _ = _iterate(problem, start, free_target, progress)
-    problem = with_noise_of(problem, unknowns)
-    unknowns, has_converged = _iterate(problem, unknowns, free_target, progress)
-    free = free_columns(problem, unknowns, free_target)
-    blocks, equations = linearise(problem, unknowns)
-    left = eliminate_knots(equations, free, DAMPING)
-    seen = within(problem.corners, unknowns)
-    residuals = camera_rows(unknowns, seen).residual * seen.sigma_px
-    covariance = honest_covariance(blocks, left, unknowns)
-    return Solution(
-        problem, unknowns, free, covariance, fit_of(problem, unknowns, blocks), residuals, seen, has_converged
+    rough = _iterate(problem, start, ROUGHLY, free_target, progress)
+    problem = replace(
+        problem,
+        corners=replace(problem.corners, sigma_px=rough.fit.corner_px),
+        samples=replace(problem.samples, sigma_gyro=rough.fit.gyro, sigma_accel=rough.fit.accel),
     )
+    return _iterate(problem, rough.unknowns, CONVERGED, free_target, progress)
 
 
-def _iterate(problem: Problem, start: Unknowns, free_target: bool, progress: Progress) -> tuple[Unknowns, bool]:
-    """Gauss-Newton steps, and whether they ended by themselves."""
+def _iterate(problem: Problem, start: Unknowns, tolerance: float, free_target: bool, progress: Progress) -> Solution:
+    """Gauss-Newton steps until none of the calibration moves by more than so many of its sigmas."""
     unknowns, free = start, free_columns(problem, start, free_target)
-    for iteration in range(MAX_ITERATIONS):
-        progress(f"estimating, step {iteration + 1}")
-        _, equations = linearise(problem, unknowns)
+    for _ in range(MAX_ITERATIONS):
+        progress("estimating")
+        corners = within(problem.corners, unknowns)
+        blocks, equations = linearise(problem, unknowns, corners)
         left = eliminate_knots(equations, free, DAMPING)
         knots, border = left.step(unknowns.size)
         unknowns = unknowns.moved(knots, border)
         sigma = np.sqrt(np.diag(np.linalg.inv(left.information)))
-        if float(np.abs(border[free] / sigma).max()) < CONVERGED:
-            return unknowns, True
-    return unknowns, False
+        has_converged = float(np.abs(border[free] / sigma).max()) < tolerance
+        if has_converged:
+            break
+    return Solution(
+        problem=problem,
+        unknowns=unknowns,
+        corners=corners,
+        blocks=blocks,
+        equations=equations,
+        free=free,
+        covariance=honest_covariance(corners, blocks, left, unknowns),
+        fit=fit_of(problem, unknowns, blocks),
+        has_converged=has_converged,
+    )
 
 
-def refined_knots(unknowns: Unknowns, spacing_s: float) -> Unknowns:
-    """The same with knots at another distance."""
-    motion = unknowns.motion
-    t_s = np.arange(motion.start_s, motion.end_s, 0.5 * spacing_s)
-    weights = motion.weights(t_s)
-    turned = motion.orientations(weights)
-    finer = motion_through(t_s, turned.R, motion.positions(weights)[0], motion.start_s, motion.end_s, spacing_s)
-    return replace(unknowns, motion=finer)
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetShape:
+    """How the target differs from its file, if it may: a last step with that left open."""
+
+    scale: float  # of its lengths
+    bend_m: FloatArray  # (3,) as Unknowns.bend
+    sigma_scale: float
+    sigma_bend_m: FloatArray  # (3,)
+
+
+def target_shape(solution: Solution) -> TargetShape:
+    unknowns = solution.unknowns
+    free = free_columns(solution.problem, unknowns, free_target=True)
+    left = eliminate_knots(solution.equations, free, DAMPING)
+    _, border = left.step(unknowns.size)
+    sigma = np.zeros(unknowns.size)
+    sigma[free] = np.sqrt(np.diag(honest_covariance(solution.corners, solution.blocks, left, unknowns)))
+    return TargetShape(
+        unknowns.scale + float(border[SCALE]), unknowns.bend + border[BEND], float(sigma[SCALE]), sigma[BEND]
+    )
 
 
 def within(corners: Corners, unknowns: Unknowns) -> Corners:
@@ -174,9 +210,9 @@ def within(corners: Corners, unknowns: Unknowns) -> Corners:
     return corners.chosen((t >= unknowns.motion.start_s) & (t <= unknowns.motion.end_s))
 
 
-def linearise(problem: Problem, unknowns: Unknowns) -> tuple[list[Rows], NormalEquations]:
+def linearise(problem: Problem, unknowns: Unknowns, corners: Corners) -> tuple[list[Rows], NormalEquations]:
     """Corners and inertial samples, weighted, and what they and the priors say together."""
-    seen = camera_rows(unknowns, within(problem.corners, unknowns))
+    seen = camera_rows(unknowns, corners)
     size = np.linalg.norm(seen.residual, axis=1)
     seen = seen.weighted(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
     motion = unknowns.motion
@@ -214,14 +250,6 @@ def free_columns(problem: Problem, unknowns: Unknowns, free_target: bool) -> Int
     return np.flatnonzero(free)
 
 
-def with_noise_of(problem: Problem, unknowns: Unknowns) -> Problem:
-    """With the noise that the residuals have: a sensor on a hand-held robot is noisier than on the bench."""
-    blocks, _ = linearise(problem, unknowns)
-    fit = fit_of(problem, unknowns, blocks)
-    samples = replace(problem.samples, sigma_gyro=fit.gyro, sigma_accel=fit.accel)
-    return replace(problem, corners=replace(problem.corners, sigma_px=fit.corner_px), samples=samples)
-
-
 def fit_of(problem: Problem, unknowns: Unknowns, blocks: list[Rows]) -> Fit:
     """From the residuals, and from how many of them the motion's knots could take up.
 
@@ -237,16 +265,38 @@ def fit_of(problem: Problem, unknowns: Unknowns, blocks: list[Rows]) -> Fit:
     return Fit(corner * problem.corners.sigma_px, float(gyro * imu.sigma_gyro), float(accel * imu.sigma_accel))
 
 
-def honest_covariance(blocks: list[Rows], left: Elimination, unknowns: Unknowns) -> FloatArray:
+def honest_covariance(corners: Corners, blocks: list[Rows], left: Elimination, unknowns: Unknowns) -> FloatArray:
     """(f, f) of the free columns: from independent noise, or from the residuals' own scatter where that is more.
 
-    Corners of one image err alike (blur, focus, the lens model), and neighbouring samples do (vibration). So the
-    residuals' gradients are summed over CLUSTER_S, and their scatter is carried through the estimate.
+    Residuals are alike within CLUSTER_S (blur, vibration), at one corner of the target (print, lighting) and in one
+    part of the image (the lens model). So their gradients are summed over each of these in turn, and the scatter of the
+    sums is carried through the estimate.
     Source: Liang and Zeger, Biometrika 73(1), 1986 (the "sandwich").
     """
     independent = np.linalg.inv(left.information)
-    clusters = max(1, round(CLUSTER_S / unknowns.motion.spacing_s))
-    scores = cluster_scores(blocks, left, clusters, unknowns.size)
-    alike = independent @ (scores.T @ scores) @ independent
-    larger = np.sqrt(np.maximum(np.diag(alike) / np.diag(independent), 1.0))
+    seen, felt = (scores(block, left, unknowns.size) for block in blocks)
+    times = clusters_in_time(blocks, unknowns)
+    camera = unknowns.camera
+    column, row = (corners.uv_px * IMAGE_PARTS / [camera.width, camera.height]).astype(np.int64).T
+    alike = [
+        _sums(np.concatenate([seen, felt]), np.concatenate(times)),
+        _sums(seen, corners.ids),
+        _sums(seen, np.maximum(row, 0) * IMAGE_PARTS + np.clip(column, 0, IMAGE_PARTS - 1)),
+    ]
+    scatter = [np.diag(independent @ (g.T @ g) @ independent) for g in alike]
+    larger = np.sqrt(np.maximum(np.max(scatter, axis=0) / np.diag(independent), 1.0))
     return np.asarray(larger[:, None] * independent * larger)
+
+
+def clusters_in_time(blocks: list[Rows], unknowns: Unknowns) -> list[IntArray]:
+    """Of each block's measurements, the CLUSTER_S in which they were made."""
+    per_cluster = max(1, round(CLUSTER_S / unknowns.motion.spacing_s))
+    last = max(1, unknowns.motion.num_segments // per_cluster) - 1
+    return [np.minimum(block.segment // per_cluster, last) for block in blocks]
+
+
+def _sums(values: FloatArray, labels: IntArray) -> FloatArray:
+    """(labels, f) of values (N, f)."""
+    out = np.zeros((int(labels.max()) + 1, values.shape[1]))
+    np.add.at(out, labels, values)
+    return out

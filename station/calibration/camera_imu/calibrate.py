@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,12 @@ from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray
 from station.calibration.camera_imu import verdict
 from station.calibration.camera_imu.batch import (
-    SAMPLES_PER_KNOT,
     Problem,
     Progress,
     Solution,
-    refined_knots,
     solve,
     start_unknowns,
+    target_shape,
 )
 from station.calibration.camera_imu.rows import Corners, Samples
 from station.calibration.camera_imu.start import CameraPoses, TurningMatch, camera_poses, match_turning
@@ -34,7 +33,6 @@ from station.model.frames import ImuBatch
 from station.vision.lens import Lens
 
 START_SIGMA_PX = 0.3
-FOLLOWS = 1.2  # IMU residuals over the told noise: more, and knots nearer to each other are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +86,7 @@ def figures(solution: Solution) -> dict[str, Any]:
             "line_delay_s": float(solution.sigma(slice(DELAY, DELAY + 1))[0]),
             "gravity": solution.sigma(GRAVITY).tolist(),
         },
-        "rms_px": float(np.sqrt((solution.corner_residuals_px**2).mean())),
+        "rms_px": solution.fit.corner_px,
         "rms_gyro": solution.fit.gyro,
         "rms_accel": solution.fit.accel,
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
@@ -132,19 +130,11 @@ def _problem(recording: HandheldRecording, poses: CameraPoses, samples: Samples,
 def _estimate(
     recording: HandheldRecording, problem: Problem, poses: CameraPoses, match: TurningMatch, progress: Progress
 ) -> CameraImuCalibration:
-    """The batch estimate, then the same with the target's size and flatness open."""
-    coarse, fine = SAMPLES_PER_KNOT
-    solution = solve(problem, start_unknowns(problem, poses, match, coarse), progress)
-    if misfit(solution, problem.samples) > FOLLOWS:
-        finer = refined_knots(solution.unknowns, fine * problem.samples.interval_s)
-        solution = solve(problem, finer, progress)
-    free = solve(solution.problem, solution.unknowns, progress, free_target=True)
-    reasons = verdict.poor_target(free, recording.target)
+    """The batch estimate, and whether the target and the measurements are as they should be."""
+    solution = solve(problem, start_unknowns(problem, poses, match), progress)
+    shape = target_shape(solution)
+    if verdict.poor_target(shape, recording.target):  # far off one step does not tell by how much
+        shape = target_shape(solve(problem, solution.unknowns, progress, free_target=True))
     # A target that is not as its file says explains what does not fit.
-    reasons = reasons or verdict.poor_fit(solution, problem.samples.sigma_gyro, problem.samples.sigma_accel)
-    return CameraImuCalibration(reasons, replace(solution, problem=problem))
-
-
-def misfit(solution: Solution, samples: Samples) -> float:
-    """IMU residuals over the noise that was told."""
-    return max(solution.fit.gyro / samples.sigma_gyro, solution.fit.accel / samples.sigma_accel)
+    reasons = verdict.poor_target(shape, recording.target) or verdict.poor_fit(solution, problem.samples)
+    return CameraImuCalibration(reasons, solution)

@@ -61,7 +61,7 @@ class Samples:
 class Corners:
     """The corners of all views, one after the other."""
 
-    view: IntArray  # (M,) index of its view
+    ids: IntArray  # (M,) rows of Target.corners
     t_s: FloatArray  # (M,) camera clock, of the image's first row
     uv_px: FloatArray  # (M, 2)
     board: FloatArray  # (M, 3) m, where it is on the target
@@ -72,13 +72,14 @@ class Corners:
     def of(cls, views: list[BoardView], target: Target, origin_ns: int, sigma_px: float) -> Corners:
         counts = [len(view.ids) for view in views]
         corners = target.corners
-        board = corners[np.concatenate([view.ids for view in views])]
+        ids = np.concatenate([view.ids for view in views])
+        board = corners[ids]
         middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         half = 0.5 * np.ptp(corners, axis=0)[:2]
         x, y = ((board - middle)[:, :2] / half).T
         times = np.array([1e-9 * (view.t_robot_ns - origin_ns) for view in views])
         return cls(
-            view=np.repeat(np.arange(len(views)), counts),
+            ids=ids,
             t_s=np.repeat(times, counts),
             uv_px=np.concatenate([view.corners_px for view in views]),
             board=board,
@@ -89,7 +90,7 @@ class Corners:
     def chosen(self, which: BoolArray) -> Corners:
         """Those of which `which` (M,) is true."""
         return Corners(
-            self.view[which], self.t_s[which], self.uv_px[which], self.board[which], self.bend[which], self.sigma_px
+            self.ids[which], self.t_s[which], self.uv_px[which], self.board[which], self.bend[which], self.sigma_px
         )
 
 

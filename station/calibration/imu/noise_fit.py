@@ -22,6 +22,7 @@ CONFIDENCE = 0.95
 LIMIT = 0.5 * float(chi2.ppf(CONFIDENCE, 1))  # of the log-likelihood below its maximum
 # Flicker that is not there would be found in one recording of a hundred, and would take from the random walk.
 FLICKER_LIMIT = 0.5 * float(chi2.ppf(0.99, 1))
+FLAT_SHARE = 2.0 * math.log(2.0) / math.pi  # of B^2: flicker's Allan variance, at every averaging time
 MAX_ROUNDS = 100
 SETTLED = 1e-9  # change of the log-likelihood that ends the rounds
 PRECISION = 1e-4  # relative, of an interval's ends
@@ -52,18 +53,15 @@ class Noise:
     def allan_variance(self, tau_s: FloatArray) -> FloatArray:
         """Expected Allan variance after averaging over tau_s, unit squared. IEEE Std 952 annex C."""
         N, B, K = self.density.value, self.instability.value, self.walk.value
-        return N**2 / tau_s + (2.0 * np.log(2.0) / np.pi) * B**2 + K**2 * tau_s / 3.0
+        return N**2 / tau_s + FLAT_SHARE * B**2 + K**2 * tau_s / 3.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """The noise, and what the model expects in each band."""
-
-    noise: Noise
-    expected: FloatArray  # (n,) mean square
+def most_likely(spectrum: Spectrum) -> FloatArray:
+    """(3,) The weights of the design's columns, without intervals."""
+    return _Likelihood(spectrum).maximum({}).theta
 
 
-def fit_noise(spectrum: Spectrum) -> Fit:
+def fit_noise(spectrum: Spectrum) -> Noise:
     """The most likely noise, of all that a spectrum allows.
 
     Flicker and a random walk differ only where both are seen well. The figures are those of the plainer model, without
@@ -81,7 +79,7 @@ def fit_noise(spectrum: Spectrum) -> Fit:
             ends.append((0.0, 0.0) if i == FLICKER else _interval(likelihood, plain, i, {FLICKER: 0.0}))
         low, high = min(low for low, _ in ends), max(high for _, high in ends)
         figures.append(Estimate(*(math.sqrt(scale * x) for x in (chosen.theta[i], low, high))))
-    return Fit(Noise(*figures), spectrum.design @ chosen.theta)
+    return Noise(*figures)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.fft import dst
 
 from shared.geometry import FloatArray
@@ -38,7 +39,7 @@ class Spectrum:
     def __len__(self) -> int:
         return len(self.power)
 
-    def chosen(self, rows: FloatArray) -> Spectrum:
+    def chosen(self, rows: npt.NDArray[np.bool_]) -> Spectrum:
         """The bands that a mask or index names."""
         return Spectrum(self.frequency_hz[rows], self.dof[rows], self.power[rows], self.design[rows], self.rate_hz)
 

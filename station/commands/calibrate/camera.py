@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,6 +27,8 @@ from station.calibration.views import Views, find_views, why_few
 from station.commands.options import Json, check_out_file
 from station.commands.progress import working
 from station.datasets import open_dataset
+
+SHOWN = 10  # lines about images that are not used
 
 
 def register(app: typer.Typer) -> None:
@@ -124,17 +127,22 @@ def _print(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...],
         best, own = best_lens(found.trials), next(t for t in found.trials if t.lens == fit.lens)
         if best.validation_px < 0.9 * own.validation_px:
             print(_better(best, own))
-    for item in rejected[:SHOWN]:
-        print(f"not used: {item.image}: {item.reason}")
-    if len(rejected) > SHOWN:
-        print(f"not used: {len(rejected) - SHOWN} more (--json names all)")
+    for line in unused(rejected):
+        print(line)
     for reason in reasons:
         print(f"refused: {reason}")
     if not reasons:
         print(f"written to {out}")
 
 
-SHOWN = 10  # rejected images
+def unused(rejected: tuple[Rejected, ...]) -> list[str]:
+    """A line for each image that is not used; one for all where many have the same reason."""
+    lines = []
+    for reason, alike in groupby(sorted(rejected, key=lambda item: item.reason), key=lambda item: item.reason):
+        names = [item.image for item in alike]
+        which = names[0] if len(names) == 1 else f"{len(names)} images ({names[0]} to {names[-1]})"
+        lines.append(f"not used: {which}: {reason}")
+    return lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"not used: {len(lines) - SHOWN} more, see --json"]
 
 
 def _better(best: LensTrial, own: LensTrial) -> str:

@@ -110,18 +110,19 @@ def calibration_jacobian(camera: CameraModel, states: WindowStates, rows: Visual
     return out
 
 
-def combined(windows: Sequence[CalibrationInformation]) -> CalibrationFit | None:
+def combined(windows: Sequence[CalibrationInformation], *, is_all: bool) -> CalibrationFit | None:
     """What all windows say together; those that contradict the others count less. None without windows.
 
-    The standard deviations are never smaller than the jackknife's: no window alone makes the result, and one by itself
-    says nothing sure.
+    The standard deviations are never smaller than the jackknife's: no window alone makes the result. One by itself says
+    nothing sure while more are to come; where it `is_all` that there will be, its own standard deviation must do.
     """
     if not windows:
         return None
     parts = [window.blurred() for window in windows]
     matrices, scores = np.array([p.matrix for p in parts]), np.array([p.score for p in parts])
     error, sigma = _solved(matrices, scores)
-    sigma = np.maximum(sigma, _jackknife_sigma(matrices, scores))
+    if len(parts) > 1 or not is_all:
+        sigma = np.maximum(sigma, _jackknife_sigma(matrices, scores))
     return judge(
         focal=(float(np.exp(error[FOCAL])), float(sigma[FOCAL])),
         mounting_deg=np.degrees(error[MOUNTING]),

@@ -22,13 +22,13 @@ from station.model.slam_update import SlamUpdate, TrackingState
 from station.motion.drive_commands import WheelSpeed, commands_motion
 from station.motion.imu_buffer import IN_THE_AIR, ON_WHEELS, ImuBuffer
 from station.motion.preintegration import ImuSegment
+from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, Standstill, WheelsKnown, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
 from station.slam.ukf.filter.state import FilterState, add_wheels
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
-from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.map.keyframes import is_grey, sample_grey
 from station.slam.ukf.map.views import MapViews
 from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame

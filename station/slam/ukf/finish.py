@@ -18,8 +18,8 @@ from station.model.calibration_fit import CalibrationFit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping.assemble import make_keyframes
+from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.intake import FrameIntake
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.landmark_map import TrackObservations, assemble, make_landmarks
 from station.slam.ukf.map.refine import refine_segment

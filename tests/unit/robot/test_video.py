@@ -21,6 +21,7 @@ from robot.video import HERE_IN_FLIGHT, MAX_WAIT_NS, FrameSlot, Picture, VideoSt
 from shared.messages import MAX_FRAMES_IN_FLIGHT
 
 MS, S = 1_000_000, 1_000_000_000
+STATION_AHEAD_NS = 7_000 * S  # its clock before the robot's
 OWN_BYTES = 70_000  # of a picture as the simulated camera makes it
 
 
@@ -40,11 +41,12 @@ class ThinLink:
     most_waiting_bytes: float = 0.0
     is_on_this_machine: bool = False
     counts_bytes: bool = True  # False: a station of before `Received.num_bytes`
+    back_ms: Callable[[float], float] = lambda _: 0.0  # by so much a word of the station's is late, at a time in s
 
     def __post_init__(self) -> None:
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
-        self._free_ns = 0
+        self._free_ns = self._back_ns = 0
         self._sent = self._read = self._read_ns = 0
         self.slot = FrameSlot(self._make_smaller)
         self.meter = LinkMeter()
@@ -117,18 +119,20 @@ class ThinLink:
         self._confirm(-1)
 
     def _confirm(self, seq: int) -> None:
-        read, held_ns = self._read, self.now_ns - self._read_ns
+        read, read_ns, held_ns = self._read, self._read_ns, self.now_ns - self._read_ns
+        delay_ns = round((self.delay_ms + self.back_ms(self.now_ns / S)) * MS)
 
         def hear() -> None:
             count = self.stream.confirm(seq)
             if self.counts_bytes:
-                self.meter.confirm(read, held_ns, self.now_ns)
+                self.meter.confirm(read, held_ns, self.now_ns, read_ns + STATION_AHEAD_NS)
             else:
                 for _ in range(count):
                     self.meter.confirm_frame(self.now_ns)
             self._send_frames()
 
-        self._at(self.now_ns + round(self.delay_ms * MS), hear)
+        self._back_ns = max(self._back_ns, self.now_ns + delay_ns)  # in order
+        self._at(self._back_ns, hear)
 
 
 @pytest.mark.parametrize(
@@ -176,6 +180,16 @@ def test_a_link_of_long_delay_has_several_pictures_on_its_way() -> None:
     link = ThinLink(lambda _: 5_000_000.0, delay_ms=60.0)
     link.run(20.0)
     assert link.rate_hz(10.0) >= 28.0
+
+
+def test_what_is_lost_on_the_way_back_is_not_taken_for_a_thin_link() -> None:
+    """Some of what the station says is lost, and holds up what comes behind it until it is said again."""
+    rng = np.random.default_rng(0)
+    link = ThinLink(lambda _: 250_000.0, delay_ms=40.0, back_ms=lambda _: 250.0 if rng.random() < 0.3 else 0.0)
+    link.run(40.0)
+    assert link.meter.estimate is not None
+    assert link.meter.estimate.bytes_per_s == pytest.approx(250_000, rel=0.2)
+    assert float(np.percentile(link.ages_ms(30.0), 99)) <= 250.0
 
 
 def test_a_late_picture_is_never_sent() -> None:

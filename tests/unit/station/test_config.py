@@ -96,5 +96,5 @@ def test_a_backend_that_does_not_exist_is_named_before_anything_starts() -> None
     check_backend("sfm")
     check_backend("tests.support.made_up_workers:StraightSlam")
     for name in ("nonsense", "", "tests.support.made_up_workers:Nothing", "no_such_module:Slam", ":Slam"):
-        with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf"):
+        with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf, mono"):
             check_backend(name)

@@ -65,7 +65,7 @@ class CalibrationCheck:
                     self._camera, self._noise, self._gravity, solved.states, *given
                 )  # fmt: skip
                 self._windows.append(information)
-                self.fit = combined(self._windows)
+                self.fit = combined(self._windows, is_all=False)
         except DegenerateGeometry:
             pass  # it says nothing
         return True
@@ -75,6 +75,7 @@ class CalibrationCheck:
         self._end_part()
         while self.work():
             pass
+        self.fit = combined(self._windows, is_all=True)
         return self.fit
 
     def _end_part(self) -> None:

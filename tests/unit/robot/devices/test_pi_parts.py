@@ -23,7 +23,7 @@ from robot.devices.pi.ina219 import Ina219Battery
 from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.ports import BatteryState
 from shared.calibration import REFERENCE_ROBOT
-from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
+from shared.errors import ConfigError, DataError, DeviceLost, DeviceUnavailable
 from tests.support import mock_gpio, pi_stubs
 
 speeds = st.floats(-2, 2)
@@ -324,6 +324,23 @@ def test_a_camera_calibrated_alone_is_mounted_and_timed_as_the_reference_robots(
     file.write_text(file.read_text() + "approximate: true\n")
     own = adapter.load_calibration(config).camera
     assert own is not None and not own.is_measured
+
+
+def test_a_robots_own_imu_noise_is_read_beside_its_camera_or_alone(tmp_path: Path) -> None:
+    (tmp_path / "imu.yaml").write_text("gyroscope_noise_density: 1.0e-4\nupdate_rate: 225.0\n")
+    own, reference = adapter.load_calibration(PiConfig(calibration=str(tmp_path))), REFERENCE_ROBOT.imu
+    assert own.imu is not None and reference is not None and own.camera is not None
+    assert (own.imu.gyro_density, own.imu.rate_hz) == (1e-4, 225.0)
+    assert (own.imu.gyro_range, own.imu.accel_range) == (reference.gyro_range, reference.accel_range)
+    assert not own.camera.is_measured
+    (tmp_path / "camera.yaml").write_text("resolution: [640, 480]\nintrinsics: [1000.0, 1001.0, 320.0, 240.0]\n")
+    both = adapter.load_calibration(PiConfig(calibration=str(tmp_path)))
+    assert both.imu == own.imu and both.camera is not None and both.camera.fx == 1000.0
+
+
+def test_a_calibration_folder_with_neither_file_names_the_one_that_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"camera\.yaml"):
+        adapter.load_calibration(PiConfig(calibration=str(tmp_path)))
 
 
 def test_a_missing_serial_port_is_named_with_its_remedy() -> None:

@@ -48,6 +48,20 @@ def test_a_chessboard_upside_down_keeps_its_first_corner() -> None:
     assert np.linalg.norm(view.corners_px - true_corners(target, T)[view.ids], axis=1).max() < 0.5
 
 
+def test_of_a_chessboard_at_the_images_edge_a_part_is_found_whose_place_is_not_sure() -> None:
+    target = page_target("chessboard", "A4")
+    T = T_cam_board(target, np.array([0.2, -0.2, 0.0]), 0.3, shift=(-0.8, 0.0))
+    view = view_board(make_finder(target), target, photograph(printed_page(target), CAMERA, T), "a", 0)
+    assert view is not None and not view.ids_are_sure and 12 <= len(view.ids) < len(target.corners)
+    truth = true_corners(target, T)
+    nearest = np.linalg.norm(view.corners_px[:, None] - truth, axis=2).min(axis=1)
+    assert nearest.max() < 0.5
+    # The part is one of the board: neighbours in it are neighbours on the board.
+    found = np.linalg.norm(view.corners_px[:, None] - truth, axis=2).argmin(axis=1)
+    steps = np.diff(np.stack(np.divmod(found, target.columns)), axis=1)[:, np.diff(view.ids) == 1]
+    assert (np.abs(steps).sum(axis=0) == 1).all()
+
+
 @pytest.mark.parametrize("kind", ["aprilgrid", "charuco"])
 def test_of_a_board_at_the_images_edge_the_visible_part_is_found_with_its_ids(kind: TargetKind) -> None:
     target = page_target(kind, "A4")

@@ -24,5 +24,5 @@ def test_options_of_serve_keep_what_the_file_says_beside_them() -> None:
     "name", ["nonsense", "", "tests.support.made_up_workers:Nothing", "no_such_module:Slam", ":Slam"]
 )
 def test_a_backend_that_does_not_exist_is_named_before_anything_starts(name: str) -> None:
-    with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf"):
+    with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf, mono"):
         serve_settings(StationConfig(slam=SlamConfig(backend=name)), None, None, None, None, None, False)

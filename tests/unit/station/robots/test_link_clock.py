@@ -32,16 +32,30 @@ class Network:
         return self.up_ns(rng) + round(self.queue_ms(t_s) * MS)
 
 
-def run(clock: LinkClock, network: Network, seconds: float, drift_ppm: float, seed: int) -> None:
-    """Heartbeats ten times and drive reports twenty times a second, in the order of their arrival."""
+def run(
+    clock: LinkClock,
+    network: Network,
+    seconds: float,
+    drift_ppm: float,
+    seed: int,
+    *,
+    begin_s: float = 0.0,
+    ahead_ns: int = 0,
+) -> None:
+    """Heartbeats ten times and drive reports twenty times a second, in the order of their arrival.
+
+    Args:
+        begin_s: of the station's clock.
+        ahead_ns: so much farther the robot's clock is, since it was set.
+    """
     rng = np.random.default_rng(seed)
 
     def robot_ns(t_ns: int) -> int:
-        return STARTED_NS + t_ns + round(t_ns * drift_ppm * 1e-6)
+        return STARTED_NS + t_ns + round(t_ns * drift_ppm * 1e-6) + ahead_ns
 
     arrivals: list[tuple[int, int, int]] = []  # (arrival, when said, the heartbeat answered or -1)
     for k in range(round(seconds * 20)):
-        t_ns = k * S // 20
+        t_ns = round(begin_s * S) + k * S // 20
         heapq.heappush(arrivals, (t_ns + network.down_ns(t_ns / S, rng), t_ns, -1))
         if k % 2 == 0:
             heard_ns = t_ns + network.up_ns(rng)
@@ -154,6 +168,38 @@ def test_a_clock_that_was_set_is_followed(jump_s: float) -> None:
     assert offset_error_ms(clock, 32 * S, 0.0) == pytest.approx(-jump_s * 1e3, abs=2.0)
 
 
+@pytest.mark.parametrize("name", ["good", "busy", "two walls"])
+@pytest.mark.parametrize("jump_ms", [-900, -20, 20, 900])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_clock_that_jumped_by_less_than_a_second_is_known_again_within_seconds(
+    name: str, jump_ms: int, seed: int
+) -> None:
+    clock = LinkClock()
+    run(clock, NETWORKS[name], 60.0, 0.0, seed)
+    run(clock, NETWORKS[name], 6.0, 0.0, seed, begin_s=60.0, ahead_ns=jump_ms * MS)
+    assert offset_error_ms(clock, 66 * S, 0.0) == pytest.approx(-jump_ms, abs=2.0)
+    bound_ns = clock.bound_ns(66 * S)
+    assert bound_ns is not None and bound_ns <= 200 * MS
+
+
+def test_a_jump_after_a_second_of_arrivals_is_known_at_the_next_one() -> None:
+    clock = LinkClock()
+    run(clock, NETWORKS["good"], 1.0, 0.0, seed=0)
+    run(clock, NETWORKS["good"], 0.3, 0.0, seed=0, begin_s=1.0, ahead_ns=700 * MS)
+    assert offset_error_ms(clock, 1300 * MS, 0.0) == pytest.approx(-700.0, abs=2.0)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("drift_ppm", [0.0, 40.0])
+def test_what_is_told_of_the_uncertainty_holds_at_any_time(name: str, drift_ppm: float) -> None:
+    clock = LinkClock()
+    for second in range(60):
+        run(clock, NETWORKS[name], 1.0, drift_ppm, second, begin_s=float(second))
+        now_ns = (second + 1) * S
+        bound_ns = clock.bound_ns(now_ns)
+        assert bound_ns is not None and abs(offset_error_ms(clock, now_ns, drift_ppm)) * MS <= bound_ns
+
+
 def test_a_clock_that_is_slewed_is_followed() -> None:
     """NTP corrects a clock by up to 500 ppm for minutes."""
     clock = LinkClock()
@@ -168,4 +214,4 @@ def test_a_clock_that_is_slewed_is_followed() -> None:
 def test_memory_stays_bounded() -> None:
     clock = LinkClock()
     run(clock, NETWORKS["good"], 1200.0, 0.0, seed=0)
-    assert len(clock._stretches) <= 60
+    assert len(clock._stretches) <= 300

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from station.calibration.imu.noise_fit import Estimate, Noise, fit_noise
+from station.calibration.imu.noise_fit import Estimate, Noise, fit_noise, most_likely
 from station.calibration.imu.spectrum import pooled, spectrum_of
 from tests.support.inertial_noise import ACCEL, FLICKERING_GYRO, GYRO, QUIET_GYRO, TrueNoise, axis
 
@@ -20,7 +20,7 @@ def measured(seed: int, minutes: float, noise: TrueNoise) -> Noise:
     """Three axes in the mean."""
     rng = np.random.default_rng(seed)
     axes = [spectrum_of([axis(rng, int(60 * minutes * RATE), RATE, noise)], RATE, RATE / 10) for _ in range(3)]
-    return fit_noise(pooled(axes, [fit_noise(one).expected for one in axes])).noise
+    return fit_noise(pooled(axes, [one.design @ most_likely(one) for one in axes]))
 
 
 @pytest.mark.parametrize("noise", [GYRO, FLICKERING_GYRO, QUIET_GYRO])
@@ -67,14 +67,14 @@ def test_stretches_apart_are_as_good_as_their_sum() -> None:
     """The jump between them, 50 times the noise, is not in the figures."""
     rng = np.random.default_rng(4)
     stretches = [axis(rng, 40_000, RATE, GYRO) + offset for offset in (0.0, 50 * GYRO.density * np.sqrt(RATE))]
-    noise = fit_noise(spectrum_of(stretches, RATE, RATE / 10)).noise
+    noise = fit_noise(spectrum_of(stretches, RATE, RATE / 10))
     assert noise.density.low < GYRO.density < noise.density.high
     assert noise.walk.low < GYRO.walk < noise.walk.high
 
 
 def test_figures_scale_with_the_unit() -> None:
     values = axis(np.random.default_rng(1), 30_000, RATE, FLICKERING_GYRO)
-    one, thousand = (fit_noise(spectrum_of([k * values], RATE, 10.0)).noise for k in (1.0, 1000.0))
+    one, thousand = (fit_noise(spectrum_of([k * values], RATE, 10.0)) for k in (1.0, 1000.0))
     for a, b in ((one.density, thousand.density), (one.walk, thousand.walk), (one.instability, thousand.instability)):
         assert (b.value, b.low, b.high) == pytest.approx((1e3 * a.value, 1e3 * a.low, 1e3 * a.high), rel=1e-2)
 
@@ -83,6 +83,6 @@ def test_axes_of_unequal_noise_count_for_fewer() -> None:
     rng = np.random.default_rng(3)
     equal = [spectrum_of([axis(rng, 20_000, RATE, GYRO)], RATE, 10.0) for _ in range(3)]
     loud = [equal[0], equal[1], spectrum_of([axis(rng, 20_000, RATE, TrueNoise(2.6e-3, 2e-5))], RATE, 10.0)]
-    same, other = (pooled(axes, [fit_noise(one).expected for one in axes]) for axes in (equal, loud))
+    same, other = (pooled(axes, [one.design @ most_likely(one) for one in axes]) for axes in (equal, loud))
     assert same.dof[-1] / equal[0].dof[-1] == pytest.approx(3.0, abs=0.1)
     assert other.dof[-1] / equal[0].dof[-1] == pytest.approx(1.0, abs=0.1)

@@ -138,18 +138,20 @@ def test_no_window_alone_condemns_or_praises_a_calibration() -> None:
     """One window that the machine's load or a person walking through has spoilt says 2.5 degrees, for sure."""
     spoilt, usual = window_that_says(1.0, 2.5), window_that_says(1.0, 0.1)
     for windows in ([spoilt], [usual], [spoilt, usual], [usual, spoilt]):
-        fit = combined(windows)
+        fit = combined(windows, is_all=False)
         assert fit is not None and fit.verdict != "does not fit"
-    alone, together = combined([usual]), combined([usual] * 3 + [spoilt])
+    alone, together = combined([usual], is_all=False), combined([usual] * 3 + [spoilt], is_all=False)
     assert alone is not None and alone.verdict == "not known yet"
     assert together is not None and together.verdict != "does not fit"
-    all_turned = combined([window_that_says(1.0, 2.5 + 0.1 * k) for k in range(4)])
+    whole_drive = combined([usual], is_all=True)
+    assert whole_drive is not None and whole_drive.verdict == "fits"  # nothing else will be known
+    all_turned = combined([window_that_says(1.0, 2.5 + 0.1 * k) for k in range(4)], is_all=False)
     assert all_turned is not None and all_turned.verdict == "does not fit"
 
 
 def test_a_long_drives_uncertainty_is_as_that_of_windows_by_themselves() -> None:
     rng = np.random.default_rng(3)
     said = [window_that_says(float(np.exp(rng.normal(0, 0.01))), 0.0) for _ in range(400)]
-    fit = combined(said)
+    fit = combined(said, is_all=False)
     assert fit is not None
     assert fit.focal_sigma == pytest.approx(0.01 / np.sqrt(400), rel=0.4)  # of 20 groups: good to a sixth

@@ -1,0 +1,147 @@
+"""How well `station calibrate camera` does on real images and boards: numbers, honesty of the sigmas, time.
+
+    python -m benchmarks.bench_calibrate_camera --halves 20
+
+EuRoC's AprilGrid, OpenCV's chessboard (left, right), and the corners of the reference robot's 136 boards; each set is
+also cut into random halves, whose numbers should lie within three of their own sigmas of each other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.result import Figure, Run, add_results_option, share
+from shared.geometry import FloatArray
+from station.calibration.boards import make_finder, view_board
+from station.calibration.bundle import covariance, fit_camera, stack_views
+from station.calibration.camera import calibrate_camera
+from station.calibration.camera_verdict import reasons_against
+from station.calibration.target import BoardView, Target
+from station.calibration.target_file import read_target
+
+LENS_COUNT = 8  # numbers of a radial-tangential camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardSet:
+    """Views of one board by one camera, and what others found that camera to be."""
+
+    name: str
+    target: Target
+    views: list[BoardView]
+    size: tuple[int, int]
+    published: FloatArray  # (4,) fx fy cx cy
+    focal_bound: float  # %
+    ms_per_image: float | None = None  # of CPU, to find the board
+
+
+def find_all(name: str, target: Target, paths: list[Path], published: list[float], bound: float) -> BoardSet:
+    """The views in image files, and how long it took to find them."""
+    finder = make_finder(target)
+    images = [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8) for path in paths]
+    finder.find(images[0])  # what is set up once
+    begin = time.process_time()
+    seen = [view_board(finder, target, image, path.name, 0) for image, path in zip(images, paths, strict=True)]
+    ms = 1e3 * (time.process_time() - begin) / len(paths)
+    size = (images[0].shape[1], images[0].shape[0])
+    return BoardSet(name, target, [v for v in seen if v is not None], size, np.array(published), bound, ms)
+
+
+def reference_boards(path: Path) -> BoardSet:
+    """The boards that MATLAB found, which counts pixels from 1."""
+    content = np.load(path)
+    across, down = np.rint(content["world_points_mm"].T / 35.5).astype(int)
+    target = Target("chessboard", int(across.max()) + 1, int(down.max()) + 1, 0.0355)
+    ids = down * target.columns + across
+    views = [BoardView(str(i), i, ids, corners - 1.0) for i, corners in enumerate(content["image_points"])]
+    K = content["K"]
+    published = np.array([K[0, 0], K[1, 1], K[0, 2] - 1.0, K[1, 2] - 1.0])
+    return BoardSet("reference robot", target, views, (640, 480), published, 0.3)
+
+
+def board_sets(data: Path) -> list[BoardSet]:
+    """Every real set."""
+    grid, chess = data / "aprilgrid_euroc", data / "opencv_chessboard"
+    board = Target("chessboard", 9, 6, 0.025)
+    euroc = [458.654, 457.296, 367.215, 248.375]
+    left = [535.916, 535.916, 342.283, 235.571]
+    return [
+        find_all("EuRoC AprilGrid", read_target(grid / "target.yaml"), sorted(grid.glob("*.jpg")), euroc, 0.35),
+        find_all("OpenCV chessboard", board, sorted(chess.glob("left*.jpg")), left, 1.0),
+        reference_boards(data / "reference_robot_calibration" / "calib_640_v2_decoded.npz"),
+    ]
+
+
+def agreement(boards: BoardSet, halves: int, rng: np.random.Generator) -> int:
+    """How many numbers of random halves lie within three of their own sigmas, of halves * LENS_COUNT."""
+    agree = 0
+    for _ in range(halves):
+        order = rng.permutation(len(boards.views))
+        found = []
+        for half in (order[: len(order) // 2], order[len(order) // 2 :]):
+            corners = stack_views(boards.target, [boards.views[i] for i in half])
+            fit = fit_camera(corners, "radtan", boards.size)
+            found.append((fit.numbers, np.diag(covariance(corners, fit))))
+        (a, var_a), (b, var_b) = found
+        agree += int((np.abs(a - b) < 3.0 * np.sqrt(var_a + var_b)).sum())
+    return agree
+
+
+def measure(boards: BoardSet, halves: int, rng: np.random.Generator) -> list[Figure]:
+    """One set's figures; a row of JSON on stdout."""
+    begin = time.process_time()
+    found, rejected = calibrate_camera(boards.target, boards.views, boards.size)
+    seconds = time.process_time() - begin
+    if found is None:
+        return [Figure(f"{boards.name}: images used", 0, at_least=1)]
+    numbers = found.fit.numbers
+    reasons = reasons_against(found)
+    print(json.dumps({
+        "set": boards.name, "lens": found.fit.lens, "numbers": numbers.round(5).tolist(),
+        "sigma": found.sigma.round(5).tolist(), "rms_px": round(found.rms_px, 4), "coverage": found.coverage,
+        "used": len(found.views), "rejected": [item.reason for item in rejected], "reasons": reasons,
+    }), flush=True)  # fmt: skip
+    focal = 100 * float(np.max(np.abs(numbers[:2] / boards.published[:2] - 1.0)))
+    centre = float(np.max(np.abs(numbers[2:4] - boards.published[2:])))
+    figures = [
+        Figure(f"{boards.name}: focal length off the published one", focal, "%", at_most=boards.focal_bound),
+        Figure(f"{boards.name}: centre off the published one", centre, "px"),
+        Figure(f"{boards.name}: left over", found.rms_px, "px", at_most=0.29),
+        share(f"{boards.name}: accepted", not reasons, 1, at_least=100),
+        share(
+            f"{boards.name}: numbers of halves within three sigmas",
+            agreement(boards, halves, rng), halves * LENS_COUNT, at_least=95,
+        ),
+        Figure(f"{boards.name}: CPU time of fit and judgement", seconds, "s"),
+    ]  # fmt: skip
+    if boards.ms_per_image is not None:
+        bound = 30.0 if boards.target.kind == "aprilgrid" else None
+        figures.append(Figure(f"{boards.name}: CPU time to find the board", boards.ms_per_image, "ms", at_most=bound))
+    return figures
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real recordings")
+    parser.add_argument("--halves", type=int, default=20, help="random cuts of each set")
+    parser.add_argument("--seed", type=int, default=0)
+    add_results_option(parser, "calibrate_camera")
+    args = parser.parse_args()
+    run = Run.begin()
+    cv2.setNumThreads(1)
+    rng = np.random.default_rng(args.seed)
+    run.write(
+        args.results, [figure for boards in board_sets(args.data) for figure in measure(boards, args.halves, rng)]
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,310 @@
+"""How far a robot's wheels really carry and turn it, from a minute of driving before a board of known size.
+
+Between two rests the way is the integral of the command times a factor, however late the motors answer. So only
+rests are compared: the camera sees the board before and after a straight drive, the gyroscope counts a turn. The
+motors' lag then shows in how the yaw rate follows the command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+from scipy.stats import t as student
+
+from shared.calibration import CameraCalibration
+from shared.errors import DataError
+from shared.geometry import FloatArray, IntArray, orthonormal, se3
+from station.calibration.boards import make_finder, view_board
+from station.calibration.target import Target
+from station.datasets.dataset import Dataset
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.motion.drive_commands import MIN_COMMAND, REST_AFTER_S, commands_motion
+from station.vision.camera_pose import solve_pose
+from station.vision.lens import Lens
+
+MIN_REST_S = 0.3  # of standing still that a rest must last, after the motors have stopped
+POSE_TOLERANCE_PX = 2.0
+LEAST_VIEWS = 3  # of the board in a rest
+LEAST_MOVES = 3  # of each sort: fewer cannot contradict each other
+LEAST_WAY_M, LEAST_TURN_RAD = 0.1, 0.5  # of one move that is worth comparing
+FLOOR = 5e-4  # relative error that no scatter shows: of the printed board, of the gyroscope's scale
+MAX_SCATTER = 0.05  # between single moves; wheels that slip that much are stopped by something
+MAX_SIGMA = 0.02  # relative: floors differ by more
+MIN_TURN_SAMPLES = 20
+LAG_RANGE_S = (0.005, 0.5)
+PERCENT_3_SIGMA = 0.99865  # of a normal distribution is below three sigmas
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Commands between two rests: what was commanded and what came of it."""
+
+    begin_ns: int
+    end_ns: int
+    linear_m: float  # integral of the commanded speeds
+    angular_rad: float
+    command_m_s: float  # the largest one
+    command_rad_s: float
+    went_m: float | None  # forward, as the board tells; None where it was not seen before and after
+    turned_rad: float  # to the left, as the gyroscope tells
+
+    @property
+    def is_drive(self) -> bool:
+        """Straight on or back, far enough to compare."""
+        return abs(self.linear_m) > LEAST_WAY_M and self.command_rad_s < MIN_COMMAND
+
+    @property
+    def is_turn(self) -> bool:
+        """On the spot, far enough to compare."""
+        return abs(self.angular_rad) > LEAST_TURN_RAD and self.command_m_s < MIN_COMMAND
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """Achieved over commanded, from several moves."""
+
+    value: float
+    sigma: float  # as large as makes three of them hold in 99.7 %, however few moves there are
+    scatter: float  # of a single move, relative
+    moves: int
+
+
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """What was measured; None where the recording does not tell."""
+
+    speed: Factor | None  # forward
+    turn: Factor | None
+    lag_s: float | None  # of two equal lags one after the other, as motor and gear have it
+    lag_sigma_s: float | None
+    moves: tuple[Move, ...]
+    reasons: tuple[str, ...]  # against using it, with the remedy
+
+    @property
+    def accepted(self) -> bool:
+        return not self.reasons
+
+
+def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None] = lambda: None) -> Wheels:
+    """Measure a robot's wheels. Raises DataError where the dataset lacks a sensor altogether."""
+    camera = data.calibration.camera
+    if data.imu is None:
+        raise DataError(f"{data.path} has no IMU samples; record the robot with its IMU")
+    if camera is None or data.read_frames is None:
+        raise DataError(f"{data.path} has no images; record the robot with its camera")
+    if not data.drive:
+        raise DataError(f"{data.path} has no drive commands; record a drive of the robot itself")
+    rests = find_rests(data.drive, int(data.imu.t_robot_ns[-1]))
+    if len(rests) < 2:
+        return Wheels(None, None, None, None, (), ("The robot never stands still: pause two seconds between moves.",))
+    poses = _board_poses(data.read_frames(), camera, target, rests, on_frame)
+    moves = _moves(data.drive, data.imu, rests, poses)
+    speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive])
+    turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if m.is_turn])
+    lag, lag_sigma = (None, None) if turn is None else _fit_lag(data.drive, data.imu, rests, turn.value)
+    return Wheels(speed, turn, lag, lag_sigma, moves, tuple(_reasons(moves, poses, speed, turn)))
+
+
+# --- rests and moves --------------------------------------------------------------------------------------------------
+
+
+def find_rests(drive: Sequence[DriveSample], end_ns: int) -> list[tuple[int, int]]:
+    """Spans (begin, end) ns in which the robot stands still: no motion is commanded and the last one has died away."""
+    times = [d.t_robot_ns for d in drive] + [end_ns]
+    rests, since = list[tuple[int, int]](), None
+    if not commands_motion(drive[0]):
+        since = times[0]
+    for before, after in zip(drive, [*drive[1:], None], strict=True):
+        starts = after is None or commands_motion(after)
+        until = end_ns if after is None else after.t_robot_ns
+        if commands_motion(before):
+            since = until + round(REST_AFTER_S * 1e9)
+        elif starts and since is not None and until - since > MIN_REST_S * 1e9:
+            rests.append((since, until))
+    return rests
+
+
+def _moves(
+    drive: Sequence[DriveSample], imu: ImuBatch, rests: list[tuple[int, int]], poses: list[FloatArray | None]
+) -> tuple[Move, ...]:
+    """What happened between each rest and the next."""
+    t_ns = np.array([d.t_robot_ns for d in drive])
+    commands = np.array([[d.linear_m_s, d.angular_rad_s] for d in drive])
+    yaw_rate = _yaw_rates(imu, rests)
+    found = []
+    for k, ((_, begin), (end, _)) in enumerate(pairwise(rests)):
+        held = slice(np.searchsorted(t_ns, begin), np.searchsorted(t_ns, end))
+        until = np.append(t_ns[held][1:], min(end, t_ns[held.stop] if held.stop < len(t_ns) else end))
+        total = (commands[held] * ((until - t_ns[held]) * 1e-9)[:, None]).sum(axis=0)
+        largest = np.abs(commands[held]).max(axis=0)
+        found.append(
+            Move(
+                begin,
+                end,
+                float(total[0]),
+                float(total[1]),
+                float(largest[0]),
+                float(largest[1]),
+                _forward(poses[k], poses[k + 1]),
+                _integral(imu.t_robot_ns, yaw_rate, begin, end),
+            )
+        )
+    return tuple(found)
+
+
+def _yaw_rates(imu: ImuBatch, rests: list[tuple[int, int]]) -> FloatArray:
+    """Rates (N,) rad/s about the vertical, without the bias that the rests show."""
+    inside = [slice(*np.searchsorted(imu.t_robot_ns, rest)) for rest in rests]
+    middles = [0.5 * (begin + end) for begin, end in rests]
+    biases = np.array([imu.gyro_imu[part].mean(axis=0) for part in inside])
+    up = np.mean([imu.accel_imu[part].mean(axis=0) for part in inside], axis=0)
+    up /= np.linalg.norm(up)
+    return imu.gyro_imu @ up - np.interp(imu.t_robot_ns, middles, biases @ up)
+
+
+def _integral(t_ns: IntArray, rate: FloatArray, begin: int, end: int) -> float:
+    part = slice(np.searchsorted(t_ns, begin), np.searchsorted(t_ns, end))
+    return float(np.trapezoid(rate[part], t_ns[part] * 1e-9))
+
+
+def _forward(before: FloatArray | None, after: FloatArray | None) -> float | None:
+    """The way (m) from one pose T_board_body (4, 4) to another, negative where it leads back."""
+    if before is None or after is None:
+        return None
+    way = after[:3, 3] - before[:3, 3]
+    return float(np.copysign(np.linalg.norm(way), way @ (before[:3, 0] + after[:3, 0])))
+
+
+# --- where the robot stands in front of the board ---------------------------------------------------------------------
+
+
+def _board_poses(
+    frames: Iterator[ImageFrame],
+    camera: CameraCalibration,
+    target: Target,
+    rests: list[tuple[int, int]],
+    on_frame: Callable[[], None],
+) -> list[FloatArray | None]:
+    """T_board_body (4, 4) in each rest: the middle of its pictures; None where they hardly show the board."""
+    finder, lens = make_finder(target), Lens(camera)
+    tolerance = POSE_TOLERANCE_PX / camera.fx
+    seen: list[list[FloatArray]] = [[] for _ in rests]
+    begins = np.array([begin for begin, _ in rests])
+    for frame in frames:
+        on_frame()
+        t_ns = frame.t_robot_ns + round(camera.middle_row_shift_s * 1e9)
+        rest = int(np.searchsorted(begins, t_ns)) - 1
+        if rest < 0 or t_ns > rests[rest][1]:
+            continue  # it may be moving
+        view = view_board(finder, target, frame.grey(), frame.name, frame.t_robot_ns)
+        if view is None:
+            continue
+        found = solve_pose(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
+        if found is not None:
+            seen[rest].append(found.T_map_cam @ camera.T_cam_body_matrix)
+    return [_middle(poses) if len(poses) >= LEAST_VIEWS else None for poses in seen]
+
+
+def _middle(poses: list[FloatArray]) -> FloatArray:
+    """The pose (4, 4) whose position is the median and whose rotation the mean one."""
+    T = np.stack(poses)
+    return se3(orthonormal(T[:, :3, :3].mean(axis=0)), np.median(T[:, :3, 3], axis=0))
+
+
+# --- factors and lag --------------------------------------------------------------------------------------------------
+
+
+def fit_factor(pairs: list[tuple[float, float]]) -> Factor | None:
+    """Achieved over commanded, from pairs (commanded, achieved); None of fewer than LEAST_MOVES."""
+    if len(pairs) < LEAST_MOVES:
+        return None
+    commanded, achieved = np.array(pairs).T
+    weight = commanded**2 / (commanded**2).sum()
+    ratio = achieved / commanded
+    value = float(weight @ ratio)
+    scatter = float(np.sqrt(weight @ (ratio - value) ** 2 * len(pairs) / (len(pairs) - 1)) / abs(value))
+    return Factor(value, _sigma_of_mean(scatter, len(pairs)) * abs(value), scatter, len(pairs))
+
+
+def _sigma_of_mean(scatter: float, count: int) -> float:
+    """Of a mean, from the scatter of few values: Student's quantile in place of three sigmas."""
+    few = student.ppf(PERCENT_3_SIGMA, count - 1) / 3.0
+    return float(np.hypot(few * scatter / np.sqrt(count), FLOOR))
+
+
+def _fit_lag(
+    drive: Sequence[DriveSample], imu: ImuBatch, rests: list[tuple[int, int]], factor: float
+) -> tuple[float, float] | tuple[None, None]:
+    """How late the motors answer, s, and its sigma: from each turn by itself."""
+    yaw_rate = _yaw_rates(imu, rests)
+    t_ns = np.array([d.t_robot_ns for d in drive])
+    turning = np.array([d.angular_rad_s for d in drive])
+    commanded = factor * turning[np.maximum(np.searchsorted(t_ns, imu.t_robot_ns, side="right") - 1, 0)]
+    commanded[imu.t_robot_ns < t_ns[0]] = 0.0
+    lags = []
+    for (_, begin), (end, _) in pairwise(rests):
+        part = slice(np.searchsorted(imu.t_robot_ns, begin), np.searchsorted(imu.t_robot_ns, end))
+        if part.stop - part.start < MIN_TURN_SAMPLES or not commanded[part].any():
+            continue
+        period_s = float(np.diff(imu.t_robot_ns[part]).mean()) * 1e-9
+        lags.append(_lag_of_turn(commanded[part], yaw_rate[part], period_s))
+    if len(lags) < LEAST_MOVES:
+        return None, None
+    few = student.ppf(PERCENT_3_SIGMA, len(lags) - 1) / 3.0
+    return float(np.mean(lags)), float(few * np.std(lags, ddof=1) / np.sqrt(len(lags)))
+
+
+def _lag_of_turn(commanded: FloatArray, measured: FloatArray, period_s: float) -> float:
+    """The lag (s) that explains measured rates (N,) best; a turn's own grip is free."""
+
+    def misfit(lag_s: float) -> float:
+        expected = late(commanded, lag_s, period_s)
+        grip = (expected @ measured) / (expected @ expected)
+        return float(((measured - grip * expected) ** 2).sum())
+
+    return float(minimize_scalar(misfit, bounds=LAG_RANGE_S, method="bounded", options={"xatol": 1e-5}).x)
+
+
+def late(commanded: FloatArray, lag_s: float, period_s: float) -> FloatArray:
+    """What two equal first-order lags, one after the other, make of commands (N,) held from sample to sample."""
+    kept = np.exp(-period_s / lag_s)
+    # Exact for a held input: state of both lags, x' = (u - x) / lag, y' = (x - y) / lag.
+    k = kept * period_s / lag_s
+    return np.asarray(lfilter([0.0, 1 - kept - k, kept * kept - kept + k], [1.0, -2 * kept, kept * kept], commanded))
+
+
+# --- verdict ----------------------------------------------------------------------------------------------------------
+
+
+def _reasons(
+    moves: tuple[Move, ...], poses: list[FloatArray | None], speed: Factor | None, turn: Factor | None
+) -> list[str]:
+    """What speaks against using it, each with what to do."""
+    reasons = []
+    if sum(m.is_drive for m in moves) < LEAST_MOVES:
+        reasons.append("There are hardly any straight drives: drive to and fro before the board at several speeds.")
+    elif speed is None:
+        shown = sum(pose is not None for pose in poses)
+        reasons.append(
+            f"The board is seen in {shown} of {len(poses)} rests: keep it in view, in good light, before and after "
+            "each straight drive, near enough to fill half of the image."
+        )
+    if turn is None:
+        reasons.append("There are hardly any turns: turn on the spot, twice to each side, with a pause after each.")
+    for name, factor in (("straight drives", speed), ("turns", turn)):
+        if factor is not None and factor.scatter > MAX_SCATTER:
+            reasons.append(
+                f"The {name} differ by {100 * factor.scatter:.0f} %: free the robot's way, and drive on one even floor."
+            )
+        elif factor is not None and factor.sigma > MAX_SIGMA * abs(factor.value):
+            reasons.append(
+                f"The {name} tell only to {100 * factor.sigma / abs(factor.value):.1f} %: make more and longer ones."
+            )
+        if factor is not None and factor.value <= 0:
+            reasons.append(f"The {name} go the wrong way round: check the motors' wiring (`pi.invert_left`).")
+    return reasons

@@ -1,0 +1,153 @@
+"""`station calibrate camera-imu`: how camera and IMU sit on each other, from a recording waved before a target."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+import typer
+
+from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration_yaml import as_calibration, calibration_text
+from shared.disk import replacing
+from shared.errors import DataError
+from shared.geometry import FloatArray
+from shared.sensor_yaml import CONSUMER_IMU, read_camera, read_imu_noise, read_yaml
+from station.calibration.boards import make_finder, view_board
+from station.calibration.camera_imu.calibrate import HandheldRecording, calibrate_camera_imu
+from station.calibration.target import BoardView, Target
+from station.calibration.target_file import read_target
+from station.commands.options import Json, check_out_file
+from station.commands.progress import Bar, working
+from station.datasets import Dataset, open_dataset
+from station.model.frames import ImuBatch
+
+REFUSED = 2  # exit code
+IMAGES_PER_S = 10.0  # more say little more of one motion
+# How well a lens is known whose file does not say it: of a focal length and a centre 0.3 % of the image's width, and
+# what a calibration from 30 images leaves open of the distortion.
+SIGMA_OF_WIDTH = 0.003
+SIGMA_DISTORTION = {"radtan": (0.01, 0.01, 0.001, 0.001), "equidistant": (0.005, 0.005, 0.005, 0.005)}
+
+
+def register(app: typer.Typer) -> None:
+    app.command("camera-imu")(camera_imu)
+
+
+def camera_imu(
+    dataset: Annotated[Path, typer.Argument(help="30 to 60 s of images and IMU, waved before the target.")],
+    target: Annotated[Path, typer.Option("--target", help="The target.yaml of the board.")],
+    out: Annotated[Path, typer.Option("--out", help="The calibration.yaml to write; nothing is written when refused.")],
+    camera: Annotated[
+        Path | None,
+        typer.Option("--camera", help="camera.yaml or calibration.yaml with its lens; by default the dataset's."),
+    ] = None,
+    imu: Annotated[
+        Path | None,
+        typer.Option("--imu", help="sensor.yaml or calibration.yaml with the IMU's noise; by default the dataset's."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Find how camera and IMU sit on each other: rotation, position, time shift, line delay, gravity.
+
+    Exit code 2 when the recording does not suffice; says what to do.
+    """
+    check_out_file(out)
+    board = read_target(target)
+    with working(f"opening {dataset.name}") as bar:
+        data = open_thinned(dataset)
+        known = told(data.calibration, camera, imu)
+        lens = known.camera
+        if lens is None or not data.has_images:
+            raise DataError(f"{dataset} holds no images with a camera.yaml; record the camera as well")
+        if not lens.is_measured:
+            where = camera or dataset
+            raise DataError(f"{where}: the lens is a guess; run `station calibrate camera` and give --camera")
+        found = calibrate_camera_imu(recorded(data, board, lens, known, bar), bar.step)
+    if found.is_accepted and found.solution is not None:
+        measured = msgspec.structs.replace(known, camera=found.solution.unknowns.camera)
+        with replacing(out) as file:
+            file.write(calibration_text(measured).encode())
+    print(json.dumps(found.results()) if as_json else summary(found.results(), out))
+    if not found.is_accepted:
+        raise typer.Exit(REFUSED)
+
+
+def told(own: Calibration, camera: Path | None, imu: Path | None) -> Calibration:
+    """What is known beforehand: the dataset's own, or what files say instead."""
+    if camera is not None:
+        content = read_yaml(camera)
+        lens = as_calibration(content, camera).camera if "camera" in content else read_camera(camera, content)
+        own = msgspec.structs.replace(own, camera=lens)
+    if imu is not None:
+        content = read_yaml(imu)
+        noise = as_calibration(content, imu).imu if "imu" in content else read_imu_noise(imu, content)
+        own = msgspec.structs.replace(own, imu=noise)
+    return own
+
+
+def open_thinned(dataset: Path) -> Dataset:
+    """With about IMAGES_PER_S images a second."""
+    data = open_dataset(dataset)
+    times = data.frame_times_ns
+    if len(times) < 2:
+        return data
+    step = int(1e9 / IMAGES_PER_S / max(float(np.median(np.diff(times))), 1.0) + 1e-3)
+    return open_dataset(dataset, step=step) if step > 1 else data
+
+
+def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calibration, bar: Bar) -> HandheldRecording:
+    """The recording with the target found in its images; without an IMU they need not be looked at."""
+    imu = data.imu or ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    return HandheldRecording(
+        views=views_of(data, board, bar) if len(imu) else [],
+        num_images=len(data.frame_times_ns),
+        imu=imu,
+        target=board,
+        camera=lens,
+        noise=known.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0),
+        gravity=known.gravity,
+        sigma_intrinsics=lens_sigma(lens),
+    )
+
+
+def views_of(data: Dataset, board: Target, bar: Bar) -> list[BoardView]:
+    bar.step("looking for the target", len(data.frame_times_ns))
+    assert data.read_frames is not None
+    finder, views = make_finder(board), []
+    for frame in data.read_frames():
+        view = view_board(finder, board, frame.grey(), frame.name, frame.t_robot_ns)
+        bar.advance()
+        if view is not None and view.ids_are_sure:
+            views.append(view)
+    return views
+
+
+def lens_sigma(lens: CameraCalibration) -> FloatArray:
+    """(8,) of fx, fy, cx, cy px and the distortion."""
+    return np.array([*[SIGMA_OF_WIDTH * lens.width] * 4, *SIGMA_DISTORTION[lens.model]])
+
+
+def summary(results: dict[str, Any], out: Path) -> str:
+    """What a person wants to know."""
+    lines = []
+    if results["sigma"] is not None:
+        T, sigma = np.array(results["T_body_cam"]), results["sigma"]
+        position = ", ".join(
+            f"{1e3 * t:.1f} ± {1e3 * s:.1f}" for t, s in zip(T[:3, 3], sigma["translation_m"], strict=True)
+        )
+        lines = [
+            f"rotation     {np.array2string(T[:3, :3], precision=4, suppress_small=True, prefix=' ' * 13)}",
+            f"             ± {max(sigma['rotation_deg']):.3f}°",
+            f"position     {position} mm of the camera from the IMU",
+            f"time shift   {1e3 * results['time_shift_s']:.3f} ± {1e3 * sigma['time_shift_s']:.3f} ms",
+            f"line delay   {1e6 * results['line_delay_s']:.2f} ± {1e6 * sigma['line_delay_s']:.2f} µs",
+            f"left over    {results['rms_px']:.2f} px, {math.degrees(results['rms_gyro']):.2f} °/s,"
+            f" {results['rms_accel']:.3f} m/s²",
+        ]
+    lines += [f"refused: {reason}" for reason in results["reasons"]]
+    return "\n".join(lines if results["reasons"] else [*lines, f"written to {out}"])

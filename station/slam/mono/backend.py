@@ -1,0 +1,228 @@
+"""The mono backend: MonoSLAM over the frames of one camera. Every frame gives a pose at once; the scale is arbitrary.
+
+Reading path: `add_frame` here, `MonoFilter.process` (filter.py) for the algorithm, then motion.py, measurement.py and
+state.py, where the equations of thesis 2.1 and appendix C stand. docs/studies/monoslam.md says what to learn from it.
+Pure: no clock, no thread, nothing random.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import scipy
+
+from shared.calibration import Calibration
+from shared.errors import ConfigError, EstimationError
+from shared.geometry import FloatArray, inverse, se3, transform, upright
+from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
+from station.model.navigation import Navigation, NavigationReport
+from station.model.slam_update import SlamUpdate, TrackingState
+from station.slam.mapping.intake import FrameIntake
+from station.slam.mono.config import MonoConfig
+from station.slam.mono.filter import FrameResult, MonoFilter
+from station.slam.mono.map_log import MapLog, camera_pose
+from station.slam.mono.patches import PatchFinder
+from station.vision.lens import Lens
+
+CAMERA_UP = np.array([0.0, -1.0, 0.0])  # cameras are mostly held upright, and nothing else says where up is
+
+
+class MonoBackend:
+    def __init__(self, calibration: Calibration, config: MonoConfig | None = None) -> None:
+        if calibration.camera is None:
+            raise ConfigError("the mono backend needs a camera, and the calibration has none; give one")
+        cv2.setNumThreads(1)  # its images are patches
+        self._calibration = calibration
+        self._config = config or MonoConfig()
+        self._lens = Lens(calibration.camera)
+        self._intake = FrameIntake(calibration.camera)
+        self._shift_ns = round(calibration.camera.middle_row_shift_s * 1e9)
+        self._T_cam_body = inverse(calibration.camera.T_body_cam_matrix)
+        self._log = MapLog(self._config, calibration.camera.width)
+        self._finder = PatchFinder(self._lens, self._config.search)
+        self.filter: MonoFilter | None = None  # of the running segment
+        self.last: FrameResult | None = None  # what it made of the last frame
+        R = upright(CAMERA_UP, self._T_cam_body[:3, :3])
+        self._T_world_filter = se3(R, -R @ self._T_cam_body[:3, 3])  # the first body pose is the origin, at yaw 0
+        self._T_world_cam = self._T_world_filter  # the last one that is known
+        self._segment = -1
+        self._num_features = 0  # of all segments so far
+        self._previous_ns = 0
+        self._found_ns = 0  # when enough features were found last
+        self._lost_ns = 0
+        self._messages: list[str] = []
+
+    def add_imu(self, imu: ImuBatch) -> None:
+        """Images only."""
+
+    def add_drive(self, drive: DriveSample) -> None:
+        """Images only."""
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        """Take one frame in. Raises ConfigError when the image has another size than the calibration's."""
+        grey = self._intake.take(frame)
+        if isinstance(grey, str):
+            return self._update(frame, "tracking" if self.filter is not None else self._waiting, grey)
+        self._finder.look_at(grey)
+        dt_s = (frame.t_robot_ns - self._previous_ns) * 1e-9
+        self._previous_ns = frame.t_robot_ns
+        if self.filter is not None and dt_s > self._config.max_gap_s:
+            self._lose(f"no image for {dt_s:.1f} s")
+        if self.filter is None:
+            return self._start(frame, grey)
+        return self._track(self.filter, dt_s, frame, grey)
+
+    def _track(self, mono: MonoFilter, dt_s: float, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
+        try:
+            self.last = result = mono.process(dt_s, self._finder)
+        except np.linalg.LinAlgError:
+            return self._lose_at(frame, "the filter contradicts itself")
+        if result.removed is not None:
+            self._finder.forget(result.removed.ids)
+            self._log.retire(result.removed, self._T_world_filter)
+        if result.num_found >= self._config.min_found:
+            self._found_ns = frame.t_robot_ns
+            return self._keep(mono, result, frame, grey)
+        if frame.t_robot_ns - self._found_ns > self._config.max_outage_s * 1e9:
+            return self._lose_at(frame, "too few features are found again")
+        return self._update(frame, "tracking", f"tracking: {result.num_found} of {result.num_tried} features found")
+
+    def _keep(self, mono: MonoFilter, result: FrameResult, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
+        """A frame whose pose is known."""
+        self._T_world_cam = self._T_world_filter @ camera_pose(mono.state)
+        T_world_body = self._T_world_cam @ self._T_cam_body
+        self._log.add_pose(frame.t_robot_ns + self._shift_ns, T_world_body)
+        is_keyframe = self._log.is_keyframe(result.ids, result.uv_px, self._segment)
+        if is_keyframe:
+            self._log.add_keyframe(frame, self._T_world_cam, self._segment, result.ids, result.uv_px)
+        at = np.flatnonzero(np.isin(result.ids, result.settled) & np.isin(result.ids, mono.state.ids))
+        of = np.searchsorted(mono.state.ids, result.ids[at])
+        points = transform(self._T_world_filter, mono.state.points()[0][of])
+        u, v = np.rint(result.uv_px[at]).astype(int).T
+        return self._update(
+            frame,
+            "tracking",
+            f"tracking: {result.num_found} of {result.num_tried} features found",
+            T_world_body,
+            is_keyframe,
+            points,
+            np.repeat(grey[v, u][:, None], 3, axis=1).astype(np.float64),
+        )
+
+    # ---- starting and losing
+
+    @property
+    def _waiting(self) -> TrackingState:
+        return "initialising" if self._segment < 0 else "lost"
+
+    def _start(self, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
+        """A filter whose world is this camera; it stands where the last one was lost, for want of a better place."""
+        mono = MonoFilter(self._lens, self._config.filter, self._num_features)
+        result = mono.process(0.0, self._finder)
+        if len(mono.state.ids) < self._config.min_found:
+            self._finder.forget(mono.state.ids)
+            return self._update(frame, self._waiting, "not initialised yet: needs something with corners in view")
+        self.filter, self._segment = mono, self._segment + 1
+        self._T_world_filter = self._T_world_cam
+        if self._segment:
+            self._lost_ns += frame.t_robot_ns - self._found_ns
+        self._found_ns = frame.t_robot_ns
+        return self._keep(mono, result, frame, grey)
+
+    def _lose(self, reason: str) -> None:
+        """What was estimated before the trouble stays; the next start is a new segment with a scale of its own."""
+        assert self.filter is not None
+        self._log.retire(self.filter.state, self._T_world_filter)
+        self._finder.forget(self.filter.state.ids)
+        self._num_features = self.filter.next_id
+        self.filter = None
+        self._messages.append(f"tracking lost after {self._intake.elapsed_s:.1f} s: {reason}")
+
+    def _lose_at(self, frame: ImageFrame, reason: str) -> SlamUpdate:
+        self._lose(reason)
+        return self._update(frame, "lost", f"tracking lost: {reason}")
+
+    # ---- the end
+
+    def catch_up(self) -> bool:
+        """Nothing waits."""
+        return False
+
+    def keyframe_pictures(self) -> Sequence[bytes]:
+        return self._log.encoded
+
+    def keyframe_features(self, number: int) -> None:
+        """None: its patches are not features that localisation uses."""
+
+    def finish(self) -> Navigation:
+        """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
+        intake = self._intake
+        if not intake.used:
+            raise EstimationError("no usable image came; the mono backend needs images")
+        if not len(self._log):
+            raise EstimationError("tracking never started: no image had enough corners to follow")
+        if self.filter is not None:
+            self._log.retire(self.filter.state, self._T_world_filter)
+        else:
+            self._lost_ns += intake.last_t_ns - self._found_ns
+        keyframes, landmarks = self._log.map()
+        refused = {
+            "images out of order": intake.out_of_order,
+            "images that could not be decoded": intake.undecodable,
+        }
+        if self._segment:
+            self._messages.append(f"{self._segment + 1} pieces, each with a scale and a frame of its own")
+        plain: dict[str, Any] = msgspec.to_builtins(asdict(self._config))
+        report = NavigationReport(
+            backend="mono",
+            frames=intake.used,
+            duration_s=intake.elapsed_s,
+            wall_s=0.0,
+            realtime_factor=0.0,
+            cpu_s=0.0,
+            landmarks=len(landmarks),
+            tracking_lost_s=self._lost_ns * 1e-9,
+            scale="arbitrary",
+            gravity_aligned=False,
+            seed=0,
+            versions={
+                "python": platform.python_version(),
+                "numpy": np.__version__,
+                "scipy": scipy.__version__,
+                "opencv": cv2.__version__,
+            },
+            config=plain,
+            messages=(*self._messages, *(f"{count} {what}" for what, count in refused.items() if count)),
+        )
+        identity = f"mono-{intake.first_t_ns}"
+        return Navigation(identity, self._calibration, self._log.trajectory(), keyframes, landmarks, report)
+
+    def _update(
+        self,
+        frame: ImageFrame,
+        state: TrackingState,
+        message: str,
+        T_world_body: FloatArray | None = None,
+        is_keyframe: bool = False,
+        points: FloatArray | None = None,
+        rgb: FloatArray | None = None,
+    ) -> SlamUpdate:
+        has_points = points is not None and len(points) > 0
+        return SlamUpdate(
+            t_robot_ns=frame.t_robot_ns,
+            state=state,
+            message=message,
+            T_world_body=T_world_body,
+            num_landmarks=0 if self.filter is None else len(self.filter.state.ids),
+            is_keyframe=is_keyframe,
+            new_points_world=points if has_points else None,
+            new_points_rgb=rgb if has_points else None,
+            segment=max(self._segment, 0),
+            scale="arbitrary",
+        )

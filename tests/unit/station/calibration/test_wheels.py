@@ -1,0 +1,119 @@
+"""Wheels are measured between rests: by the board for the way, by the gyroscope for turns."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from robot.simulation.calibration.kind import Kind
+from robot.simulation.calibration.sessions import Session, record_session
+from shared.errors import DataError
+from station.calibration.target_file import read_target
+from station.calibration.wheels import Wheels, calibrate_wheels, find_rests, fit_factor, late
+from station.datasets import open_dataset
+from station.main import app
+from station.model.frames import DriveSample
+
+S = 1_000_000_000
+
+
+def measured(folder: Path) -> Wheels:
+    return calibrate_wheels(open_dataset(folder), read_target(folder / "target.yaml"))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Session]:
+    folder = tmp_path_factory.mktemp("wheels") / "session"
+    return folder, record_session(Kind.WHEELS, folder, seed=1)
+
+
+def test_speed_track_and_lag_come_out_of_a_drive_before_a_board(recording: tuple[Path, Session]) -> None:
+    folder, session = recording
+    found, true = measured(folder), session.truth["wheels"]
+    assert found.accepted, found.reasons
+    assert found.speed is not None and found.turn is not None
+    assert found.lag_s is not None and found.lag_sigma_s is not None
+    assert found.speed.value == pytest.approx(true["linear_efficiency"], rel=0.003)
+    assert found.turn.value == pytest.approx(true["yaw_efficiency"], rel=0.01)
+    assert found.lag_s == pytest.approx(true["lag_s"], rel=0.05)
+    assert abs(found.turn.value - true["yaw_efficiency"]) < 3 * found.turn.sigma
+
+
+def test_the_command_writes_what_the_robot_should_be_told(recording: tuple[Path, Session], tmp_path: Path) -> None:
+    folder, session = recording
+    out, true = tmp_path / "pi.toml", session.truth["wheels"]
+    command = ["calibrate", "wheels", str(folder), "--target", str(folder / "target.yaml"), "--out", str(out)]
+    said = CliRunner().invoke(app, [*command, "--full-speed", "0.5", "--track", "0.2", "--json"])
+    assert said.exit_code == 0
+    answer = json.loads(said.stdout.splitlines()[-1])
+    assert answer["full_speed_m_s"] == pytest.approx(0.5 * true["linear_efficiency"], rel=0.003)
+    assert answer["track_m"] == pytest.approx(0.2 * true["linear_efficiency"] / true["yaw_efficiency"], rel=0.01)
+    assert f"track_m = {answer['track_m']:.4f}" in out.read_text()
+
+
+@pytest.mark.parametrize(
+    ("poor", "remedy"),
+    [
+        ("no-rests", "pause two seconds"),
+        ("no-drives", "drive to and fro"),
+        ("no-turns", "turn on the spot"),
+    ],
+)
+def test_a_poor_drive_is_refused_with_what_to_do(tmp_path: Path, poor: str, remedy: str) -> None:
+    record_session(Kind.WHEELS, tmp_path / "session", seed=0, poor=poor)
+    assert any(remedy in reason for reason in measured(tmp_path / "session").reasons)
+
+
+def test_a_refused_drive_writes_nothing(tmp_path: Path) -> None:
+    folder, out = tmp_path / "session", tmp_path / "pi.toml"
+    record_session(Kind.WHEELS, folder, seed=0, poor="too-short")
+    command = ["calibrate", "wheels", str(folder), "--target", str(folder / "target.yaml"), "--out", str(out)]
+    said = CliRunner().invoke(app, command)
+    assert said.exit_code == 2
+    assert "refused" in said.stdout
+    assert not out.exists()
+
+
+def test_a_drive_without_imu_is_named(tmp_path: Path) -> None:
+    record_session(Kind.WHEELS, tmp_path / "session", seed=0, poor="no-imu", seconds=4.0)
+    with pytest.raises(DataError, match="no IMU"):
+        measured(tmp_path / "session")
+
+
+def test_rests_begin_when_the_motion_has_died_away_and_end_with_the_next_command() -> None:
+    drive = [
+        DriveSample(0, 0.0, 0.0),
+        DriveSample(2 * S, 0.2, 0.0),
+        DriveSample(3 * S, 0.2, 0.0),
+        DriveSample(4 * S, 0.0, 0.0),
+        DriveSample(5 * S, 0.0, 0.0),
+        DriveSample(7 * S, 0.0, 1.0),
+        DriveSample(8 * S, 0.0, 0.0),
+        DriveSample(round(8.5 * S), 0.0, 1.0),
+        DriveSample(9 * S, 0.0, 0.0),
+    ]
+    assert find_rests(drive, 12 * S) == [(0, 2 * S), (round(4.7 * S), 7 * S), (round(9.7 * S), 12 * S)]
+
+
+def test_two_lags_in_a_row_answer_a_step_as_their_equations_say() -> None:
+    lag_s, period_s = 0.1, 0.005
+    t_s = period_s * np.arange(200)
+    expected = 1 - (1 + t_s / lag_s) * np.exp(-t_s / lag_s)  # x' = (u - x) / lag, y' = (x - y) / lag
+    np.testing.assert_allclose(late(np.ones(200), lag_s, period_s), expected, atol=1e-9)
+
+
+def test_three_sigmas_of_few_moves_hold_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(5)
+    outside = 0
+    for _ in range(2000):
+        ratio = 0.8 * (1 + 0.01 * rng.standard_normal(4))
+        factor = fit_factor([(2.0, 2.0 * r) for r in ratio])
+        assert factor is not None
+        outside += abs(factor.value - 0.8) > 3 * factor.sigma
+    assert outside <= 16  # 0.27 % of 2000 are 5.4
+
+
+def test_two_moves_are_too_few_to_contradict_each_other() -> None:
+    assert fit_factor([(1.0, 0.9), (1.0, 0.9)]) is None

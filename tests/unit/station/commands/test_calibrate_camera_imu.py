@@ -1,0 +1,70 @@
+"""`station calibrate camera-imu` over recordings that the simulator rendered."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from robot.simulation.calibration.conduct import Kind
+from robot.simulation.calibration.sessions import Session, record_session
+from shared.calibration_yaml import read_calibration
+from shared.geometry import so3_log
+from station.main import app
+
+SECONDS = 13.0
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Session]:
+    folder = tmp_path_factory.mktemp("sessions") / "good"
+    return folder, record_session(Kind.CAMERA_IMU, folder, 4, seconds=SECONDS)
+
+
+def calibrate(folder: Path, out: Path, *options: str) -> tuple[int, str]:
+    command = ["calibrate", "camera-imu", str(folder), "--target", str(folder / "target.yaml"), "--out", str(out)]
+    result = CliRunner().invoke(app, [*command, *options])
+    return result.exit_code, result.stdout or str(result.exception)
+
+
+def test_a_waved_robot_is_calibrated_from_its_images(recorded: tuple[Path, Session], tmp_path: Path) -> None:
+    folder, session = recorded
+    out = tmp_path / "calibration.yaml"
+    code, printed = calibrate(folder, out, "--json")
+    assert code == 0, printed
+    found, true = json.loads(printed.splitlines()[-1]), session.truth["calibration"]["camera"]
+    T, T_true = np.array(found["T_body_cam"]), np.array(true["T_body_cam"]).reshape(4, 4)
+    assert np.degrees(np.linalg.norm(so3_log(T[:3, :3].T @ T_true[:3, :3]))) < 0.1
+    assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 3e-3
+    assert abs(found["time_shift_s"] - true["time_shift_s"]) < 2e-4
+    assert abs(found["line_delay_s"] - true["line_delay_s"]) < 5e-7
+    written = read_calibration(out).camera
+    assert written is not None
+    assert np.allclose(written.T_body_cam_matrix, T)
+    assert written.time_shift_s == found["time_shift_s"]
+
+
+def test_a_recording_without_an_imu_is_refused_and_nothing_written(tmp_path: Path) -> None:
+    folder, out = tmp_path / "no-imu", tmp_path / "calibration.yaml"
+    record_session(Kind.CAMERA_IMU, folder, 5, "no-imu", seconds=2.0)
+    code, printed = calibrate(folder, out, "--json")
+    found = json.loads(printed.splitlines()[-1])
+    assert code == 2
+    assert not found["accepted"]
+    assert found["T_body_cam"] is None
+    assert "record the IMU as well" in found["reasons"][0]
+    assert not out.exists()
+
+
+def test_a_lens_that_is_a_guess_is_an_error_that_says_what_to_run(
+    recorded: tuple[Path, Session], tmp_path: Path
+) -> None:
+    folder, _ = recorded
+    guess = tmp_path / "camera.yaml"
+    guess.write_text((folder / "mav0" / "cam0" / "sensor.yaml").read_text() + "approximate: true\n")
+    code, printed = calibrate(folder, tmp_path / "calibration.yaml", "--camera", str(guess))
+    assert code != 0
+    assert "station calibrate camera" in printed

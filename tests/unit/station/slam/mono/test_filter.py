@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from shared.geometry import inverse, transform
+from station.experiments.trajectory_error import absolute_trajectory_error, path_length
+from station.model.navigation import Trajectory
+from station.slam.mono.config import FilterConfig
+from station.slam.mono.filter import FrameResult, MonoFilter
+from station.slam.mono.map_log import camera_pose
+from station.vision.lens import Lens
+from tests.support.mono import NEES_DEGREES, RATE_HZ, PointFinder, hand_held_camera, hand_held_path, pose_nees
+from tests.support.synthetic_run import room_points
+
+SECONDS = 4.0
+
+
+def follow(seed: int, outliers: float = 0.0) -> tuple[MonoFilter, Trajectory, Trajectory, list[FrameResult]]:
+    """The filter at the end of a sequence of points, the truth, what it found, and what each frame gave."""
+    calibration, path = hand_held_camera(), hand_held_path(seed, SECONDS)
+    assert calibration.camera is not None
+    lens = Lens(calibration.camera)
+    finder = PointFinder(lens, room_points(path.T_world_body[:, :3, 3], seed), 1.0, seed, outliers)
+    mono = MonoFilter(lens, FilterConfig())
+    poses, results = [], []
+    for k, T_world_cam in enumerate(path.T_world_body):
+        finder.look_from(T_world_cam)
+        results.append(mono.process(1.0 / RATE_HZ if k else 0.0, finder))
+        poses.append(camera_pose(mono.state))
+    return mono, path, Trajectory(path.t_robot_ns, np.array(poses)), results
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.1])
+def test_camera_among_points_is_followed_within_two_percent_also_where_some_measurements_are_wrong(
+    outliers: float,
+) -> None:
+    mono, truth, found, results = follow(1, outliers)
+    error = absolute_trajectory_error(found, truth, "sim3")
+    assert error.rmse_m < 0.02 * path_length(truth)
+    last = results[-1]
+    assert 0.7 * (1 - outliers) * last.num_tried <= last.num_found <= last.num_tried
+    assert pose_nees(mono.state, inverse(truth.T_world_body[0]) @ truth.T_world_body[-1]) < chi2.ppf(
+        0.999, NEES_DEGREES
+    )
+
+
+def test_features_become_points_where_they_are_known_well_enough() -> None:
+    mono, truth, found, results = follow(2)
+    state = mono.state
+    assert 0 < state.is_inverse.sum() < len(state.ids)
+    assert len(state.x) == 13 + 6 * state.is_inverse.sum() + 3 * (~state.is_inverse).sum()
+    settled = np.concatenate([result.settled for result in results])
+    assert set(state.ids[~state.is_inverse].tolist()) <= set(settled.tolist())
+    p, cov = state.points()
+    scale = absolute_trajectory_error(found, truth, "sim3").alignment
+    p_true = transform(scale.T_target_source, p[~state.is_inverse])
+    assert np.isfinite(p_true).all() and (np.linalg.eigvalsh(cov) > -1e-9).all()
+
+
+def test_covariance_stays_symmetric_and_positive_and_the_attitude_a_unit_quaternion() -> None:
+    state = follow(3)[0].state
+    np.testing.assert_allclose(state.P, state.P.T, atol=1e-12)
+    assert np.linalg.eigvalsh(state.P).min() > -1e-9
+    assert abs(np.linalg.norm(state.x[3:7]) - 1.0) < 1e-12
+
+
+def test_map_keeps_its_size() -> None:
+    config = FilterConfig()
+    mono, _, _, results = follow(4)
+    assert len(mono.state.ids) <= config.max_features
+    assert all(result.num_tried <= config.num_measured for result in results)
+
+
+def test_ellipses_shrink_as_depths_become_known() -> None:
+    results = follow(5)[3]
+    area = [float(np.median(np.sqrt(np.linalg.det(result.wanted.S)))) for result in results[1:]]
+    assert np.mean(area[-20:]) < 0.1 * area[0]
