@@ -34,7 +34,7 @@ FILES = {RECORDING: "application/octet-stream", RESULT: "application/json", RESI
 FILE_CONTENT: dict[str, Any] = {
     "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in FILES.values()}
 }
-YAML: dict[str, Any] = {"content": {"application/yaml": {"schema": {"type": "string"}}}}
+YAML: dict[str, Any] = {"content": {"application/yaml": {"schema": {"type": "object"}}}}
 
 
 @of_robot.get("/calibration", summary="What the robot tells of its sensors", responses=responses(503))

@@ -18,7 +18,7 @@ export function drawLooking(
   if (!seen) return;
   drawCells(context, seen.cells);
   context.fillStyle = seen.is_taken ? "#34d399" : "#fbbf24";
-  const radius = canvas.width / 130;
+  const radius = canvas.width / 200;
   for (const [u = 0, v = 0] of seen.corners_px) {
     context.beginPath();
     context.arc(u, v, radius, 0, 2 * Math.PI);

@@ -58,7 +58,7 @@ export function progressOf(seen: BoardSeenModel | null): Content[] {
     ),
     make(
       "ul",
-      { class: "bars meter", "aria-label": "How well it is known" },
+      { class: "bars known", "aria-label": "How well it is known" },
       ...(seen.meter.length
         ? seen.meter.map((reading) => bar(reading.name, reading.wanted / reading.sigma, meterNote(reading)))
         : [make("li", { class: "note" }, "How well the numbers are known shows after six views.")]),
