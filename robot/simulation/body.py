@@ -36,6 +36,7 @@ class MotionState:
     a_world: FloatArray  # (3,) m/s^2
     omega_body: FloatArray  # (3,) rad/s
     carried: float = 0.0  # 0 on the floor .. 1 held in a hand that covers the lens
+    head: tuple[float, float] = (0.0, 0.0)  # rad, pan and tilt of the camera's head
 
 
 @dataclass(slots=True)
