@@ -1,0 +1,119 @@
+"""The head in the filter: clones where the camera is, with the errors that body and servos give them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shared.calibration import REFERENCE_HEAD
+from shared.geometry import FloatArray, inverse, se3, so3_exp
+from station.motion.error_coordinates import ErrorKind, as_displacement, difference_group, from_displacement
+from station.motion.head import NUM_ERRORS, PLAY, SIGMA_PLAY_RAD, HeadPose
+from station.slam.ukf.filter.head import ServosKnown, add_head_clone, landmarks_seen_from_head, turn_head
+from station.slam.ukf.filter.state import FilterState, initial_state, retract
+
+KINDS = list(ErrorKind)
+RNG = np.random.default_rng(0)
+
+
+def head_at(pan: float, tilt: float, change: float = 0.0) -> HeadPose:
+    return HeadPose(REFERENCE_HEAD, np.array([pan, tilt]), np.array([0.7, -0.2]), np.full(2, change))
+
+
+def turned_state(seed: int) -> FilterState:
+    """A state whose head was turned, with errors of all kinds that hang together."""
+    rng = np.random.default_rng(seed)
+    state = initial_state(
+        0, so3_exp(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=3), np.zeros(3), np.zeros(3),
+        1e-3 * rng.normal(size=(15, 15)),
+    )  # fmt: skip
+    state = turn_head(state, head_at(0.5, 0.1), None)
+    mixed = state.S + 1e-4 * rng.normal(size=state.S.shape)
+    return replace(state, S=mixed, head=1e-2 * rng.normal(size=NUM_ERRORS), omega_body=np.array([0.1, -0.2, 0.5]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_displacements_are_what_the_errors_do_to_the_pose(kind: ErrorKind) -> None:
+    state = turned_state(1)
+    phi, xi = 1e-6 * RNG.normal(size=(3, 1)), 1e-6 * RNG.normal(size=(3, 1))
+    dx = np.zeros(state.size)
+    dx[6:9], dx[12:15] = phi[:, 0], xi[:, 0]
+    moved = retract(kind, state, dx)
+    turn, shift = as_displacement(kind, state.R, state.x, phi, xi)
+    np.testing.assert_allclose(shift[:, 0], moved.x - state.x, atol=1e-11)
+    back = from_displacement(kind, state.R, state.x, turn, shift)
+    np.testing.assert_allclose(back[0], phi, atol=1e-15)
+    np.testing.assert_allclose(back[1], xi, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_clones_errors_are_the_finite_differences_of_where_the_head_is(kind: ErrorKind) -> None:
+    state, head, h = turned_state(2), head_at(0.9, -0.2), 1e-3
+    cloned = add_head_clone(kind, state, head, 7)
+    rows = cloned.S[cloned.clone_rows(0)]
+    for column in range(state.S.shape[1]):
+        ends = []
+        for sign in (1.0, -1.0):
+            end = add_head_clone(kind, retract(kind, state, sign * h * state.S[:, column]), head, 7)
+            phi, xi = difference_group(kind, cloned.clone_R[0], cloned.clone_x, end.clone_R[0], end.clone_x)
+            ends.append(np.concatenate([phi, xi[0]]))
+        np.testing.assert_allclose(rows[:, column], (ends[0] - ends[1]) / (2 * h), atol=1e-6)
+
+
+def test_the_clone_is_the_head_and_moves_as_it_does() -> None:
+    state, head, dt = turned_state(3), head_at(0.9, -0.2), 1e-5
+    cloned = add_head_clone(ErrorKind.RIGHT, state, head, 7)
+    off = head.by_errors @ state.head
+    T = state.T_world_body @ head.T_body_head(off)
+    np.testing.assert_allclose(se3(cloned.clone_R[0], cloned.clone_x[0]), T, atol=1e-12)
+    turn = state.omega_body * dt
+    later = replace(state, R=state.R @ so3_exp(turn), x=state.x + dt * state.v)
+    moved = later.T_world_body @ head.T_body_head(off + dt * head.rates)
+    step = inverse(T) @ moved
+    np.testing.assert_allclose(cloned.clone_v[0], (moved[:3, 3] - T[:3, 3]) / dt, atol=1e-4)
+    np.testing.assert_allclose(cloned.clone_omega[0], vee(step[:3, :3]) / dt, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_landmarks_stay_where_they_are_whosever_group_they_belong_to(kind: ErrorKind) -> None:
+    state = turned_state(4)
+    p = RNG.normal(size=(2, 3))
+    state = replace(state, landmark_id=np.arange(2), landmark_p=p)
+    state = replace(state, S=np.vstack([state.S, 1e-3 * RNG.normal(size=(6, state.S.shape[1]))]))
+    cloned = add_head_clone(kind, state, head_at(0.9, 0.2), 7)
+    S_p = cloned.S[cloned.first_landmark_row :].reshape(2, 3, -1)
+    seen = landmarks_seen_from_head(kind, cloned, p, S_p)
+    h, last = 1e-4, cloned.clone_rows(0)
+    for column in range(cloned.S.shape[1]):
+        a, b = (retract(kind, cloned, sign * h * cloned.S[:, column]) for sign in (1.0, -1.0))
+        moved = (a.landmark_p - b.landmark_p) / (2 * h)
+        phi, xi = cloned.S[last][:3, column], seen[:, :, column]
+        if kind is ErrorKind.RIGHT:
+            expected = np.cross(phi, p) + xi
+        else:
+            expected = xi @ cloned.clone_R[0].T if kind is ErrorKind.LEFT else xi
+        np.testing.assert_allclose(moved, expected, atol=1e-6)
+
+
+def test_turning_changes_the_play_and_leaves_the_constants() -> None:
+    state = turned_state(5)
+    before = state.covariance[state.head_rows, state.head_rows]
+    after = turn_head(state, head_at(0.6, 0.1, SIGMA_PLAY_RAD), None)
+    P = after.covariance[after.head_rows, after.head_rows]
+    np.testing.assert_allclose(P[2:, 2:], before[2:, 2:], atol=1e-15)
+    np.testing.assert_allclose(P[PLAY, PLAY], SIGMA_PLAY_RAD**2 * np.eye(2), atol=1e-12)
+    assert (after.head[PLAY] == 0).all() and (after.head[2:] == state.head[2:]).all()
+
+
+def test_what_was_learned_is_known_after_tracking_was_lost() -> None:
+    state = turned_state(6)
+    known = ServosKnown.learned(state)
+    fresh = initial_state(0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 1e-3 * np.eye(15))
+    again = turn_head(fresh, head_at(0.5, 0.1), known)
+    rows = state.head_rows
+    np.testing.assert_allclose(again.covariance[again.head_rows, again.head_rows], state.covariance[rows, rows])
+    assert (again.head == state.head).all()
+
+
+def vee(R: FloatArray) -> FloatArray:
+    return 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
