@@ -2,17 +2,25 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_HEAD
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_HEAD, Calibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp
 from station.motion.error_coordinates import ErrorKind, as_displacement, difference_group, from_displacement
-from station.motion.head import NUM_ERRORS, PLAY, SIGMA_PLAY_RAD, HeadPose
+from station.motion.head import NUM_ERRORS, PLAY, SIGMA_PLAY_RAD, HeadPose, errors_before_the_drive
+from station.motion.imu_buffer import ImuBuffer
+from station.slam.ukf.filter.config import FilterConfig
+from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.head import ServosKnown, add_head_clone, landmarks_seen_from_head, turn_head
 from station.slam.ukf.filter.state import FilterState, initial_state, retract
+from tests.support.synthetic_run import observe, room_points, sine_path
 
 KINDS = list(ErrorKind)
+NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
+LENS = msgspec.structs.replace(REFERENCE_CAMERA, fx=458.0, fy=457.0, line_delay_s=0.0, time_shift_s=0.0)
+CALIBRATION = Calibration(camera=LENS, imu=NOISE, head=REFERENCE_HEAD)
 RNG = np.random.default_rng(0)
 
 
@@ -113,6 +121,44 @@ def test_what_was_learned_is_known_after_tracking_was_lost() -> None:
     rows = state.head_rows
     np.testing.assert_allclose(again.covariance[again.head_rows, again.head_rows], state.covariance[rows, rows])
     assert (again.head == state.head).all()
+
+
+def test_the_filter_finds_the_servos_errors_and_knows_how_well() -> None:
+    """A head that sweeps over a made-up room: its servos' errors are drawn from what is believed of them beforehand."""
+    imu, truth = sine_path(CALIBRATION, 0, 8.0)
+    errors = errors_before_the_drive(REFERENCE_HEAD) @ np.random.default_rng(77).normal(size=NUM_ERRORS)
+    errors[PLAY] = 0.0
+    t_s = (truth.t_ns - truth.t_ns[0]) * 1e-9
+    pan = np.radians(np.interp(t_s, [0.5, 2.0, 5.0, 8.0], [0.0, 60.0, -60.0, 60.0]))
+    rate = np.gradient(pan, t_s)
+    heads = [
+        HeadPose(REFERENCE_HEAD, np.array([p, 0.0]), np.array([r, 0.0]), np.full(2, np.radians(0.08)))
+        for p, r in zip(pan, rate, strict=True)
+    ]
+    T_body_head = np.array([head.T_body_head(head.by_errors @ errors) for head in heads])
+    R, x = truth.R_world_body, truth.x_world
+    x_head = x + np.einsum("nij,nj->ni", R, T_body_head[:, :3, 3])
+    of_head = replace(truth, R_world_body=R @ T_body_head[:, :3, :3], x_world=x_head)
+    frames = observe(CALIBRATION, of_head, room_points(x, 0), 1.0, 0, num_features=80)
+    buffer = ImuBuffer(NOISE)
+    buffer.add(imu)
+    first = initial_state(
+        0, R[0], truth.v_world[0], x[0], truth.bias_gyro[0], truth.bias_accel[0], 1e-3 * np.eye(15)
+    )  # fmt: skip
+    vio = VioFilter(CALIBRATION, FilterConfig(), first)
+    off, sigma = [], []
+    for k, frame in enumerate(frames):
+        segment = buffer.segment(vio.state.t_imu_ns, int(truth.t_ns[k]))
+        vio.process_frame(segment, frame, k, head=heads[k] if t_s[k] > 0.5 else None)
+        if t_s[k] > 2.0:
+            state, by = vio.state, heads[k].by_errors
+            off.append(float((by @ (state.head - errors))[0]))
+            sigma.append(float(np.linalg.norm((by @ state.S[state.head_rows])[0])))
+    true_off = np.abs([(head.by_errors @ errors)[0] for head in heads])
+    assert np.degrees(true_off.max()) > 2.0  # else nothing was to be found
+    assert np.degrees(np.sqrt(np.mean(np.square(off)))) < 0.5
+    assert np.mean(np.square(np.array(off) / np.array(sigma))) < 4.0
+    assert np.linalg.norm(vio.state.x - x[-1]) < 0.1
 
 
 def vee(R: FloatArray) -> FloatArray:
