@@ -71,6 +71,8 @@ class Listener:
     def on_connected(self, hello: Hello) -> None:  # noqa: ARG002
         self.connected_ns.append(time.monotonic_ns())
 
+    def on_calibration(self, hello: Hello) -> None: ...
+
     def on_disconnected(self, reason: str) -> None: ...
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:

@@ -204,6 +204,8 @@ class Counts:
     def on_connected(self, hello: Hello) -> None:  # noqa: ARG002
         self.connections += 1
 
+    def on_calibration(self, hello: Hello) -> None: ...
+
     def on_imu(self, batch: ImuBatch) -> None:
         self.is_in_order &= batch.first_sequence > self.newest_sample
         self.newest_sample = batch.next_sequence - 1

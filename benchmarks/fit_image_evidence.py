@@ -23,8 +23,9 @@ import numpy as np
 from benchmarks.drive_cache import load, stored
 from shared.calibration import Calibration
 from shared.disk import replace_file
+from station.places.tracking.config import BeliefConfig
 from station.places.tracking.fitted import GENERATED, FailureOdds, FittedOdds, RecognisedOdds
-from station.places.tracking.image_evidence import support
+from station.places.tracking.image_evidence import ImageEvidence
 from station.places.tracking.map_view import MapView
 from tests.support.drives.judging import where_taken
 from tests.support.drives.recorded import LookedAt, generator_of
@@ -34,7 +35,8 @@ from tests.support.likelihood_fit import (
     fitted_failing,
     fitted_right,
     fitted_unmapped,
-    usual_support,
+    or_usual,
+    usual_of,
     with_previous,
 )
 
@@ -43,18 +45,12 @@ def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: d
     """What one image showed, and what was true. Lengths are metres, as the map's unit says."""
     camera, T_map_body = calibration.camera, image.T_map_body
     assert camera is not None
+    evidence = ImageEvidence([view], calibration, BeliefConfig())
+    poses = [evidence.measured(z) for z in image.attempt.candidates]
     row = {
         **where,
         "features": image.attempt.num_features,
-        "poses": [
-            {
-                "p": [float(v) / view.unit for v in (z.T_map_cam @ camera.T_cam_body_matrix)[:3, 3]],
-                "extent": z.extent / view.unit,
-                "inliers": z.num_inliers,
-                "support": support(len(z.landmarks), view.sightings.in_view(z.T_map_cam, camera)),
-            }
-            for z in image.attempt.candidates
-        ],
+        "poses": [{"p": m.T_map_body[:3, 3] / view.unit, "figures": evidence.figures(m)} for m in poses],
     }
     if T_map_body is None:
         return row
@@ -101,6 +97,8 @@ def rows_of(cache: Path, kinds: Sequence[str]) -> tuple[list[dict[str, Any]], li
 
 def fit(rows: list[dict[str, Any]], worlds: list[str], made_by: str) -> FittedOdds:
     """All regressions over these images."""
+    usual = usual_of(rows)
+    rows = [or_usual(row, usual) for row in rows]
     fits: dict[str, Fit] = {
         "right": fitted_right(rows),
         "unmapped": fitted_unmapped(rows),
@@ -117,7 +115,7 @@ def fit(rows: list[dict[str, Any]], worlds: list[str], made_by: str) -> FittedOd
             for name, one in fits.items()
             for kind, loss in one.losses.items()
         },
-        usual_support=round(usual_support(rows), 3),
+        usual=usual,
         right=RecognisedOdds(*numbers["right"]),
         unmapped=RecognisedOdds(*numbers["unmapped"]),
         fails_at_pose=FailureOdds(*numbers["fails_at_pose"]),

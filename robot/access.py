@@ -31,6 +31,8 @@ from shared.messages import (
     Received,
     StationMessage,
     Stop,
+    UndoCalibration,
+    UseCalibration,
 )
 from shared.pairing import show_code
 from shared.token_book import TokenBook, TokenRecord
@@ -50,6 +52,8 @@ MESSAGE_ROLES: dict[type, Role | None] = {
     Drive: Role.DRIVE,
     PanTilt: Role.DRIVE,
     Hijack: Role.DRIVE,
+    UseCalibration: Role.ADMIN,  # every later drive is measured with it
+    UndoCalibration: Role.ADMIN,
 }
 UNKNOWN_STATION = (
     "this robot admits only paired stations;"

@@ -19,6 +19,7 @@ from robot.access import open_gate, pairing_sentence
 from robot.announce import Announcement, announced_addresses, may_be_announced
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
+from robot.own_calibration import OwnCalibration, calibration_folder, read_own
 from robot.server import RobotServer
 from robot.simulation.config import load_config as load_simulation
 from robot.systemd import Systemd
@@ -43,7 +44,14 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
         gate = open_gate(config, listener.getsockname()[0])
         devices, systemd = open_devices(kind, config), Systemd.of(os.environ)
         is_replay, settings = kind == "recorded", named(kind, config)
-        server = RobotServer(devices, settings, starts_with_first_station=is_replay, systemd=systemd, gate=gate)
+        server = RobotServer(
+            devices,
+            settings,
+            starts_with_first_station=is_replay,
+            systemd=systemd,
+            gate=gate,
+            calibration=OwnCalibration(calibration_folder(kind, config), devices.calibration),
+        )
         atexit.register(server.stop_motors)
         host, port = listener.getsockname()[:2]
         announcement = None
@@ -93,7 +101,7 @@ def open_devices(kind: DeviceKind, config: RobotConfig) -> DeviceSet:
             raise ConfigError("--devices recorded needs --dataset DIR, the folder of a recorded drive")
         open_recorded = _adapter("recorded", "open_recorded")
         return open_recorded(Path(recorded.dataset), speed=recorded.speed, at_end=recorded.at_end)
-    return _adapter("pi", "open_pi")(config.pi)
+    return _adapter("pi", "open_pi")(config.pi, read_own(calibration_folder(kind, config)))
 
 
 def _adapter(kind: str, opener: str) -> Callable[..., DeviceSet]:

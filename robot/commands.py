@@ -30,7 +30,8 @@ from shared.messages import (
 logger = logging.getLogger(__name__)
 LEASE_NS = 1_000_000_000  # who has not commanded for so long gives the wheel away
 SETTLING_NS = 50_000_000  # a held-up burst is read at once; what comes so much later shows how late the burst was
-About = Literal["hijack"] | msgspec.UnsetType  # which question a notice answers
+PAUSE_NS = 20_000_000  # a line through the quickest arrivals is not that wrong; a clock that stood still is
+About = Literal["hijack", "calibration"] | msgspec.UnsetType  # which question a notice answers
 
 
 class CommandOrder:
@@ -39,21 +40,38 @@ class CommandOrder:
     A network that froze delivers the past in one burst. How late a command is shows against the quickest arrivals of
     the last minute, the clocks' drift included, so no common clock is needed. The very first arrivals have nothing to
     be held against, and all of them may be one old burst: until SETTLING_NS later nothing counts.
+
+    Where the station's clock stood still (it slept, or was a machine that was halted) all it says seems late from then
+    on. But what it says after it has heard us it says later than we spoke: that shows the pause, and no network can
+    feign it. All is learnt anew then.
     """
 
     def __init__(self) -> None:
         self._clock = RemoteClock(MAX_CRYSTAL_DRIFT)
         self._first_ns: int | None = None
         self._last_seq = -1
+        self._has_heard_ns: int | None = None
+
+    def note_heard(self, sent_ns: int) -> None:
+        """The station has heard what we sent then: what comes from now on it says later."""
+        self._has_heard_ns = sent_ns
 
     def observe(self, t_station_ns: int, arrived_ns: int) -> None:
         """Something the station stamped has arrived: heartbeats show the least delay also while nobody drives."""
+        if self._has_paused(t_station_ns):
+            self._clock, self._first_ns = RemoteClock(MAX_CRYSTAL_DRIFT), None
         if self._first_ns is None:
             self._first_ns = arrived_ns
         steps = self._clock.steps
         self._clock.add(t_station_ns, arrived_ns)
         if self._clock.steps != steps:
             self._first_ns = arrived_ns  # another clock: what was learnt of the old one says nothing
+
+    def _has_paused(self, t_station_ns: int) -> bool:
+        fit, said_after_ns = self._clock.fit, self._has_heard_ns
+        return (
+            fit is not None and said_after_ns is not None and fit.to_local_ns(t_station_ns) + PAUSE_NS < said_after_ns
+        )
 
     def until_ns(self, command: Drive, arrived_ns: int) -> int | None:
         """Our time until which this command holds, counted from when it was said. None: it is old.
@@ -103,6 +121,10 @@ class CommandDesk:
             max_linear_m_s=self.limits.max_linear_m_s,
             max_angular_rad_s=self.limits.max_angular_rad_s,
         )
+
+    def note_heard(self, client: int, sent_ns: int) -> None:
+        """This station has heard what we sent then, and all before it."""
+        self._orders.setdefault(client, CommandOrder()).note_heard(sent_ns)
 
     def handle(self, client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
         """Carry out one message; the answer is a notice when it was refused.

@@ -78,6 +78,13 @@ class RecordedConfig(Section, frozen=True, kw_only=True):
     at_end: Literal["stop", "loop"] = "stop"  # loop: again, with times that go on
 
 
+class CalibrationConfig(Section, frozen=True, kw_only=True):
+    """Where the robot keeps the calibration that a station gives it (docs/robot.md)."""
+
+    # Of calibration.yaml; empty: ~/.local/state/sentinel/robot-calibration on a Pi, else only memory.
+    folder: str = ""
+
+
 class PiConfig(Section, frozen=True, kw_only=True):
     """Parts and wiring of the real robot (docs/robot.md)."""
 
@@ -87,7 +94,8 @@ class PiConfig(Section, frozen=True, kw_only=True):
     motors: Literal["mega", "gpio", "none"] = "mega"  # where the DRV8833 is wired to
     pan_tilt: Literal["mega", "gpio", "none"] = "mega"
     battery: Literal["mega", "ina219", "none"] = "mega"
-    calibration: str = ""  # folder with camera.yaml of this robot; empty: the reference robot's numbers
+    # Folder with camera.yaml of this robot, for as long as no calibration.yaml is kept; empty: the reference robot's.
+    calibration: str = ""
 
     width: Annotated[int, Meta(ge=64, le=4096)] = 640
     height: Annotated[int, Meta(ge=64, le=4096)] = 480
@@ -120,6 +128,7 @@ class RobotConfig(Section, frozen=True, kw_only=True):
     server: ServerConfig = ServerConfig()
     access: AccessConfig = AccessConfig()
     drive: DriveConfig = DriveConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
     simulated: SimulatedConfig = SimulatedConfig()
     recorded: RecordedConfig = RecordedConfig()
     pi: PiConfig = PiConfig()

@@ -18,6 +18,9 @@ KEPT_FRAMES = 15  # a second of pictures, or two
 RECOVERED = 1.5
 LONGEST_SERVICE_NS = 300_000_000  # an outage is no rate
 KEPT_TRIPS = 50  # of a few bytes: some seconds
+# Messages under way that are remembered, of pictures and of others each. A link holds fewer; a station that confirms no
+# bytes leaves all of them under way.
+KEPT_UNDER_WAY = 2048
 LEAST_SERVICE_NS = 1_000_000  # two event loops cannot tell less
 
 
@@ -40,7 +43,6 @@ class _Sent:
     end: int  # bytes sent on this connection with it
     num_bytes: int
     t_ns: int
-    is_frame: bool
     met_frame: bool  # a picture was on its way before it
     left_ns: int  # when it has left us, as far as the link is known
 
@@ -49,15 +51,17 @@ class LinkMeter:
     """Counts the bytes of one connection."""
 
     def __init__(self) -> None:
-        self._under_way: deque[_Sent] = deque()
+        self._frames: deque[_Sent] = deque(maxlen=KEPT_UNDER_WAY)  # the pictures under way
+        self._others: deque[_Sent] = deque(maxlen=KEPT_UNDER_WAY)  # and what else is
         self._trips_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
         self._sent = self._confirmed = 0
-        self._frames: deque[_Sent] = deque()  # the pictures under way
         self._served: deque[tuple[int, int]] = deque(maxlen=KEPT_FRAMES)  # bytes and time of the last pictures
         self._frame_confirmed_ns = 0
-        self._others = 0  # bytes beside pictures since the last picture
+        self._other_bytes = 0  # beside pictures since the last picture
         self._last_frame_ns: int | None = None
         self._other_rate = 0.0
+        # When the newest of what the station has was sent: what it says from now on, it says later.
+        self.has_heard_ns: int | None = None
         self.estimate: LinkEstimate | None = None  # None: no picture has been confirmed yet
 
     @property
@@ -79,17 +83,17 @@ class LinkMeter:
         return self.unconfirmed_bytes <= self.estimate.held_bytes + self._frames[-1].num_bytes
 
     def send(self, num_bytes: int, is_frame: bool, now_ns: int) -> None:
-        """These bytes were handed to the kernel."""
+        """These bytes are handed to the kernel."""
         self._sent += num_bytes
         service_ns = 0 if self.estimate is None else round(num_bytes / self.estimate.bytes_per_s * 1e9)
         begin_ns = max(now_ns, self._frames[-1].left_ns) if self._frames else now_ns
-        sent = _Sent(self._sent, num_bytes, now_ns, is_frame, bool(self._frames), begin_ns + service_ns)
-        self._under_way.append(sent)
+        sent = _Sent(self._sent, num_bytes, now_ns, bool(self._frames), begin_ns + service_ns)
         if is_frame:
             self._frames.append(sent)
             self._measure_others(now_ns)
         else:
-            self._others += num_bytes
+            self._others.append(sent)
+            self._other_bytes += num_bytes
 
     def confirm_frame(self, now_ns: int) -> None:
         """A station of before `Received.num_bytes` has one more picture, and all that was sent before it."""
@@ -99,14 +103,14 @@ class LinkMeter:
     def confirm(self, num_bytes: int, held_ns: int, now_ns: int) -> None:
         """The station has that many bytes of this connection, the last of them since `held_ns`."""
         read_ns = now_ns - max(0, held_ns)
-        newest: _Sent | None = None
-        while self._under_way and self._under_way[0].end <= num_bytes:
-            newest = self._under_way.popleft()
-            if newest.is_frame:
-                self._frames.popleft()
-                self._note_frame(newest, read_ns)
         self._confirmed = max(self._confirmed, min(num_bytes, self._sent))
-        if newest is not None and not newest.is_frame:
+        frames, others = _pop_confirmed(self._frames, num_bytes), _pop_confirmed(self._others, num_bytes)
+        for sent in (*frames[-1:], *others[-1:]):
+            self.has_heard_ns = max(sent.t_ns, self.has_heard_ns or sent.t_ns)
+        for frame in frames:
+            self._note_frame(frame, read_ns)
+        if others and not (frames and frames[-1].end > others[-1].end):
+            newest = others[-1]
             trip_ns = max(0, read_ns - newest.t_ns)
             # Behind a picture it may have waited; what was quick all the same was not held up.
             if not newest.met_frame or not self._trips_ns or trip_ns < self._trip_ns():
@@ -132,6 +136,14 @@ class LinkMeter:
 
     def _measure_others(self, now_ns: int) -> None:
         if self._last_frame_ns is not None and now_ns > self._last_frame_ns:
-            rate = self._others / (now_ns - self._last_frame_ns) * 1e9
+            rate = self._other_bytes / (now_ns - self._last_frame_ns) * 1e9
             self._other_rate = 0.9 * self._other_rate + 0.1 * rate
-        self._last_frame_ns, self._others = now_ns, 0
+        self._last_frame_ns, self._other_bytes = now_ns, 0
+
+
+def _pop_confirmed(under_way: deque[_Sent], num_bytes: int) -> list[_Sent]:
+    """What ends within the first `num_bytes` of the connection, the oldest first."""
+    confirmed = []
+    while under_way and under_way[0].end <= num_bytes:
+        confirmed.append(under_way.popleft())
+    return confirmed

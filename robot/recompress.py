@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import logging
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -14,28 +15,60 @@ logger = logging.getLogger(__name__)
 
 
 class Recompressor:
-    """Makes pictures smaller in the background. Methods belong on the event loop."""
+    """Makes pictures smaller in the background, one at a time. Methods belong on the event loop.
 
-    def __init__(self, on_made: Callable[[], None]) -> None:
+    What is late by its turn is left out: no station sends it any more. A station asks for its next picture when the
+    last one is made or late, so each has one waiting at most.
+    """
+
+    def __init__(self, on_made: Callable[[], None], now_ns: Callable[[], int]) -> None:
         self._on_made = on_made
+        self._now_ns = now_ns
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recompress")
+        self._waiting: deque[tuple[Picture, int]] = deque()
+        self._is_busy = False
 
     def begin(self, picture: Picture, quality: int) -> None:
         """Make `picture.smaller[quality]`."""
+        self._waiting.append((picture, quality))
+        self._forget_late()
+        if not self._is_busy:
+            self._make_next()
+
+    def _make_next(self) -> None:
+        self._forget_late()
+        self._is_busy = bool(self._waiting)
+        if not self._is_busy:
+            return
         loop = asyncio.get_running_loop()
+        picture, quality = self._waiting.popleft()
 
         def keep(smaller: bytes) -> None:
             picture.smaller[quality] = smaller
+            self._make_next()
             self._on_made()
 
         def hand_over(made: Future[bytes]) -> None:
             if not made.cancelled() and not loop.is_closed():
                 loop.call_soon_threadsafe(keep, made.result())
 
-        self._thread.submit(recompress, picture.frame.jpeg, quality).add_done_callback(hand_over)
+        self._thread.submit(_smaller_or_whole, picture.frame.jpeg, quality).add_done_callback(hand_over)
+
+    def _forget_late(self) -> None:
+        now_ns = self._now_ns()
+        self._waiting = deque(job for job in self._waiting if not job[0].is_late(now_ns))
 
     def close(self) -> None:
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+def _smaller_or_whole(jpeg: bytes, quality: int) -> bytes:
+    """What a library makes of a damaged picture is not known: the pictures behind it wait for this one's end."""
+    try:
+        return recompress(jpeg, quality)
+    except Exception:
+        logger.exception("a picture could not be made smaller")
+        return jpeg
 
 
 def recompress(jpeg: bytes, quality: int) -> bytes:

@@ -21,6 +21,7 @@ from robot.doorstep import Doorstep
 from robot.head import STEP_S, CameraHead
 from robot.health import CpuMeter, read_temperatures
 from robot.outbox import ImuBacklog, ImuCursor
+from robot.own_calibration import OwnCalibration, summary
 from robot.recompress import Recompressor
 from robot.sensors import Faults, pump_camera, pump_imu
 from robot.station_client import StationClient
@@ -28,9 +29,10 @@ from robot.systemd import Systemd
 from robot.video import FrameSlot, VideoStream
 from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
 from shared.access import Role
-from shared.errors import HardwareError
+from shared.errors import HardwareError, RobotSystemError
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationChanged,
     DriveApplied,
     ErrorCode,
     ErrorNotice,
@@ -45,11 +47,13 @@ from shared.messages import (
     Refusal,
     StationMessage,
     Status,
+    UndoCalibration,
+    UseCalibration,
     Welcome,
 )
 from shared.prompt_sending import UNSENT_BYTES, send_promptly
 from shared.reception import Caller, Reception
-from shared.seats import Seats, rank_of
+from shared.seats import Rank, Seats, rank_of
 from shared.session import Event, State, reply_to
 
 logger = logging.getLogger(__name__)
@@ -73,8 +77,9 @@ class RobotServer:
         gate: Gate | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         systemd: Systemd | None = None,
+        calibration: OwnCalibration | None = None,
     ) -> None:
-        """`gate`: who may connect; None: everybody who reaches the port."""
+        """`gate`: who may connect; None: everybody who reaches the port. `calibration`: None: kept only in memory."""
         check_roles()
         self._doorstep = Doorstep(gate)
         self._ends = False
@@ -86,7 +91,7 @@ class RobotServer:
         self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
         self.faults = Faults(self._broadcast_fault)
-        self._recompressor = Recompressor(self._wake_all)
+        self._recompressor = Recompressor(self._wake_all, now_ns)
         self._frames = FrameSlot(self._recompressor.begin)
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
@@ -98,12 +103,16 @@ class RobotServer:
         if not starts_with_first_station:
             self._may_start.set()
         self._cpu = CpuMeter()
+        self.calibration = calibration or OwnCalibration(None, devices.calibration)
+        self._tasks: asyncio.TaskGroup | None = None
+        self._is_recalibrating = False
 
     async def serve(self, listener: socket.socket) -> None:
         """Serve stations on a bound socket until cancelled."""
         self._loop = asyncio.get_running_loop()
         try:
             async with asyncio.TaskGroup() as tasks:
+                self._tasks = tasks
                 reception = Reception(
                     listener,
                     self._doorstep.tls(),
@@ -126,7 +135,7 @@ class RobotServer:
                     await self._say_goodbye()
         finally:
             self.stop_motors()
-            self._loop = None
+            self._loop = self._tasks = None
             self._recompressor.close()
             await self._devices.close()
 
@@ -145,8 +154,9 @@ class RobotServer:
             name=identity.name or robot_id,
             session_id=self._session_id,
             capabilities=self.desk.capabilities(),
-            calibration=self._devices.calibration,
+            calibration=self.calibration.current,
             challenge=challenge,
+            calibration_origin=self.calibration.origin,
         )
 
     # Connections
@@ -186,6 +196,11 @@ class RobotServer:
             return
         if isinstance(message, Received):
             client.confirm(message)
+            if client.meter.has_heard_ns is not None:
+                self.desk.note_heard(client.id, client.meter.has_heard_ns)
+            return
+        if isinstance(message, UseCalibration | UndoCalibration):
+            self._recalibrate(client, message)
             return
         if isinstance(message, Heartbeat):
             t_robot_ns = self._devices.clock()
@@ -198,16 +213,14 @@ class RobotServer:
             client.end(Event.REFUSAL, Refusal(reason=UNKNOWN_STATION))
             return
         self.desk.refused += 1
-        about: About = "hijack" if isinstance(message, Hijack) else msgspec.UNSET
+        about = _about(message)
         text = f"{message} is refused: this station may only {client.role.value}"
         client.put(notice("not_allowed", text, about=about))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
-        silent = next((c for c in self._clients.values() if c.session.state is State.QUIET), None)
-        if self._seats.is_full and silent is not None:
-            # Most likely the dead connection of a station that is back by another one.
+        rank = _rank(client)
+        if self._seats.is_full and (silent := self._silent_station(rank)) is not None:
             self._end(silent, "silent", "this station was silent, and another needs its place")
-        rank = rank_of(client.role or Role.WATCH)
         if not client.caller.know(self._seats, client.token_id, rank, lambda: self._replace(client)):
             limit = self._config.server.max_stations
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
@@ -220,6 +233,14 @@ class RobotServer:
         client.imu = self._imu_cursor(join)
         self._may_start.set()
         logger.info("%s joined as connection %d", join.station_name, client.id)
+
+    def _silent_station(self, rank: Rank) -> StationClient | None:
+        """Most likely the dead connection of a station that is back by another one.
+
+        Not of one that may drive, for one that only watches: it may be in the middle of a roam.
+        """
+        silent = [c for c in self._clients.values() if c.session.state is State.QUIET and _rank(c) <= rank]
+        return min(silent, key=_rank, default=None)
 
     def _replace(self, client: StationClient) -> None:
         self._end(
@@ -243,6 +264,42 @@ class RobotServer:
         deadline_ns = self._now_ns() + 500_000_000
         while self._clients and self._now_ns() < deadline_ns:
             await asyncio.sleep(0.01)
+
+    # Calibration
+
+    def _recalibrate(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:
+        reason = self._why_no_other_calibration()
+        if reason or self._tasks is None:
+            client.put(notice("not_allowed", reason, about="calibration"))
+            return
+        self._is_recalibrating = True
+        self._tasks.create_task(self._change_calibration(client, message))
+
+    def _why_no_other_calibration(self) -> str:
+        """In a sentence; empty: it may change now."""
+        if self._is_recalibrating:
+            return "another calibration is just being written; try again"
+        if self.desk.lease.driver(self._now_ns()) is not None or not self._applied().is_zero:
+            return "the robot is being driven; let go, then change its calibration"
+        return self.calibration.origin.fixed
+
+    async def _change_calibration(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:
+        own = self.calibration
+        try:
+            if isinstance(message, UseCalibration):
+                await asyncio.to_thread(own.use, message.calibration)
+            else:
+                await asyncio.to_thread(own.undo)
+        except RobotSystemError as exc:
+            client.put(notice("out_of_range", str(exc), about="calibration"))
+            return
+        finally:
+            self._is_recalibrating = False
+        logger.info("%s changed the calibration: %s", client.station_name, summary(own.current))
+        self._broadcast(CalibrationChanged(calibration=own.current, origin=own.origin))
+        for other in self._clients.values():
+            if not other.is_joined:  # its hello told the one before
+                other.end(Event.REFUSAL, Refusal(reason="the robot's calibration has just changed; connect again"))
 
     # Sensors
 
@@ -347,7 +404,7 @@ class RobotServer:
         except RuntimeError:
             logger.debug("drive report after the event loop's end")
 
-    def _broadcast(self, message: DriveApplied | ErrorNotice) -> None:
+    def _broadcast(self, message: DriveApplied | ErrorNotice | CalibrationChanged) -> None:
         for client in self._clients.values():
             if client.is_joined:
                 client.put(message)
@@ -388,6 +445,21 @@ class RobotServer:
             return None, None
         self.faults.clear("battery")
         return state.voltage_v, state.fraction
+
+
+def _rank(client: StationClient) -> Rank:
+    return rank_of(client.role or Role.WATCH)
+
+
+def _about(message: StationMessage) -> About:
+    """What the refusal of a message answers, where an answer is waited for."""
+    match message:
+        case Hijack():
+            return "hijack"
+        case UseCalibration() | UndoCalibration():
+            return "calibration"
+        case _:
+            return msgspec.UNSET
 
 
 class _Streams(asyncio.StreamReaderProtocol):

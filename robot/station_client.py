@@ -182,8 +182,8 @@ class StationClient:
             self._wake.clear()
             while (message := self._next_message()) is not None:
                 data = self.session.send(message)
-                self._writer.write(data)
                 self.meter.send(len(data), isinstance(message, CameraFrame), self._now_ns())
+                self._writer.write(data)
                 await self._writer.drain()
 
     def _next_message(self) -> Message | None:

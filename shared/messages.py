@@ -61,6 +61,18 @@ class Capabilities(msgspec.Struct, frozen=True, kw_only=True):
     max_angular_rad_s: float = 2.0
 
 
+class CalibrationOrigin(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the calibration that a robot tells comes from, and what a station can do about it."""
+
+    source: Sentence  # as in "its calibration.yaml"
+    can_undo: bool = False  # the one before it is kept
+    fixed: Sentence = ""  # why the robot takes no other one; empty: it does
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "source", printable(self.source))
+        force_setattr(self, "fixed", printable(self.fixed))
+
+
 class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     """Robot's first message: who it is and what is known of its sensors."""
 
@@ -71,6 +83,7 @@ class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     capabilities: Capabilities
     calibration: Calibration
     challenge: Annotated[bytes, Meta(max_length=64)] = b""  # to be answered by `Prove`; empty: no access control
+    calibration_origin: CalibrationOrigin | None = None  # None: an older robot, whose calibration is a file on it
 
 
 class Prove(_Message, frozen=True, kw_only=True, tag="prove"):
@@ -252,6 +265,23 @@ class Hijack(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="hijac
         _require("yaw", self.yaw, 2 * math.pi)
 
 
+class UseCalibration(_Message, frozen=True, kw_only=True, tag="use_calibration"):
+    """Tell this calibration from now on. The robot keeps the present one, and answers with `CalibrationChanged`."""
+
+    calibration: Calibration
+
+
+class UndoCalibration(_Message, frozen=True, kw_only=True, tag="undo_calibration"):
+    """Tell the calibration before the present one again. Said twice, the present one is back."""
+
+
+class CalibrationChanged(_Message, frozen=True, kw_only=True, tag="calibration_changed"):
+    """To every station: from now on this stands in the place of what the hello told."""
+
+    calibration: Calibration
+    origin: CalibrationOrigin
+
+
 class DriveApplied(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="drive_applied"):
     """What motors and head were told, on each change of the motors and 20 times a second while driving or not."""
 
@@ -311,7 +341,9 @@ class ErrorNotice(_Message, frozen=True, kw_only=True, tag="error"):
     code: ErrorCode
     message: Sentence
     fatal: bool = False
-    about: Literal["hijack"] | msgspec.UnsetType = msgspec.UNSET  # what was asked, where an answer is waited for
+    about: Literal["hijack", "calibration"] | msgspec.UnsetType = (
+        msgspec.UNSET
+    )  # what was asked, where an answer is waited for
 
     def __post_init__(self) -> None:
         force_setattr(self, "message", printable(self.message))
@@ -327,11 +359,24 @@ RobotMessage = (
     | CameraFrame
     | ImuBatch
     | DriveApplied
+    | CalibrationChanged
     | Status
     | ErrorNotice
 )
 StationMessage = (
-    Join | Prove | PairRequest | PairProof | Heartbeat | Received | Drive | Stop | PanTilt | Hijack | ErrorNotice
+    Join
+    | Prove
+    | PairRequest
+    | PairProof
+    | Heartbeat
+    | Received
+    | Drive
+    | Stop
+    | PanTilt
+    | Hijack
+    | UseCalibration
+    | UndoCalibration
+    | ErrorNotice
 )
 Message = RobotMessage | StationMessage
 

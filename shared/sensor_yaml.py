@@ -106,7 +106,10 @@ def read_mounting(content: dict[str, Any], path: Path) -> FloatArray:
             T = np.array(numbers(content, key, 16, path)).reshape(4, 4)
             if abs(np.linalg.det(T[:3, :3]) - 1.0) > 0.02:
                 raise DataError(f"{path}: {key} is not a rigid motion (its rotation's determinant is not 1)")
-            return se3(orthonormal(T[:3, :3]), T[:3, 3])
+            R = T[:3, :3]
+            # One that was written in full is read as it was: calibrations are compared by their numbers.
+            is_exact = np.abs(R @ R.T - np.eye(3)).max() < 1e-14
+            return se3(R if is_exact else orthonormal(R), T[:3, 3])
     return np.eye(4)
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # Typer carries its own copy of Click, whose classes have no 
 COMMANDS = {
     "pair": ("access", "Pair with a robot: its code becomes a token, and its certificate is remembered."),
     "robots": ("access", "The robots this station is paired with."),
+    "calibrate": ("calibrate", "Print a target, and measure a robot's own sensors with it."),
     "demo": ("demo", "Simulated robot, robot-server and station: map, hijack, drive again, and name the place."),
     "doctor": (
         "doctor",

@@ -14,7 +14,7 @@ from robot.simulation.body import MotionState
 from robot.simulation.sensors import ImuMeasurement
 from shared.calibration import Calibration, CameraCalibration, HeadCalibration, ImuNoise
 from shared.errors import DataError
-from shared.geometry import FloatArray, quat_from_rotation
+from shared.geometry import FloatArray, IntArray, quat_from_rotation
 
 TRUTH = "state_groundtruth_estimate0"
 _COLUMNS = {
@@ -30,30 +30,37 @@ _DISTORTION_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"
 
 
 class AslWriter:
-    """Collects one drive into DIR; the folder appears under its name when the drive is complete."""
+    """Collects one recording into DIR; the folder appears under its name when it is complete.
+
+    A sensor that the calibration does not have gets no folder.
+    """
 
     def __init__(self, out: Path, calibration: Calibration) -> None:
         self._out = out
         self._partial = out.with_name(out.name + ".partial")
         mav = self._partial / "mav0"
+        absent = {name for name, sensor in (("cam0", calibration.camera), ("imu0", calibration.imu)) if sensor is None}
+        tables = {name: columns for name, columns in _COLUMNS.items() if name not in absent}
         try:
             if out.exists() and any(out.iterdir() if out.is_dir() else [out]):
                 raise DataError(f"{out} already exists and is not empty; choose another --out or remove it")
             shutil.rmtree(self._partial, ignore_errors=True)
-            for folder in ("cam0/data", *_COLUMNS):
+            for folder in tables:
                 (mav / folder).mkdir(parents=True, exist_ok=True)
+            if calibration.camera:
+                (mav / "cam0/data").mkdir()
         except OSError as exc:
             raise DataError(f"{out} cannot be written: {exc.strerror}; choose another --out") from exc
         if calibration.camera:
-            (mav / "cam0/sensor.yaml").write_text(camera_yaml(calibration.camera))
+            (mav / "cam0/sensor.yaml").write_text(camera_yaml(calibration.camera) + f"rig: {calibration.rig}\n")
         if calibration.imu:
             (mav / "imu0/sensor.yaml").write_text(imu_yaml(calibration.imu))
-        self._files = {name: (mav / name / "data.csv").open("w") for name in _COLUMNS}
-        if calibration.head:
+        self._files = {name: (mav / name / "data.csv").open("w") for name in tables}
+        if calibration.head and "drive0" in tables:
             (mav / "drive0/head.yaml").write_text(head_yaml(calibration.head))
-        for name, columns in _COLUMNS.items():
+        for name, columns in tables.items():
             self._files[name].write(f"{columns}\n")
-        self.num_frames = 0
+        self.num_frames = self.num_imu = 0
 
     def __enter__(self) -> AslWriter:
         return self
@@ -83,6 +90,14 @@ class AslWriter:
     def add_imu(self, t_ns: int, measurement: ImuMeasurement) -> None:
         values = ",".join(f"{v:.9g}" for v in (*measurement.gyro_imu, *measurement.accel_imu))
         self._files["imu0"].write(f"{t_ns},{values}\n")
+        self.num_imu += 1
+
+    def add_imu_block(self, t_ns: IntArray, readings: FloatArray) -> None:
+        """Many samples at once: times (N,), gyro and accelerometer (N, 6) rad/s, m/s^2."""
+        line = "%d,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g\n"
+        cells = (cell for t, row in zip(t_ns.tolist(), readings.tolist(), strict=True) for cell in (t, *row))
+        self._files["imu0"].write(line * len(t_ns) % tuple(cells))
+        self.num_imu += len(t_ns)
 
     def add_truth(self, t_ns: int, motion: MotionState, biases: Sequence[FloatArray]) -> None:
         q = quat_from_rotation(motion.R_world_body)
@@ -108,6 +123,7 @@ def camera_yaml(camera: CameraCalibration) -> str:
         f"distortion_coefficients: [{', '.join(map(str, camera.distortion))}]\n"
         f"time_shift_s: {camera.time_shift_s}  # t_imu = t_cam + time_shift_s\n"
         f"line_delay_s: {camera.line_delay_s}  # row v is exposed line_delay_s * v after row 0\n"
+        + ("" if camera.is_measured else "approximate: true  # intrinsics are a guess\n")
     )
 
 

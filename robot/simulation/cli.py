@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from robot.simulation.calibration.conduct import Kind
 from robot.simulation.config import SimulationConfig, load_config, without_imperfections
 from shared.command_line import run_program
 
@@ -116,6 +117,22 @@ def along(
     flat, kept, shown = make_world(world, seed, settings), default_cache_dir(), Progress()
     frames = render_along(flat, states, camera, imu, out, settings, seed, start, duration, kept, shown)
     print(f"{out}: {frames} frames")
+
+
+@app.command()
+def calibration(
+    out: Annotated[Path, typer.Option(help="folder to write, must not exist")],
+    kind: Annotated[Kind, typer.Option(help="what the recording shall calibrate")] = Kind.CAMERA_IMU,
+    seed: Annotated[int, typer.Option(min=0, help="another robot, board, motion and noise")] = 0,
+    poor: Annotated[str | None, typer.Option(help="a mistake of the user, by name (docs/simulator.md)")] = None,
+    seconds: Annotated[float | None, typer.Option(min=1.0, max=86400.0, help="how long")] = None,
+    motors: Annotated[bool, typer.Option(help="kind imu: the motors run and shake the sensor")] = False,
+) -> None:
+    """Record what calibrates a robot: a board moved before its camera, the robot waved before a board, or its IMU."""
+    from robot.simulation.calibration.sessions import record_session
+
+    session = record_session(kind, out, seed, poor, seconds, motors, Progress())
+    print(f"{out}: {session.frames} frames, {session.imu_samples} IMU samples")
 
 
 @app.command()

@@ -28,7 +28,15 @@ from station.api.messages import (
 from station.api.problems import kind_of, responses
 from station.api.schema.base import Accepted
 from station.api.schema.fleet import RobotEntry, robot_entry
-from station.api.schema.robot import DriveOrder, DriverModel, HijackOrder, PanTiltOrder, RobotModel, robot_model
+from station.api.schema.robot import (
+    DriveOrder,
+    DriverModel,
+    HijackOrder,
+    PanTiltOrder,
+    RobotModel,
+    StopModel,
+    robot_model,
+)
 from station.errors import NoRobot
 from station.events import Event, MessageReader
 from station.robots.driving import MAX_DRIVER_NAME, LateCommands
@@ -81,11 +89,17 @@ def _driver_model(robot: RobotSession, caller: str) -> DriverModel:
 
 
 @of_robot.post("/stop", summary="Motors off now", responses=responses(503))
-async def stop(robot: RobotDep, driver: DriverDep) -> Accepted:
-    """Anyone may stop the robot, also one who does not drive; then the driver must let go before driving on."""
+async def stop(robot: RobotDep, driver: DriverDep) -> StopModel:
+    """Anyone may stop the robot, also one who does not drive; then the driver must let go before driving on.
+
+    Answers when the robot has confirmed it, and after 0.15 s when it has not: then the network is bad, or the
+    connection dead and nobody knows yet. The stop is sent again over each new connection until it is confirmed.
+    """
     if not robot.stop(driver):
-        raise NoRobot("no robot is connected; its own watchdog stops it when the link is lost")
-    return Accepted()
+        raise NoRobot(
+            "no robot is connected; its own watchdog stops it when the link is lost, and STOP is its first word"
+        )
+    return StopModel(confirmed=await robot.stop_is_confirmed())
 
 
 @of_robot.post("/pan-tilt", summary="Point the camera head", responses=responses(409, 503))

@@ -21,6 +21,10 @@ OF_ROBOT: dict[str, Role] = {
     "POST /drive/release": DRIVE,
     "POST /pan-tilt": DRIVE,
     "POST /robot/hijack": DRIVE,
+    "GET /calibration": WATCH,
+    "GET /calibration/file": WATCH,
+    "POST /calibration/use": ADMIN,  # every later drive is measured with it
+    "POST /calibration/undo": ADMIN,
     "POST /robot/pair": ADMIN,
     "WS /ws/drive": DRIVE,
     "GET /camera/frame.jpg": WATCH,

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Depends, FastAPI
 
 from station.api import (
     access,
+    calibration,
     camera,
     comparisons,
     events,
@@ -28,7 +29,7 @@ from station.api.schema.base import Problem
 from station.app import Station
 
 EACH_ROBOT = "/robots/{robot}"
-OF_ROBOT = (robot, camera, places, slam, events, navigations)
+OF_ROBOT = (robot, camera, calibration, places, slam, events, navigations)
 SHARED = (robot, places, maps, replay, navigations, comparisons, health, access, page)
 # Where each router is: what concerns one robot is there twice, with and without the robot's name.
 ROUTERS: tuple[tuple[str, APIRouter], ...] = (

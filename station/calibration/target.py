@@ -28,6 +28,7 @@ class Target:
     square_m: float
     gap_m: float = 0.0
     marker_m: float = 0.0
+    dictionary: str = ""  # of a ChArUco's markers, as OpenCV names it; empty: what `station calibrate target` prints
 
     def __post_init__(self) -> None:
         if not (2 <= self.columns <= 50 and 2 <= self.rows <= 50):
@@ -59,3 +60,5 @@ class BoardView:
     t_robot_ns: int
     ids: IntArray  # (m,) rows of Target.corners
     corners_px: FloatArray  # (m, 2), the centre of the first pixel is (0, 0)
+    blur_px: float = 0.0  # sigma of the blur over its edges; 0 where not measured
+    ids_are_sure: bool = True  # False: a part of a plain chessboard, which may lie elsewhere on it

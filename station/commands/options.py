@@ -47,3 +47,20 @@ def check_out_folder(out: Path) -> None:
         raise DataError(f"--out {out}: {nearest} is a file; choose another folder")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise DataError(f"--out {out}: {nearest} cannot be written to; choose another folder")
+
+
+def check_out_file(out: Path) -> None:
+    """Whether a file of this name can be written, in a folder that is there, without making it.
+
+    Raises:
+        DataError: a folder has the name, or nothing can be made there; says what to do.
+    """
+    try:
+        if out.is_dir():
+            raise DataError(f"--out {out} is a folder; give the name of a file")
+        if not out.absolute().parent.is_dir():
+            raise DataError(f"--out {out}: there is no folder {out.parent}; make it first")
+    except OSError as exc:  # too long a name
+        raise DataError(f"--out {out} cannot be written ({exc.strerror}); choose another name") from exc
+    if not os.access(out.absolute().parent, os.W_OK | os.X_OK) or (out.exists() and not os.access(out, os.W_OK)):
+        raise DataError(f"--out {out} cannot be written to; choose another folder")

@@ -234,7 +234,9 @@ def _decode_keyframes(
             content["observed_uv_px"].astype(np.float64).reshape(-1, 2),
         )
     except OSError as exc:
-        raise DataError(f"{exc.filename or path} is missing or damaged; make the navigation again") from exc
+        raise DataError(
+            f"{exc.filename or path} is missing or damaged ({exc.strerror}); make the navigation again"
+        ) from exc
     except UNREADABLE as exc:
         raise DataError(f"{path} is damaged ({exc}); make the navigation again") from exc
     if not are_poses(keyframes.T_world_cam) or not np.isfinite(observations[2]).all():

@@ -61,12 +61,17 @@ def best_camera(
         fit: what the robot's own drive says of what it tells; used where it is better known.
     """
     own, report = corrected(told, fit), navigation.report
-    if (report.told_camera or navigation.calibration.camera) != told:
+    if not is_of_robot(navigation, told):
         return own.camera
     if report.told_camera is None:
         return told  # uncorrected, the map is as this camera saw it
     of_map = corrected(told, report.calibration_fit)
     return own.camera if own.focal_sigma < of_map.focal_sigma else navigation.calibration.camera or told
+
+
+def is_of_robot(navigation: Navigation, told: CameraCalibration | None) -> bool:
+    """Whether the robot that tells these numbers is taken for the one that made the navigation."""
+    return (navigation.report.told_camera or navigation.calibration.camera) == told
 
 
 def misfit_of(report: NavigationReport) -> str:

@@ -150,6 +150,10 @@ class Recorder:
     # LinkListener
 
     def on_connected(self, hello: Hello) -> None:
+        self.on_calibration(hello)
+        self._put(LINK_TOPIC, None, {"connected": True, "reason": ""})
+
+    def on_calibration(self, hello: Hello) -> None:
         content = {
             "robot_id": hello.robot_id,
             "name": hello.name,
@@ -160,7 +164,6 @@ class Recorder:
         camera = hello.calibration.camera
         if camera is not None:
             self._put(CALIBRATION_TOPIC, None, camera_calibration(camera, self._now_ns()))
-        self._put(LINK_TOPIC, None, {"connected": True, "reason": ""})
 
     def on_disconnected(self, reason: str) -> None:
         self._put(LINK_TOPIC, None, {"connected": False, "reason": reason})

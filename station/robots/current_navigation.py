@@ -32,7 +32,10 @@ AGAIN = "; the recording is kept, and SLAM can run over it again"
 CANCELLED = "SLAM was cancelled; the recording is kept, and SLAM can run over it again"
 OTHER_ROBOT = "another robot was connected; this navigation ended there"
 OTHER_RUN = "the robot was started anew, its clock with it; this navigation ended there"
-OTHER_MEANWHILE = "another robot was connected, or this one started anew, just as the recording began; start it again"
+OTHER_CALIBRATION = "the robot was given another calibration; this navigation ended there"
+OTHER_MEANWHILE = (
+    "another robot was connected, or this one started or calibrated anew, just as the recording began; start it again"
+)
 
 
 @dataclass(slots=True, eq=False)
@@ -235,7 +238,17 @@ class CurrentNavigation(LinkListeners):
             self._end(running, OTHER_ROBOT)
         elif running is not None and running.hello.session_id != hello.session_id:
             self._end(running, OTHER_RUN)
+        self.on_calibration(hello)
         super().on_connected(hello)
+
+    def on_calibration(self, hello: Hello) -> None:
+        """A navigation is made with one calibration from its first picture to its last."""
+        running, beginning = self._running, self._beginning
+        if beginning is not None and beginning.hello.calibration != hello.calibration:
+            beginning.is_void = True
+        if running is not None and running.hello.calibration != hello.calibration:
+            self._end(running, OTHER_CALIBRATION)
+        super().on_calibration(hello)
 
     def on_command(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
         """What was sent to the robot: m/s, rad/s, ms to live."""

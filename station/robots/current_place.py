@@ -138,6 +138,10 @@ class CurrentPlace(IgnoringListener):
     def on_connected(self, hello: Hello) -> None:
         """A robot was connected. Nothing that was known of another robot, or in another clock, is of use for it."""
         self._gone = ""
+        self.on_calibration(hello)
+
+    def on_calibration(self, hello: Hello) -> None:
+        """What was found with another calibration says nothing any more."""
         run = (hello.robot_id, hello.session_id)
         if run != self._robot_run or hello.calibration != self._calibration:
             self._robot_run, self._calibration = run, hello.calibration

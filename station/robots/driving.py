@@ -50,7 +50,7 @@ class DriveLink(Protocol):
 
     def drive(self, linear: float, angular: float, ttl_ms: int) -> bool: ...
 
-    def stop(self) -> bool: ...
+    def stop(self, *, until_confirmed: bool = False) -> bool: ...
 
     def point(self, pan: float, tilt: float) -> bool: ...
 
@@ -146,16 +146,17 @@ class Driving:
         """This driver's command moves the robot now."""
         return self.is_moving and self.driver == driver
 
-    def stop(self, by: str | None = None) -> bool:
+    def stop(self, by: str | None = None, *, until_confirmed: bool = False) -> bool:
         """Motors off now. Anyone may say it, also one who does not drive: then the driver must let go first.
 
         Args:
             by: who says it; None is the station itself.
+            until_confirmed: sent again over each new connection until the robot has confirmed it.
         Returns:
             False when no robot is connected.
         """
         self._command = None
-        is_sent = self._link.stop()  # before all else
+        is_sent = self._link.stop(until_confirmed=until_confirmed)  # before all else
         self._lease.stop(by, self._now_ns())
         self._on_command(by or "station", 0.0, 0.0, 0)
         return is_sent

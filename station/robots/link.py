@@ -7,10 +7,13 @@ import logging
 import time
 from collections.abc import Callable, Collection
 
+import msgspec
+
 from shared.access import prove
 from shared.errors import ConfigError, RemoteProtocolError
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationChanged,
     CameraFrame,
     DriveApplied,
     ErrorNotice,
@@ -309,6 +312,8 @@ class RobotLink:
                 self._listener.on_status(message)
             case ErrorNotice():
                 self._receive_notice(message)
+            case CalibrationChanged():
+                self._recalibrate(message)
             case Hello():
                 self._greet(message)
             case Welcome():
@@ -335,6 +340,8 @@ class RobotLink:
         if not is_same_run:  # another count of samples, and perhaps another clock
             self._arrived.begin_run()
             self._clock = LinkClock()
+        if self._hello is not None and self._hello.robot_id != hello.robot_id:
+            self.commands.forget_stop()
         self._hello = hello
         connection = self._connection
         if hello.challenge and connection is not None and connection.token is not None:
@@ -348,6 +355,13 @@ class RobotLink:
                 next_imu_sequence=self._arrived.next_imu_sequence,
             )
         )
+
+    def _recalibrate(self, changed: CalibrationChanged) -> None:
+        if self._hello is not None:
+            told = {"calibration": changed.calibration, "calibration_origin": changed.origin}
+            self._hello = msgspec.structs.replace(self._hello, **told)
+            self._listener.on_calibration(self._hello)
+        self.commands.receive_calibration()
 
     def _receive_imu(self, batch: ImuBatch) -> None:
         if missing := self._arrived.add_imu(batch):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 
+from shared.calibration import Calibration
 from shared.errors import LocalProtocolError
 from shared.messages import (
     MAX_DRIVE_TTL_MS,
@@ -19,12 +21,26 @@ from shared.messages import (
     Received,
     StationMessage,
     Stop,
+    UndoCalibration,
+    UseCalibration,
 )
 from station.errors import NoRobot
 
 ANSWER_WITHIN_S = 2.0
+WRITTEN_WITHIN_S = 10.0  # a file, onto a slow card
 # Little is about to be sent at a time, and the most urgent first.
-SENDING_ORDER: tuple[type[StationMessage], ...] = (Prove, Join, Stop, Hijack, Drive, PanTilt, Heartbeat, Received)
+SENDING_ORDER: tuple[type[StationMessage], ...] = (
+    Prove,
+    Join,
+    Stop,
+    Hijack,
+    Drive,
+    PanTilt,
+    Heartbeat,
+    Received,
+    UseCalibration,
+    UndoCalibration,
+)
 
 
 class DueMessages:
@@ -68,14 +84,21 @@ class LinkCommands:
         self._able: Capabilities | None = None
         self._answer: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for what the robot says
         self._answer_seq = 0  # of the heartbeat behind the question
+        self._stop_seq: int | None = None  # of a stop that the robot has not confirmed; 0: not sent either
+        self._stop_is_confirmed = asyncio.Event()
+        self._calibrated: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for another calibration
 
     def restart_count(self) -> None:
         """A connection was made; the robot counts anew for each."""
         self._seq = 0
+        if self.awaits_stop:
+            self._stop_seq = 0
 
     def open(self, able: Capabilities | None) -> None:
-        """The robot let us in: from now on it hears commands, as far as it is able."""
+        """The robot let us in: from now on it hears commands, as far as it is able, a stop of before first."""
         self._is_connected, self._able = True, able
+        if self.awaits_stop:
+            self.stop(until_confirmed=True)
 
     def close(self) -> None:
         """There is no robot any more."""
@@ -99,10 +122,41 @@ class LinkCommands:
             raise LocalProtocolError(f"drive command refused: {exc}") from exc
         return self._put(command, self._able is not None and self._able.drive)
 
-    def stop(self) -> bool:
-        """Motors off now. False when no robot is connected (its own watchdog has stopped it by then)."""
+    def stop(self, *, until_confirmed: bool = False) -> bool:
+        """Motors off now. False when no robot is connected (its own watchdog has stopped it by then).
+
+        A connection may be dead and nobody know: with `until_confirmed` the stop is sent again over each new one until
+        the robot has confirmed it. Meanwhile another station may drive it.
+        """
         self._due.discard(Drive)
-        return self._is_connected and self._put(Stop(seq=self._count()))
+        seq = self._count() if self._is_connected else 0
+        if until_confirmed:
+            self._stop_seq = seq
+            self._stop_is_confirmed.clear()
+        if not self._is_connected:
+            return False
+        self._put(Stop(seq=seq))
+        if until_confirmed:
+            self.beat()  # the robot answers in order: its answer to what follows confirms the stop
+        return True
+
+    @property
+    def awaits_stop(self) -> bool:
+        """A stop is not confirmed yet."""
+        return self._stop_seq is not None
+
+    async def stop_is_confirmed(self, within_s: float) -> bool:
+        """Whether the robot has done what the last stop that waits for it asked; waits for that so long at most."""
+        if self.awaits_stop:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(within_s):
+                    await self._stop_is_confirmed.wait()
+        return not self.awaits_stop
+
+    def forget_stop(self) -> None:
+        """No stop waits any more: the robot has confirmed it, or is another one."""
+        self._stop_seq = None
+        self._stop_is_confirmed.set()
 
     def point(self, pan: float, tilt: float) -> bool:
         """Point the camera head (rad, positive left and up); newest wins. False when there is none."""
@@ -137,21 +191,42 @@ class LinkCommands:
             if self._answer is answer:
                 self._answer = None
 
+    async def use_calibration(self, calibration: Calibration | None) -> ErrorNotice | None:
+        """Let the robot tell this calibration, or (None) the one before its present one; one question at a time.
+
+        Returns why the robot refused, or None when it tells it now. Raises NoRobot when it said neither.
+        """
+        question = UndoCalibration() if calibration is None else UseCalibration(calibration=calibration)
+        if not self._put(question, self._is_connected):
+            raise NoRobot("the robot is not connected just now; the link comes back by itself")
+        self._calibrated = answer = asyncio.get_running_loop().create_future()
+        try:
+            async with asyncio.timeout(WRITTEN_WITHIN_S):
+                return await answer
+        except TimeoutError as exc:
+            raise NoRobot("the robot did not answer; GET /calibration says which calibration it tells") from exc
+        finally:
+            self._calibrated = None
+
+    def receive_calibration(self) -> None:
+        """The robot tells another calibration."""
+        _resolve(self._calibrated, None)
+
     def beat(self) -> None:
         self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
 
     def receive_beat(self, seq: int) -> None:
         """The robot answered this heartbeat, and refused nothing before it."""
         if seq >= self._answer_seq:
-            self._resolve(None)
+            _resolve(self._answer, None)
+        if self._stop_seq and seq > self._stop_seq:
+            self.forget_stop()
 
     def receive_notice(self, notice: ErrorNotice) -> None:
         if notice.about == "hijack":
-            self._resolve(notice)
-
-    def _resolve(self, refusal: ErrorNotice | None) -> None:
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_result(refusal)
+            _resolve(self._answer, notice)
+        elif notice.about == "calibration":
+            _resolve(self._calibrated, notice)
 
     def _put(self, message: StationMessage, is_possible: bool = True) -> bool:
         if is_possible:
@@ -161,3 +236,8 @@ class LinkCommands:
     def _count(self) -> int:
         self._seq += 1
         return self._seq
+
+
+def _resolve(answer: asyncio.Future[ErrorNotice | None] | None, refusal: ErrorNotice | None) -> None:
+    if answer is not None and not answer.done():
+        answer.set_result(refusal)

@@ -18,6 +18,10 @@ class LinkListener(Protocol):
 
     def on_connected(self, hello: Hello) -> None: ...
 
+    def on_calibration(self, hello: Hello) -> None:
+        """The robot tells another calibration from now on: its hello, with that."""
+        ...
+
     def on_disconnected(self, reason: str) -> None: ...
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
@@ -44,6 +48,8 @@ class IgnoringListener:
 
     def on_connected(self, hello: Hello) -> None: ...
 
+    def on_calibration(self, hello: Hello) -> None: ...
+
     def on_disconnected(self, reason: str) -> None: ...
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None: ...
@@ -68,6 +74,10 @@ class LinkListeners:
     def on_connected(self, hello: Hello) -> None:
         for listener in self.listeners:
             listener.on_connected(hello)
+
+    def on_calibration(self, hello: Hello) -> None:
+        for listener in self.listeners:
+            listener.on_calibration(hello)
 
     def on_disconnected(self, reason: str) -> None:
         for listener in self.listeners:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from shared.calibration import Calibration
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
 from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
@@ -34,6 +35,7 @@ from station.workers.request import ProgramName
 from station.workers.scheduling import ComputeSlots
 
 MAX_STOP_LINES = 8
+STOP_CONFIRMED_WITHIN_S = 0.15  # whoever pressed STOP hears within 0.2 s what became of it
 MAX_WARNINGS = 20  # different ones of one robot in a minute
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
@@ -78,6 +80,7 @@ class RobotSession(IgnoringListener):
         self._logged_stops: set[tuple[str, str]] = set()  # who and why, since it moved last
         self._warnings = Repetition(MAX_WARNINGS)
         self._hijacking = asyncio.Lock()
+        self._calibrating = asyncio.Lock()
         self.applied: DriveApplied | None = None
         self.current_place = CurrentPlace(
             shared.store,
@@ -163,17 +166,24 @@ class RobotSession(IgnoringListener):
 
         Said again while nothing moves it is no news, and one rest has no more than MAX_STOP_LINES: a program that
         repeats, also one with ever other reasons, would leave the log no room for other lines. False when no robot is
-        connected.
+        connected. What is no letting go is sent again over each new connection until the robot has confirmed it.
         """
         if self.driving.is_moving:
             self._logged_stops.clear()
         said = (by, why or "")
         is_news = said not in self._logged_stops and len(self._logged_stops) < MAX_STOP_LINES
-        is_sent = self.driving.stop(by)
+        is_sent = self.driving.stop(by, until_confirmed=why != "")
         if is_news and (why or (why is None and is_sent)):
             self._logged_stops.add(said)
             self.events.notify("drive", f"{by} stopped: {why}" if why else f"{by} stopped the robot")
         return is_sent
+
+    async def stop_is_confirmed(self) -> bool:
+        """Whether the robot has confirmed the last stop within STOP_CONFIRMED_WITHIN_S; the log is told when not."""
+        is_confirmed = await self.link.commands.stop_is_confirmed(STOP_CONFIRMED_WITHIN_S)
+        if not is_confirmed:
+            self._warn("link", "STOP was sent, and the robot has not confirmed it yet; it is sent again until it has")
+        return is_confirmed
 
     async def hijack(self, spot: tuple[float, float, float] | None) -> None:
         """Put a simulated robot down at x m, y m, yaw rad of its world, or (None) wherever it likes.
@@ -191,6 +201,34 @@ class RobotSession(IgnoringListener):
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
         self.events.notify("hijack", HIJACK_NOTICE, "warning")
+
+    @property
+    def why_calibration_fixed(self) -> str:
+        """Why the robot takes no other calibration, in a sentence; empty when it does."""
+        hello = self.link.state.hello
+        if hello is None:
+            return "no robot is connected"
+        if hello.calibration_origin is None:
+            return "this robot takes no calibration from a station; update sentinel-robot on it"
+        return hello.calibration_origin.fixed
+
+    async def use_calibration(self, calibration: Calibration | None) -> None:
+        """Let the robot tell this calibration from now on, or (None) the one before its present one.
+
+        Raises NoRobot, NotCapable for an older robot, Conflict while a navigation is recorded or with the robot's own
+        words, OutOfRange where these say what is wrong with it.
+        """
+        hello = self.link.state.hello
+        if hello is None:
+            raise NoRobot("no robot is connected")
+        if hello.calibration_origin is None:
+            raise NotCapable(self.why_calibration_fixed)
+        if self.current_navigation.is_busy:
+            raise Conflict("a navigation is being recorded with the present calibration; stop it first")
+        async with self._calibrating:
+            refusal = await self.link.commands.use_calibration(calibration)
+        if refusal is not None:
+            raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
 
     async def start_navigation(self, name: str) -> NavigationRecord:
         """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
@@ -221,6 +259,13 @@ class RobotSession(IgnoringListener):
 
     def on_connected(self, hello: Hello) -> None:
         self.events.notify("link", f"connected to {hello.name}")
+        if self.link.commands.awaits_stop:
+            self.events.notify("link", "the STOP that the robot had not confirmed was sent to it again", "warning")
+        self.events.changed("robot")
+
+    def on_calibration(self, hello: Hello) -> None:
+        told = "" if hello.calibration_origin is None else f": {hello.calibration_origin.source}"
+        self.events.notify("calibration", f"{hello.name} tells another calibration{told}")
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:

@@ -10,9 +10,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.framing import encode_payload
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationChanged,
+    CalibrationOrigin,
     CameraFrame,
     Drive,
     DriveApplied,
@@ -34,6 +37,8 @@ from shared.messages import (
     Refusal,
     Status,
     Stop,
+    UndoCalibration,
+    UseCalibration,
     Welcome,
     decode_robot_message,
     decode_station_message,
@@ -42,6 +47,10 @@ from shared.messages import (
 
 GOLDEN = Path(__file__).with_name("wire_v2.json")
 T = 1_403_715_283_262_142_976
+TOLD = Calibration(
+    camera=CameraCalibration(width=640, height=480, fx=500.5, fy=501.5, cx=320.0, cy=240.0, time_shift_s=-0.5),
+    imu=ImuNoise(gyro_density=0.5, accel_density=0.25, gyro_walk=0.125, accel_walk=1.5, rate_hz=225.0),
+)
 FROM_STATION: list[Message] = [
     Join(protocol=2, station_name="desk", resume_session_id="ab", next_imu_sequence=7),
     Heartbeat(seq=1, t_station_ns=T),
@@ -53,6 +62,8 @@ FROM_STATION: list[Message] = [
     Prove(token_id="0123456789ab", proof=bytes(range(32))),
     PairRequest(protocol=2, station_name="desk", message=bytes(range(33))),
     PairProof(mac=bytes(range(32))),
+    UseCalibration(calibration=TOLD),
+    UndoCalibration(),
 ]
 FROM_ROBOT: list[Message] = [
     Welcome(client_id=4),
@@ -64,6 +75,7 @@ FROM_ROBOT: list[Message] = [
     ImuBatch(first_sequence=5, samples=(ImuSample(T, (0.5, -0.25, 0.0), (0.0, 0.125, 9.75)),)),
     DriveApplied(t_robot_ns=T, linear=0.25, angular=-0.5),
     Status(t_robot_ns=T, uptime_s=1.5, battery_v=7.5, temperatures_c={"cpu": 50.5}, driver="desk", faults=("x",)),
+    CalibrationChanged(calibration=TOLD, origin=CalibrationOrigin(source="its calibration.yaml", can_undo=True)),
     ErrorNotice(code="device", message="camera gone", fatal=False),
 ]
 

@@ -12,11 +12,13 @@ import pytest
 
 from robot.access import MESSAGE_ROLES
 from shared.access import Role, Token, prove
+from shared.calibration import REFERENCE_ROBOT
 from shared.certificates import make_identity
 from shared.errors import ConfigError
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationChanged,
     Drive,
     ErrorNotice,
     Heartbeat,
@@ -30,6 +32,8 @@ from shared.messages import (
     Refusal,
     StationMessage,
     Stop,
+    UndoCalibration,
+    UseCalibration,
     Welcome,
     encode_message,
 )
@@ -51,6 +55,8 @@ ONE_OF_EACH: list[StationMessage] = [
     Stop(seq=3),
     PanTilt(pan=0.1, tilt=0.0),
     Hijack(x=0.0, y=0.0, yaw=0.0),
+    UseCalibration(calibration=REFERENCE_ROBOT),
+    UndoCalibration(),
     ErrorNotice(code="device", message="x"),
 ]
 
@@ -85,7 +91,11 @@ async def test_a_known_station_may_say_what_its_role_may(tmp_path: Path, message
             assert isinstance(answer, ErrorNotice) and answer.fatal
             return
         talk.say(message)
-        if role.includes(needed):
+        if role.includes(needed) and needed is Role.ADMIN:
+            answer = await talk.hear()
+            assert isinstance(answer, CalibrationChanged | ErrorNotice)
+            assert isinstance(answer, CalibrationChanged) or answer.code == "out_of_range"  # there is nothing to undo
+        elif role.includes(needed):
             await until(lambda: message in bench.heard or isinstance(message, Received))
         else:
             answer = await talk.hear()

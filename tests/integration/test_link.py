@@ -161,6 +161,36 @@ async def test_motors_stop_while_the_network_stands_still() -> None:
         await proxy.cut()
 
 
+class PausedClock:
+    """Shows this machine's time, less the pauses: as that of a station that slept."""
+
+    def __init__(self) -> None:
+        self._paused_ns = 0
+        self._stands_at_ns: int | None = None
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() - self._paused_ns if self._stands_at_ns is None else self._stands_at_ns
+
+    async def pause(self, seconds: float) -> None:
+        self._stands_at_ns = stands_at_ns = self.now_ns()
+        await asyncio.sleep(seconds)
+        self._paused_ns, self._stands_at_ns = time.monotonic_ns() - stands_at_ns, None
+
+
+async def test_a_station_whose_clock_stood_still_drives_again() -> None:
+    clock = PausedClock()
+    async with running_robot() as bench, linked(bench.port, now_ns=clock.now_ns) as (link, _):
+
+        def moves() -> bool:
+            link.commands.drive(0.1, 0.0, 250)
+            return bool(bench.motors.history) and not bench.motors.are_off
+
+        await until(moves)
+        await clock.pause(1.0)
+        await until(lambda: bench.motors.are_off)
+        await until(moves)
+
+
 async def test_a_robot_that_says_nothing_is_shown_as_quiet_until_it_speaks() -> None:
     async with running_robot() as bench:
         proxy = Proxy(bench.port)

@@ -55,6 +55,30 @@ async def test_at_a_robot_full_of_watching_stations_one_yields_to_who_drives_and
             assert isinstance(await (await join(bench, stack, make_token(bench, role, role.value))).hear(), Welcome)
 
 
+async def hear_reports(talk: Talk, count: int) -> None:
+    """Each is sent after robot-server has looked who is silent."""
+    for _ in range(count):
+        await talk.hear_report()
+
+
+async def test_a_silent_station_that_may_drive_yields_to_one_that_may_too_and_not_to_one_that_watches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shared.session, "QUIET_AFTER_NS", 0)
+    monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 120_000_000_000)
+    async with guarded_robot(tmp_path, max_stations=1) as bench, AsyncExitStack() as stack:
+        driver = await join(bench, stack, make_token(bench, Role.DRIVE, "driver"))
+        assert isinstance(await driver.hear(), Welcome)
+        await hear_reports(driver, 3)
+        watcher = await join(bench, stack, make_token(bench, Role.WATCH, "watcher"))
+        assert isinstance(await watcher.hear(), Refusal)
+        await hear_reports(driver, 3)
+        owner = await join(bench, stack, make_token(bench, Role.ADMIN, "owner"))
+        assert isinstance(await owner.hear(), Welcome)
+        last = await driver.hear()
+        assert isinstance(last, ErrorNotice) and last.fatal and "silent" in last.message
+
+
 async def code_at_the_end(socket: websockets.ClientConnection) -> int | None:
     with contextlib.suppress(websockets.ConnectionClosed):
         while True:

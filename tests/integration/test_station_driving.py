@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,7 @@ import websockets
 
 from shared.messages import ErrorNotice
 from station.robots.session import MAX_STOP_LINES, MAX_WARNINGS
-from tests.support.link import until
+from tests.support.link import Bench, Proxy, linked, running_robot, until
 from tests.support.station import Desk, running_station, store_map
 from tests.support.station_at_work import at_work, drive_off, heard, is_problem, wait_for
 
@@ -45,6 +48,48 @@ async def test_stop_needs_no_lease_and_holds_until_the_driver_lets_go(
         await until(lambda: bench.stops_heard > stops and bench.motors.are_off)
         held_on = await desk.http.post("/drive", json=order, headers={"X-Driver": "anna"})
         assert is_problem(held_on, 409) and "let go" in held_on.json()["detail"]
+
+
+async def test_a_stop_on_a_dead_connection_is_told_as_not_confirmed_and_stops_the_robot_when_it_is_back(
+    tmp_path: Path,
+) -> None:
+    """Neither end knows yet that it is dead, and another station drives on."""
+    async with running_robot() as bench, proxied(bench) as proxy, running_station(proxy.port, tmp_path) as desk:
+        await until(lambda: desk.station.first.state.connected)
+        await until_confirmed(desk)
+        async with linked(bench.port, "other") as (other, _):
+
+            async def hold() -> None:
+                other.commands.drive(0.1, 0.0, 250)
+
+            await drive_off(bench, hold)
+            proxy.stall()
+            stops = bench.stops_heard
+            answer = await desk.http.post("/stop")
+            assert answer.status_code == 200 and answer.json()["confirmed"] is False
+            assert bench.stops_heard == stops
+            await proxy.cut()
+            proxy.flow()
+            await proxy.mend()
+            await until(lambda: bench.stops_heard > stops and bench.motors.are_off)
+            log = [line["text"] for line in await wait_for(desk, "/log", lambda lines: "again" in lines[-1]["text"])]
+            assert any("has not confirmed it yet" in text for text in log)
+            await until_confirmed(desk)
+
+
+@asynccontextmanager
+async def proxied(bench: Bench) -> AsyncIterator[Proxy]:
+    proxy = Proxy(bench.port)
+    await proxy.mend()
+    try:
+        yield proxy
+    finally:
+        await proxy.cut()
+
+
+async def until_confirmed(desk: Desk) -> None:
+    while not (await desk.http.post("/stop")).json()["confirmed"]:
+        await asyncio.sleep(0.05)
 
 
 async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -> None:

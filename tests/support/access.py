@@ -22,6 +22,8 @@ from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.listening import bind
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationChanged,
+    DriveApplied,
     ErrorNotice,
     Hello,
     Join,
@@ -89,8 +91,8 @@ class GuardedBench(Bench):
 
 
 @asynccontextmanager
-async def guarded_robot(folder: Path) -> AsyncIterator[GuardedBench]:
-    bench = GuardedBench(set_up(folder))
+async def guarded_robot(folder: Path, **server: int) -> AsyncIterator[GuardedBench]:
+    bench = GuardedBench(set_up(folder), **server)
     await bench.start()
     try:
         yield bench
@@ -144,9 +146,16 @@ class Talk:
 
     async def hear(self) -> Message | None:
         """The next message that is not a report; None: the robot closed."""
+        return await self._hear(Hello, Welcome, Refusal, CalibrationChanged, ErrorNotice, PairReply, Paired)
+
+    async def hear_report(self) -> Message | None:
+        """The next report of what the motors do, or the last word; None: the robot closed."""
+        return await self._hear(DriveApplied, Refusal, ErrorNotice)
+
+    async def _hear(self, *kinds: type[Message]) -> Message | None:
         while True:
             message = self._session.next_message(0)
-            if isinstance(message, Hello | Welcome | Refusal | ErrorNotice | PairReply | Paired):
+            if isinstance(message, kinds):
                 return message
             if message is None:
                 try:

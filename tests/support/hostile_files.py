@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 import struct
 import tarfile
+import zipfile
 import zlib
 from io import BytesIO
 from pathlib import Path
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
 from shared.mcap_recording import FRAME_TOPIC, IMAGE_TOPIC
+from station.files.navigation_folder import OBSERVATIONS, save_navigation
+from tests.support.navigations import small_navigation
 
 MB = 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
@@ -98,3 +102,33 @@ def backup_with_records(path: Path, whole: Path, *records: tuple[str, bytes]) ->
         for member in source:
             archive.addfile(member, source.extractfile(member))
     return path
+
+
+def navigation_with_packed_observations(folder: Path, size: int) -> Path:
+    """A navigation whose observations are zeros in a zip file, a thousandth of their size."""
+    save_navigation(small_navigation(), folder)
+    with zipfile.ZipFile(folder / OBSERVATIONS, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("frame_index", "t_robot_ns", "T_world_cam"):
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                header = {"descr": "<i8", "fortran_order": False, "shape": (size // 8,)}
+                np.lib.format.write_array_header_1_0(member, header)
+                for _ in range(size // MB):
+                    member.write(bytes(MB))
+    return folder
+
+
+def calibration_of_aliases(path: Path, doublings: int) -> Path:
+    """Each line is the one before it, twice: nothing in memory until somebody looks at all of it."""
+    lines = ["l0: &l0 [1, 1]", *(f"l{n}: &l{n} [*l{n - 1}, *l{n - 1}]" for n in range(1, doublings))]
+    path.write_text("\n".join([*lines, f"resolution: *l{doublings - 1}", "intrinsics: [1, 1, 1, 1]"]))
+    return path
+
+
+def empty_png(width: int, height: int) -> bytes:
+    """A picture of one colour and one bit a pixel, which decodes to eight or more."""
+    packer = zlib.compressobj(9)
+    rows = b"".join([*(packer.compress(bytes(1 + -(-width // 8))) for _ in range(height)), packer.flush()])
+    head = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", rows), (b"IEND", b""))
+    packed = (struct.pack(">I", len(d)) + kind + d + struct.pack(">I", zlib.crc32(kind + d)) for kind, d in chunks)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)

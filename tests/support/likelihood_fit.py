@@ -12,12 +12,14 @@ from scipy.optimize import minimize
 from shared.geometry import FloatArray
 from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.config import BeliefConfig
-from station.places.tracking.image_evidence import LEAST_EXTENT_M, LITTLE
+from station.places.tracking.fitted import RecognisedOdds, Usual
+from station.places.tracking.image_evidence import LITTLE, terms
 
 Row = dict[str, Any]
 Losses = Callable[[FloatArray], FloatArray]  # of coefficients (k,): nats of each image (n,)
 LossesOf = Callable[[list[Row]], Losses]
 
+TERMS = len(RecognisedOdds.__struct_fields__)
 RIDGE = 1e-3  # on the coefficients but the constant, against the mean loss: it draws them to zero
 RIGHT_M = 0.5  # from the true position: a map that SLAM bent is no look-alike
 FRESH = 0.7  # of what makes an image independent of the last one
@@ -55,7 +57,7 @@ def with_previous(rows: list[Row]) -> list[Row]:
 
 def fitted_right(rows: list[Row]) -> Fit:
     """Which pose of an image is right, or none of them."""
-    return _fit([r for r in rows if r["mapped"] and r["poses"]], right_pose_losses, 5)
+    return _fit([r for r in rows if r["mapped"] and r["poses"]], right_pose_losses, TERMS)
 
 
 def fitted_unmapped(rows: list[Row]) -> Fit:
@@ -66,11 +68,11 @@ def fitted_unmapped(rows: list[Row]) -> Fit:
     anyhow = np.log(weight[unmapped].sum() / weight[~unmapped].sum())
 
     def losses(some: list[Row]) -> Losses:
-        X = np.array([recognising(max(r["poses"], key=lambda p: p["inliers"]), r["features"]) for r in some])
+        X = np.array([terms(max((p["figures"] for p in r["poses"]), key=lambda f: f.inliers)) for r in some])
         return _logistic_losses(X, np.array([not r["mapped"] for r in some]))
 
-    found = _fit(recognised, losses, 5)
-    return Fit(found.w - np.array([anyhow, 0, 0, 0, 0]), found.losses)
+    found = _fit(recognised, losses, TERMS)
+    return Fit(found.w - anyhow * np.eye(TERMS)[0], found.losses)
 
 
 def fitted_failing(rows: list[Row], *, mapped: bool, with_view: bool) -> Fit:
@@ -83,9 +85,17 @@ def fitted_failing(rows: list[Row], *, mapped: bool, with_view: bool) -> Fit:
     return _fit(mine, losses, 4 if with_view else 3)
 
 
-def usual_support(rows: list[Row]) -> float:
-    """Median of right poses."""
-    return float(np.median([p["support"] for r in rows for p in r["poses"] if r["mapped"] and p["error_m"] < RIGHT_M]))
+def usual_of(rows: list[Row]) -> Usual:
+    """Of the right poses."""
+    right = [p["figures"] for r in rows for p in r["poses"] if r["mapped"] and p["error_m"] < RIGHT_M]
+    supports = [f.support for f in right if f.support is not None]
+    off_floors = [f.off_floor for f in right if f.off_floor is not None]
+    return Usual(round(float(np.median(supports)), 3), round(float(np.median(off_floors)), 3))
+
+
+def or_usual(row: Row, usual: Usual) -> Row:
+    """An image with what nobody knows of its poses taken for what is usual."""
+    return {**row, "poses": [{**pose, "figures": pose["figures"].or_usual(usual)} for pose in row["poses"]]}
 
 
 # -- fitting --------------------------------------------------------------------------------------------------------
@@ -111,17 +121,6 @@ def _fit(rows: list[Row], losses_of: LossesOf, count: int) -> Fit:
     return Fit(found(rows), loss)
 
 
-def recognising(pose: Row, features: int) -> list[float]:
-    """A row of figures, as `RecognisedOdds` weighs them."""
-    return [
-        1.0,
-        float(np.log(max(pose["extent"], LEAST_EXTENT_M))),
-        float(np.log1p(pose["inliers"])),
-        float(np.log(pose["support"])),
-        float(np.log1p(features)),
-    ]
-
-
 def failing(rows: list[Row], with_view: bool) -> FloatArray:
     """Rows of figures, as `FailureOdds` weighs them."""
     columns = [np.ones(len(rows)), np.log1p([r["features"] for r in rows]), [r["failed_before"] for r in rows]]
@@ -134,7 +133,7 @@ def right_pose_losses(rows: list[Row]) -> Losses:
     """Negative log likelihood of which pose of each image was right, or none of them."""
     image = np.array([n for n, row in enumerate(rows) for _ in row["poses"]])
     number = np.array([k for row in rows for k in range(len(row["poses"]))])
-    X = np.array([recognising(pose, row["features"]) for row in rows for pose in row["poses"]])
+    X = np.array([terms(pose["figures"]) for row in rows for pose in row["poses"]])
     most = int(number.max()) + 1
     truth = np.array([_right_pose(row, none=most) for row in rows])
 

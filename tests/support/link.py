@@ -217,6 +217,7 @@ class Notes:
 
     def __init__(self) -> None:
         self.hellos: list[Hello] = []
+        self.calibrations: list[Hello] = []  # hellos with another calibration than at the connection
         self.reasons: list[str] = []
         self.frames: list[tuple[CameraFrame, int]] = []
         self.batches: list[ImuBatch] = []
@@ -231,6 +232,9 @@ class Notes:
 
     def on_connected(self, hello: Hello) -> None:
         self.hellos.append(hello)
+
+    def on_calibration(self, hello: Hello) -> None:
+        self.calibrations.append(hello)
 
     def on_disconnected(self, reason: str) -> None:
         self.reasons.append(reason)
@@ -255,9 +259,11 @@ class Notes:
 
 
 @asynccontextmanager
-async def linked(port: int, name: str = "desk") -> AsyncIterator[tuple[RobotLink, Notes]]:
+async def linked(
+    port: int, name: str = "desk", now_ns: Callable[[], int] = time.monotonic_ns
+) -> AsyncIterator[tuple[RobotLink, Notes]]:
     notes = Notes()
-    link = RobotLink("127.0.0.1", port, notes, station_name=name)
+    link = RobotLink("127.0.0.1", port, notes, station_name=name, now_ns=now_ns)
     task = asyncio.create_task(link.run())
     try:
         await until(lambda: link.state.connected)

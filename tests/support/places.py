@@ -11,7 +11,7 @@ from station.model.place_answer import Localization
 from station.model.place_map import Place, PlaceMap
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.current import CurrentPlaceEstimator
-from station.places.tracking.fitted import FailureOdds, FittedOdds, RecognisedOdds
+from station.places.tracking.fitted import FailureOdds, FittedOdds, RecognisedOdds, Usual
 
 R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along body x
 SECOND = 1_000_000_000
@@ -20,9 +20,9 @@ ODDS = FittedOdds(
     made_by="",
     worlds=(),
     log_loss={},
-    usual_support=0.2,
-    right=RecognisedOdds(16.254, extent=2.86, inliers=0.49, support=1.78, features=-1.54),
-    unmapped=RecognisedOdds(-6.834, extent=0.51, inliers=-1.43, support=0.17, features=2.03),
+    usual=Usual(support=0.2, off_floor=1.0),
+    right=RecognisedOdds(16.254, extent=2.86, inliers=0.49, support=1.78, features=-1.54, off_floor=-0.5, free=0.0),
+    unmapped=RecognisedOdds(-6.834, extent=0.51, inliers=-1.43, support=0.17, features=2.03, off_floor=0.0, free=0.0),
     fails_at_pose=FailureOdds(2.203, features=-0.84, again=1.68, in_view=-0.81),
     fails_in_map=FailureOdds(5.22, features=-1.15, again=2.17),
     fails_unmapped=FailureOdds(9.696, features=-1.62, again=2.48),

@@ -18,8 +18,8 @@ from shared.errors import ConfigError
 from shared.serial_protocol import ACCEL_RANGES_G, GYRO_RANGES_DEG_S, ConfigImu, ConfigMotors
 
 
-def open_pi(config: PiConfig) -> DeviceSet:
-    """Open the real robot.
+def open_pi(config: PiConfig, own: Calibration | None = None) -> DeviceSet:
+    """Open the real robot. `own`: the calibration that it keeps; None: none yet.
 
     Raises:
         DeviceUnavailable: a part that the configuration names does not answer; says which and what to do.
@@ -31,7 +31,7 @@ def open_pi(config: PiConfig) -> DeviceSet:
             undo.callback(mega.close)
         motors, pan_tilt = _open_motion(config, mega, undo)
         devices = DeviceSet(
-            calibration=load_calibration(config),
+            calibration=load_calibration(config, own),
             camera=open_camera(config) if config.camera else None,
             imu=MegaImu(mega) if mega is not None and config.imu else None,
             motors=motors,
@@ -73,14 +73,11 @@ def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
     return imu, motors
 
 
-def load_calibration(config: PiConfig) -> Calibration:
-    """The robot's own calibration, or the reference robot's, which says so; the picture size must fit."""
-    assert REFERENCE_ROBOT.camera is not None
-    camera = msgspec.structs.replace(REFERENCE_ROBOT.camera, is_measured=False)
-    if config.calibration:
-        camera = _read_own_camera(Path(config.calibration) / "camera.yaml")
-    calibration = msgspec.structs.replace(REFERENCE_ROBOT, camera=camera)
-    if config.camera:
+def load_calibration(config: PiConfig, own: Calibration | None = None) -> Calibration:
+    """The robot's own calibration, else its camera.yaml, or the reference robot's, which says so; the size must fit."""
+    calibration = own or msgspec.structs.replace(REFERENCE_ROBOT, camera=_camera_of(config))
+    camera = calibration.camera
+    if config.camera and camera is not None:
         size = (camera.width, camera.height)
         if size != (config.width, config.height):
             raise ConfigError(
@@ -88,6 +85,14 @@ def load_calibration(config: PiConfig) -> Calibration:
                 " calibrate at that size or set the calibrated one"
             )
     return calibration
+
+
+def _camera_of(config: PiConfig) -> CameraCalibration:
+    """As its camera.yaml says, else as the reference robot's."""
+    if config.calibration:
+        return _read_own_camera(Path(config.calibration) / "camera.yaml")
+    assert REFERENCE_ROBOT.camera is not None
+    return msgspec.structs.replace(REFERENCE_ROBOT.camera, is_measured=False)
 
 
 def _read_own_camera(path: Path) -> CameraCalibration:

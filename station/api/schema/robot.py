@@ -140,6 +140,13 @@ class HijackOrder(Question):
         return None if self.x is None or self.y is None else (self.x, self.y, self.yaw)
 
 
+class StopModel(Model):
+    """It was sent."""
+
+    ok: Literal[True] = True
+    confirmed: bool = Field(description="the robot said that it has stopped; false: sent, not confirmed yet")
+
+
 class DriverModel(Model):
     driver: str | None
     you_drive: bool

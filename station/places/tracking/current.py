@@ -52,6 +52,7 @@ class Jump:
 
     distance_m: float
     is_other_map: bool
+    moved: float  # probability that somebody moved it
 
 
 class CurrentPlaceEstimator:
@@ -70,8 +71,7 @@ class CurrentPlaceEstimator:
         self.config = (config or BeliefConfig()).for_rig(calibration is None or calibration.has_wheels)
         self._maps = tuple(MapView.of(m) for m in maps)
         self._map_ids = {m.id for m in maps}
-        camera = calibration.camera if calibration else None
-        self._evidence = ImageEvidence(self._maps, camera, self.config)
+        self._evidence = ImageEvidence(self._maps, calibration, self.config)
         self._reporter = Reporter(self._maps, self.config, seed)
         self._belief = prior(self.config)
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
@@ -81,6 +81,8 @@ class CurrentPlaceEstimator:
         self._failed_before = NO_IMAGE_BEFORE
         self._numbers = count(1)
         self._believed: Hypothesis | None = None  # where the robot was known to be
+        self._doubt = 1.0  # the least probability, while it was believed, that it is false
+        self._believed_ns = 0  # when it was believed last
         self._hijack_reason = ""
 
     def regroup(self, maps: Sequence[PlaceMap]) -> None:
@@ -122,7 +124,7 @@ class CurrentPlaceEstimator:
         image = self._evidence.of_candidates(ours, self._belief, T_nav_body)
         self._update(image, t, T_nav_body)
         self._failed_before = 0.0
-        return self._believe(T_nav_body)
+        return self._believe(t, T_nav_body)
 
     def on_failure(self, t_robot_ns: int, num_features: int | None = None) -> None:
         """An image that could not be localised. With few features (dark, covered, a white wall) it says nothing."""
@@ -195,21 +197,29 @@ class CurrentPlaceEstimator:
         self._belief = prune(weigh(self._belief, image, T_nav_body, self._numbers, self.config), self.config)
         self._last_view = _OdometryPose(t_robot_ns, T_nav_body)
 
-    def _believe(self, T_nav_body: FloatArray) -> Jump | None:
-        """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere."""
+    def _believe(self, t_robot_ns: int, T_nav_body: FloatArray) -> Jump | None:
+        """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere.
+
+        Then either somebody moved the robot and no sensor noticed, or what was believed before had been false.
+        """
         c = self.config
         best = max(self._belief.hypotheses, key=lambda h: h.weight, default=None)
         if best is None or best.weight < c.known_from:
             return None
         before, self._believed = self._believed, best
+        was_false, since_ns, self._believed_ns = self._doubt, self._believed_ns, t_robot_ns
+        is_same = before is not None and before.number == best.number
+        self._doubt = min(1 - best.weight, self._doubt) if is_same else 1 - best.weight
         self._hijack_reason = ""  # found again
-        if before is None or before.number == best.number:
+        if before is None or is_same:
             return None
+        unnoticed = -float(np.expm1(-c.unnoticed_move_per_s * max(0, t_robot_ns - since_ns) / 1e9))
+        moved = unnoticed / max(unnoticed + was_false, 1e-9)
         if before.map_index != best.map_index:
-            return Jump(0.0, is_other_map=True)
+            return Jump(0.0, True, moved)
         distance, turn = _motion(before.pose(T_nav_body), best.pose(T_nav_body))
         distance_m = distance / best.unit
-        return Jump(distance_m, is_other_map=False) if distance_m > c.jump_m or turn > c.jump_rad else None
+        return Jump(distance_m, False, moved) if distance_m > c.jump_m or turn > c.jump_rad else None
 
     def _freshness(self, T_nav_body: FloatArray) -> float:
         """0..1: how far the view is another one than the last image's; without odometry nobody knows that it is not."""

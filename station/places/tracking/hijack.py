@@ -81,10 +81,15 @@ class HijackDetector:
             return None
         return self._once(self._views.add(_View(t_robot_ns, features, self._inertial.R_start_body)))
 
-    def on_jump(self, t_robot_ns: int, distance_m: float, is_other_map: bool) -> HijackEvent | None:
-        """The current place's estimate went over to a position where the robot cannot have driven."""
+    def on_jump(self, t_robot_ns: int, distance_m: float, is_other_map: bool, moved: float) -> HijackEvent | None:
+        """The current place's estimate went over to a position where the robot cannot have driven.
+
+        No hijack where it is likelier that the position before had been false; `moved`: the probability that it is one.
+        """
+        if moved < 0.5:
+            return None
         where = "in another map than it was in" if is_other_map else f"{distance_m:.1f} m away from where it was"
-        return self._once(HijackEvent(t_robot_ns, "position", f"recognised {where}", 0.99))
+        return self._once(HijackEvent(t_robot_ns, "position", f"recognised {where}", moved))
 
     def _once(self, event: HijackEvent | None) -> HijackEvent | None:
         """Cues of the same hijack within five seconds are one event."""

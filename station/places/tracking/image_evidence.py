@@ -13,16 +13,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import msgspec
 import numpy as np
 
-from shared.calibration import CameraCalibration
+from shared.calibration import Calibration
 from shared.geometry import FloatArray, so3_log
-from station.model.best_camera import best_camera
+from station.model.best_camera import best_camera, is_of_robot
 from station.model.place_answer import Localization
 from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.belief import FREEDOM, NOTHING, Agreement, Belief, Hypothesis, PoseMeasurement, Recognised
 from station.places.tracking.config import BeliefConfig
-from station.places.tracking.fitted import FailureOdds, RecognisedOdds
+from station.places.tracking.fitted import FailureOdds, RecognisedOdds, Usual
 from station.places.tracking.map_view import MapView
 
 LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
@@ -32,12 +33,20 @@ SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
 
 @dataclass(frozen=True, slots=True)
 class MatchFigures:
-    """The figures of a verified pose by which a right one differs from a look-alike's."""
+    """The figures of a verified pose by which a right one differs from a look-alike's. None: nobody knows."""
 
     extent_m: float  # median distance of the recognised landmarks from their middle
     inliers: int
-    support: float  # share of the landmarks that should be in view which was recognised
+    support: float | None  # share of the landmarks that should be in view which was recognised
     features: int  # of the whole image
+    off_floor: float | None  # of a robot on wheels: squared Mahalanobis distance from standing on the floor, upright
+    is_free: bool  # the map knows its way there
+
+    def or_usual(self, usual: Usual) -> MatchFigures:
+        """What nobody knows taken for what is usual."""
+        support = usual.support if self.support is None else self.support
+        off_floor = usual.off_floor if self.off_floor is None else self.off_floor
+        return replace(self, support=support, off_floor=off_floor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +76,17 @@ class ImageLikelihood:
 class ImageEvidence:
     """Likelihoods of one robot's images in the active maps."""
 
-    def __init__(self, maps: Sequence[MapView], camera: CameraCalibration | None, config: BeliefConfig) -> None:
+    def __init__(self, maps: Sequence[MapView], calibration: Calibration | None, config: BeliefConfig) -> None:
         self._maps = maps
+        camera = calibration.camera if calibration else None
+        has_wheels = calibration is not None and calibration.has_wheels
         self._index = {view.place_map.id: i for i, view in enumerate(maps)}
         # By which images are looked for in each map: the mounting of a map's own robot was corrected with its poses.
         self._cameras = [best_camera(camera, view.place_map.navigation) if camera else None for view in maps]
+        # How high a robot's body stands is known of the map's own robot.
+        self._floors = [
+            view.floor if has_wheels and is_of_robot(view.place_map.navigation, camera) else None for view in maps
+        ]
         self._half_view = float(np.arctan(0.5 * camera.width / camera.fx)) if camera else 0.0
         self.config = config
 
@@ -87,8 +102,8 @@ class ImageEvidence:
         far as that one is a look-alike's. Where no map knows, a first candidate is as likely as strays are there.
         """
         c = self.config
-        candidates = [self._measured(z) for z in localizations]
-        figures = [self._figures(m) for m in candidates]
+        candidates = [self.measured(z) for z in localizations]
+        figures = [self.figures(m).or_usual(c.fitted.usual) for m in candidates]
         odds = np.exp([log_odds(c.fitted.right, f) for f in figures])
         false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
         share = odds / odds.sum()
@@ -124,7 +139,8 @@ class ImageEvidence:
             counted_log_odds=freshness * max(0.0, worth),
         )
 
-    def _measured(self, z: Localization) -> PoseMeasurement:
+    def measured(self, z: Localization) -> PoseMeasurement:
+        """A verified pose of an image, as the filter takes it."""
         index = self._index[z.map_id]
         unit = self._maps[index].unit
         sigma_m = float(np.hypot(z.sigma_position / unit, self.config.pose_floor_m))
@@ -132,13 +148,17 @@ class ImageEvidence:
         T_cam_body = np.eye(4) if camera is None else camera.T_cam_body_matrix
         return PoseMeasurement(z, index, unit, z.T_map_cam @ T_cam_body, sigma_m)
 
-    def _figures(self, m: PoseMeasurement) -> MatchFigures:
-        z, sightings = m.localization, self._maps[m.map_index].sightings
-        share = self.config.fitted.usual_support
-        camera = self._cameras[m.map_index]
-        if camera is not None and sightings.is_enough:
-            share = support(len(z.landmarks), sightings.in_view(z.T_map_cam, camera))
-        return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features)
+    def figures(self, m: PoseMeasurement) -> MatchFigures:
+        """By which it is judged whether the pose is right."""
+        z, view = m.localization, self._maps[m.map_index]
+        camera, floor = self._cameras[m.map_index], self._floors[m.map_index]
+        share = off_floor = None
+        if camera is not None and view.sightings.is_enough:
+            share = support(len(z.landmarks), view.sightings.in_view(z.T_map_cam, camera))
+        if floor is not None:
+            off_floor = floor.off(m.T_map_body, m.sigma_m * m.unit, self.config.pose_floor_rad)
+        is_free = bool(view.space.knows(m.T_map_body[None, :3, 3])[0])
+        return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features, off_floor, is_free)
 
     def _rarer(self, figures: MatchFigures) -> float:
         """How much rarer an image whose best candidate has these is where no map knows than somewhere in a map."""
@@ -264,14 +284,24 @@ def support(recognised: float, expected: float) -> float:
     return (recognised + LITTLE) / (expected + LITTLE)
 
 
+def terms(figures: MatchFigures) -> FloatArray:
+    """(7,) what the coefficients of `RecognisedOdds` are multiplied with. Of figures without None (`or_usual`)."""
+    if figures.support is None or figures.off_floor is None:
+        raise ValueError("figures that nobody knows have no odds")
+    return np.array([
+        1.0,
+        np.log(max(figures.extent_m, LEAST_EXTENT_M)),
+        np.log1p(figures.inliers),
+        np.log(figures.support),
+        np.log1p(figures.features),
+        np.log1p(figures.off_floor),
+        figures.is_free,
+    ])  # fmt: skip
+
+
 def log_odds(odds: RecognisedOdds, figures: MatchFigures) -> float:
     """Log odds of a verified pose with these figures."""
-    log = (
-        odds.constant
-        + odds.extent * np.log(max(figures.extent_m, LEAST_EXTENT_M))
-        + odds.support * np.log(figures.support)
-    )
-    return float(log + odds.inliers * np.log1p(figures.inliers) + odds.features * np.log1p(figures.features))
+    return float(np.dot(msgspec.structs.astuple(odds), terms(figures)))
 
 
 def failure_probability(odds: FailureOdds, num_features: int, failed_before: float, in_view: float = 1.0) -> float:

@@ -11,6 +11,7 @@ from shared.geometry import FloatArray
 from station.model.place_map import PlaceMap
 from station.places.making.scale import units_per_metre
 from station.places.space.space import Space
+from station.places.tracking.floor import Floor
 from station.places.tracking.sightings import Sightings
 
 
@@ -22,6 +23,7 @@ class MapView:
     unit: float  # map units per metre
     area_m2: float
     space: Space
+    floor: Floor | None
     sightings: Sightings
 
     @classmethod
@@ -37,6 +39,7 @@ class MapView:
             unit=unit,
             area_m2=float(np.prod(size)),
             space=Space.of(place_map.navigation),
+            floor=Floor.of(place_map.navigation),
             sightings=Sightings(place_map, unit),
         )
 

@@ -90,7 +90,7 @@ class PlaceTracker:
             self.estimator.on_failure(t, attempt.num_features)
             return attempt
         jump = self.estimator.on_candidates(attempt.candidates, t)
-        event = self.hijacks.on_jump(t, jump.distance_m, jump.is_other_map) if jump is not None else None
+        event = None if jump is None else self.hijacks.on_jump(t, jump.distance_m, jump.is_other_map, jump.moved)
         if event is not None:
             self._events.append(event)  # the estimate is there already
         return attempt

@@ -38,6 +38,7 @@ PRIOR_SIGMA = np.array([0.1, 0.1, 0.1, 0.1, 0.05])  # hardly anything: keeps wha
 WINDOW_SIGMA = np.array([5e-3, 5e-3, 5e-3, 5e-3, 1e-3])
 LIKELY = 15.1  # chi-square with 5 degrees of freedom: one window in a hundred is beyond, and counts less
 REWEIGHTINGS = 5
+JACKKNIFE_GROUPS = 20  # enough for a standard deviation good to a sixth; bounds the cost of a long drive
 FOCAL_STEP = 1e-4  # of the numerical derivative by the focal length
 
 
@@ -110,23 +111,48 @@ def calibration_jacobian(camera: CameraModel, states: WindowStates, rows: Visual
 
 
 def combined(windows: Sequence[CalibrationInformation]) -> CalibrationFit | None:
-    """What all windows say together; those that contradict the others count less. None without windows."""
+    """What all windows say together; those that contradict the others count less. None without windows.
+
+    The standard deviations are never smaller than the jackknife's: no window alone makes the result, and one by itself
+    says nothing sure.
+    """
     if not windows:
         return None
     parts = [window.blurred() for window in windows]
     matrices, scores = np.array([p.matrix for p in parts]), np.array([p.score for p in parts])
-    prior = np.diag(PRIOR_SIGMA**-2)
-    weight = np.ones(len(parts))
-    for _ in range(REWEIGHTINGS):
-        covariance = np.linalg.inv(prior + np.einsum("w,wab->ab", weight, matrices))
-        error = covariance @ (weight @ scores)
-        rest = scores - matrices @ error
-        chi2 = np.einsum("wa,wa->w", rest, np.linalg.solve(matrices + prior, rest[..., None])[..., 0])
-        weight = np.minimum(1.0, LIKELY / np.maximum(chi2, 1e-9))
-    sigma = np.sqrt(np.diag(covariance))
+    error, sigma = _solved(matrices, scores)
+    sigma = np.maximum(sigma, _jackknife_sigma(matrices, scores))
     return judge(
         focal=(float(np.exp(error[FOCAL])), float(sigma[FOCAL])),
         mounting_deg=np.degrees(error[MOUNTING]),
         mounting_sigma_deg=np.degrees(sigma[MOUNTING]),
         shift_s=(float(error[TIME]), float(sigma[TIME])),
     )
+
+
+def _jackknife_sigma(matrices: FloatArray, scores: FloatArray) -> FloatArray:
+    """(5,) by how much the result changes when some windows are left out (Efron 1982). One window: the prior's.
+
+    One after the other; of a long drive, one of so many groups of neighbours.
+    """
+    if len(matrices) == 1:
+        return PRIOR_SIGMA
+    groups = np.array_split(np.arange(len(matrices)), min(len(matrices), JACKKNIFE_GROUPS))
+    without = np.array([
+        _solved(np.delete(matrices, group, axis=0), np.delete(scores, group, axis=0))[0] for group in groups
+    ])  # fmt: skip
+    spread = ((without - without.mean(axis=0)) ** 2).mean(axis=0)
+    return np.asarray(np.sqrt((len(groups) - 1) * spread))
+
+
+def _solved(matrices: FloatArray, scores: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The calibration's error (5,) by windows (n, 5, 5), (n, 5), robustly, and its standard deviations (5,)."""
+    prior = np.diag(PRIOR_SIGMA**-2)
+    weight = np.ones(len(matrices))
+    for _ in range(REWEIGHTINGS):
+        covariance = np.linalg.inv(prior + np.einsum("w,wab->ab", weight, matrices))
+        error = covariance @ (weight @ scores)
+        rest = scores - matrices @ error
+        chi2 = np.einsum("wa,wa->w", rest, np.linalg.solve(matrices + prior, rest[..., None])[..., 0])
+        weight = np.minimum(1.0, LIKELY / np.maximum(chi2, 1e-9))
+    return error, np.sqrt(np.diag(covariance))

@@ -26,9 +26,9 @@ class NotedMotors:
         self._motors = motors
         self._fd = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
         os.write(self._fd, Told(time.monotonic_ns(), linear_m_s, angular_rad_s).packed)
-        self._motors.drive(linear_m_s, angular_rad_s)
+        self._motors.drive(linear_m_s, angular_rad_s, until_ns)
 
     def stop(self) -> None:
         os.write(self._fd, Told(time.monotonic_ns(), 0.0, 0.0).packed)
@@ -44,7 +44,8 @@ def main(settings: str, log: str) -> None:
     def open_noted(kind: app.DeviceKind, config: RobotConfig) -> DeviceSet:
         devices = open_real(kind, config)
         assert devices.motors is not None
-        return dataclasses.replace(devices, motors=NotedMotors(devices.motors, Path(log)))
+        noted: Motors = NotedMotors(devices.motors, Path(log))
+        return dataclasses.replace(devices, motors=noted)
 
     app.open_devices = open_noted
     app.run("simulated", load_config(Path(settings), {}))

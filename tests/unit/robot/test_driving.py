@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from robot.commands import CommandDesk, CommandOrder
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
@@ -146,6 +148,42 @@ def test_a_connection_that_begins_with_an_old_burst_moves_nothing() -> None:
         assert order.until_ns(command(seq, 9 * S + seq * 50 * MS), 20 * S) is None
     said = 9 * S + 60 * 50 * MS
     assert order.until_ns(command(60, said), 20 * S + 50 * MS) is not None  # the driver is still there
+
+
+@pytest.mark.parametrize("pause_ns", [300 * MS, 5 * S])
+@pytest.mark.parametrize("trip_ns", [6 * MS, 120 * MS])
+def test_a_station_whose_clock_stood_still_drives_again_soon(pause_ns: int, trip_ns: int) -> None:
+    """It slept, or its machine was halted; the connection survived."""
+    order = CommandOrder()
+    refused_ns = 0
+    for step in range(20 * 20):
+        now_ns = step * 50 * MS
+        paused_ns = pause_ns if step >= 200 else 0
+        if 200 * 50 * MS <= now_ns < 200 * 50 * MS + pause_ns:
+            continue  # nothing is said
+        if step % 2 == 0:
+            order.note_heard(now_ns - trip_ns)
+        t_station_ns = now_ns - trip_ns // 2 - paused_ns
+        order.observe(t_station_ns, now_ns)
+        if step > 2 and order.until_ns(command(step, t_station_ns), now_ns) is None:
+            refused_ns += 50 * MS
+    assert refused_ns <= 2 * S
+
+
+def test_a_pause_cannot_be_feigned_by_a_network_that_froze() -> None:
+    """What the station has heard by then is in the burst, too, and is as old as the burst."""
+    order = CommandOrder()
+    for step in range(100):  # 5 s of driving with 5 ms of delay each way
+        t = step * 50 * MS
+        order.note_heard(t - 5 * MS)
+        order.observe(t, t + 5 * MS)
+    accepted = []
+    thaw_ns = 14 * S  # all said from 5 s to 14 s arrives at once; of us it has heard nothing since 5 s
+    for seq, t in enumerate(range(5 * S, thaw_ns, 50 * MS)):
+        order.note_heard(5 * S)
+        if order.until_ns(command(seq, t), thaw_ns) is not None:
+            accepted.append(t)
+    assert accepted and min(accepted) > thaw_ns - 210 * MS
 
 
 def test_drifting_clocks_do_not_make_commands_stale() -> None:

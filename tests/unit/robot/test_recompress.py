@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import builtins
+import threading
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from robot.recompress import recompress
+from robot import recompress as recompress_module
+from robot.devices.ports import CapturedFrame
+from robot.link_meter import LinkMeter
+from robot.recompress import Recompressor, recompress
+from robot.video import MAX_WAIT_NS, FrameSlot, Picture, VideoStream
 
 
 def scene(seed: int = 0) -> bytes:
@@ -57,3 +63,77 @@ def test_without_any_library_pictures_stay_as_they_were(monkeypatch: pytest.Monk
     jpeg = scene()
     without(monkeypatch, "cv2", "PIL")
     assert recompress(jpeg, 20) is jpeg
+
+
+class Library:
+    """Makes pictures smaller when it is let."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.asked: list[bytes] = []
+        self.may_go_on = threading.Semaphore(0)
+        monkeypatch.setattr(recompress_module, "recompress", self.make)
+
+    def make(self, jpeg: bytes, quality: int) -> bytes:
+        self.asked.append(jpeg)
+        assert self.may_go_on.acquire(timeout=60)
+        if jpeg == b"damaged":
+            raise ValueError("no picture")
+        return b"smaller"
+
+
+def picture(jpeg: bytes, taken_ns: int) -> Picture:
+    return Picture(CapturedFrame(0, 0, 640, 480, jpeg), 0, taken_ns)
+
+
+async def test_pictures_that_are_late_by_their_turn_are_not_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    library, made, now_ns = Library(monkeypatch), asyncio.Event(), 0
+    recompressor = Recompressor(made.set, lambda: now_ns)
+    first, newest = picture(b"first", 0), picture(b"newest", 100 * MAX_WAIT_NS)
+    recompressor.begin(first, 20)
+    for n in range(1, 100):
+        recompressor.begin(picture(b"late", 0), n)
+    now_ns = 100 * MAX_WAIT_NS
+    recompressor.begin(newest, 20)
+    library.may_go_on.release(101)
+    async with asyncio.timeout(60):
+        while newest.smaller.get(20) is None:
+            made.clear()
+            await made.wait()
+    recompressor.close()
+    assert library.asked == [b"first", b"newest"]
+    assert first.smaller == newest.smaller == {20: b"smaller"}
+
+
+async def test_a_station_has_one_picture_under_way_or_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many the camera makes while one of them is made smaller."""
+    library, made, now_ns = Library(monkeypatch), asyncio.Event(), 0
+    recompressor = Recompressor(made.set, lambda: now_ns)
+    slot = FrameSlot(recompressor.begin)
+    stream = VideoStream(slot, LinkMeter())
+    for n in range(1000):  # half a minute
+        now_ns = n * 33_000_000
+        slot.put(CapturedFrame(0, 0, 640, 480, bytes(70_000 + n)), now_ns)
+        stream.next_frame(now_ns)
+    library.may_go_on.release(1001)
+    while (frame := stream.next_frame(now_ns)) is None:
+        slot.put(CapturedFrame(0, 0, 640, 480, bytes(70_000 + 1000)), now_ns)
+        made.clear()
+        async with asyncio.timeout(60):
+            await made.wait()
+    recompressor.close()
+    assert frame.jpeg == b"smaller" and len(library.asked) <= 3
+
+
+async def test_a_library_that_fails_holds_up_no_other_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    library, made = Library(monkeypatch), asyncio.Event()
+    recompressor = Recompressor(made.set, lambda: 0)
+    damaged, whole = picture(b"damaged", 0), picture(b"whole", 0)
+    recompressor.begin(damaged, 20)
+    recompressor.begin(whole, 20)
+    library.may_go_on.release(2)
+    async with asyncio.timeout(60):
+        while whole.smaller.get(20) is None:
+            made.clear()
+            await made.wait()
+    recompressor.close()
+    assert damaged.smaller == {20: b"damaged"} and whole.smaller == {20: b"smaller"}

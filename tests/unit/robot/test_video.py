@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from statistics import median
@@ -281,3 +282,16 @@ def test_the_size_of_a_picture_at_a_quality_is_learned() -> None:
     assert sizes.quality(100_000, 40_500) == 50
     assert sizes.quality(100_000, 10) == LEAST_QUALITY
     assert sizes.quality(100_000, 100_000) is None
+
+
+def test_a_station_that_confirms_no_bytes_fills_no_memory() -> None:
+    def size(messages: int, confirms_frames: bool) -> int:
+        meter = LinkMeter()
+        for n in range(messages):
+            meter.send(200, is_frame=n % 10 == 0 and confirms_frames, now_ns=n * MS)
+            if confirms_frames:
+                meter.confirm_frame(n * MS)
+        return len(pickle.dumps(meter))
+
+    assert size(100_000, False) <= 1.1 * size(10_000, False)
+    assert size(100_000, True) <= 1.1 * size(10_000, True)

@@ -12,6 +12,7 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.errors import RemoteProtocolError
 from shared.messages import (
     PROTOCOL_VERSION,
+    CalibrationOrigin,
     Capabilities,
     ErrorNotice,
     Hello,
@@ -27,7 +28,11 @@ from shared.messages import (
 from shared.text import PRINTABLE, is_printable, printable
 
 FORGED = "\x1b[2J\x1b]0;owned\x07done\r\nINFO link: connected to Anna\u202e\u2028"
-SENTENCES = {"error.message", "refusal.reason", "status.faults[]"}
+SENTENCES = {"error.message", "refusal.reason", "status.faults[]"} | {
+    f"{where}.{field}"
+    for where in ("hello.calibration_origin", "calibration_changed.origin")
+    for field in ("source", "fixed")
+}
 HELLO = Hello(
     protocol=PROTOCOL_VERSION,
     robot_id="r",
@@ -90,6 +95,15 @@ def test_only_printable_sentences_leave_the_decoder(message: RobotMessage) -> No
     said = [getattr(heard, key) for key in ("message", "reason", "faults") if hasattr(heard, key)]
     text = "".join(said[0])
     assert is_printable(text) and len(text) == len(FORGED) and "INFO link: connected to Anna" in text
+
+
+def test_what_a_robot_says_of_its_calibration_is_printable() -> None:
+    forged = msgspec.structs.replace(HELLO, calibration_origin=CalibrationOrigin(source="x", fixed="y"))
+    plain = msgspec.msgpack.decode(encode_message(forged))
+    plain["calibration_origin"] |= {"source": FORGED, "fixed": FORGED}
+    heard = decode_robot_message(msgspec.msgpack.encode(plain))
+    assert isinstance(heard, Hello) and heard.calibration_origin is not None
+    assert is_printable(heard.calibration_origin.source) and is_printable(heard.calibration_origin.fixed)
 
 
 @pytest.mark.parametrize("name", [FORGED, "a\x00", "a\n", "\x9b2J", "\u202egpj.exe"])

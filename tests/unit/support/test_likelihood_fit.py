@@ -4,27 +4,38 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from station.places.tracking.fitted import FailureOdds
-from station.places.tracking.image_evidence import MatchFigures, failure_probability, log_odds
+from station.places.tracking.image_evidence import MatchFigures, failure_probability, log_odds, terms
 from tests.support import likelihood_fit
 from tests.support.likelihood_fit import (
     failing,
     fitted_failing,
     fitted_right,
     numbers,
-    recognising,
     weights,
     with_previous,
 )
 from tests.support.places import ODDS
 
 RIGHT = ODDS.right
-TRUE = np.array([RIGHT.constant, RIGHT.extent, RIGHT.inliers, RIGHT.support, RIGHT.features])
+TRUE = np.array(msgspec.structs.astuple(RIGHT))
+
+
+def figures_of(rng: np.random.Generator, features: int) -> MatchFigures:
+    return MatchFigures(
+        extent_m=rng.uniform(0.03, 0.5),
+        inliers=int(rng.integers(16, 300)),
+        support=rng.uniform(0.05, 0.8),
+        features=features,
+        off_floor=rng.exponential(5.0),
+        is_free=bool(rng.random() < 0.7),
+    )
 
 
 def row(**otherwise: Any) -> dict[str, Any]:
@@ -34,20 +45,11 @@ def row(**otherwise: Any) -> dict[str, Any]:
 
 
 @given(
-    extent=st.floats(0.0, 3.0),
-    inliers=st.integers(16, 500),
-    support=st.floats(0.01, 3.0),
     features=st.integers(60, 800),
     failed_before=st.sampled_from([0.0, 1.0]),
     in_view=st.floats(0.0, 900.0),
 )
-def test_what_is_fitted_is_what_the_estimator_computes(
-    extent: float, inliers: int, support: float, features: int, failed_before: float, in_view: float
-) -> None:
-    pose = {"extent": extent, "inliers": inliers, "support": support}
-    assert np.dot(recognising(pose, features), TRUE) == pytest.approx(
-        log_odds(RIGHT, MatchFigures(extent, inliers, support, features))
-    )
+def test_what_is_fitted_is_what_the_estimator_computes(features: int, failed_before: float, in_view: float) -> None:
     f = ODDS.fails_at_pose
     [X] = failing([row(features=features, failed_before=failed_before, in_view=in_view)], with_view=True)
     p = failure_probability(f, features, failed_before, in_view)
@@ -61,11 +63,8 @@ def test_the_odds_that_made_images_up_are_found_again(monkeypatch: pytest.Monkey
     rows, tried = [], []
     for k in range(6000):
         features = int(rng.integers(80, 800))
-        poses = [
-            {"extent": rng.uniform(0.03, 0.5), "inliers": int(rng.integers(16, 300)), "support": rng.uniform(0.05, 0.8)}
-            for _ in range(rng.integers(1, 4))
-        ]
-        odds = np.exp([*(np.dot(recognising(pose, features), TRUE) for pose in poses), 0.0])
+        poses: list[dict[str, Any]] = [{"figures": figures_of(rng, features)} for _ in range(rng.integers(1, 4))]
+        odds = np.exp([*(log_odds(RIGHT, pose["figures"]) for pose in poses), 0.0])
         right = rng.choice(len(odds), p=odds / odds.sum())
         for j, pose in enumerate(poses):
             pose["error_m"] = 0.1 if j == right else 2.0
@@ -76,7 +75,7 @@ def test_the_odds_that_made_images_up_are_found_again(monkeypatch: pytest.Monkey
         seen = [] if failed else poses
         tried.append(row(kind=kind, features=features, poses=seen, failed_before=before, in_view=in_view))
     found = fitted_right(rows)
-    figures = np.array([recognising(rows[0]["poses"][0], rows[0]["features"])])
+    figures = terms(rows[0]["poses"][0]["figures"])
     np.testing.assert_allclose(found.w[1:], TRUE[1:], atol=0.25)
     np.testing.assert_allclose(figures @ found.w, figures @ TRUE, atol=0.3)
     assert set(found.losses) == {"flat", "hall"} and all(0.0 < loss < 1.0 for loss in found.losses.values())

@@ -1,7 +1,7 @@
 // Hold to drive. Commands go out 20 times a second while something is held; anything doubtful stops and says why (safety.ts).
 import { call } from "../link/api";
 import { driverName } from "../link/driver_name";
-import type { CapabilitiesModel, RobotModel } from "../link/messages";
+import type { CapabilitiesModel, RobotModel, StopModel } from "../link/messages";
 import { by, show } from "../ui/dom";
 import { attempt } from "../ui/toast";
 import { dialogIsOpen, isList } from "./focus";
@@ -119,8 +119,11 @@ export class DriveControl {
     this.hands.release();
     this.line?.send({ type: "stop", reason });
     // Also by itself, and not for watchers only: the socket may be dead, and neither end told yet.
-    attempt(() => call("POST", "/stop"));
-    this.say("Stopped");
+    this.say("STOP sent");
+    attempt(async () => {
+      const { confirmed } = await call<StopModel>("POST", "/stop");
+      this.say(confirmed ? "Stopped" : "STOP sent, but the robot has not confirmed it yet");
+    });
   }
 
   private say(text: string): void {

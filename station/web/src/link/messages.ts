@@ -565,6 +565,13 @@ export interface StopCommand {
   reason: string;
 }
 
+/** It was sent. */
+export interface StopModel {
+  ok: true;
+  /** the robot said that it has stopped; false: sent, not confirmed yet */
+  confirmed: boolean;
+}
+
 export interface TakeOverCommand {
   type: "take_over";
 }

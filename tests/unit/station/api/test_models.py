@@ -12,10 +12,12 @@ import msgspec
 import pytest
 
 import station.api
+from shared.calibration import CameraCalibration
 from shared.messages import Capabilities, DriveApplied
 from shared.token_book import TokenRecord
 from station.api.access import TokenModel
 from station.api.schema.base import Model
+from station.api.schema.calibration import CameraModel
 from station.api.schema.comparisons import ComparisonModel
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import BinModel, NavigationModel
@@ -47,6 +49,7 @@ MADE_OF: dict[type[Model], type] = {
     AppliedModel: DriveApplied,
     BinModel: BinEntry,
     CalibrationFitModel: CalibrationFit,
+    CameraModel: CameraCalibration,
     CapabilitiesModel: Capabilities,
     ClockModel: LinkState,
     ComparisonModel: Comparison,

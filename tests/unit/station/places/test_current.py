@@ -278,6 +278,23 @@ def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() ->
     assert len(told) == 1 and told[0].distance_m == pytest.approx(4.75, abs=0.3)
 
 
+@pytest.mark.parametrize(("views_before", "is_moved"), [(1, False), (30, True)])
+def test_who_was_never_sure_of_a_place_had_been_wrong_and_who_was_has_been_moved(
+    views_before: int, is_moved: bool
+) -> None:
+    estimator = estimator_of(make_map())
+    for k in range(views_before):
+        estimator.on_odometry(k * SECOND, pose(0.2 * k, 0.0))
+        estimator.on_candidates([seen(k, pose(0.2 * k, 0.0))])
+    assert estimator.answer(views_before * SECOND).state == "known"
+    jumps = []
+    for k in range(views_before, views_before + 40):
+        estimator.on_odometry(k * SECOND, pose(0.2 * views_before, 0.0, 0.3 * k))
+        jumps.append(estimator.on_candidates([seen(k, pose(6.0, 3.0, 0.3 * k))]))
+    [jump] = [jump for jump in jumps if jump is not None]
+    assert (jump.moved > 0.5) == is_moved
+
+
 def test_far_from_the_mapping_drive_the_place_is_unknown() -> None:
     estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))

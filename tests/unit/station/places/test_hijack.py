@@ -112,10 +112,11 @@ def test_a_covered_lens_and_a_passing_person_are_no_hijack() -> None:
 
 def test_a_jump_of_the_estimate_is_one_event() -> None:
     detector = HijackDetector()
-    event = detector.on_jump(SECOND, 4.93, is_other_map=False)
+    event = detector.on_jump(SECOND, 4.93, is_other_map=False, moved=0.9)
     assert event is not None and event.cue == "position" and "4.9 m" in event.reason
-    assert detector.on_jump(2 * SECOND, 3.0, is_other_map=False) is None
-    other = detector.on_jump(9 * SECOND, 0.0, is_other_map=True)
+    assert detector.on_jump(2 * SECOND, 3.0, is_other_map=False, moved=0.9) is None
+    assert detector.on_jump(9 * SECOND, 3.0, is_other_map=False, moved=0.1) is None  # the estimate had been false
+    other = detector.on_jump(9 * SECOND, 0.0, is_other_map=True, moved=0.9)
     assert other is not None and "another map" in other.reason
 
 

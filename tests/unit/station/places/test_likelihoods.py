@@ -18,7 +18,7 @@ from station.places.tracking.sightings import Sightings
 from tests.support.places import ODDS, R_BODY_CAM, SECOND, estimator_of, make_map, pose, seen
 from tests.support.rooms import CAMERA, room_with_a_door
 
-USUAL = MatchFigures(extent_m=0.2, inliers=60, support=0.2, features=500)
+USUAL = MatchFigures(extent_m=0.2, inliers=60, support=0.2, features=500, off_floor=1.0, is_free=True)
 
 
 @given(
@@ -26,21 +26,23 @@ USUAL = MatchFigures(extent_m=0.2, inliers=60, support=0.2, features=500)
     inliers=st.integers(16, 500),
     share=st.floats(0.01, 1.0),
     features=st.integers(60, 800),
+    off_floor=st.floats(0.1, 1000.0),
     more=st.floats(1.1, 3.0),
 )
 def test_more_that_fits_speaks_for_a_pose_and_more_that_is_not_recognised_against_it(
-    extent_m: float, inliers: int, share: float, features: int, more: float
+    extent_m: float, inliers: int, share: float, features: int, off_floor: float, more: float
 ) -> None:
-    figures = MatchFigures(extent_m, inliers, share, features)
+    figures = MatchFigures(extent_m, inliers, share, features, off_floor, is_free=True)
     odds = log_odds(ODDS.right, figures)
     assert log_odds(ODDS.right, replace(figures, extent_m=more * extent_m)) > odds
     assert log_odds(ODDS.right, replace(figures, inliers=int(np.ceil(more * inliers)))) > odds
     assert log_odds(ODDS.right, replace(figures, support=more * share)) > odds
     assert log_odds(ODDS.right, replace(figures, features=int(np.ceil(more * features)))) < odds
+    assert log_odds(ODDS.right, replace(figures, off_floor=more * off_floor)) < odds
 
 
 def test_a_view_with_next_to_nothing_in_it_has_finite_odds() -> None:
-    assert np.isfinite(log_odds(ODDS.right, MatchFigures(0.0, 0, support(0.0, 0.0), 0)))
+    assert np.isfinite(log_odds(ODDS.right, MatchFigures(0.0, 0, support(0.0, 0.0), 0, 0.0, is_free=False)))
     assert 0.0 < failure_probability(ODDS.fails_at_pose, 0, 1.0, 0.0) < 1.0
 
 

@@ -48,7 +48,7 @@ class Link:
         self.told.append((linear, angular, ttl_ms))
         return True
 
-    def stop(self) -> bool:
+    def stop(self, *, until_confirmed: bool = False) -> bool:
         self.told.append("stop")
         return True
 

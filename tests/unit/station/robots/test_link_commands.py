@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from shared.messages import Drive, Heartbeat, PanTilt, Stop
-from station.robots.link_commands import DueMessages
+from shared.messages import Capabilities, Drive, Heartbeat, PanTilt, StationMessage, Stop
+from station.robots.link_commands import DueMessages, LinkCommands
 
 
 def drive(seq: int) -> Drive:
@@ -28,3 +28,56 @@ def test_what_is_discarded_is_not_sent() -> None:
     due.put(drive(1))
     due.discard(Drive)
     assert due.pop() is None
+
+
+ABLE = Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False)
+
+
+def connected() -> tuple[LinkCommands, DueMessages]:
+    due = DueMessages()
+    commands = LinkCommands(due, lambda: 0)
+    commands.open(ABLE)
+    return commands, due
+
+
+def reconnect(commands: LinkCommands, due: DueMessages) -> list[type[StationMessage]]:
+    """What is said first over the new connection."""
+    commands.close()
+    due.clear()
+    commands.restart_count()
+    commands.open(ABLE)
+    return said(due)
+
+
+def said(due: DueMessages) -> list[type[StationMessage]]:
+    return [type(message) for message in iter(due.pop, None)]
+
+
+async def test_a_stop_is_said_again_over_each_new_connection_until_it_is_confirmed() -> None:
+    commands, due = connected()
+    assert commands.stop(until_confirmed=True) and said(due) == [Stop, Heartbeat]
+    for _ in range(2):
+        commands.receive_beat(1)  # to a heartbeat of before
+        assert not await commands.stop_is_confirmed(0.0)
+        assert reconnect(commands, due) == [Stop, Heartbeat]
+    commands.receive_beat(2)
+    assert await commands.stop_is_confirmed(0.0)
+    assert reconnect(commands, due) == []
+
+
+async def test_a_stop_that_nobody_heard_waits_for_the_robot() -> None:
+    commands, due = connected()
+    commands.close()
+    assert not commands.stop(until_confirmed=True)
+    commands.receive_beat(9)
+    assert reconnect(commands, due) == [Stop, Heartbeat]
+
+
+async def test_the_stations_own_stop_and_one_for_another_robot_are_said_once() -> None:
+    commands, due = connected()
+    assert commands.stop() and said(due) == [Stop]
+    assert reconnect(commands, due) == []
+    commands.stop(until_confirmed=True)
+    commands.forget_stop()
+    assert await commands.stop_is_confirmed(60.0)
+    assert reconnect(commands, due) == []

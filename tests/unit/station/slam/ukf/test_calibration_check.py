@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from shared.calibration import REFERENCE_CAMERA, Calibration, ImuNoise
 from shared.geometry import so3_exp
 from station.model.calibration_fit import CalibrationFit
+from station.slam.mapping.calibration_information import CalibrationInformation, combined
 from station.slam.ukf.map.calibration_check import MAX_WAITING, WINDOW, CalibrationCheck
 from station.vision.camera_model import CameraModel
 from tests.support.synthetic_run import true_keyframes
@@ -125,3 +126,30 @@ def test_windows_that_nobody_has_time_for_do_not_pile_up() -> None:
         for keyframe in keyframes:
             check.add(keyframe)
     assert check.fit is not None  # looked at although nobody asked
+
+
+def window_that_says(focal: float, turned_deg: float) -> CalibrationInformation:
+    error = np.array([np.log(focal), np.radians(turned_deg), 0.0, 0.0, 0.0])
+    matrix = np.diag(np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4]) ** -2.0)
+    return CalibrationInformation(matrix, matrix @ error)
+
+
+def test_no_window_alone_condemns_or_praises_a_calibration() -> None:
+    """One window that the machine's load or a person walking through has spoilt says 2.5 degrees, for sure."""
+    spoilt, usual = window_that_says(1.0, 2.5), window_that_says(1.0, 0.1)
+    for windows in ([spoilt], [usual], [spoilt, usual], [usual, spoilt]):
+        fit = combined(windows)
+        assert fit is not None and fit.verdict != "does not fit"
+    alone, together = combined([usual]), combined([usual] * 3 + [spoilt])
+    assert alone is not None and alone.verdict == "not known yet"
+    assert together is not None and together.verdict != "does not fit"
+    all_turned = combined([window_that_says(1.0, 2.5 + 0.1 * k) for k in range(4)])
+    assert all_turned is not None and all_turned.verdict == "does not fit"
+
+
+def test_a_long_drives_uncertainty_is_as_that_of_windows_by_themselves() -> None:
+    rng = np.random.default_rng(3)
+    said = [window_that_says(float(np.exp(rng.normal(0, 0.01))), 0.0) for _ in range(400)]
+    fit = combined(said)
+    assert fit is not None
+    assert fit.focal_sigma == pytest.approx(0.01 / np.sqrt(400), rel=0.4)  # of 20 groups: good to a sixth

@@ -1,0 +1,148 @@
+"""The calibration that a robot tells: what its devices came with, until a station gives it a measured one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from robot.config import RobotConfig
+from shared.calibration import Calibration, CameraCalibration
+from shared.calibration_yaml import calibration_text, read_calibration
+from shared.disk import make_folder, replacing
+from shared.errors import ConfigError
+from shared.messages import CalibrationOrigin
+
+FILE, PREVIOUS = "calibration.yaml", "calibration.previous.yaml"
+NOT_MEASURED = "another robot's numbers, for want of its own"
+CAME_WITH = "what its devices came with"
+FROM_FILE = f"its {FILE}"
+IN_MEMORY = "given by a station, until robot-server ends (set calibration.folder to keep it)"
+REMEDY = "set calibration.folder to a folder that robot-server may write"
+MAX_SKEW = 1e-3  # of a rotation's rows from unit length and right angles
+LONGEST_FOCAL = 20.0  # focal length over the picture's width: a view of 3 degrees
+
+
+def calibration_folder(kind: str, config: RobotConfig) -> Path | None:
+    """Where the robot keeps its calibration; None: only in memory, as a simulated robot without settings does."""
+    if config.calibration.folder:
+        return Path(config.calibration.folder).expanduser()
+    return Path.home() / ".local" / "state" / "sentinel" / "robot-calibration" if kind == "pi" else None
+
+
+def read_own(folder: Path | None) -> Calibration | None:
+    """The calibration that a station gave; None: none yet. Raises DataError, which names the file."""
+    if folder is None or not (folder / FILE).is_file():
+        return None
+    return read_calibration(folder / FILE)
+
+
+class OwnCalibration:
+    """What the robot tells now, and the one before it. The folder's files are written whole or not at all."""
+
+    def __init__(self, folder: Path | None, came_with: Calibration) -> None:
+        """Raises DataError or ConfigError: the folder's calibration cannot be read or is not of this robot."""
+        self._folder = folder
+        self._came_with = came_with
+        self._previous: Calibration | None = None
+        self._is_given = False
+        self.current = came_with
+        if folder is not None and (own := read_own(folder)) is not None:
+            self._check(own, f"{folder / FILE}: ")
+            self.current, self._is_given = own, True
+        if folder is not None and (folder / PREVIOUS).is_file():
+            self._previous = read_calibration(folder / PREVIOUS)
+
+    @property
+    def origin(self) -> CalibrationOrigin:
+        """Where it comes from, and what can be done about it."""
+        return CalibrationOrigin(source=self._source, can_undo=self._previous is not None, fixed=self._why_fixed())
+
+    def use(self, calibration: Calibration) -> None:
+        """Tell this from now on; the present one is kept. Touches the disk.
+
+        Raises:
+            ConfigError: it is not of this robot, or its folder cannot be written. Nothing has changed then.
+        """
+        self._check(calibration)
+        self._replace(calibration)
+
+    def undo(self) -> None:
+        """Tell the one before it again; undone twice is done. Raises ConfigError as `use`, or where none is kept."""
+        if self._previous is None:
+            raise ConfigError("no earlier calibration is kept; there is nothing to undo")
+        self._replace(self._previous)
+
+    def _replace(self, calibration: Calibration) -> None:
+        before = self.current
+        if self._folder is not None:
+            # What is told is what the file says: a restart must not change it by a rounding.
+            calibration = _stored(self._folder, before, calibration)
+        self.current, self._previous, self._is_given = calibration, before, True
+
+    @property
+    def _source(self) -> str:
+        if self._is_given:
+            return FROM_FILE if self._folder is not None else IN_MEMORY
+        camera = self.current.camera
+        return CAME_WITH if camera is None or camera.is_measured else NOT_MEASURED
+
+    def _why_fixed(self) -> str:
+        if self._folder is None:
+            return ""
+        there = self._folder
+        while not there.exists() and there != there.parent:
+            there = there.parent
+        if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+            return ""
+        return f"the robot cannot write into {self._folder}; {REMEDY}"
+
+    def _check(self, calibration: Calibration, where: str = "") -> None:
+        """Raises ConfigError: its numbers cannot be this robot's."""
+        ours, given = self._came_with, calibration
+        for part in ("camera", "imu"):
+            if (getattr(ours, part) is None) != (getattr(given, part) is None):
+                had, has = ("no", "one") if getattr(ours, part) is None else ("one", "none")
+                raise ConfigError(f"{where}the robot has {had} {part}, the calibration {has}")
+        if ours.camera is not None and given.camera is not None:
+            _check_camera(ours.camera, given.camera, where)
+        if given.robot_kind != ours.robot_kind:
+            raise ConfigError(f"{where}it is of a {given.robot_kind!r} robot, this one is {ours.robot_kind!r}")
+
+
+def _check_camera(ours: CameraCalibration, given: CameraCalibration, where: str) -> None:
+    size = (given.width, given.height)
+    if size != (ours.width, ours.height):
+        raise ConfigError(
+            f"{where}it is of pictures of {size[0]}x{size[1]}, the camera's have {ours.width}x{ours.height};"
+            " calibrate at that size"
+        )
+    R = given.T_body_cam_matrix[:3, :3]
+    if not (np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0):
+        raise ConfigError(f"{where}T_body_cam is no rigid motion: its rotation's rows are no right-handed unit axes")
+    if max(given.fx, given.fy) > LONGEST_FOCAL * given.width:
+        raise ConfigError(f"{where}focal length ({given.fx:g}, {given.fy:g}) px is longer than any lens gives")
+    if not (0 <= given.cx < given.width and 0 <= given.cy < given.height):
+        raise ConfigError(f"{where}the principal point ({given.cx:g}, {given.cy:g}) px is outside the picture")
+
+
+def _stored(folder: Path, before: Calibration, calibration: Calibration) -> Calibration:
+    """Write both; returns the new one as it will be read at the next start. Raises ConfigError."""
+    try:
+        make_folder(folder)
+        # In this order: wherever a power cut falls, the calibration in use is whole.
+        for name, content in ((PREVIOUS, before), (FILE, calibration)):
+            with replacing(folder / name) as file:
+                file.write(calibration_text(content).encode())
+        return read_calibration(folder / FILE)
+    except OSError as exc:
+        raise ConfigError(f"the robot cannot write {folder / FILE} ({exc.strerror}); {REMEDY}") from exc
+
+
+def summary(calibration: Calibration) -> str:
+    """One line for the log."""
+    camera = calibration.camera
+    if camera is None:
+        return "no camera"
+    return f"focal length {camera.fx:.1f}, {camera.fy:.1f} px, time shift {1e3 * camera.time_shift_s:.2f} ms"

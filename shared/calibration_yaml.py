@@ -1,0 +1,89 @@
+"""`calibration.yaml`: all that is known of one robot's sensors in one file, written and read by robot and station.
+
+Its sections `camera` and `imu` have the keys of our `camera.yaml` and of EuRoC's `sensor.yaml`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.errors import ConfigError, DataError
+from shared.sensor_yaml import number, read_camera, read_imu_noise, read_rig, read_yaml
+
+HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """The file's content; every number is read back as it is."""
+    content: dict[str, Any] = {
+        "robot_kind": calibration.robot_kind,
+        "rig": calibration.rig,
+        "gravity": float(calibration.gravity),
+    }
+    if calibration.camera is not None:
+        content["camera"] = camera_content(calibration.camera)
+    if calibration.imu is not None:
+        content["imu"] = _imu_content(calibration.imu)
+    return HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+
+
+def camera_content(camera: CameraCalibration) -> dict[str, Any]:
+    """As `read_camera` reads it."""
+    approximate = {} if camera.is_measured else {"approximate": True}
+    return {
+        "resolution": [camera.width, camera.height],
+        "rate_hz": float(camera.rate_hz),
+        "intrinsics": [float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)],
+        "distortion_model": "equidistant" if camera.model == "equidistant" else "radial-tangential",
+        "distortion_coefficients": [float(v) for v in camera.distortion],
+        "T_body_cam": [float(v) for v in camera.T_body_cam],
+        "time_shift_s": float(camera.time_shift_s),
+        "line_delay_s": float(camera.line_delay_s),
+        **approximate,
+    }
+
+
+def _imu_content(imu: ImuNoise) -> dict[str, float]:
+    return {
+        "rate_hz": float(imu.rate_hz),
+        "gyroscope_noise_density": float(imu.gyro_density),
+        "gyroscope_random_walk": float(imu.gyro_walk),
+        "accelerometer_noise_density": float(imu.accel_density),
+        "accelerometer_random_walk": float(imu.accel_walk),
+        "gyroscope_range": float(imu.gyro_range),
+        "accelerometer_range": float(imu.accel_range),
+    }
+
+
+def read_calibration(path: Path) -> Calibration:
+    """A robot's `calibration.yaml`. Raises DataError, which names the file and the key."""
+    return as_calibration(read_yaml(path), path)
+
+
+def as_calibration(content: dict[str, Any], path: Path) -> Calibration:
+    """A file's mapping as a calibration; `path` is what its errors call it. Raises DataError."""
+    sections = {name: _section(content, name, path) for name in ("camera", "imu")}
+    if sections["camera"] is None and sections["imu"] is None:
+        raise DataError(f"{path} has neither a camera nor an imu section; it is no calibration.yaml")
+    camera, imu = sections["camera"], sections["imu"]
+    try:
+        return Calibration(
+            camera=None if camera is None else read_camera(path, camera),
+            imu=None if imu is None else read_imu_noise(path, imu),
+            robot_kind=str(content.get("robot_kind", "generic")),
+            gravity=number(content, "gravity", 9.81, path),
+            rig=read_rig(content, path),
+        )
+    except ConfigError as exc:
+        raise DataError(f"{path}: {exc}") from exc
+
+
+def _section(content: dict[str, Any], name: str, path: Path) -> dict[str, Any] | None:
+    section = content.get(name)
+    if section is not None and not isinstance(section, dict):
+        raise DataError(f"{path}: {name} must be a section of `key: value` lines")
+    return section

@@ -1,0 +1,150 @@
+"""Camera and IMU from a hand-held recording before a target: rotation, position, time shift, line delay, gravity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from shared.calibration import CameraCalibration, ImuNoise
+from shared.errors import DegenerateGeometry
+from shared.geometry import FloatArray
+from station.calibration.camera_imu import verdict
+from station.calibration.camera_imu.batch import (
+    SAMPLES_PER_KNOT,
+    Problem,
+    Progress,
+    Solution,
+    refined_knots,
+    solve,
+    start_unknowns,
+)
+from station.calibration.camera_imu.rows import Corners, Samples
+from station.calibration.camera_imu.start import CameraPoses, TurningMatch, camera_poses, match_turning
+from station.calibration.camera_imu.unknowns import (
+    DELAY,
+    GRAVITY,
+    MOUNT_POSITION,
+    MOUNT_ROTATION,
+    SHIFT,
+)
+from station.calibration.target import BoardView, Target
+from station.model.frames import ImuBatch
+from station.vision.lens import Lens
+
+START_SIGMA_PX = 0.3
+FOLLOWS = 1.2  # IMU residuals over the told noise: more, and knots nearer to each other are tried
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandheldRecording:
+    """What was recorded of a target and what was known before."""
+
+    views: list[BoardView]
+    num_images: int  # with those that show no target
+    imu: ImuBatch
+    target: Target
+    camera: CameraCalibration  # of it the lens counts; its mounting and time shift are found anew
+    noise: ImuNoise
+    gravity: float  # m/s^2
+    sigma_intrinsics: FloatArray  # (8,) how well the lens is known: fx, fy, cx, cy px, distortion; 0: exactly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraImuCalibration:
+    """What was found, and whether to use it."""
+
+    reasons: list[str]  # against it
+    solution: Solution | None  # None: nothing could be estimated
+
+    @property
+    def is_accepted(self) -> bool:
+        return not self.reasons
+
+    def results(self) -> dict[str, Any]:
+        """For scripts; numbers are null where nothing could be estimated."""
+        verdict = {"accepted": self.is_accepted, "reasons": self.reasons}
+        return (NOTHING if self.solution is None else figures(self.solution)) | verdict
+
+
+NOTHING = dict.fromkeys(
+    ("T_body_cam", "time_shift_s", "line_delay_s", "gravity", "sigma", "rms_px", "rms_gyro", "rms_accel", "intrinsics",
+     "distortion")
+)  # fmt: skip
+
+
+def figures(solution: Solution) -> dict[str, Any]:
+    camera = solution.unknowns.camera
+    return {
+        "T_body_cam": camera.T_body_cam_matrix.tolist(),
+        "time_shift_s": camera.time_shift_s,
+        "line_delay_s": camera.line_delay_s,
+        "gravity": solution.unknowns.gravity.tolist(),
+        "sigma": {
+            "rotation_deg": np.degrees(solution.sigma(MOUNT_ROTATION)).tolist(),
+            "translation_m": solution.sigma(MOUNT_POSITION).tolist(),
+            "time_shift_s": float(solution.sigma(slice(SHIFT, SHIFT + 1))[0]),
+            "line_delay_s": float(solution.sigma(slice(DELAY, DELAY + 1))[0]),
+            "gravity": solution.sigma(GRAVITY).tolist(),
+        },
+        "rms_px": float(np.sqrt((solution.corner_residuals_px**2).mean())),
+        "rms_gyro": solution.fit.gyro,
+        "rms_accel": solution.fit.accel,
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "distortion": list(camera.distortion),
+    }
+
+
+def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> CameraImuCalibration:
+    """The calibration, or why this recording gives none."""
+    if len(recording.imu) < 2:
+        return CameraImuCalibration(["the recording holds no inertial readings: record the IMU as well"], None)
+    origin_ns = int(recording.imu.t_robot_ns[0])
+    progress("poses of the target")
+    poses = camera_poses(recording.views, recording.target, Lens(recording.camera), origin_ns)
+    reasons = verdict.poor_views(poses, recording.num_images)
+    if reasons:
+        return CameraImuCalibration(reasons, None)
+    samples = Samples.of(recording.imu, recording.noise, origin_ns)
+    progress("time shift")
+    try:
+        match = match_turning(poses, samples.t_s, samples.gyro)
+        reasons = verdict.poor_motion(match)
+        if reasons:
+            return CameraImuCalibration(reasons, None)
+        return _estimate(recording, _problem(recording, poses, samples, origin_ns), poses, match, progress)
+    except DegenerateGeometry as exc:
+        return CameraImuCalibration([f"{exc}: record 30 to 60 s with the target in view, turning about all axes"], None)
+
+
+def _problem(recording: HandheldRecording, poses: CameraPoses, samples: Samples, origin_ns: int) -> Problem:
+    return Problem(
+        corners=Corners.of(poses.views, recording.target, origin_ns, START_SIGMA_PX),
+        samples=samples,
+        noise=recording.noise,
+        gravity=recording.gravity,
+        told=recording.camera,
+        sigma_intrinsics=recording.sigma_intrinsics,
+    )
+
+
+def _estimate(
+    recording: HandheldRecording, problem: Problem, poses: CameraPoses, match: TurningMatch, progress: Progress
+) -> CameraImuCalibration:
+    """The batch estimate, then the same with the target's size and flatness open."""
+    coarse, fine = SAMPLES_PER_KNOT
+    solution = solve(problem, start_unknowns(problem, poses, match, coarse), progress)
+    if misfit(solution, problem.samples) > FOLLOWS:
+        finer = refined_knots(solution.unknowns, fine * problem.samples.interval_s)
+        solution = solve(problem, finer, progress)
+    free = solve(solution.problem, solution.unknowns, progress, free_target=True)
+    reasons = verdict.poor_target(free, recording.target)
+    # A target that is not as its file says explains what does not fit.
+    reasons = reasons or verdict.poor_fit(solution, problem.samples.sigma_gyro, problem.samples.sigma_accel)
+    return CameraImuCalibration(reasons, replace(solution, problem=problem))
+
+
+def misfit(solution: Solution, samples: Samples) -> float:
+    """IMU residuals over the noise that was told."""
+    return max(solution.fit.gyro / samples.sigma_gyro, solution.fit.accel / samples.sigma_accel)

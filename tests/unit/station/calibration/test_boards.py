@@ -1,0 +1,90 @@
+"""Boards are found in images of the pages that are printed, and in real ones."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from shared.calibration import CameraCalibration
+from shared.geometry import FloatArray
+from station.calibration.boards import make_finder, view_board
+from station.calibration.target import Target, TargetKind
+from station.calibration.target_file import read_target
+from station.calibration.target_page import page_target
+from station.vision.lens import Lens
+from tests.support.paths import RECORDINGS
+from tests.support.target_images import T_cam_board, photograph, printed_page
+
+CAMERA = CameraCalibration(
+    width=752, height=480, fx=460.0, fy=458.0, cx=367.0, cy=248.0, distortion=(-0.28, 0.07, 2e-4, 0.0)
+)
+KINDS: tuple[TargetKind, ...] = ("aprilgrid", "charuco", "chessboard")
+
+
+def true_corners(target: Target, T: FloatArray) -> FloatArray:
+    p_cam = target.corners @ T[:3, :3].T + T[:3, 3]
+    return Lens(CAMERA).project(p_cam[:, :2] / p_cam[:, 2:])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_whole_board_is_found_to_a_tenth_of_a_pixel(kind: TargetKind) -> None:
+    target = page_target(kind, "A4")
+    page = printed_page(target)
+    T = T_cam_board(target, np.array([0.3, -0.25, 0.1]), 0.33)
+    view = view_board(make_finder(target), target, photograph(page, CAMERA, T), "a", 7)
+    assert view is not None
+    assert len(view.ids) > 0.95 * len(target.corners)
+    error = np.linalg.norm(view.corners_px - true_corners(target, T)[view.ids], axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.1 and error.max() < 0.5
+    assert view.blur_px == pytest.approx(0.9, abs=0.35)
+
+
+def test_a_chessboard_upside_down_keeps_its_first_corner() -> None:
+    target = page_target("chessboard", "A4")
+    T = T_cam_board(target, np.array([0.0, 0.0, np.pi - 0.2]), 0.33)
+    view = view_board(make_finder(target), target, photograph(printed_page(target), CAMERA, T), "a", 7)
+    assert view is not None
+    assert np.linalg.norm(view.corners_px - true_corners(target, T)[view.ids], axis=1).max() < 0.5
+
+
+@pytest.mark.parametrize("kind", ["aprilgrid", "charuco"])
+def test_of_a_board_at_the_images_edge_the_visible_part_is_found_with_its_ids(kind: TargetKind) -> None:
+    target = page_target(kind, "A4")
+    T = T_cam_board(target, np.array([0.2, -0.2, 0.0]), 0.3, shift=(-0.9, 0.2))
+    view = view_board(make_finder(target), target, photograph(printed_page(target), CAMERA, T), "a", 0)
+    truth = true_corners(target, T)
+    in_view = Lens(CAMERA).is_inside(truth, 8.0).sum()
+    assert 0.3 * len(truth) < in_view < 0.8 * len(truth), "the test itself: a part is in view"
+    assert view is not None and len(view.ids) > 0.5 * in_view
+    error = np.linalg.norm(view.corners_px - truth[view.ids], axis=1)
+    assert np.mean(error < 0.5) > 0.95  # the camera's fit leaves out what is left of wrong ones
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_found_where_there_is_no_board(kind: TargetKind) -> None:
+    target = page_target(kind, "A4")
+    noise = np.random.default_rng(0).integers(0, 255, (480, 752)).astype(np.uint8)
+    for image in (np.full((480, 752), 90, np.uint8), cv2.GaussianBlur(noise, (0, 0), 3.0)):
+        assert view_board(make_finder(target), target, image, "a", 0) is None
+
+
+def test_a_board_before_a_blurred_lens_says_how_blurred_it_is() -> None:
+    target = page_target("aprilgrid", "A4")
+    T = T_cam_board(target, np.array([0.1, 0.2, 0.0]), 0.3)
+    image = photograph(printed_page(target), CAMERA, T, blur_px=2.0)
+    view = view_board(make_finder(target), target, image, "a", 0)
+    assert view is not None and view.blur_px == pytest.approx(2.0, rel=0.25)
+
+
+def test_euroc_images_show_nearly_all_of_the_grid() -> None:
+    folder = RECORDINGS / "aprilgrid_euroc"
+    if not folder.is_dir():
+        pytest.skip("the recorded images are not on this machine")
+    target = read_target(folder / "target.yaml")
+    finder = make_finder(target)
+    found = []
+    for path in sorted(folder.glob("*.jpg")):
+        view = view_board(finder, target, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), path.name, 0)
+        found.append(0 if view is None else len(view.ids))
+    assert min(found) >= 70 and np.median(found) >= 120

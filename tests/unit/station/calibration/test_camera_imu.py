@@ -1,0 +1,127 @@
+"""How camera and IMU sit on each other, from recordings whose truth is known."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shared.geometry import so3_log
+from station.calibration.camera_imu.calibrate import (
+    CameraImuCalibration,
+    HandheldRecording,
+    calibrate_camera_imu,
+)
+from station.calibration.camera_imu.unknowns import MOUNT_POSITION, MOUNT_ROTATION
+from station.calibration.target import Target
+from station.model.frames import ImuBatch
+from tests.support.calibration_sessions import Session, Waving, make_session, without
+
+SMALL = Target("aprilgrid", columns=4, rows=4, square_m=0.036, gap_m=0.0108)
+SIGMA_INTRINSICS = np.array([2.0, 2.0, 2.0, 2.0, 0.01, 0.01, 1e-3, 1e-3])
+
+
+def short_session(
+    seed: int = 1, waving: Waving | None = None, corner_noise_px: float = 0.3, made: Target | None = None
+) -> Session:
+    return make_session(seed, duration_s=12.0, waving=waving, corner_noise_px=corner_noise_px, target=SMALL, made=made)
+
+
+def calibrated(session: Session, num_images: int = 115) -> CameraImuCalibration:
+    recording = HandheldRecording(
+        session.views, num_images, session.imu, session.target, session.told(), session.noise, 9.81, SIGMA_INTRINSICS
+    )
+    return calibrate_camera_imu(recording, progress=lambda step: None)
+
+
+@pytest.fixture(scope="module")
+def good() -> tuple[Session, CameraImuCalibration]:
+    session = short_session()
+    return session, calibrated(session)
+
+
+def test_a_lively_recording_is_accepted(good: tuple[Session, CameraImuCalibration]) -> None:
+    assert good[1].reasons == []
+
+
+def test_mounting_time_shift_and_line_delay_are_found(good: tuple[Session, CameraImuCalibration]) -> None:
+    session, found = good
+    results, true = found.results(), session.camera
+    T = np.array(results["T_body_cam"])
+    assert np.degrees(np.linalg.norm(so3_log(T[:3, :3].T @ true.T_body_cam_matrix[:3, :3]))) < 0.2
+    assert np.linalg.norm(T[:3, 3] - true.T_body_cam_matrix[:3, 3]) < 3e-3
+    assert abs(results["time_shift_s"] - true.time_shift_s) < 3e-4
+    assert abs(results["line_delay_s"] - true.line_delay_s) < 1e-6
+    np.testing.assert_allclose(results["gravity"], session.gravity_target, atol=0.05)
+
+
+def test_the_truth_lies_within_what_the_estimate_claims(good: tuple[Session, CameraImuCalibration]) -> None:
+    session, found = good
+    solution = found.solution
+    assert solution is not None
+    T, true = solution.unknowns.camera.T_body_cam_matrix, session.camera.T_body_cam_matrix
+    turned = so3_log(true[:3, :3].T @ T[:3, :3])
+    assert (np.abs(turned) < 4 * solution.sigma(MOUNT_ROTATION)).all()
+    assert (np.abs(T[:3, 3] - true[:3, 3]) < 4 * solution.sigma(MOUNT_POSITION)).all()
+
+
+def test_noise_is_measured_from_the_residuals(good: tuple[Session, CameraImuCalibration]) -> None:
+    solution = good[1].solution
+    assert solution is not None
+    assert solution.fit.corner_px == pytest.approx(0.3, rel=0.05)
+    assert solution.fit.gyro == pytest.approx(good[0].noise.gyro_density * np.sqrt(200.0), rel=0.1)
+    assert solution.fit.accel == pytest.approx(good[0].noise.accel_density * np.sqrt(200.0), rel=0.1)
+
+
+def test_images_without_the_target_are_bridged_by_the_imu() -> None:
+    session = short_session(2)
+    assert calibrated(without(session, 40, 60)).is_accepted
+
+
+@pytest.mark.parametrize(
+    ("waving", "remedy"),
+    [
+        (Waving(turn_rad=(0.002, 0.002, 0.002), shake_m=0.001), "wave it faster"),
+        (Waving(turn_rad=(0.002, 0.3, 0.002)), "about one axis only .* tilt it up and down and roll it"),
+    ],
+)
+def test_poor_motion_is_refused_with_its_remedy(waving: Waving, remedy: str) -> None:
+    found = calibrated(short_session(waving=waving))
+    assert found.solution is None
+    assert_only_reason(found, remedy)
+
+
+def test_a_target_of_another_size_is_named_with_its_true_size() -> None:
+    printed = Target("aprilgrid", columns=4, rows=4, square_m=0.9 * 0.036, gap_m=0.9 * 0.0108)
+    assert_only_reason(calibrated(short_session(made=printed)), r"0\.9.* measure 32\.\d mm, not 36\.0 mm")
+
+
+def test_an_imu_that_turned_otherwise_is_refused() -> None:
+    other = replace(short_session(), imu=short_session(5).imu)
+    assert_only_reason(calibrated(other), "fasten both to one rigid body")
+
+
+def test_a_recording_without_an_imu_is_refused() -> None:
+    none = ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    assert_only_reason(calibrated(replace(short_session(), imu=none)), "record the IMU as well")
+
+
+def test_a_target_that_is_rarely_seen_is_refused() -> None:
+    assert_only_reason(calibrated(short_session(), num_images=1000), "more light")
+
+
+def test_a_short_recording_is_refused() -> None:
+    session = short_session()
+    assert_only_reason(calibrated(replace(session, views=session.views[:60]), num_images=60), "record 30 to 60 s")
+
+
+def test_corners_far_from_where_they_should_be_are_refused() -> None:
+    assert_only_reason(calibrated(short_session(corner_noise_px=1.5)), "focus the lens")
+
+
+def assert_only_reason(found: CameraImuCalibration, pattern: str) -> None:
+    assert not found.is_accepted
+    assert len(found.reasons) == 1, found.reasons
+    assert re.search(pattern, found.reasons[0]), found.reasons
