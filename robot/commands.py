@@ -10,6 +10,7 @@ import msgspec
 
 from robot.config import DriveConfig
 from robot.devices.ports import DeviceSet
+from robot.head import CameraHead
 from robot.watchdog import MotorWatchdog, Velocity
 from shared.clock import MAX_CRYSTAL_DRIFT, RemoteClock
 from shared.errors import HardwareError
@@ -102,6 +103,11 @@ class CommandDesk:
     lease: DriverLease[int] = field(default_factory=lambda: DriverLease(LEASE_NS))  # by client id
     refused: int = 0
     _orders: dict[int, CommandOrder] = field(default_factory=dict)  # client id → order of its commands
+    head: CameraHead | None = field(init=False)  # None: the camera is fixed
+
+    def __post_init__(self) -> None:
+        servos = self.devices.pan_tilt
+        self.head = None if servos is None else CameraHead(servos.point, self.devices.calibration.head)
 
     def capabilities(self) -> Capabilities:
         """What this robot can do, for the hello."""
@@ -109,7 +115,7 @@ class CommandDesk:
             camera=self.devices.camera is not None,
             imu=self.devices.imu is not None,
             drive=self.watchdog is not None,
-            pan_tilt=self.devices.pan_tilt is not None,
+            pan_tilt=self.head is not None,
             battery=self.devices.battery is not None,
             hijack=self.devices.hijack is not None,
             max_linear_m_s=self.limits.max_linear_m_s,
@@ -189,12 +195,12 @@ class CommandDesk:
         return None
 
     def _point(self, client: int, message: PanTilt, now_ns: int) -> ErrorNotice | None:
-        if self.devices.pan_tilt is None:
+        if self.head is None:
             return self._refuse("not_capable", "this robot has no pan-tilt head")
         if self._is_driven_by_another(client, now_ns):
             return self._refuse("not_driver", "another station drives; it also points the camera")
         try:
-            self.devices.pan_tilt.point(message.pan, message.tilt)
+            self.head.look(message.pan, message.tilt, now_ns)
         except HardwareError as exc:
             return self._refuse("device", f"the pan-tilt head does not obey: {exc}")
         return None

@@ -18,6 +18,7 @@ from robot.commands import About, CommandDesk, notice
 from robot.config import RobotConfig
 from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
+from robot.head import STEP_S, CameraHead
 from robot.health import CpuMeter, read_temperatures
 from robot.outbox import ImuBacklog, ImuCursor
 from robot.own_calibration import OwnCalibration, summary
@@ -122,6 +123,7 @@ class RobotServer:
                 receiving = tasks.create_task(reception.run())
                 try:
                     tasks.create_task(self._tick_forever())
+                    tasks.create_task(self._lead_head_forever())
                     tasks.create_task(self._run_sensors())
                     self._systemd.ready()
                     await asyncio.Event().wait()
@@ -345,10 +347,29 @@ class RobotServer:
                 if client.tick():
                     self.desk.go_quiet(client.id)
                 if client.is_joined:
-                    if self.watchdog is not None:
+                    if self.watchdog is not None or self.desk.head is not None:
                         client.put(self._drive_report(self._applied()))
                     if count % TICKS_PER_STATUS == 0:
                         client.put(self._status_for(client))
+
+    async def _lead_head_forever(self) -> None:
+        head = self.desk.head
+        if head is None:
+            return
+        is_turning = False
+        while True:
+            await asyncio.sleep(STEP_S)
+            was_turning, is_turning = is_turning, head.turns(self._now_ns())
+            if is_turning or was_turning:  # once more at the end of the way
+                self._lead(head)
+
+    def _lead(self, head: CameraHead) -> None:
+        try:
+            head.lead(self._now_ns())
+        except HardwareError as exc:
+            self.faults.set("head", f"the pan-tilt head does not obey: {exc}")
+        else:
+            self.faults.clear("head")
 
     def _check_motors(self) -> None:
         if self.watchdog is None:
@@ -363,8 +384,14 @@ class RobotServer:
         return STANDSTILL if self.watchdog is None else self.watchdog.applied
 
     def _drive_report(self, velocity: Velocity) -> DriveApplied:
+        head = self.desk.head
+        pan, tilt = (0.0, 0.0) if head is None else head.told(self._now_ns())
         return DriveApplied(
-            t_robot_ns=self._devices.clock(), linear=velocity.linear_m_s, angular=velocity.angular_rad_s
+            t_robot_ns=self._devices.clock(),
+            linear=velocity.linear_m_s,
+            angular=velocity.angular_rad_s,
+            pan=pan,
+            tilt=tilt,
         )
 
     def _report_from_thread(self, velocity: Velocity) -> None:

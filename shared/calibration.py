@@ -21,7 +21,10 @@ MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
 
 
 class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
-    """Pinhole camera with lens distortion, mounted on the body (= IMU). The centre of the first pixel is (0, 0)."""
+    """Pinhole camera with lens distortion, mounted on the body (= IMU). The centre of the first pixel is (0, 0).
+
+    T_body_cam is that of a head that looks straight ahead; a turned one carries the camera along (shared/head.py).
+    """
 
     width: Side
     height: Side
@@ -78,6 +81,24 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
         return inverse(self.T_body_cam_matrix)
 
 
+class HeadCalibration(msgspec.Struct, frozen=True, kw_only=True):
+    """A pan-tilt head that carries the camera. Pan turns about the body's z axis, tilt about the head's own y axis."""
+
+    pivot_body: tuple[float, float, float]  # m, where both axes cross
+    max_pan: float = math.radians(80)  # rad, to either side
+    max_tilt: float = math.radians(40)
+    speed: float = 0.7  # rad/s, at which the robot leads its servos: faster, pictures blur and show nothing twice
+    lag_s: float = 0.06  # by which the servos follow what they are told
+    sigma: float = math.radians(3)  # rad, how far from the angle they are told hobby servos come to rest
+
+    def __post_init__(self) -> None:
+        numbers = (self.max_pan, self.max_tilt, self.speed, self.sigma)
+        if not all(map(math.isfinite, self.pivot_body)) or not all(0 < n < math.inf for n in numbers):
+            raise ConfigError("the head's calibration holds a number that is not positive and finite")
+        if not 0 <= self.lag_s <= MAX_SHIFT_S:
+            raise ConfigError(f"the head's lag_s is {self.lag_s:g}, must be within 0 to {MAX_SHIFT_S:g} s")
+
+
 class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
     """Continuous-time noise of the IMU (Kalibr's conventions)."""
 
@@ -104,6 +125,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     robot_kind: Annotated[str, msgspec.Meta(max_length=64, pattern=PRINTABLE)] = "generic"
     gravity: float = 9.81
     rig: Rig = "unknown"  # what carries the sensors
+    head: HeadCalibration | None = None  # None: the camera is fixed to the body
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.gravity):
@@ -142,4 +164,8 @@ REFERENCE_IMU = ImuNoise(
     gyro_range=math.radians(500.0),
     accel_range=4 * 9.81,
 )
-REFERENCE_ROBOT = Calibration(camera=REFERENCE_CAMERA, imu=REFERENCE_IMU, robot_kind="sentinel", rig="wheels")
+# The lens of a Pi camera in a bracket for two SG90 servos lies 3 cm before the axes.
+REFERENCE_HEAD = HeadCalibration(pivot_body=(0.16, 0.0396, 0.006))
+REFERENCE_ROBOT = Calibration(
+    camera=REFERENCE_CAMERA, imu=REFERENCE_IMU, robot_kind="sentinel", rig="wheels", head=REFERENCE_HEAD
+)

@@ -53,7 +53,7 @@ class McapContent:
         self.hello: Hello | None = None
         self.frames: list[tuple[int, int]] = []  # (t_robot_ns, exposure_ns), as many as there are images
         self.samples: list[tuple[int, list[float]]] = []
-        self.drive: list[tuple[int, float, float]] = []  # (t_robot_ns, m/s, rad/s), changes only
+        self.drive: list[tuple[int, float, float, float, float]] = []  # t_robot_ns, m/s, rad/s, pan, tilt; changes only
         self.unusable_samples = 0
         self._pending: tuple[int, int] | None = None  # a frame's record, whose image must follow
         for topic, data in _messages(path, {HELLO_TOPIC, FRAME_TOPIC, IMAGE_TOPIC, IMU_TOPIC, DRIVE_TOPIC}):
@@ -78,7 +78,8 @@ class McapContent:
         elif topic == IMU_TOPIC:
             self._add_sample(content)
         else:
-            self._add_drive(_time(content), (float(content["linear"]), float(content["angular"])))
+            head = (float(content.get("pan", 0.0)), float(content.get("tilt", 0.0)))  # a fixed camera has none
+            self._add_drive(_time(content), (float(content["linear"]), float(content["angular"]), *head))
         return True
 
     def _add_hello(self, content: dict[str, Any], path: Path) -> bool:
@@ -103,10 +104,10 @@ class McapContent:
             return
         self.samples.append((t_ns, readings))
 
-    def _add_drive(self, t_ns: int, command: tuple[float, float]) -> None:
+    def _add_drive(self, t_ns: int, command: tuple[float, float, float, float]) -> None:
         """Reports come 20 times a second; only changes say something."""
         if not all(map(math.isfinite, command)):
-            raise ValueError(f"{command} is no velocity")
+            raise ValueError(f"{command} is no command")
         if self.drive and t_ns <= self.drive[-1][0]:
             return
         if not self.drive or self.drive[-1][1:] != command:

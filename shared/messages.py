@@ -283,12 +283,18 @@ class CalibrationChanged(_Message, frozen=True, kw_only=True, tag="calibration_c
     origin: CalibrationOrigin
 
 
-class DriveApplied(_Message, frozen=True, kw_only=True, tag="drive_applied"):
-    """What the motors were told, on each change and 20 times a second while driving or not."""
+class DriveApplied(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="drive_applied"):
+    """What motors and head were told, on each change of the motors and 20 times a second while driving or not."""
 
     t_robot_ns: Time
     linear: float  # m/s
     angular: float  # rad/s
+    pan: float = 0.0  # rad, positive left: what the servos are told at this time, on the way to where they shall look
+    tilt: float = 0.0  # rad, positive up
+
+    def __post_init__(self) -> None:
+        _require("pan", self.pan, math.pi)
+        _require("tilt", self.tilt, math.pi)
 
 
 class Status(_Message, frozen=True, kw_only=True, tag="status"):

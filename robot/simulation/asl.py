@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
+import msgspec
 import numpy as np
 
 from robot.simulation.body import MotionState
 from robot.simulation.sensors import ImuMeasurement
-from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration import Calibration, CameraCalibration, HeadCalibration, ImuNoise
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, quat_from_rotation
 
@@ -24,7 +25,7 @@ _COLUMNS = {
     TRUTH: "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
     "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],"
     "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]",
-    "drive0": "#timestamp [ns],linear [m s^-1],angular [rad s^-1]",
+    "drive0": "#timestamp [ns],linear [m s^-1],angular [rad s^-1],pan [rad],tilt [rad]",
 }
 _DISTORTION_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"}
 
@@ -56,6 +57,8 @@ class AslWriter:
         if calibration.imu:
             (mav / "imu0/sensor.yaml").write_text(imu_yaml(calibration.imu))
         self._files = {name: (mav / name / "data.csv").open("w") for name in tables}
+        if calibration.head and "drive0" in tables:
+            (mav / "drive0/head.yaml").write_text(head_yaml(calibration.head))
         for name, columns in tables.items():
             self._files[name].write(f"{columns}\n")
         self.num_frames = self.num_imu = 0
@@ -102,8 +105,10 @@ class AslWriter:
         numbers = np.concatenate([motion.p_world, q, motion.v_world, *biases])
         self._files[TRUTH].write(f"{t_ns}," + ",".join(f"{v:.9g}" for v in numbers) + "\n")
 
-    def add_drive(self, t_ns: int, linear_m_s: float, angular_rad_s: float) -> None:
-        self._files["drive0"].write(f"{t_ns},{linear_m_s:.6g},{angular_rad_s:.6g}\n")
+    def add_drive(self, t_ns: int, linear_m_s: float, angular_rad_s: float, head: tuple[float, float]) -> None:
+        """What motors and head (pan, tilt in rad) were told."""
+        values = ",".join(f"{v:.6g}" for v in (linear_m_s, angular_rad_s, *head))
+        self._files["drive0"].write(f"{t_ns},{values}\n")
 
 
 def camera_yaml(camera: CameraCalibration) -> str:
@@ -137,6 +142,12 @@ def imu_yaml(imu: ImuNoise) -> str:
         f"gyroscope_range: {_finite(imu.gyro_range)}\n"
         f"accelerometer_range: {_finite(imu.accel_range)}\n"
     )
+
+
+def head_yaml(head: HeadCalibration) -> str:
+    """The pan-tilt head that carries the camera; the keys are those of shared.calibration.HeadCalibration."""
+    values = {**msgspec.structs.asdict(head), "pivot_body": list(head.pivot_body)}
+    return "".join(f"{key}: {value}\n" for key, value in values.items())
 
 
 def _finite(value: float) -> str:

@@ -39,6 +39,7 @@ class MotionState:
     omega_body: FloatArray  # (3,) rad/s
     carried: float = 0.0  # 0 on the floor .. 1 held in a hand that covers the lens
     is_waved: bool = False  # held in a hand that leaves the lens free
+    head: tuple[float, float] = (0.0, 0.0)  # rad, pan and tilt of the camera's head
 
 
 @dataclass(slots=True)

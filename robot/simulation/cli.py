@@ -59,13 +59,18 @@ def dataset(
     config: ConfigOption = None,
     no_imperfections: IdealOption = False,
     max_duration: Annotated[float, typer.Option(help="stop after this many seconds")] = 600.0,
+    look_around: Annotated[
+        float | None, typer.Option(min=1, max=80, help="turn the head so many degrees to both sides on the way")
+    ] = None,
 ) -> None:
     """Drive a route and write an EuRoC/ASL folder with images, IMU, truth and drive commands."""
+    import math
     import time
 
     import msgspec
 
     from robot.simulation.atlas import default_cache_dir
+    from robot.simulation.driver import LookAround
     from robot.simulation.recording import record_drive
     from robot.simulation.routes import FreeSpace, plan_route
     from robot.simulation.worlds import make_world
@@ -78,7 +83,9 @@ def dataset(
     plan = plan_route(flat, route, drive_seed, settings.body.radius_m, start=spot[:2] if spot else None)
     yaw = spot[2] if spot else None
     began = time.monotonic()
-    result = record_drive(flat, plan, settings, drive_seed, out, default_cache_dir(), Progress(), max_duration, yaw)
+    looking = None if look_around is None else LookAround(math.radians(look_around))
+    kept, shown = default_cache_dir(), Progress()
+    result = record_drive(flat, plan, settings, drive_seed, out, kept, shown, max_duration, yaw, looking)
     wall_s = time.monotonic() - began
     state = "finished" if result.route_done else "not finished"
     print(

@@ -56,6 +56,16 @@ class BodyParameters(Section, frozen=True, kw_only=True):
     heave_mm: float = 0.4
 
 
+class ServoImperfections(Section, frozen=True, kw_only=True):
+    """What two hobby servos make of the angles they are told. Straight ahead, as it was mounted, they are right."""
+
+    delay_s: float = 0.02  # until the next pulse
+    lag_s: float = 0.05
+    error_deg: float = 3.0  # rms over +-60 degrees: the same at the same angle, it grows and wanders with it
+    backlash_deg: float = 0.5  # an angle is reached from the left and from the right that far apart
+    jitter_deg: float = 0.1  # rms
+
+
 class BuildErrors(Section, frozen=True, kw_only=True):
     """How the robot's camera was built other than its calibration tells; what it tells stays as it is.
 
@@ -91,6 +101,7 @@ class SimulationConfig(Section, frozen=True, kw_only=True):
     camera: CameraImperfections = CameraImperfections()
     imu: ImuImperfections = ImuImperfections()
     body: BodyParameters = BodyParameters()
+    servos: ServoImperfections = ServoImperfections()
     build: BuildErrors = BuildErrors()
     faults: Faults = Faults()
     lookalike_rooms: bool = False
@@ -117,6 +128,7 @@ def without_imperfections(config: SimulationConfig | None = None) -> SimulationC
         ),
         imu=ImuImperfections(noise=False, bias=False, bias_walk=False, vibration=False, saturation=False),
         body=msgspec.structs.replace(config.body, slip=False, wobble=False),
+        servos=ServoImperfections(delay_s=0.0, lag_s=0.0, error_deg=0.0, backlash_deg=0.0, jitter_deg=0.0),
     )
 
 

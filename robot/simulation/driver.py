@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from robot.head import CameraHead
 from robot.simulation.routes import Route
 from robot.watchdog import STANDSTILL, Velocity
 
@@ -17,6 +18,26 @@ MAX_COMMAND_RAD_S = 2.4  # robot-server refuses more than 2.5
 STUCK_M, STUCK_COMMANDS = 0.05, 18  # a bit more than a second without getting on
 BACKING_COMMANDS = 12
 PIVOT_RAD = 1.2  # turn in place first when the route points further aside than this
+
+
+class LookAround:
+    """Turns the head from side to side: what a person at the page would do who wants to see everything."""
+
+    def __init__(self, reach_rad: float, rest_s: float = 1.0) -> None:
+        """`rest_s`: how long it looks to each side."""
+        self._reach, self._rest_ns = reach_rad, round(rest_s * 1e9)
+        self._moved_ns: int | None = None  # when it was last seen on its way
+
+    def turn(self, head: CameraHead, now_ns: int) -> None:
+        """Look to the other side where the head has rested long enough. Called several times a second."""
+        if self._moved_ns is None or head.turns(now_ns):
+            is_first, self._moved_ns = self._moved_ns is None, now_ns
+            if not is_first:
+                return
+        elif now_ns - self._moved_ns < self._rest_ns:
+            return
+        self._moved_ns, self._reach = now_ns, -self._reach
+        head.look(-self._reach, 0.0, now_ns)
 
 
 class RouteDriver:

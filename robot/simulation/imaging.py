@@ -13,7 +13,7 @@ from robot.simulation.config import CameraImperfections, Faults
 from robot.simulation.renderer import NO_SURFACE, Float32Array, Renderer, Rendering
 from robot.simulation.texture_strokes import ImageArray
 from shared.calibration import CameraCalibration
-from shared.geometry import FloatArray, se3, transform
+from shared.geometry import FloatArray, transform
 
 TARGET_MEAN = 112.0
 NOISE_SHIFT_PX = 211  # each frame takes another part of one noise picture
@@ -52,20 +52,18 @@ class SimulatedCamera:
         t_s: float,
         faults: Faults,
         covered: float = 0.0,
-        R_cam_head: FloatArray | None = None,
         hung: HungBoard | None = None,
     ) -> Exposure:
         """Take one picture.
 
         Args:
-            pose: T_world_body at a time of the body's clock.
+            pose: T_world_body at a time of the body's clock, T_world_head of a camera on a pan-tilt head.
             t_s: mid-exposure of the first row, body's clock.
             covered: share of the lens behind a hand.
-            R_cam_head: (3, 3) turn of a pan-tilt head, None where it looks straight ahead.
             hung: a board that hangs in the world.
         """
         i = self._imperfections
-        T_body_cam = self._T_body_cam if R_cam_head is None else self._T_body_cam @ se3(R_cam_head, np.zeros(3))
+        T_body_cam = self._T_body_cam
         readout_s = self._calibration.line_delay_s * (self._calibration.height - 1) if i.rolling_shutter else 0.0
         times = t_s + readout_s * np.linspace(0.0, 1.0, SHUTTER_POSES if readout_s > 0 else 1)
         T_rows = np.stack([pose(float(t)) @ T_body_cam for t in times])

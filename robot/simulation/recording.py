@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
 import msgspec
 
+from robot.head import CameraHead
 from robot.simulation.asl import START_NS, AslWriter
 from robot.simulation.body import TICK_RATE_HZ, Body
 from robot.simulation.config import SimulationConfig
 from robot.simulation.construction import built_camera
-from robot.simulation.driver import RouteDriver
+from robot.simulation.driver import LookAround, RouteDriver
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
 from robot.simulation.routes import Route
 from robot.simulation.sensors import ImuModel
+from robot.simulation.servos import Servos
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.world import World
 from shared.calibration import REFERENCE_ROBOT, Calibration
@@ -56,10 +59,12 @@ def record_drive(
     on_progress: Callable[[float], None] | None = None,
     max_duration_s: float = MAX_DRIVE_S,
     start_yaw_rad: float | None = None,
+    look_around: LookAround | None = None,
 ) -> Recorded:
     """Drive a route from its start and write an ASL folder. Times are the robot's clock from START_NS on.
 
-    With start_yaw_rad the robot first stands in that direction, as somebody put it down.
+    With start_yaw_rad the robot first stands in that direction, as somebody put it down. With look_around it turns its
+    head from side to side as soon as it drives.
     """
     cv2.setNumThreads(1)
     calibration = simulated_calibration(config)
@@ -71,6 +76,9 @@ def record_drive(
     imu = ImuModel(imu_noise, config.imu, calibration.gravity, drive_seed)
     camera = SimulatedCamera(Renderer(world, built, cache_dir), built, config.camera, drive_seed)
     driver, history = RouteDriver(route), MotionHistory(keep_s=2.0)
+    servos = Servos(config.servos, drive_seed)
+    head = CameraHead(servos.point, calibration.head)
+    view = partial(history.head_pose, head=calibration.head)
     readout_s = built.line_delay_s * built.height
     frame_period = 1.0 / config.camera_rate_hz
     next_frame_s, ticks, path_m, blocked, done_at = 0.1, 0, 0.0, 0, float("inf")
@@ -84,7 +92,7 @@ def record_drive(
             writer.add_imu(t_ns, measurement)
             writer.add_truth(t_ns, state, (measurement.gyro_bias, measurement.accel_bias))
             if state.t_s - next_frame_s > readout_s + 0.02:  # all poses the exposure needs are known
-                exposure = camera.expose(history.pose, next_frame_s, config.faults, history.carried(next_frame_s))
+                exposure = camera.expose(view, next_frame_s, config.faults, history.carried(next_frame_s))
                 stamp_ns = START_NS + round((next_frame_s - built.time_shift_s) * 1e9)
                 writer.add_frame(stamp_ns, exposure.jpeg, exposure.exposure_s)
                 next_frame_s += frame_period
@@ -93,11 +101,14 @@ def record_drive(
             if ticks % COMMAND_EVERY_TICKS == 0 and state.t_s >= REST_S:
                 command = driver.command(*body.pose, float(state.omega_body[2]))
                 body.command(command.linear_m_s, command.angular_rad_s)
-                writer.add_drive(t_ns, command.linear_m_s, command.angular_rad_s)
+                if look_around is not None:
+                    look_around.turn(head, t_ns)
+                writer.add_drive(t_ns, command.linear_m_s, command.angular_rad_s, head.told(t_ns))
                 if driver.is_done and done_at == float("inf"):
                     done_at = state.t_s
             before = body.pose
-            state = body.step()
+            head.lead(t_ns)
+            state = replace(body.step(), head=servos.step())
             ticks += 1
             path_m += ((body.pose[0] - before[0]) ** 2 + (body.pose[1] - before[1]) ** 2) ** 0.5
             blocked += body.is_blocked

@@ -9,7 +9,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, MotionState
+from shared.calibration import HeadCalibration
 from shared.geometry import FloatArray, se3, slerp
+from shared.head import turned
 
 
 class MotionHistory:
@@ -41,6 +43,16 @@ class MotionHistory:
         a, b = self._around(t_s)
         return interpolate(a, b, t_s)
 
+    def head_pose(self, t_s: float, head: HeadCalibration | None) -> FloatArray:
+        """T_world_head (4, 4): the body's pose, turned as the camera's head is (shared/head.py)."""
+        a, b = self._around(t_s)
+        T_world_body = interpolate(a, b, t_s)
+        if head is None or not any((*a.head, *b.head)):
+            return T_world_body
+        f = share_between(a, b, t_s)
+        pan, tilt = ((1.0 - f) * x + f * y for x, y in zip(a.head, b.head, strict=True))
+        return T_world_body @ turned(head, pan, tilt)
+
     def carried(self, t_s: float) -> float:
         """How much a hand covers the lens, 0..1."""
         return self._around(t_s)[0].carried
@@ -56,7 +68,7 @@ def interpolate(a: MotionState, b: MotionState, t_s: float) -> FloatArray:
     if a is b:
         return se3(a.R_world_body, a.p_world)
     h = b.t_s - a.t_s
-    f = min(max((t_s - a.t_s) / h, 0.0), 1.0)
+    f = share_between(a, b, t_s)
     f2, f3 = f * f, f * f * f
     p = (
         (2 * f3 - 3 * f2 + 1) * a.p_world
@@ -66,3 +78,9 @@ def interpolate(a: MotionState, b: MotionState, t_s: float) -> FloatArray:
     )
     R = slerp(a.R_world_body, b.R_world_body, f)
     return se3(R, p)
+
+
+def share_between(a: MotionState, b: MotionState, t_s: float) -> float:
+    """How far from a to b a time lies, 0..1; 0 where they are one."""
+    h = b.t_s - a.t_s
+    return 0.0 if h <= 0.0 else min(max((t_s - a.t_s) / h, 0.0), 1.0)

@@ -1,7 +1,9 @@
 """EuRoC/ASL folders: `mav0/cam0`, `mav0/imu0`, `mav0/state_groundtruth_estimate0`, and our `mav0/drive0`.
 
 Format: Burri et al., The EuRoC micro aerial vehicle datasets, IJRR 2016. `drive0/data.csv` is ours:
-`#timestamp [ns],linear [m/s],angular [rad/s]`, the velocities the motors were told to hold from that time on.
+`#timestamp [ns],linear [m/s],angular [rad/s],pan [rad],tilt [rad]`, the velocities the motors were told to hold from
+that time on, and the angles that the servos of the camera's head were told then; the last two may be absent.
+`drive0/head.yaml` tells where the head's axes are.
 """
 
 from __future__ import annotations
@@ -13,11 +15,12 @@ import msgspec
 import numpy as np
 
 from shared.bounded import MAX_PICTURE_BYTES, read_file
-from shared.calibration import Calibration
-from shared.errors import DataError
+from shared.calibration import Calibration, HeadCalibration
+from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, IntArray, inverse, pose
 from shared.recorded_files import asl_numbers, asl_rows, exposures_ns
 from shared.sensor_yaml import number, read_camera, read_exposure_ns, read_imu_noise, read_mounting, read_rig, read_yaml
+from shared.text import explain
 from station.datasets.dataset import Dataset, Truth, choose_frames, cut_to_frames
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
@@ -47,6 +50,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int, needs_c
         noise = read_imu_noise(yaml_path, content)
         T_body_imu = read_mounting(content, yaml_path)
     drive = _read_drive(mav / "drive0" / "data.csv")
+    head = _read_head(mav / "drive0" / "head.yaml", drive)
 
     # Our body is the IMU; without IMU and drive commands nothing but the camera is left to be the body.
     T_ours_file = inverse(T_body_imu)
@@ -81,7 +85,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int, needs_c
     return Dataset(
         path=path,
         kind="asl",
-        calibration=Calibration(camera=camera, imu=noise, robot_kind=kind, gravity=gravity, rig=rig),
+        calibration=Calibration(camera=camera, imu=noise, robot_kind=kind, gravity=gravity, rig=rig, head=head),
         intrinsics_known=not bool(camera_yaml.get("approximate", False)),
         frame_times_ns=times,
         read_frames=read_frames if has_images else None,
@@ -119,8 +123,20 @@ def _read_imu(path: Path) -> ImuBatch | None:
 def _read_drive(path: Path) -> tuple[DriveSample, ...]:
     if not path.is_file():
         return ()
-    t, table = _read_table(path, 2)
-    return tuple(DriveSample(int(ns), float(v), float(w)) for ns, (v, w) in zip(t, table, strict=True))
+    first = next(asl_rows(path, 2), None)
+    has_head = first is not None and len(first[2]) >= 4
+    t, table = _read_table(path, 4 if has_head else 2)
+    return tuple(DriveSample(int(ns), *row) for ns, row in zip(t, table.tolist(), strict=True))
+
+
+def _read_head(path: Path, drive: tuple[DriveSample, ...]) -> HeadCalibration | None:
+    """The head that carries the camera; None where none was turned, or nothing is known of one."""
+    if not path.is_file() or not any(d.pan_rad or d.tilt_rad for d in drive):
+        return None
+    try:
+        return msgspec.convert(read_yaml(path), HeadCalibration)
+    except (msgspec.ValidationError, ConfigError) as exc:
+        raise DataError(f"{path}: {explain(exc)}; correct it") from exc
 
 
 def _read_truth(path: Path, T_file_ours: FloatArray) -> Truth | None:

@@ -67,8 +67,10 @@ class ImuBatch:
 
 @dataclass(frozen=True, slots=True)
 class DriveSample:
-    """The velocity the motors were told to hold, from this time on."""
+    """The velocity the motors were told to hold from this time on, and the angles the head's servos were told then."""
 
     t_robot_ns: int
     linear_m_s: float
     angular_rad_s: float
+    pan_rad: float = 0.0  # positive left
+    tilt_rad: float = 0.0  # positive up

@@ -47,6 +47,24 @@ def difference_group(
     return so3_log(R @ R_mean_t), X - X_mean
 
 
+def as_displacement(
+    kind: ErrorKind, R: FloatArray, x: FloatArray, phi: FloatArray, xi: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Small errors phi, xi (3, k) of the pose (R, x) as rotation vector and displacement in the world, (3, k) each."""
+    if kind is ErrorKind.LEFT:
+        return R @ phi, R @ xi
+    return phi, xi - skew(x) @ phi if kind is ErrorKind.RIGHT else xi
+
+
+def from_displacement(
+    kind: ErrorKind, R: FloatArray, x: FloatArray, turn: FloatArray, moved: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The errors phi, xi (3, k) of the pose (R, x) that as_displacement makes this of; its inverse."""
+    if kind is ErrorKind.LEFT:
+        return R.T @ turn, R.T @ moved
+    return turn, moved + skew(x) @ turn if kind is ErrorKind.RIGHT else moved
+
+
 def pose_jacobian(kind: ErrorKind, R: FloatArray, x: FloatArray, p: FloatArray) -> FloatArray:
     """d p_body / d(phi, xi_x) (..., 3, 6): a point p (..., 3) held still in the world, seen from the body (R, x)."""
     Rt = np.swapaxes(R, -1, -2)

@@ -192,7 +192,13 @@ class Recorder:
         self._put(GAP_TOPIC, None, {"num_samples": num_samples})
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        content = {"timestamp": time_of(applied.t_robot_ns), "linear": applied.linear, "angular": applied.angular}
+        content = {
+            "timestamp": time_of(applied.t_robot_ns),
+            "linear": applied.linear,
+            "angular": applied.angular,
+            "pan": applied.pan,
+            "tilt": applied.tilt,
+        }
         self._put(DRIVE_TOPIC, applied.t_robot_ns, content)
 
     def on_status(self, status: Status) -> None:

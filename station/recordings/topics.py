@@ -58,7 +58,10 @@ JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
         "sentinel.DriveCommand",
         _object(driver=_TEXT, linear=_NUMBER, angular=_NUMBER, ttl_ms=_INTEGER),
     ),
-    DRIVE_TOPIC: ("sentinel.DriveApplied", _object(timestamp=_TIME, linear=_NUMBER, angular=_NUMBER)),
+    DRIVE_TOPIC: (
+        "sentinel.DriveApplied",
+        _object(timestamp=_TIME, linear=_NUMBER, angular=_NUMBER, pan=_NUMBER, tilt=_NUMBER),
+    ),
     STATUS_TOPIC: ("sentinel.Status", _object(timestamp=_TIME, battery_v=_NUMBER, driver=_TEXT)),
     NOTICE_TOPIC: ("sentinel.Notice", _object(code=_TEXT, message=_TEXT)),
     GAP_TOPIC: ("sentinel.ImuGap", _object(num_samples=_INTEGER)),

@@ -17,11 +17,11 @@ from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events, Latest
 from station.model.calibration_fit import CalibrationFit, newer
-from station.model.frames import DriveSample, ImageFrame
+from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
 from station.model.place_map import Place, PlaceEdge
-from station.robots.link_events import IgnoringListener
+from station.robots.link_events import IgnoringListener, drive_sample
 from station.robots.visits import Visits
 from station.workers.place_interface import PLACES, PlaceEvent, PlaceProgram
 from station.workers.request import ArgumentsP, Limit, Method, ProgramName, WorkerDied
@@ -192,7 +192,7 @@ class CurrentPlace(IgnoringListener):
                 self._events.notify("place", "localisation is too slow: inertial samples are lost to it", "warning")
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        self._post(PlaceProgram.add_drive, DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
+        self._post(PlaceProgram.add_drive, drive_sample(applied))
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:  # noqa: ARG002
         """The worker gets the newest picture when it is free."""

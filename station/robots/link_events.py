@@ -5,6 +5,12 @@ from __future__ import annotations
 from typing import Protocol
 
 from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from station.model.frames import DriveSample
+
+
+def drive_sample(applied: DriveApplied) -> DriveSample:
+    """What motors and head were told, as SLAM and places want it."""
+    return DriveSample(applied.t_robot_ns, applied.linear, applied.angular, applied.pan, applied.tilt)
 
 
 class LinkListener(Protocol):

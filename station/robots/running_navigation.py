@@ -8,8 +8,8 @@ from dataclasses import replace
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.events import Notifier
 from station.library.navigation_records import NavigationRecord
-from station.model.frames import DriveSample, ImageFrame
-from station.robots.link_events import IgnoringListener, LinkListener
+from station.model.frames import ImageFrame
+from station.robots.link_events import IgnoringListener, LinkListener, drive_sample
 from station.robots.live_slam import LiveSlam
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.slam import SlamWorker
@@ -69,7 +69,7 @@ class RunningNavigation(IgnoringListener):
         self._imu_lost += num_samples
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        self.slam.post(SlamProgram.add_drive, DriveSample(applied.t_robot_ns, applied.linear, applied.angular))
+        self.slam.post(SlamProgram.add_drive, drive_sample(applied))
 
     def counted(self) -> NavigationRecord:
         first_ns = self._first_frame_ns

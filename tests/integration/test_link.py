@@ -67,8 +67,9 @@ async def test_commands_reach_the_devices() -> None:
         )
         await until(lambda: any((a.linear, a.angular) == (0.2, -0.5) for a in notes.applied))
         assert link.commands.point(0.3, -0.1) and await link.commands.hijack((1.0, 2.0, 0.5)) is None
-        await until(lambda: bench.head.pointed and bench.head.moved)
-        assert (bench.head.pointed, bench.head.moved) == ([(0.3, -0.1)], [(1.0, 2.0, 0.5)])
+        await until(lambda: bench.head.pointed[-1:] == [(0.3, -0.1)] and bench.head.moved)
+        assert bench.head.moved == [(1.0, 2.0, 0.5)]
+        await until(lambda: (notes.applied[-1].pan, notes.applied[-1].tilt) == (0.3, -0.1))
         await until(lambda: bench.motors.are_off)
         await until(lambda: notes.statuses[-1].watchdog_stops == 1)
 

@@ -252,7 +252,8 @@ async def test_a_page_behind_a_slow_link_is_told_why_nothing_moves(tmp_path: Pat
 async def test_pan_tilt_reaches_the_head(tmp_path: Path) -> None:
     async with at_work(tmp_path) as (desk, bench, _):
         assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})).status_code == 200
-        await until(lambda: bench.head.pointed == [(0.3, -0.1)])
+        await until(lambda: bench.head.pointed[-1:] == [(0.3, -0.1)])
+        await until(lambda: (applied := desk.station.first.applied) is not None and applied.pan == 0.3)
         assert is_problem(await desk.http.post("/pan-tilt", json={"pan": 9.0, "tilt": 0.0}), 422)
         aside = await desk.http.post("/navigations")
         assert is_problem(aside, 409) and "straight ahead" in aside.json()["detail"]
@@ -268,7 +269,7 @@ async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> 
     async with at_work(tmp_path) as (desk, bench, _):
         await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})
         await desk.http.put("/maps/active", json={"id": place_map.id})
-        await until(lambda: bench.head.pointed == [(0.3, -0.1), (0.0, 0.0)])
+        await until(lambda: len(bench.head.pointed) > 2 and bench.head.pointed[-1] == (0.0, 0.0))
         # It may look around all the same: then the place is not looked for, and the answer says so.
         await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
         assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": 0.0})).status_code == 200

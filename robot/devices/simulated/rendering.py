@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import signal
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import cast
@@ -22,7 +23,6 @@ from robot.simulation.renderer import Renderer
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.worlds import make_world
 from shared.errors import DeviceLost
-from shared.geometry import FloatArray
 
 READY_TIMEOUT_S = 120.0  # painting a large flat for the first time takes some seconds on a slow machine
 RENDER_TIMEOUT_S = 10.0
@@ -34,7 +34,6 @@ class FrameRequest:
     states: list[MotionState]  # the motion around the exposure
     faults: Faults
     covered: float
-    R_cam_head: FloatArray  # (3, 3) turn of the pan-tilt head
     hung: HungBoard | None  # a board that hangs in the world
 
 
@@ -93,7 +92,8 @@ def serve(connection: Connection, world: str, seed: int, config: SimulationConfi
     for number in (signal.SIGINT, signal.SIGHUP):  # Ctrl-C and a closed terminal reach all; the parent ends us
         signal.signal(number, signal.SIG_IGN)
     cv2.setNumThreads(1)
-    told = simulated_calibration(config).camera
+    calibration = simulated_calibration(config)
+    told, head = calibration.camera, calibration.head
     assert told is not None
     built = built_camera(told, config.build)
     try:
@@ -107,7 +107,6 @@ def serve(connection: Connection, world: str, seed: int, config: SimulationConfi
         while True:
             request = cast(FrameRequest, connection.recv())
             path = MotionHistory(request.states)
-            exposure = camera.expose(
-                path.pose, request.t_s, request.faults, request.covered, request.R_cam_head, request.hung
-            )
+            pose = partial(path.head_pose, head=head)
+            exposure = camera.expose(pose, request.t_s, request.faults, request.covered, request.hung)
             connection.send((exposure.jpeg, exposure.exposure_s))

@@ -6,6 +6,7 @@ import logging
 import math
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -24,11 +25,13 @@ from robot.simulation.construction import built_camera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.routes import FreeSpace, Route, plan_route
 from robot.simulation.sensors import ImuModel
+from robot.simulation.servos import Servos
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.errors import HardwareError
-from shared.geometry import FloatArray, se3, so3_exp
+from shared.geometry import FloatArray, se3
+from shared.head import turned
 
 logger = logging.getLogger(__name__)
 
@@ -41,7 +44,6 @@ EXPOSURE_MARGIN_S = 0.025  # motion known beyond the last row before a picture i
 CAMERA_RESTART_S = 1.0
 BATTERY_FULL_V, BATTERY_EMPTY_V = 8.4, 6.4
 BATTERY_LIFE_S, DRIVING_FACTOR = 4 * 3600.0, 3.0
-MAX_PAN_RAD, MAX_TILT_RAD, HEAD_SPEED_RAD_S = math.radians(80), math.radians(40), 3.0
 
 
 class Closable(Protocol):
@@ -71,7 +73,7 @@ class SimulatedRobot:
         self.frame_mailbox: Mailbox[CapturedFrame] = Mailbox(1)
         self.camera_pid: int | None = None  # of the process that renders
         self.faults: Faults = config.faults  # from the next sample and frame on
-        self._head = _Head()
+        self._servos = Servos(config.servos, seed)
         self._hung: HungBoard | None = None
         self._truth_log = TruthLog(MAX_TRUTH_LOG)
         self._state = self._body.state()
@@ -119,9 +121,9 @@ class SimulatedRobot:
             self._body.command(0.0, 0.0)
 
     def point_head(self, pan_rad: float, tilt_rad: float) -> None:
-        """Where the camera shall look; it gets there at the servos' speed."""
+        """What the servos that carry the camera are told."""
         with self._lock:
-            self._head.target = np.clip([pan_rad, tilt_rad], [-MAX_PAN_RAD, -MAX_TILT_RAD], [MAX_PAN_RAD, MAX_TILT_RAD])
+            self._servos.point(pan_rad, tilt_rad)
 
     def battery(self) -> BatteryState:
         fraction = max(0.0, 1.0 - self._drained)
@@ -148,17 +150,20 @@ class SimulatedRobot:
 
     def wave(self, board: Board, distance_m: float, duration_s: float, seed: int) -> None:
         """Hang a board ahead of the camera and wave the robot before it. Raises ValueError: it is moving."""
-        T_body_cam = self._built_camera.T_body_cam_matrix @ se3(self._head.rotation(), np.zeros(3))
         rng = np.random.default_rng([seed, 31])
         with self._lock:
-            rig = WavedRig(Wave(), distance_m, T_body_cam, rng, self._T_world_cam(), duration_s)
+            rig = WavedRig(Wave(), distance_m, self._T_body_cam(), rng, self._T_world_cam(), duration_s)
             self._body.wave(rig, duration_s)
             self.hang_board(board, board_ahead(board, distance_m))
 
     def _T_world_cam(self) -> FloatArray:
         state = self._state
-        T_world_body = se3(state.R_world_body, state.p_world)
-        return T_world_body @ self._built_camera.T_body_cam_matrix @ se3(self._head.rotation(), np.zeros(3))
+        return se3(state.R_world_body, state.p_world) @ self._T_body_cam()
+
+    def _T_body_cam(self) -> FloatArray:
+        """As the head is turned now."""
+        head, mounted = self.calibration.head, self._built_camera.T_body_cam_matrix
+        return mounted if head is None else turned(head, *self._state.head) @ mounted
 
     # --- what tests and judges may know ---------------------------------------------------------------------------
 
@@ -211,12 +216,11 @@ class SimulatedRobot:
         with self._lock:
             if self._ns(self._state.t_s) >= self._drive_until_ns:
                 self._body.command(0.0, 0.0)
-            self._state = state = self._body.step()
+            self._state = state = replace(self._body.step(), head=self._servos.step())
             self._history.append(state)
             t_ns = self._ns(state.t_s)
             if ticks % round(TICK_RATE_HZ / TRUTH_LOG_RATE_HZ) == 0:
                 self._truth_log.append(t_ns, self._history.pose(state.t_s))
-            self._head.advance()
         measurement = self._imu.measure(state)
         is_moving = bool(np.hypot(*state.v_world[:2]) > 0.02)
         self._drained += TICK_S / BATTERY_LIFE_S * (DRIVING_FACTOR if is_moving else 1.0)
@@ -258,27 +262,8 @@ class SimulatedRobot:
             t_s = number * period_s
             with self._lock:
                 states = self._history.between(t_s - EXPOSURE_MARGIN_S, t_s + readout_s + EXPOSURE_MARGIN_S)
-                request = FrameRequest(
-                    t_s, states, self.faults, self._history.carried(t_s), self._head.rotation(), self._hung
-                )
+                request = FrameRequest(t_s, states, self.faults, self._history.carried(t_s), self._hung)
                 t_ns = self._ns(t_s)
             jpeg, exposure_s = process.take(request)
             t_ns -= round(camera.time_shift_s * 1e9)
             self.frame_mailbox.put(CapturedFrame(t_ns, round(exposure_s * 1e9), camera.width, camera.height, jpeg))
-
-
-class _Head:
-    """Pan-tilt servos: turn the camera about its own centre."""
-
-    def __init__(self) -> None:
-        self.target = np.zeros(2)
-        self._angles = np.zeros(2)
-
-    def advance(self) -> None:
-        step = HEAD_SPEED_RAD_S * TICK_S
-        self._angles = self._angles + np.clip(self.target - self._angles, -step, step)
-
-    def rotation(self) -> FloatArray:
-        """R_cam_head (3, 3): axes of the turned camera in those of the straight one."""
-        pan, tilt = self._angles
-        return np.asarray(so3_exp(np.array([0.0, -pan, 0.0])) @ so3_exp(np.array([tilt, 0.0, 0.0])))

@@ -116,7 +116,7 @@ def _drive(body: Body, conduct: Conduct, way_m: float, writer: AslWriter) -> Mot
             if states[-1].t_s >= conduct.seconds:
                 break
             if tick % COMMAND_EVERY_TICKS == 0:
-                writer.add_drive(START_NS + round(states[-1].t_s * 1e9), linear, angular)
+                writer.add_drive(START_NS + round(states[-1].t_s * 1e9), linear, angular, head=(0.0, 0.0))
             states.append(body.step())
     return Motion(
         t_s=np.array([s.t_s for s in states]),

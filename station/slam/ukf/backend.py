@@ -20,13 +20,15 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
 from station.motion.drive_commands import WheelSpeed, commands_motion
+from station.motion.head import HeadPose, HeadTrack
 from station.motion.imu_buffer import IN_THE_AIR, ON_WHEELS, ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, Standstill, WheelsKnown, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
-from station.slam.ukf.filter.state import FilterState, add_wheels
+from station.slam.ukf.filter.head import ServosKnown
+from station.slam.ukf.filter.state import NO_HEAD, FilterState, add_wheels
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
 from station.slam.ukf.map.keyframes import is_grey, sample_grey
@@ -63,6 +65,9 @@ class UkfBackend:
         self._seed = seed
         self._given = initial_state
         self._camera = CameraModel.of(calibration.camera, self._config.filter.sigma_px)
+        self._head = HeadTrack(calibration.head)
+        self._previous_head: HeadPose | None = None
+        self._servos_known: ServosKnown | None = None
         self._shift_ns = round(calibration.camera.middle_row_shift_s * 1e9)
         self._imu = ImuBuffer(calibration.imu, ON_WHEELS if calibration.has_wheels else IN_THE_AIR)
         self._tracker = Tracker(self._camera.lens, self._config.tracker, seed)
@@ -100,6 +105,8 @@ class UkfBackend:
                 self._speed_since = drive.t_robot_ns
             self._drive = drive
             self._wheel_speed.add_drive(drive)
+        if np.isfinite(drive.pan_rad) and np.isfinite(drive.tilt_rad):
+            self._head.add(drive)
 
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
         """Take one frame in. Raises ConfigError when the image has another size than the calibration's."""
@@ -120,11 +127,13 @@ class UkfBackend:
         previous = self._previous_t if self._previous_t is not None else t_imu
         segment = self._imu.segment(previous, t_imu)
         rolled_m = self._rolled_m(t_imu)
-        tracked = self._tracker.process(grey, self._predicted_turn(segment), self._filter is not None)
+        head = self._head.pose(t_imu, previous)
+        tracked = self._tracker.process(grey, self._predicted_turn(segment, head), self._filter is not None)
         is_still = self._still.update(t_imu, tracked, self._imu.samples(t_imu - 10**9, t_imu))
-        self._previous_t = t_imu
+        is_still = is_still and (head is None or not head.is_turning)
+        self._previous_t, self._previous_head = t_imu, head
         rgb = sample_grey(grey, tracked.uv_px) if is_grey(frame.encoded) else None
-        current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu, is_still), rgb)
+        current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu, is_still), rgb, head)
         if self._filter is None:
             if self._lost_since is not None:
                 self._coasting.advance(segment, t_imu, rolled_m)
@@ -143,7 +152,8 @@ class UkfBackend:
         self._standstill.update(frame.index, is_still)
         current.link = memory.link_by(segment, vio.state)
         memory.add(current)
-        result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous)
+        result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous, current.head)
+        current.T_body_head = None if current.head is None else vio.T_body_head
         self._tracker.drop(result.rejected_ids)
         reason = self._monitor.why_lost(
             vio.state, current.tracked, current.t_imu_ns, current.wheels is not None, result
@@ -186,7 +196,8 @@ class UkfBackend:
         if self._given is not None:
             given, self._given = replace(self._given, t_imu_ns=current.t_imu_ns), None
             return self._start(state_from_given(given, self._config.filter.error), current, False)
-        waiting = WaitingFrame(frame.index, current.t_imu_ns, current.tracked, self._driven_velocity(current))
+        ahead = current.head is None or not (current.head.is_turning or current.head.angles.any())
+        waiting = WaitingFrame(frame.index, current.t_imu_ns, current.tracked, self._driven_velocity(current), ahead)
         found = self._starter.try_start(waiting, self._imu, is_still, self._coasting.at)
         if isinstance(found, str):
             self._memory.forget_waiting(current.t_imu_ns)
@@ -201,9 +212,10 @@ class UkfBackend:
         memory, frame = self._memory, current.frame
         self._begin_segment()
         memory.recent = {frame.index: current}
-        self._filter = VioFilter(self._calibration, self._config.filter, self._with_wheels(state))
+        self._filter = self._make_filter(state)
         empty = self._imu.segment(current.t_imu_ns, current.t_imu_ns)
-        self._filter.process_frame(empty, current.tracked, frame.index)
+        self._filter.process_frame(empty, current.tracked, frame.index, head=current.head)
+        current.T_body_head = None if current.head is None else self._filter.T_body_head
         self._standstill.update(frame.index, is_still)
         memory.poses.add(frame.index, current.t_imu_ns, self._filter.state.T_world_body, memory.segment)
         return self._update(frame, "tracking: started", self._filter.state)
@@ -211,16 +223,18 @@ class UkfBackend:
     def _start_in_motion(self, state: FilterState, clones: list[int], frame: ImageFrame) -> SlamUpdate:
         """Begin tracking from a solved window: its frames are the first clones, its tracks the first landmarks."""
         self._begin_segment()
-        vio = VioFilter(self._calibration, self._config.filter, self._with_wheels(state))
+        vio = self._make_filter(state)
         self._filter = vio
         for item in self._memory.adopt(state, clones, self._imu):
             vio.tracks.add_frame(item.tracked, np.zeros(0, dtype=np.int64))
         vio.adopt_landmarks()
         return self._update(frame, "tracking: started in motion", vio.state)
 
-    def _with_wheels(self, state: FilterState) -> FilterState:
+    def _make_filter(self, state: FilterState) -> VioFilter:
         known = self._wheels_known
-        return add_wheels(state, known.mean, known.sigma) if self._calibration.has_wheels else state
+        if self._calibration.has_wheels:
+            state = add_wheels(state, known.mean, known.sigma)
+        return VioFilter(self._calibration, self._config.filter, state, self._servos_known)
 
     def _begin_segment(self) -> None:
         if self._lost_since is not None:
@@ -323,8 +337,8 @@ class UkfBackend:
         first = self._imu.first_t_ns
         return first is not None and first <= t_imu and self._imu_missing_s(t_imu) < IMU_REACH_S
 
-    def _predicted_turn(self, segment: ImuSegment) -> FloatArray:
-        """R_prev_cur of the camera by the gyroscope."""
+    def _predicted_turn(self, segment: ImuSegment, head: HeadPose | None) -> FloatArray:
+        """R_prev_cur of the camera by the gyroscope, and by what the head was told."""
         bias = np.zeros(3)
         if self._filter is not None:
             bias = self._filter.state.bias_gyro
@@ -333,7 +347,15 @@ class UkfBackend:
         R = np.eye(3)
         for turn in so3_exp((segment.gyro - bias) * segment.dt_s[:, None]):
             R = R @ turn
+        if head is not None:
+            before = self._previous_head or head
+            R = self._R_body_head(before).T @ R @ self._R_body_head(head)
         return self._camera.R_body_cam.T @ R @ self._camera.R_body_cam
+
+    def _R_body_head(self, head: HeadPose) -> FloatArray:
+        """By what it was told, and what is known of its servos."""
+        learned = self._filter.state.head if self._filter is not None else NO_HEAD
+        return head.T_body_head(head.by_errors @ learned if len(learned) else np.zeros(2))[:3, :3]
 
     def _is_commanded_to_move(self) -> bool:
         return self._drive is not None and commands_motion(self._drive)
@@ -372,6 +394,8 @@ class UkfBackend:
         self._is_lifted = reason == LIFTED
         if self._calibration.has_wheels and sound:
             self._wheels_known = WheelsKnown.learned(state)
+        if len(state.head) and sound:
+            self._servos_known = ServosKnown.learned(state)
         T = self._memory.poses.last()
         if self._calibration.has_wheels and not self._is_lifted and sound:
             T = state.T_world_body  # dead reckoned through the outage, in which no poses were kept

@@ -105,7 +105,7 @@ def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Cal
     is_thesis = config.landmarks == "thesis"
     messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
     items = memory.keyframes.items
-    T_world_cam = np.array([k.T_world_body for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam)
+    T_world_cam = np.array([k.T_world_head for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam)
     segment = np.array([k.segment for k in items], dtype=np.int64)
     keyframes = replace(make_keyframes([k.image for k in items], T_world_cam), segment=segment)
     if is_thesis:
@@ -118,6 +118,8 @@ def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Cal
 def _refine(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> list[str]:
     """Better keyframes by least squares; the frames between follow their keyframes. What was not refined, in words."""
     assert calibration.imu is not None
+    if any(k.T_body_head is not None for k in memory.keyframes.items):
+        return ["the head was turned: keyframes were left as the filter had them"]
     refined: list[Keyframe] = []
     messages: list[str] = []
     for number in range(memory.segment + 1):
@@ -126,8 +128,8 @@ def _refine(memory: NavigationMemory, camera: CameraModel, calibration: Calibrat
         messages += failed
         memory.poses.follow(
             [k.image.index for k in part],
-            np.array([k.T_world_body for k in part]),
-            np.array([k.T_world_body for k in better]),
+            np.array([k.T_world_head for k in part]),
+            np.array([k.T_world_head for k in better]),
             number,
         )
         refined += better

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, se3
+from shared.geometry import FloatArray, inverse, se3
 from station.model.frames import ImageFrame
+from station.motion.head import HeadPose
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
 from station.slam.ukf.filter.constraints import BodyVelocity
@@ -40,6 +41,8 @@ class RecentFrame:
     link: Preintegration | None  # IMU since the frame before it in the window
     wheels: BodyVelocity | None  # where wheels know it
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
+    head: HeadPose | None  # as told; None while it was never turned
+    T_body_head: FloatArray | None = None  # (4, 4) as the filter knew it then
 
 
 class NavigationMemory:
@@ -92,7 +95,10 @@ class NavigationMemory:
     def retire(self, retired: RetiredClone, state: FilterState) -> Points | None:
         """A pose left the window: log it, keep it as keyframe or join its IMU link to the next; new map points."""
         old = self.recent.pop(retired.frame_index, None)
-        self.poses.improve(retired.frame_index, retired.T_world_body)
+        T_world_head, T_body_head = retired.T_world_head, None if old is None else old.T_body_head
+        self.poses.improve(
+            retired.frame_index, T_world_head if T_body_head is None else T_world_head @ inverse(T_body_head)
+        )
         if old is None:
             return None
         if not retired.is_keyframe:
@@ -106,13 +112,14 @@ class NavigationMemory:
             rgb=old.rgb
             if old.rgb is not None
             else sample_colours(old.frame.half_bgr(), 0.5 * old.tracked.uv_px - 0.25),
-            T_world_body=retired.T_world_body,
+            T_world_head=T_world_head,
             v_world=retired.v_world,
-            omega_body=retired.omega_body,
+            omega_head=retired.omega_head,
             bias=np.concatenate([state.bias_gyro, state.bias_accel]),
             segment=self.segment,
             link=old.link,
             wheels=None if old.wheels is None else (old.wheels.v_body, old.wheels.sigma),
+            T_body_head=T_body_head,
         )
         self.keyframes.add(keyframe)
         self.calibration_check.add(keyframe)

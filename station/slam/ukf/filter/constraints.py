@@ -9,7 +9,7 @@ import numpy as np
 from shared.geometry import FloatArray, homogeneous, orthonormal, skew, so3_log
 from station.motion.drive_commands import SPEED_EFFICIENCY
 from station.motion.error_coordinates import ErrorKind
-from station.slam.ukf.filter.state import PHI, XI_V, XI_X, FilterState
+from station.slam.ukf.filter.state import PHI, XI_V, FilterState
 from station.slam.ukf.filter.update import Measurements
 from station.vision.klt import TrackedFrame
 
@@ -44,10 +44,10 @@ class BodyVelocity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SamePlace:
-    """The body has not moved since one of the clones; how it turned since then, the image measured."""
+    """The head has not moved from one of the clones to the newest; how it turned meanwhile, the image measured."""
 
     clone_frame: int  # ImageFrame.index of that clone
-    R_clone_now: FloatArray  # (3, 3) body rotation since then, measured
+    R_clone_now: FloatArray  # (3, 3) rotation since then, measured
     sigma_phi: float  # rad
     sigma_x: float  # m
 
@@ -59,19 +59,21 @@ class SamePlace:
         i = int(found[0])
         rows = state.S[state.clone_rows(i)]
         phi_clone, x_clone = rows[:3], rows[3:]
-        phi, x = state.S[PHI], state.S[XI_X]
+        now = state.S[state.clone_rows(state.num_clones - 1)]
+        phi, x = now[:3], now[3:]
+        R_now, x_now = state.clone_R[-1], state.clone_x[-1]
         R_then, x_then = state.clone_R[i], state.clone_x[i]
-        turned = R_then.T @ state.R
+        turned = R_then.T @ R_now
         r_phi = so3_log(self.R_clone_now @ turned.T)
         if kind is ErrorKind.LEFT:
             by_phi = turned @ phi - phi_clone
-            by_x = state.R @ x - R_then @ x_clone
+            by_x = R_now @ x - R_then @ x_clone
         else:
             by_phi = R_then.T @ (phi - phi_clone)
             by_x = x - x_clone
             if kind is ErrorKind.RIGHT:  # x = exp(phi) x_mean + xi_x
-                by_x = by_x - skew(state.x) @ phi + skew(x_then) @ phi_clone
-        r = np.concatenate([r_phi / self.sigma_phi, (x_then - state.x) / self.sigma_x])
+                by_x = by_x - skew(x_now) @ phi + skew(x_then) @ phi_clone
+        r = np.concatenate([r_phi / self.sigma_phi, (x_then - x_now) / self.sigma_x])
         return Measurements(r, np.vstack([by_phi / self.sigma_phi, by_x / self.sigma_x]))
 
 

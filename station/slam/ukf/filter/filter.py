@@ -12,10 +12,12 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError
-from shared.geometry import FloatArray, IntArray, se3
+from shared.geometry import FloatArray, IntArray, inverse, se3
 from station.motion.error_coordinates import ErrorKind
+from station.motion.head import HeadPose
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.filter.config import FilterConfig
+from station.slam.ukf.filter.head import ServosKnown, add_head_clone, turn_head
 from station.slam.ukf.filter.landmarks import add_landmarks, measure_landmarks
 from station.slam.ukf.filter.propagation import PropagationConfig, propagate
 from station.slam.ukf.filter.state import FilterState, add_clone, keep_landmarks, remove_clone
@@ -44,13 +46,13 @@ class FrameResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RetiredClone:
-    """A pose that leaves the window: its best estimate."""
+    """A pose of the head that leaves the window: its best estimate."""
 
     frame_index: int
-    T_world_body: FloatArray
+    T_world_head: FloatArray
     is_keyframe: bool
     v_world: FloatArray
-    omega_body: FloatArray
+    omega_head: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,11 +81,15 @@ class SoftConstraint(Protocol):
 class VioFilter:
     """State, window and their rules."""
 
-    def __init__(self, calibration: Calibration, config: FilterConfig, state: FilterState) -> None:
+    def __init__(
+        self, calibration: Calibration, config: FilterConfig, state: FilterState, servos: ServosKnown | None = None
+    ) -> None:
+        """`servos`: what an earlier piece of tracking has learned of the head's."""
         if calibration.camera is None or calibration.imu is None:
             raise ConfigError("the ukf backend needs a camera and an IMU in the calibration; use --backend sfm")
         self.config = config
         self.state = state
+        self._servos = servos
         self.tracks = TrackTable()
         self.camera = CameraModel.of(calibration.camera, config.sigma_px)
         self.noise = calibration.imu
@@ -99,15 +105,21 @@ class VioFilter:
         frame_index: int,
         soft: tuple[SoftConstraint, ...] = (),
         keep_previous: bool = False,
+        head: HeadPose | None = None,
     ) -> FrameResult:
         """Bring the state to this frame's time and use what it saw.
 
         keep_previous: the frame before stays in the window whatever its parallax (standstill refers to it).
+        head: of this frame; None while it was never turned.
         """
         config = self.config
-        state = propagate(self.state, imu, self.noise, self._propagation)
+        state = self.state if head is None else turn_head(self.state, head, self._servos)
+        state = propagate(state, imu, self.noise, self._propagation)
         state = self._end_landmarks(state, frame)
-        state = add_clone(state, frame_index)
+        if head is None:
+            state = add_clone(state, frame_index)
+        else:
+            state = add_head_clone(config.error, state, head, frame_index)
         self.tracks.add_frame(frame, state.landmark_id)
 
         landmarks = measure_landmarks(
@@ -147,6 +159,12 @@ class VioFilter:
             new_landmark_ids=new_ids,
             retired=retired,
         )
+
+    @property
+    def T_body_head(self) -> FloatArray:
+        """(4, 4) where the head of the newest frame is on the body, as estimated."""
+        state = self.state
+        return inverse(state.T_world_body) @ se3(state.clone_R[-1], state.clone_x[-1])
 
     def adopt_landmarks(self) -> None:
         """After a start in motion: let the best tracks of its window enter the state, forget the others' views.
@@ -255,10 +273,10 @@ class VioFilter:
             return state, ()
         retired = RetiredClone(
             frame_index=int(state.clone_frame[leaving]),
-            T_world_body=se3(state.clone_R[leaving], state.clone_x[leaving]),
+            T_world_head=se3(state.clone_R[leaving], state.clone_x[leaving]),
             is_keyframe=leaving == 0,
             v_world=state.clone_v[leaving],
-            omega_body=state.clone_omega[leaving],
+            omega_head=state.clone_omega[leaving],
         )
         self.tracks.remove_column(leaving)
         return remove_clone(state, leaving), (retired,)

@@ -9,8 +9,9 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray, skew
 from station.motion.error_coordinates import ErrorKind
 from station.slam.mapping.rolling_shutter import observation_pose
+from station.slam.ukf.filter.head import landmarks_seen_from_head
 from station.slam.ukf.filter.measurement import linearise, regress
-from station.slam.ukf.filter.state import PHI, XI_X, FilterState
+from station.slam.ukf.filter.state import PHI, FilterState
 from station.slam.ukf.filter.update import Gate, Measurements, huber_weights, mahalanobis, select
 from station.slam.ukf.filter.window import WindowRows
 from station.vision.camera_model import CameraModel
@@ -38,7 +39,7 @@ def measure_landmarks(
     use_sigma_points: bool,
     huber: float,
 ) -> LandmarkMeasurement:
-    """Compare the observed landmarks with their prediction from the current pose (thesis eqs. 2.9, B.11, B.12)."""
+    """Compare the observed landmarks with their prediction from the newest clone (thesis eqs. 2.9, B.11, B.12)."""
     _, index, at = np.intersect1d(state.landmark_id, frame.ids, assume_unique=True, return_indices=True)
     order = np.argsort(index)
     index, at = index[order], at[order]
@@ -50,17 +51,19 @@ def measure_landmarks(
         xy, p_now = _undo_row_delay(camera, state, frame.uv_px[at], xy, p)
     else:
         p_now = p
-    S_pose = np.vstack([state.S[PHI], state.S[XI_X]])
+    R, x = state.clone_R[-1], state.clone_x[-1]
+    S_pose = state.S[state.clone_rows(state.num_clones - 1)]
     S_p = state.S[state.first_landmark_row :].reshape(state.num_landmarks, 3, -1)[index]
+    S_p = landmarks_seen_from_head(kind, state, p, S_p)
     Z = np.concatenate([np.broadcast_to(S_pose, (len(index), *S_pose.shape)), S_p], axis=1)  # (q, 9, k)
     if use_sigma_points:
         local = Z @ np.swapaxes(Z, 1, 2)
         diagonal = np.arange(9)
         local[:, diagonal, diagonal] *= 1.0 + 1e-10
         local[:, diagonal, diagonal] += 1e-14
-        fit = regress(camera, kind, state.R, state.x, p_now, xy, W, np.linalg.cholesky(local), spread)
+        fit = regress(camera, kind, R, x, p_now, xy, W, np.linalg.cholesky(local), spread)
     else:
-        fit = linearise(camera, kind, state.R, state.x, p_now, xy, W)
+        fit = linearise(camera, kind, R, x, p_now, xy, W)
     A = fit.H @ Z
     noise = fit.extra + np.eye(2)
     C = np.linalg.cholesky(noise)
@@ -78,11 +81,10 @@ def _undo_row_delay(
     """Observations as the middle row would have made them: shifted by the predicted motion between both exposures."""
     delay = camera.row_delay_s(uv_px[:, 1])
     q = len(p)
-    R, x = observation_pose(
-        np.broadcast_to(state.R, (q, 3, 3)), np.broadcast_to(state.x, (q, 3)), state.v, state.omega_body, delay
-    )
+    R_now, x_now, v, omega = state.clone_R[-1], state.clone_x[-1], state.clone_v[-1], state.clone_omega[-1]
+    R, x = observation_pose(np.broadcast_to(R_now, (q, 3, 3)), np.broadcast_to(x_now, (q, 3)), v, omega, delay)
     own = camera.to_camera(np.einsum("nji,nj->ni", R, p - x))
-    middle = camera.to_camera((p - state.x) @ state.R)
+    middle = camera.to_camera((p - x_now) @ R_now)
     z_own, z_middle = np.maximum(own[:, 2:], 0.05), np.maximum(middle[:, 2:], 0.05)
     return xy + middle[:, :2] / z_middle - own[:, :2] / z_own, p
 

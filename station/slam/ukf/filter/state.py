@@ -1,7 +1,7 @@
 """The filter's state: group element, biases, cloned poses, and the square-root covariance (docs/slam.md, 1).
 
 Rows of the square root S (P = S S^T), in this order:
-    b_omega 3, b_a 3 | phi 3, xi_v 3, xi_x 3 | wheels 0 or 2 | per clone: phi 3, xi_x 3 | per landmark: xi_p 3
+    b_omega 3, b_a 3 | phi 3, xi_v 3, xi_x 3 | wheels 0 or 2 | head | per clone: phi 3, xi_x 3 | per landmark: xi_p 3
 Biases come first so that, S being lower triangular, only its first six columns move them: see propagation.py.
 """
 
@@ -21,6 +21,7 @@ XI_V = slice(9, 12)
 XI_X = slice(12, 15)
 CORE = 15  # biases and group element without landmarks
 NO_WHEELS = np.zeros(0)
+NO_HEAD = np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +38,9 @@ class FilterState:
     # (2,) speed over ground by commanded speed, and how far in front of its turning centre the body's origin lies, m:
     # what nobody knows of wheels before they roll. (0,) for a rig without wheels.
     wheels: FloatArray
+    head: FloatArray  # (NUM_ERRORS,) of its servos, see station.motion.head; (0,) while the head was never turned
     omega_body: FloatArray  # (3,) rad/s at this time, bias removed: not estimated, kept for rolling shutter
+    # Clones are poses of the head, which carries the camera: of the body itself while that was never turned.
     clone_R: FloatArray  # (m, 3, 3)
     clone_x: FloatArray  # (m, 3)
     clone_v: FloatArray  # (m, 3) velocity when cloned, for rolling shutter
@@ -60,11 +63,15 @@ class FilterState:
 
     @property
     def wheel_rows(self) -> slice:
-        return slice(CORE, self.first_clone_row)
+        return slice(CORE, CORE + len(self.wheels))
+
+    @property
+    def head_rows(self) -> slice:
+        return slice(CORE + len(self.wheels), self.first_clone_row)
 
     @property
     def first_clone_row(self) -> int:
-        return CORE + len(self.wheels)
+        return CORE + len(self.wheels) + len(self.head)
 
     @property
     def first_landmark_row(self) -> int:
@@ -112,6 +119,7 @@ def initial_state(
         bias_accel=bias_accel,
         S=S,
         wheels=NO_WHEELS,
+        head=NO_HEAD,
         omega_body=np.zeros(3),
         clone_R=np.zeros((0, 3, 3)),
         clone_x=np.zeros((0, 3)),
@@ -148,6 +156,7 @@ def retract(kind: ErrorKind, state: FilterState, dx: FloatArray) -> FilterState:
         bias_gyro=state.bias_gyro + dx[BIAS_GYRO],
         bias_accel=state.bias_accel + dx[BIAS_ACCEL],
         wheels=state.wheels + dx[state.wheel_rows],
+        head=state.head + dx[state.head_rows],
         clone_R=clone_R,
         clone_x=clone_X[:, 0],
     )

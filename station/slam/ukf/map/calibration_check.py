@@ -39,7 +39,10 @@ class CalibrationCheck:
         self.fit: CalibrationFit | None = None  # by all windows so far
 
     def add(self, keyframe: Keyframe) -> None:
-        """Take a keyframe in as the filter leaves it."""
+        """Take a keyframe in as the filter leaves it. One of a turned head says nothing: the IMU does not feel it."""
+        if keyframe.T_body_head is not None:
+            self._end_part()
+            return
         if keyframe.link is None or (self._part and keyframe.segment != self._part[-1].segment):
             self._end_part()
             self._spacer = Spacer()

@@ -20,13 +20,14 @@ class Keyframe:
     image: ImageFrame
     tracked: TrackedFrame
     rgb: npt.NDArray[np.uint8]  # (N, 3) colour at each of tracked's features
-    T_world_body: FloatArray  # (4, 4) as the filter knew it last
+    T_world_head: FloatArray  # (4, 4) of what carries the camera, as the filter knew it last
     v_world: FloatArray  # (3,)
-    omega_body: FloatArray  # (3,)
+    omega_head: FloatArray  # (3,)
     bias: FloatArray  # (6,)
     segment: int
     link: Preintegration | None  # IMU since the previous keyframe of the segment
     wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
+    T_body_head: FloatArray | None = None  # (4, 4); None: the head was never turned, and is where the body is
 
 
 class KeyframeStore:
@@ -46,8 +47,8 @@ class KeyframeStore:
 
     def _thin(self) -> None:
         """Remove the older keyframe whose neighbours are nearest to each other; their IMU links join."""
-        x = np.array([k.T_world_body[:3, 3] for k in self.items])
-        axis = np.array([k.T_world_body[:3, 0] for k in self.items])
+        x = np.array([k.T_world_head[:3, 3] for k in self.items])
+        axis = np.array([k.T_world_head[:3, 0] for k in self.items])
         segment = np.array([k.segment for k in self.items])
         gap = np.linalg.norm(x[2:] - x[:-2], axis=1) + np.linalg.norm(axis[2:] - axis[:-2], axis=1)
         inner = (segment[2:] == segment[:-2]) & (np.arange(len(gap)) < len(gap) - 30)

@@ -70,10 +70,10 @@ def triangulate_with_covariance(
         empty = np.zeros(0)
         nothing = Triangulation(np.zeros((0, 3)), np.zeros(0, dtype=bool), empty, empty, np.zeros((0, 3, 3)))
         return ids.astype(np.int64), nothing
-    R = np.array([k.T_world_body[:3, :3] for k in keyframes])
-    x = np.array([k.T_world_body[:3, 3] for k in keyframes])
+    R = np.array([k.T_world_head[:3, :3] for k in keyframes])
+    x = np.array([k.T_world_head[:3, 3] for k in keyframes])
     v = np.array([k.v_world for k in keyframes])
-    omega = np.array([k.omega_body for k in keyframes])
+    omega = np.array([k.omega_head for k in keyframes])
     parts = []
     for first in range(0, len(ids), CHUNK):
         s, c = start[first : first + CHUNK], count[first : first + CHUNK]

@@ -70,10 +70,10 @@ def _follow(keyframes: list[Keyframe], spaced: list[Keyframe], refined: list[Key
     if not keyframes:
         return []
     moved = follow_poses(
-        np.array([k.T_world_body for k in keyframes]),
+        np.array([k.T_world_head for k in keyframes]),
         np.array([k.image.t_robot_ns for k in keyframes]),
-        np.array([k.T_world_body for k in spaced]),
-        np.array([k.T_world_body for k in refined]),
+        np.array([k.T_world_head for k in spaced]),
+        np.array([k.T_world_head for k in refined]),
         np.array([k.image.t_robot_ns for k in spaced]),
     )
     known = {k.image.index: k for k in refined}
@@ -81,8 +81,8 @@ def _follow(keyframes: list[Keyframe], spaced: list[Keyframe], refined: list[Key
     for k, T in zip(keyframes, moved, strict=True):
         better = known.get(k.image.index)
         if better is None:
-            turn = T[:3, :3] @ k.T_world_body[:3, :3].T
-            result.append(replace(k, T_world_body=T, v_world=turn @ k.v_world))
+            turn = T[:3, :3] @ k.T_world_head[:3, :3].T
+            result.append(replace(k, T_world_head=T, v_world=turn @ k.v_world))
         else:
             result.append(replace(better, link=k.link))
     return result
@@ -104,6 +104,6 @@ def _refine_window(
     if known.sum() < MIN_POINTS or solution.rms > MAX_RMS or not solution.has_converged:
         raise DegenerateGeometry("the features show too little parallax")
     s = solution.states
-    refined = [replace(k, T_world_body=se3(s.R[i], s.x[i]), v_world=s.v[i], bias=s.bias[i]) for i, k in enumerate(part)]
+    refined = [replace(k, T_world_head=se3(s.R[i], s.x[i]), v_world=s.v[i], bias=s.bias[i]) for i, k in enumerate(part)]
     following = min(STEP, len(part) - 1)
     return refined, np.sqrt(np.maximum(np.diag(solution.covariance_of(following)), 0.0))

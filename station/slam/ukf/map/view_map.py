@@ -31,6 +31,7 @@ SIGMA_PER_RADIAN_M = 0.01
 SIGMA_FLOOR_M = 0.002
 SIGMA_BIAS_RAD_S = 5e-4
 SIGMA_TURN_SHARE = 0.001
+SIGMA_HEAD_SHARE = 0.01  # of a turn of the head, which images alone measure
 SIGMA_FLOOR_RAD = 2e-4
 # Drives of 20 m are followed within some 0.05 m; with what dead reckoning may be off by, chairs that look alike closed
 # loops (docs/studies/ukf-map.md).
@@ -92,8 +93,8 @@ def map_views(
 
 
 def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
-    """The filter's motion from each view to the next, and how far to trust it."""
-    T = np.array([v.keyframe.T_world_body for v in items])
+    """The filter's motion of the head from each view to the next, and how far to trust it."""
+    T = np.array([v.keyframe.T_world_head for v in items])
     step = np.array([inverse(a) @ b for a, b in itertools.pairwise(T)])
     dt = np.diff([v.keyframe.image.t_robot_ns for v in items]) * 1e-9
     length = np.linalg.norm(step[:, :3, 3], axis=1)
@@ -102,6 +103,7 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
     sigma_rotation = np.sqrt(
         noise.gyro_density**2 * dt + (SIGMA_BIAS_RAD_S * dt) ** 2 + (SIGMA_TURN_SHARE * turn) ** 2 + SIGMA_FLOOR_RAD**2
     )
+    sigma_rotation = np.hypot(sigma_rotation, SIGMA_HEAD_SHARE * _head_turns(items))
     return RelativeMotions(
         T_world_body=T,
         R=step[:, :3, :3],
@@ -113,13 +115,19 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
     )
 
 
+def _head_turns(items: list[View]) -> FloatArray:
+    """(N-1,) rad, by how much the head turned on the body from each view to the next."""
+    R = np.array([np.eye(3) if (T := v.keyframe.T_body_head) is None else T[:3, :3] for v in items])
+    return np.linalg.norm(so3_log(np.swapaxes(R[:-1], 1, 2) @ R[1:]), axis=1)
+
+
 def straight_rays(view: View, camera: CameraModel) -> FloatArray:
     """Normalised image coordinates (N, 2) as if all rows had been exposed with the middle one, the pose's."""
     uv = view.features.uv_px
     xy = camera.lens.unproject(uv)
     if camera.line_delay_s == 0.0 or not len(xy):
         return xy
-    omega_cam = camera.R_body_cam.T @ view.keyframe.omega_body
+    omega_cam = camera.R_body_cam.T @ view.keyframe.omega_head
     return turned_back(xy, camera.row_delay_s(uv[:, 1]), omega_cam)
 
 

@@ -64,11 +64,11 @@ def window_of(keyframes: Sequence[Keyframe], sigma_first: FloatArray) -> Window:
     if len(tracks.ids) < MIN_TRACKS:
         raise DegenerateGeometry("too few features were followed")
     states = WindowStates(
-        R=np.array([k.T_world_body[:3, :3] for k in keyframes]),
+        R=np.array([k.T_world_head[:3, :3] for k in keyframes]),
         v=np.array([k.v_world for k in keyframes]),
-        x=np.array([k.T_world_body[:3, 3] for k in keyframes]),
+        x=np.array([k.T_world_head[:3, 3] for k in keyframes]),
         bias=np.array([k.bias for k in keyframes]),
-        omega=np.array([k.omega_body for k in keyframes]),
+        omega=np.array([k.omega_head for k in keyframes]),
     )
     wheels = [k.wheels for k in keyframes]
     has_wheels = any(w is not None for w in wheels)

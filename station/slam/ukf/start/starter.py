@@ -60,6 +60,7 @@ class WaitingFrame:
     t_imu_ns: int
     tracked: TrackedFrame
     v_wheels: FloatArray | None = None  # (3,) body frame; None unless the motors drive a robot on wheels
+    looks_ahead: bool = True  # the camera is where the body's motion takes it
 
 
 class Starter:
@@ -102,6 +103,8 @@ class Starter:
         if waited < config.min_window_s:
             more_s = config.min_window_s - waited
             return f"needs {more_s:.1f} s more of images that overlap, or {config.still_s} s at rest"
+        if not all(f.looks_ahead for f in self._frames):
+            return "needs the head to look straight ahead, the wheels to drive, or all to rest"
         if frame.t_imu_ns < self._next_attempt_ns:
             return self._reason
         self._next_attempt_ns = frame.t_imu_ns + int(config.attempt_every_s * 1e9)
@@ -256,6 +259,7 @@ def state_in_motion(start: MotionStart, kind: ErrorKind, anchor: Anchor) -> Filt
         bias_accel=state.bias_accel,
         S=S,
         wheels=state.wheels,
+        head=state.head,
         omega_body=states.omega[-1],
         clone_R=R[:-1],
         clone_x=x[:-1],

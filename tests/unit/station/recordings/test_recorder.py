@@ -19,11 +19,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 import station.recordings.recorder
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_HEAD, REFERENCE_ROBOT
 from shared.errors import DataError
 from shared.mcap_recording import IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import (
     CameraFrame,
+    DriveApplied,
     ImuBatch,
     ImuSample,
 )
@@ -53,6 +54,22 @@ def test_what_is_recorded_is_read_back_exactly(tmp_path: Path) -> None:
     assert imu.gyro_imu.tolist() == [list(s.gyro_imu) for s in expected]
     assert imu.accel_imu.tolist() == [list(s.accel_imu) for s in expected]
     assert [d.linear_m_s for d in dataset.drive] == [0.0, 0.1, 0.2, pytest.approx(0.3)]
+
+
+def test_where_the_head_looks_is_recorded_in_every_report_while_it_turns(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "drive.mcap", min_free_bytes=0)
+    recorder.on_connected(HELLO)
+    for n in range(6):
+        pan = 0.1 * min(n, 3)
+        applied = DriveApplied(t_robot_ns=START_NS + n, linear=0.0, angular=0.0, pan=pan, tilt=-pan)
+        recorder.on_drive_applied(applied)
+        recorder.on_frame(frame(n), n)
+    recorder.close()
+    dataset = open_dataset(tmp_path / "drive.mcap")
+    assert [(d.t_robot_ns - START_NS, d.pan_rad, d.tilt_rad) for d in dataset.drive] == [
+        (n, pytest.approx(0.1 * n), pytest.approx(-0.1 * n)) for n in range(4)
+    ]
+    assert dataset.calibration.head == REFERENCE_HEAD
 
 
 def test_samples_that_are_no_numbers_are_left_out_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

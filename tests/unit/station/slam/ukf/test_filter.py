@@ -274,13 +274,13 @@ def test_wheel_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_same_place_rows_are_finite_differences(kind: ErrorKind) -> None:
-    state = random_state(16)
+    state = add_clone(random_state(16), 99)
     constraint = SamePlace(0, state.clone_R[0].T @ state.R, 1.0, 1.0)
     h = 1e-4
 
     def value(s: FilterState) -> FloatArray:
-        turned = so3_log(s.clone_R[0].T @ s.R @ (state.clone_R[0].T @ state.R).T)
-        return np.concatenate([turned, s.x - s.clone_x[0]])
+        turned = so3_log(s.clone_R[0].T @ s.clone_R[-1] @ (state.clone_R[0].T @ state.R).T)
+        return np.concatenate([turned, s.clone_x[-1] - s.clone_x[0]])
 
     state = retract(kind, state, np.random.default_rng(0).normal(size=state.size) * 1e-3)  # clone and pose differ
     A = constraint.rows(state, kind).A
@@ -373,6 +373,7 @@ def test_landmark_gate_throws_out_a_wrong_match() -> None:
         NOISE,
         PropagationConfig(ErrorKind.RIGHT, True, 1.0, 9.81),
     )
+    end = add_clone(end, len(frames) - 1)
     measured = measure_landmarks(vio.camera, ErrorKind.RIGHT, end, last, Gate(0.99), 1.0, True, 1.5)
     wrong = int(np.flatnonzero(end.landmark_id == last.ids[at])[0])
     assert not measured.passed[measured.index == wrong].any()

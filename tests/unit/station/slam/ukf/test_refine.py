@@ -26,10 +26,10 @@ CALIBRATION = Calibration(camera=CAMERA, imu=NOISE)
 def drifting_keyframes(seed: int) -> tuple[list[Keyframe], FloatArray]:
     """Six seconds, 20 keyframes per second, poses that sway by 5 cm; and the true poses (K, 4, 4)."""
     true = true_keyframes(CALIBRATION, CALIBRATION, seed, 6.0, 0.5)
-    T_true = np.array([k.T_world_body for k in true])
+    T_true = np.array([k.T_world_head for k in true])
     drift = 0.05 * np.sin(np.arange(len(true))[:, None] * np.array([0.2, 0.23, 0.17]))
     keyframes = [
-        replace(k, T_world_body=se3(T[:3, :3], T[:3, 3] + d)) for k, T, d in zip(true, T_true, drift, strict=True)
+        replace(k, T_world_head=se3(T[:3, :3], T[:3, 3] + d)) for k, T, d in zip(true, T_true, drift, strict=True)
     ]
     return keyframes, T_true
 
@@ -43,12 +43,12 @@ def test_refined_keyframes_are_nearer_to_the_truth_and_so_are_those_between_them
     t = np.array([k.image.t_robot_ns for k in keyframes])
 
     def error(items: list[Keyframe]) -> float:
-        path = Trajectory(t, np.array([k.T_world_body for k in items]))
+        path = Trajectory(t, np.array([k.T_world_head for k in items]))
         return relative_pose_error(path, Trajectory(t, T_true), 0.5).translation_rmse_m
 
     assert error(refined) < 0.5 * error(keyframes)
     moved = [
-        np.linalg.norm(a.T_world_body[:3, 3] - b.T_world_body[:3, 3]) for a, b in zip(keyframes, refined, strict=True)
+        np.linalg.norm(a.T_world_head[:3, 3] - b.T_world_head[:3, 3]) for a, b in zip(keyframes, refined, strict=True)
     ]
     assert min(moved[1:]) > 0.0  # the frames between the chosen ones have followed
 
