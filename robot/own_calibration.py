@@ -7,7 +7,6 @@ import os
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from robot.config import RobotConfig
 from shared.calibration import Calibration, CameraCalibration
@@ -24,8 +23,6 @@ CAME_WITH = "what its devices came with"
 FROM_FILE = f"its {FILE}"
 IN_MEMORY = "given by a station, until robot-server ends (set calibration.folder to keep it)"
 REMEDY = "set calibration.folder to a folder that robot-server may write"
-MAX_SKEW = 1e-3  # of a rotation's rows from unit length and right angles
-LONGEST_FOCAL = 20.0  # focal length over the picture's width: a view of 3 degrees
 
 
 def calibration_folder(kind: str, config: RobotConfig) -> Path | None:
@@ -69,6 +66,7 @@ class OwnCalibration:
             ConfigError: it is not of this robot, or its folder cannot be written. Nothing has changed then.
         """
         self._check(calibration)
+        self._check_what_nobody_measures(calibration)
         self._replace(calibration)
 
     def undo(self) -> None:
@@ -128,6 +126,17 @@ class OwnCalibration:
         if given.robot_kind != ours.robot_kind:
             raise ConfigError(f"{where}it is of a {given.robot_kind!r} robot, this one is {ours.robot_kind!r}")
 
+    def _check_what_nobody_measures(self, given: Calibration) -> None:
+        """Raises ConfigError: an order changes how the robot was built."""
+        if given.rig != self.current.rig:
+            raise ConfigError(f"the robot's rig is {self.current.rig!r}, no calibration makes it {given.rig!r}")
+        if _ranges(given) != _ranges(self.current):
+            raise ConfigError("the ranges of the robot's IMU are its settings; no calibration changes them")
+
+
+def _ranges(calibration: Calibration) -> tuple[float, float] | None:
+    return None if calibration.imu is None else (calibration.imu.gyro_range, calibration.imu.accel_range)
+
 
 def _check_camera(ours: CameraCalibration, given: CameraCalibration, where: str) -> None:
     size = (given.width, given.height)
@@ -136,11 +145,6 @@ def _check_camera(ours: CameraCalibration, given: CameraCalibration, where: str)
             f"{where}it is of pictures of {size[0]}x{size[1]}, the camera's have {ours.width}x{ours.height};"
             " calibrate at that size"
         )
-    R = given.T_body_cam_matrix[:3, :3]
-    if not (np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0):
-        raise ConfigError(f"{where}T_body_cam is no rigid motion: its rotation's rows are no right-handed unit axes")
-    if max(given.fx, given.fy) > LONGEST_FOCAL * given.width:
-        raise ConfigError(f"{where}focal length ({given.fx:g}, {given.fy:g}) px is longer than any lens gives")
     if not (0 <= given.cx < given.width and 0 <= given.cy < given.height):
         raise ConfigError(f"{where}the principal point ({given.cx:g}, {given.cy:g}) px is outside the picture")
 

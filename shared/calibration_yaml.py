@@ -78,11 +78,7 @@ def imu_text(imu: ImuNoise) -> str:
 
 def read_imu(path: Path) -> ImuNoise:
     """An `imu.yaml` of ours or kalibr's. Raises DataError, which names the file and the key."""
-    content = read_yaml(path)
-    try:
-        return read_imu_noise(path, content)
-    except ConfigError as exc:
-        raise DataError(f"{path}: {exc}") from exc
+    return read_imu_noise(path, read_yaml(path))
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -68,9 +68,11 @@ def test_without_a_folder_it_is_told_until_the_program_ends() -> None:
     [
         (camera_with(width=1280, height=720), "1280x720, the camera's have 640x480"),
         (camera_with(cx=700.0), "outside the picture"),
-        (camera_with(fx=50_000.0), "longer than any lens"),
-        (camera_with(T_body_cam=tuple(2.0 * v for v in np.eye(4).ravel())), "no rigid motion"),
-        (camera_with(T_body_cam=(-1.0, *np.eye(4).ravel().tolist()[1:])), "no rigid motion"),
+        (msgspec.structs.replace(REFERENCE_ROBOT, rig="hand-held"), "rig is 'wheels'"),
+        (
+            msgspec.structs.replace(REFERENCE_ROBOT, imu=msgspec.structs.replace(REFERENCE_ROBOT.imu, gyro_range=1.0)),
+            "ranges of the robot's IMU",
+        ),
         (msgspec.structs.replace(REFERENCE_ROBOT, camera=None), "one camera, the calibration none"),
         (msgspec.structs.replace(REFERENCE_ROBOT, imu=None), "one imu, the calibration none"),
         (msgspec.structs.replace(REFERENCE_ROBOT, robot_kind="generic"), "'generic' robot"),
