@@ -204,7 +204,8 @@ class RobotServer:
             return
         if isinstance(message, Heartbeat):
             t_robot_ns = self._devices.clock()
-            client.put(reply_to(message, t_robot_ns, t_robot_ns))
+            took_stop = self.watchdog is None or not self.watchdog.stop_fault
+            client.put(reply_to(message, t_robot_ns, t_robot_ns, took_stop=took_stop))
         if (refusal := self.desk.handle(client.id, message, client.read_ns)) is not None:
             client.put(refusal)
 

@@ -157,13 +157,14 @@ class Heartbeat(_Message, frozen=True, kw_only=True, tag="heartbeat"):
     t_station_ns: Time
 
 
-class HeartbeatReply(_Message, frozen=True, kw_only=True, tag="heartbeat_reply"):
+class HeartbeatReply(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="heartbeat_reply"):
     """Answer to one heartbeat, with the robot's clock at its arrival and at the answer's departure."""
 
     seq: Count
     t_station_ns: Time  # as received
     t_robot_received_ns: Time
     t_robot_sent_ns: Time
+    took_stop: bool = True  # False: the motors have not taken the last stop, so that this confirms none
 
 
 class Received(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="received"):

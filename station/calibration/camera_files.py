@@ -133,13 +133,16 @@ def read_imu(path: Path) -> ImuNoise:
             raise DataError(f"{path}: {key} must be over 0, is {shown(content.get(key))}")
         return value
 
-    return ImuNoise(
-        gyro_density=positive("gyroscope_noise_density"),
-        accel_density=positive("accelerometer_noise_density"),
-        gyro_walk=positive("gyroscope_random_walk"),
-        accel_walk=positive("accelerometer_random_walk"),
-        rate_hz=positive("update_rate"),
-    )
+    try:
+        return ImuNoise(
+            gyro_density=positive("gyroscope_noise_density"),
+            accel_density=positive("accelerometer_noise_density"),
+            gyro_walk=positive("gyroscope_random_walk"),
+            accel_walk=positive("accelerometer_random_walk"),
+            rate_hz=positive("update_rate"),
+        )
+    except ConfigError as exc:
+        raise DataError(f"{path}: {exc}") from exc
 
 
 def _rigid(content: dict[str, Any], key: str, path: Path) -> FloatArray:

@@ -306,7 +306,8 @@ class RobotLink:
                 self._clock.add_reply(message, now_ns)
                 if self._clock.rtt_ns is not None:
                     self._delays.add_round_trip(self._clock.rtt_ns)
-                self.commands.receive_beat(message.seq)
+                if message.took_stop:
+                    self.commands.receive_beat(message.seq)
             case Status():
                 self._status = message
                 self._listener.on_status(message)

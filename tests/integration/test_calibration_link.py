@@ -59,6 +59,8 @@ async def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(tmp
         refusals = {
             "outside the picture": {"camera": {"intrinsics": [1000.0, 1000.0, 900.0, 240.0]}},
             "1280x720": {"camera": {"resolution": [1280, 720]}},
+            "give the distortion too": {"camera": {"model": "equidistant"}},
+            "no rigid motion": {"camera": {"T_body_cam": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [9, 9, 9, 9]]}},
             "within 10 s": {"camera": {"time_shift_s": 60.0}},
             "at least one number": {},
         }

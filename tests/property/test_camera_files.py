@@ -24,11 +24,13 @@ positive = st.floats(1e-6, 1.0)
 def cameras(draw: st.DrawFn) -> CameraCalibration:
     rotation = cv2.Rodrigues(np.array([draw(st.floats(-2.0, 2.0)) for _ in range(3)]))[0]
     T = se3(rotation, np.array([draw(small) for _ in range(3)]))
+    width, height = draw(st.integers(1, 4000)), draw(st.integers(1, 4000))
+    focal = max(width, height) * draw(st.floats(0.1, 40.0))
     return CameraCalibration(
-        width=draw(st.integers(1, 4000)),
-        height=draw(st.integers(1, 4000)),
-        fx=draw(st.floats(10.0, 5000.0)),
-        fy=draw(st.floats(10.0, 5000.0)),
+        width=width,
+        height=height,
+        fx=focal,
+        fy=focal * draw(st.floats(0.6, 1.2)),
         cx=draw(st.floats(-10.0, 4000.0)),
         cy=draw(st.floats(-10.0, 4000.0)),
         model=draw(st.sampled_from(["radtan", "equidistant"])),
