@@ -65,7 +65,7 @@ def calibrate(
 def _read(path: Path) -> tuple[ImuBatch, ImuNoise | None]:
     from station.datasets import open_dataset
 
-    data = open_dataset(path)
+    data = open_dataset(path, needs_camera=False)
     if data.imu is None:
         raise DataError(f"{path} holds no IMU samples; give a recording of a robot with an IMU")
     return data.imu, data.calibration.imu
