@@ -1,6 +1,7 @@
 """Wheels are measured between rests: by the board for the way, by the gyroscope for turns."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,14 @@ from typer.testing import CliRunner
 
 from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sessions import Session, record_session
+from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DataError
+from station.calibration.target import Target
 from station.calibration.target_file import read_target
 from station.calibration.wheels import Move, Wheels, calibrate_wheels, find_rests, fit_factor, late
-from station.datasets import open_dataset
+from station.datasets import Dataset, open_dataset
 from station.main import app
-from station.model.frames import DriveSample
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
 S = 1_000_000_000
 
@@ -51,6 +54,38 @@ def test_the_command_writes_what_the_robot_should_be_told(recording: tuple[Path,
     assert answer["full_speed_m_s"] == pytest.approx(0.5 * true["linear_efficiency"], rel=0.003)
     assert answer["track_m"] == pytest.approx(0.2 * true["linear_efficiency"] / true["yaw_efficiency"], rel=0.01)
     assert f"track_m = {answer['track_m']:.4f}" in out.read_text()
+
+
+def turning(without_imu_s: Sequence[tuple[float, float]] = (), frames: Sequence[ImageFrame] = ()) -> Dataset:
+    """Six turns of 2 s at 1 rad/s, of which 80 % are done, each after 2 s of rest; the IMU is silent in some spans."""
+    drive = [DriveSample(k * 2 * S, 0.0, float(k % 2)) for k in range(13)]
+    t_s = np.arange(0.0, 26.0, 0.01)
+    for begin, end in without_imu_s:
+        t_s = t_s[(t_s < begin) | (t_s >= end)]
+    yaw_rate = np.where(t_s // 2 % 2 == 1, 0.8, 0.0)
+    gyro = np.stack([np.zeros_like(t_s), np.zeros_like(t_s), yaw_rate + 0.01], axis=1)
+    imu = ImuBatch(np.round(t_s * 1e9).astype(np.int64), gyro, np.tile([0.0, 0.0, 9.81], (len(t_s), 1)))
+    times = np.array([frame.t_robot_ns for frame in frames], dtype=np.int64)
+    return Dataset(Path("turning"), "asl", REFERENCE_ROBOT, True, times, lambda: iter(frames), imu, drive)
+
+
+CHESSBOARD = Target("chessboard", 9, 6, 0.025)
+
+
+@pytest.mark.parametrize("silent", [(8.5, 9.9), (8.4, 10.1), (8.0, 10.0), (5.0, 7.0), (0.0, 1.5), (25.0, 26.0)])
+def test_turns_are_measured_where_the_imu_was_not_silent(silent: tuple[float, float]) -> None:
+    found = calibrate_wheels(turning([silent]), CHESSBOARD)
+    assert found.turn is not None
+    assert found.turn.value == pytest.approx(0.8, rel=0.01)
+    assert found.turn.moves >= 4
+
+
+def test_where_samples_are_missing_the_refusal_names_them() -> None:
+    found = calibrate_wheels(turning([(4.5, 5.5), (8.5, 9.5), (12.5, 13.5), (16.5, 17.5)]), CHESSBOARD)
+    assert found.turn is None
+    assert "Samples of the IMU are missing" in found.reasons[0]
+    silent = calibrate_wheels(turning([(0.5, 25.5)]), CHESSBOARD)
+    assert "Samples of the IMU are missing" in silent.reasons[0]
 
 
 @pytest.mark.parametrize(
