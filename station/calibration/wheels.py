@@ -100,6 +100,11 @@ def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None]
         raise DataError(f"{data.path} has no IMU samples; record the robot with its IMU")
     if camera is None or data.read_frames is None:
         raise DataError(f"{data.path} has no images; record the robot with its camera")
+    if not camera.is_measured:
+        raise DataError(
+            f"{data.path}: the lens is a guess; run `station calibrate camera`, give the robot its camera.yaml, "
+            "and record again"
+        )
     if not data.drive:
         raise DataError(f"{data.path} has no drive commands; record a drive of the robot itself")
     t_ns = data.imu.t_robot_ns

@@ -2,8 +2,10 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -86,6 +88,15 @@ def test_where_samples_are_missing_the_refusal_names_them() -> None:
     assert "Samples of the IMU are missing" in found.reasons[0]
     silent = calibrate_wheels(turning([(0.5, 25.5)]), CHESSBOARD)
     assert "Samples of the IMU are missing" in silent.reasons[0]
+
+
+def test_a_guessed_lens_is_refused() -> None:
+    data = turning()
+    assert data.calibration.camera is not None
+    guess = msgspec.structs.replace(data.calibration.camera, is_measured=False)
+    guessed = replace(data, calibration=msgspec.structs.replace(data.calibration, camera=guess))
+    with pytest.raises(DataError, match="station calibrate camera"):
+        calibrate_wheels(guessed, CHESSBOARD)
 
 
 @pytest.mark.parametrize(
