@@ -114,7 +114,7 @@ def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None]
     rests = _felt(stops, t_ns)
     if len(rests) < 2:
         return Wheels(None, None, None, None, (), (f"{IMU_MISSING} almost everywhere: {RECORD_AGAIN}.",))
-    poses = _board_poses(data.read_frames(), camera, target, rests, on_frame)
+    poses = board_poses(data.read_frames(), camera, target, rests, on_frame)
     yaw_rate = _yaw_rates(data.imu, rests)
     moves = _moves(data.drive, t_ns, yaw_rate, rests, poses)
     speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive])
@@ -214,7 +214,7 @@ def _forward(before: FloatArray | None, after: FloatArray | None) -> float | Non
 # --- where the robot stands in front of the board ---------------------------------------------------------------------
 
 
-def _board_poses(
+def board_poses(
     frames: Iterator[ImageFrame],
     camera: CameraCalibration,
     target: Target,
@@ -232,8 +232,12 @@ def _board_poses(
         rest = int(np.searchsorted(begins, t_ns)) - 1
         if rest < 0 or t_ns > rests[rest][1]:
             continue  # it may be moving
-        view = view_board(finder, target, frame.grey(), frame.name, frame.t_robot_ns)
-        if view is None:
+        try:
+            grey = frame.grey()
+        except DataError:
+            continue  # damaged on its way
+        view = view_board(finder, target, grey, frame.name, frame.t_robot_ns)
+        if view is None or not view.ids_are_sure:
             continue
         found = solve_pose(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
         if found is not None:

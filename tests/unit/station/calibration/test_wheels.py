@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -12,14 +13,16 @@ from typer.testing import CliRunner
 
 from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sessions import Session, record_session
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_ROBOT, CameraCalibration
 from shared.errors import DataError
 from station.calibration.target import Target
 from station.calibration.target_file import read_target
-from station.calibration.wheels import Move, Wheels, calibrate_wheels, find_rests, fit_factor, late
+from station.calibration.target_page import page_target
+from station.calibration.wheels import Move, Wheels, board_poses, calibrate_wheels, find_rests, fit_factor, late
 from station.datasets import Dataset, open_dataset
 from station.main import app
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from tests.support.target_images import T_cam_board, photograph, printed_page
 
 S = 1_000_000_000
 
@@ -97,6 +100,31 @@ def test_a_guessed_lens_is_refused() -> None:
     guessed = replace(data, calibration=msgspec.structs.replace(data.calibration, camera=guess))
     with pytest.raises(DataError, match="station calibrate camera"):
         calibrate_wheels(guessed, CHESSBOARD)
+
+
+def pictures(images: Sequence[bytes]) -> list[ImageFrame]:
+    """At 10 Hz from the beginning of the third rest on."""
+    return [ImageFrame(k, 9 * S + k * S // 10, 0, image, f"{k}.jpg") for k, image in enumerate(images)]
+
+
+def test_a_damaged_picture_is_passed_over() -> None:
+    found = calibrate_wheels(turning(frames=pictures([b"damaged"])), CHESSBOARD)
+    assert found.turn is not None
+
+
+def test_a_part_of_a_chessboard_tells_no_pose() -> None:
+    target = page_target("chessboard", "A4")
+    camera = CameraCalibration(
+        width=752, height=480, fx=460.0, fy=458.0, cx=367.0, cy=248.0, distortion=(-0.28, 0.07, 2e-4, 0.0)
+    )
+    seen = {}
+    for name, aside in (("whole", 0.0), ("part", -0.8)):
+        T = T_cam_board(target, np.array([0.2, -0.2, 0.0]), 0.3, (aside, 0.0))
+        grey = photograph(printed_page(target), camera, T)
+        encoded = [cv2.imencode(".png", grey)[1].tobytes()] * 3
+        seen[name] = board_poses(iter(pictures(encoded)), camera, target, [(8 * S, 10 * S)], lambda: None)[0]
+    assert seen["whole"] is not None
+    assert seen["part"] is None
 
 
 @pytest.mark.parametrize(
