@@ -7,6 +7,7 @@ motors' lag then shows in how the yaw rate follows the command.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -32,9 +33,14 @@ POSE_TOLERANCE_PX = 2.0
 LEAST_VIEWS = 3  # of the board in a rest
 LEAST_MOVES = 3  # of each sort: fewer cannot contradict each other
 LEAST_WAY_M, LEAST_TURN_RAD = 0.1, 0.5  # of one move that is worth comparing
-FLOOR = 5e-4  # relative error that no scatter shows: of the printed board, of the gyroscope's scale
+# Relative errors that all moves share, so that no scatter shows them. The way goes with the focal length, which a
+# calibration file gives without its sigma: `station calibrate camera` accepts up to 1 %, half of it is assumed. It goes
+# with the board's scale as well: a ruler tells 0.3 mm of the page's 100. The turn goes with the gyroscope's scale:
+# the MPU-6050's data sheet allows 3 %, taken for three sigmas; nothing here measures it.
+FOCAL_SIGMA, BOARD_SIGMA, GYRO_SIGMA = 0.005, 0.003, 0.01
+WAY_SIGMA = math.hypot(FOCAL_SIGMA, BOARD_SIGMA)
 MAX_SCATTER = 0.05  # between single moves; wheels that slip that much are stopped by something
-MAX_SIGMA = 0.02  # relative: floors differ by more
+MAX_SIGMA = 0.0225  # relative, of it 0.02 by scatter: floors differ by more
 MIN_TURN_SAMPLES = 20
 MAX_IMU_GAP_S = 0.05  # a turn that is longer without samples may have changed meanwhile
 LAG_RANGE_S = (0.005, 0.5)
@@ -117,8 +123,8 @@ def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None]
     poses = board_poses(data.read_frames(), camera, target, rests, on_frame)
     yaw_rate = _yaw_rates(data.imu, rests)
     moves = _moves(data.drive, t_ns, yaw_rate, rests, poses)
-    speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive])
-    turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if m.is_turn])
+    speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive], WAY_SIGMA)
+    turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if m.is_turn], GYRO_SIGMA)
     lag, lag_sigma = (None, None) if turn is None else _fit_lag(data.drive, t_ns, yaw_rate, moves, turn.value)
     lost = len(stops) - 1 - len(moves)
     return Wheels(speed, turn, lag, lag_sigma, moves, tuple(_reasons(moves, lost, poses, speed, turn)))
@@ -254,8 +260,12 @@ def _middle(poses: list[FloatArray]) -> FloatArray:
 # --- factors and lag --------------------------------------------------------------------------------------------------
 
 
-def fit_factor(pairs: list[tuple[float, float]]) -> Factor | None:
-    """Achieved over commanded, from pairs (commanded, achieved); None of fewer than LEAST_MOVES."""
+def fit_factor(pairs: list[tuple[float, float]], shared_sigma: float) -> Factor | None:
+    """Achieved over commanded, from pairs (commanded, achieved); None of fewer than LEAST_MOVES.
+
+    Args:
+        shared_sigma: relative, of what makes all of the achieved ones too long or too short alike.
+    """
     if len(pairs) < LEAST_MOVES:
         return None
     commanded, achieved = np.array(pairs).T
@@ -263,13 +273,15 @@ def fit_factor(pairs: list[tuple[float, float]]) -> Factor | None:
     ratio = achieved / commanded
     value = float(weight @ ratio)
     scatter = float(np.sqrt(weight @ (ratio - value) ** 2 * len(pairs) / (len(pairs) - 1)) / abs(value))
-    return Factor(value, _sigma_of_mean(scatter, len(pairs)) * abs(value), scatter, len(pairs))
+    return Factor(
+        value, float(np.hypot(_sigma_of_mean(scatter, len(pairs)), shared_sigma)) * abs(value), scatter, len(pairs)
+    )
 
 
 def _sigma_of_mean(scatter: float, count: int) -> float:
     """Of a mean, from the scatter of few values: Student's quantile in place of three sigmas."""
     few = student.ppf(PERCENT_3_SIGMA, count - 1) / 3.0
-    return float(np.hypot(few * scatter / np.sqrt(count), FLOOR))
+    return float(few * scatter / np.sqrt(count))
 
 
 def _fit_lag(

@@ -127,6 +127,16 @@ def test_a_part_of_a_chessboard_tells_no_pose() -> None:
     assert seen["part"] is None
 
 
+def test_a_gyroscope_whose_scale_is_off_as_its_data_sheet_allows_is_within_three_sigmas() -> None:
+    data = turning()
+    assert data.imu is not None
+    scaled = replace(data, imu=replace(data.imu, gyro_imu=1.03 * data.imu.gyro_imu))
+    found = calibrate_wheels(scaled, CHESSBOARD).turn
+    assert found is not None
+    assert abs(found.value - 0.8) < 3.1 * found.sigma
+    assert not any("tell only to" in reason for reason in calibrate_wheels(scaled, CHESSBOARD).reasons)
+
+
 @pytest.mark.parametrize(
     ("poor", "remedy"),
     [
@@ -183,14 +193,14 @@ def test_three_sigmas_of_few_moves_hold_as_often_as_they_say() -> None:
     outside = 0
     for _ in range(2000):
         ratio = 0.8 * (1 + 0.01 * rng.standard_normal(4))
-        factor = fit_factor([(2.0, 2.0 * r) for r in ratio])
+        factor = fit_factor([(2.0, 2.0 * r) for r in ratio], 0.0)
         assert factor is not None
         outside += abs(factor.value - 0.8) > 3 * factor.sigma
     assert outside <= 16  # 0.27 % of 2000 are 5.4
 
 
 def test_two_moves_are_too_few_to_contradict_each_other() -> None:
-    assert fit_factor([(1.0, 0.9), (1.0, 0.9)]) is None
+    assert fit_factor([(1.0, 0.9), (1.0, 0.9)], 0.0) is None
 
 
 def test_an_arc_is_neither_a_drive_nor_a_turn() -> None:
