@@ -1,4 +1,4 @@
-"""Calibration files: our `camera.yaml`, and kalibr's camchain and IMU files, read and written.
+"""Calibration files of a camera: our `camera.yaml`, written, and kalibr's camchain, written and read.
 
 Source: kalibr's wiki, "YAML formats". kalibr's T_cam_imu maps the IMU's coordinates to the camera's, and its
 timeshift_cam_imu is ours: t_imu = t_cam + shift.
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from shared.bounded import shown
-from shared.calibration import CameraCalibration, ImuNoise
+from shared.calibration import CameraCalibration
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
 from shared.sensor_yaml import DISTORTION_MODELS, number, numbers, read_yaml
@@ -29,23 +29,6 @@ def lens_yaml(size: tuple[int, int], intrinsics: list[float], model: str, distor
         f"intrinsics: {_list(intrinsics)}    # fx fy cx cy, px\n"
         f"distortion_model: {OUR_NAMES[model]}\n"
         f"distortion_coefficients: {_list(distortion)}\n"
-    )
-
-
-def camera_yaml(camera: CameraCalibration) -> str:
-    """A whole camera, mounted and timed."""
-    lens = lens_yaml(
-        (camera.width, camera.height),
-        [camera.fx, camera.fy, camera.cx, camera.cy],
-        camera.model,
-        list(camera.distortion),
-    )
-    return (
-        f"{lens}"
-        f"T_BS:\n  cols: 4\n  rows: 4\n  data: {_list(list(camera.T_body_cam))}    # camera to body (IMU)\n"
-        f"time_shift_s: {camera.time_shift_s!r}    # t_imu = t_cam + time_shift_s\n"
-        f"line_delay_s: {camera.line_delay_s!r}    # row v is exposed line_delay_s * v after row 0\n"
-        f"rate_hz: {camera.rate_hz!r}\n"
     )
 
 
@@ -103,43 +86,6 @@ def read_camchain(path: Path) -> CameraCalibration:
             T_body_cam=tuple(inverse(_rigid(content, "T_cam_imu", path)).ravel().tolist()),
             time_shift_s=number(content, "timeshift_cam_imu", 0.0, path),
             line_delay_s=number(content, "line_delay", 0.0, path),
-        )
-    except ConfigError as exc:
-        raise DataError(f"{path}: {exc}") from exc
-
-
-def imu_yaml(noise: ImuNoise) -> str:
-    """kalibr's imu.yaml."""
-    return (
-        f"accelerometer_noise_density: {noise.accel_density!r}    # m/s^2/sqrt(Hz)\n"
-        f"accelerometer_random_walk: {noise.accel_walk!r}    # m/s^3/sqrt(Hz)\n"
-        f"gyroscope_noise_density: {noise.gyro_density!r}    # rad/s/sqrt(Hz)\n"
-        f"gyroscope_random_walk: {noise.gyro_walk!r}    # rad/s^2/sqrt(Hz)\n"
-        f"update_rate: {noise.rate_hz!r}    # Hz\n"
-        "rostopic: /imu0\n"
-    )
-
-
-def read_imu(path: Path) -> ImuNoise:
-    """An imu.yaml of kalibr's, as it stands or under `imu0`. Raises DataError naming file, key and remedy."""
-    content = read_yaml(path)
-    inner = content.get("imu0")
-    if isinstance(inner, dict):
-        content = inner
-
-    def positive(key: str) -> float:
-        value = number(content, key, 0.0, path)
-        if not value > 0.0:
-            raise DataError(f"{path}: {key} must be over 0, is {shown(content.get(key))}")
-        return value
-
-    try:
-        return ImuNoise(
-            gyro_density=positive("gyroscope_noise_density"),
-            accel_density=positive("accelerometer_noise_density"),
-            gyro_walk=positive("gyroscope_random_walk"),
-            accel_walk=positive("accelerometer_random_walk"),
-            rate_hz=positive("update_rate"),
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc

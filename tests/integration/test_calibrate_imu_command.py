@@ -84,6 +84,16 @@ def test_a_recording_of_a_robot_on_all_its_sides_tells_its_accelerometers_errors
     assert "accelerometer misalignment" in done.stderr and (tmp_path / "imu.yaml").is_file()
 
 
+def test_images_of_a_camera_that_no_file_describes_do_not_matter(tmp_path: Path) -> None:
+    record_session(Kind.IMU, tmp_path / "rest", 3, poor="too-short")
+    (tmp_path / "rest/mav0/cam0").mkdir(exist_ok=True)
+    (tmp_path / "rest/mav0/cam0/sensor.yaml").unlink(missing_ok=True)
+    (tmp_path / "rest/mav0/cam0/data.csv").write_text("#timestamp [ns],filename\n1000,1000.jpg\n")
+    done = calibrate_imu(tmp_path / "rest", "--out", tmp_path / "imu.yaml", "--json")
+    assert done.returncode == 2, done.stderr  # for its length
+    assert "record 30 minutes" in json.loads(done.stdout.splitlines()[-1])["reasons"][0]
+
+
 def test_a_recording_without_an_imu_is_refused_in_a_sentence(tmp_path: Path) -> None:
     record_session(Kind.CAMERA_IMU, tmp_path / "waved", 0, poor="no-imu", seconds=1.0)
     done = calibrate_imu(tmp_path / "waved", "--out", tmp_path / "imu.yaml")

@@ -71,7 +71,7 @@ def calibrate(
 def _read(path: Path) -> tuple[ImuBatch, Calibration]:
     from station.datasets import open_dataset
 
-    data = open_dataset(path, needs_upright=False)
+    data = open_dataset(path, needs_camera=False, needs_upright=False)
     if data.imu is None:
         raise DataError(f"{path} holds no IMU samples; give a recording of a robot with an IMU")
     return data.imu, data.calibration
