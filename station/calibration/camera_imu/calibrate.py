@@ -135,6 +135,10 @@ def _estimate(
     shape = target_shape(solution)
     if verdict.poor_target(shape, recording.target):  # far off one step does not tell by how much
         shape = target_shape(solve(problem, solution.unknowns, progress, free_target=True))
-    # A target that is not as its file says explains what does not fit.
-    reasons = verdict.poor_target(shape, recording.target) or verdict.poor_fit(solution, problem.samples)
+    # A target or a lens that is not as its file says explains what does not fit.
+    reasons = (
+        verdict.poor_target(shape, recording.target)
+        or verdict.poor_lens(solution)
+        or verdict.poor_fit(solution, problem.samples)
+    )
     return CameraImuCalibration(reasons, solution)

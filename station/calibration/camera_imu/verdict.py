@@ -12,7 +12,7 @@ import numpy as np
 from station.calibration.camera_imu.batch import Solution, TargetShape
 from station.calibration.camera_imu.rows import Samples
 from station.calibration.camera_imu.start import MAX_SHIFT_S, CameraPoses, TurningMatch
-from station.calibration.camera_imu.unknowns import MOUNT_POSITION, MOUNT_ROTATION, SHIFT
+from station.calibration.camera_imu.unknowns import MOUNT_POSITION, MOUNT_ROTATION, SHIFT, intrinsics_of
 from station.calibration.target import Target
 
 MIN_DURATION_S = 10.0
@@ -28,6 +28,7 @@ SURELY = 5.0  # sigmas
 MAX_SCALE_ERROR = 0.01
 MAX_BEND_M = 1.5e-3
 MAX_SIGMA = {"rotation": np.radians(0.3), "translation": 0.01, "time shift": 1e-3}
+INTRINSIC_NAMES = ("fx", "fy", "cx", "cy", *(f"distortion coefficient {i}" for i in (1, 2, 3, 4)))
 TURNS = ("tilt it up and down", "turn it left and right", "roll it about the direction of view")
 
 
@@ -95,6 +96,20 @@ def poor_fit(solution: Solution, told: Samples) -> list[str]:
         if sigma > MAX_SIGMA[name]:
             reasons.append(f"the {name} stays uncertain: record longer, and turn faster about all axes")
     return reasons
+
+
+def poor_lens(solution: Solution) -> list[str]:
+    """Reasons against a lens that is not the one it was said to be: it may be refined, not replaced."""
+    problem, found = solution.problem, intrinsics_of(solution.unknowns.camera)
+    told, sigma = intrinsics_of(problem.told), problem.sigma_intrinsics
+    away = np.divide(np.abs(found - told), sigma, out=np.zeros_like(sigma), where=sigma > 0)
+    worst = int(away.argmax())
+    if away[worst] <= SURELY:
+        return []
+    return [
+        f"the lens is another than its file says: {INTRINSIC_NAMES[worst]} is {found[worst]:.4g}, not {told[worst]:.4g};"
+        " run `station calibrate camera` with the lens as it is focused now, and give its file as --camera"
+    ]
 
 
 def known_to(solution: Solution) -> dict[str, float]:

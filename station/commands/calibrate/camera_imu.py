@@ -24,7 +24,7 @@ from station.calibration.target_file import read_target
 from station.commands.options import Json, check_out_file
 from station.commands.progress import Bar, working
 from station.datasets import Dataset, open_dataset
-from station.model.frames import ImuBatch
+from station.model.frames import ImageArray, ImuBatch
 
 REFUSED = 2  # exit code
 IMAGES_PER_S = 10.0  # more say little more of one motion
@@ -104,7 +104,7 @@ def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calib
     """The recording with the target found in its images; without an IMU they need not be looked at."""
     imu = data.imu or ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
     return HandheldRecording(
-        views=views_of(data, board, bar) if len(imu) else [],
+        views=views_of(data, board, lens, bar) if len(imu) else [],
         num_images=len(data.frame_times_ns),
         imu=imu,
         target=board,
@@ -115,16 +115,28 @@ def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calib
     )
 
 
-def views_of(data: Dataset, board: Target, bar: Bar) -> list[BoardView]:
+def views_of(data: Dataset, board: Target, lens: CameraCalibration, bar: Bar) -> list[BoardView]:
+    """Raises DataError where the images are not of the lens' size."""
     bar.step("looking for the target", len(data.frame_times_ns))
     assert data.read_frames is not None
     finder, views = make_finder(board), []
     for frame in data.read_frames():
-        view = view_board(finder, board, frame.grey(), frame.name, frame.t_robot_ns)
+        grey = frame.grey()
+        check_size(grey, lens, data)
+        view = view_board(finder, board, grey, frame.name, frame.t_robot_ns)
         bar.advance()
         if view is not None and view.ids_are_sure:
             views.append(view)
     return views
+
+
+def check_size(grey: ImageArray, lens: CameraCalibration, data: Dataset) -> None:
+    height, width = grey.shape
+    if (width, height) != (lens.width, lens.height):
+        raise DataError(
+            f"{data.path}: an image has {width}x{height} pixels, its lens was calibrated with {lens.width}x{lens.height};"
+            f" run `station calibrate camera` with images of {width}x{height} and give --camera"
+        )
 
 
 def lens_sigma(lens: CameraCalibration) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -115,6 +116,14 @@ def test_a_target_that_is_rarely_seen_is_refused() -> None:
 def test_a_short_recording_is_refused() -> None:
     session = short_session()
     assert_only_reason(calibrated(replace(session, views=session.views[:60]), num_images=60), "record 30 to 60 s")
+
+
+def test_a_lens_that_is_not_the_one_of_its_file_is_refused() -> None:
+    session = short_session()
+    other = msgspec.structs.replace(session.camera, fx=1.06 * session.camera.fx, fy=1.06 * session.camera.fy)
+    assert_only_reason(
+        calibrated(replace(session, camera=other)), r"f[xy] is 6.*, not 678.* run `station calibrate camera`"
+    )
 
 
 def test_corners_far_from_where_they_should_be_are_refused() -> None:

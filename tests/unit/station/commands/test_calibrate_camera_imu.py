@@ -5,15 +5,23 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from robot.simulation.calibration.conduct import Kind
 from robot.simulation.calibration.sessions import Session, record_session
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.calibration_yaml import read_calibration
+from shared.errors import DataError
 from shared.geometry import so3_log
+from station.commands.calibrate.camera_imu import views_of
+from station.commands.progress import working
+from station.datasets import Dataset
 from station.main import app
+from station.model.frames import ImageFrame
+from tests.support.calibration_sessions import TARGET
 
 SECONDS = 13.0
 
@@ -68,3 +76,19 @@ def test_a_lens_that_is_a_guess_is_an_error_that_says_what_to_run(
     code, printed = calibrate(folder, tmp_path / "calibration.yaml", "--camera", str(guess))
     assert code != 0
     assert "station calibrate camera" in printed
+
+
+def images_of(width: int, height: int, *more: bytes) -> Dataset:
+    """Of a grey wall, and more that are given as they are in their files."""
+    wall = cv2.imencode(".png", np.full((height, width), 128, np.uint8))[1].tobytes()
+    frames = [ImageFrame(i, 10**8 * i, 0, data, f"{i}.png") for i, data in enumerate((wall, *more))]
+    times = np.array([frame.t_robot_ns for frame in frames])
+    return Dataset(Path("waved"), "asl", REFERENCE_ROBOT, True, times, lambda: iter(frames))
+
+
+def test_images_of_another_size_than_the_lens_are_an_error_that_says_what_to_run() -> None:
+    with (
+        working("reading") as bar,
+        pytest.raises(DataError, match=r"has 320x240 pixels.* with 640x480; run `station calibrate camera`"),
+    ):
+        views_of(images_of(320, 240), TARGET, REFERENCE_CAMERA, bar)
