@@ -107,8 +107,8 @@ def poor_lens(solution: Solution) -> list[str]:
     if away[worst] <= SURELY:
         return []
     return [
-        f"the lens is another than its file says: {INTRINSIC_NAMES[worst]} is {found[worst]:.4g}, not {told[worst]:.4g};"
-        " run `station calibrate camera` with the lens as it is focused now, and give its file as --camera"
+        f"the lens is another than its file says: {INTRINSIC_NAMES[worst]} is {found[worst]:.4g}, not {told[worst]:.4g}"
+        "; run `station calibrate camera` with the lens as it is focused now, and give its file as --camera"
     ]
 
 

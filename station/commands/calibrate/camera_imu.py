@@ -103,8 +103,9 @@ def open_thinned(dataset: Path) -> Dataset:
 def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calibration, bar: Bar) -> HandheldRecording:
     """The recording with the target found in its images; without an IMU they need not be looked at."""
     imu = data.imu or ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    views, notes = views_of(data, board, lens, bar) if len(imu) else ([], [])
     return HandheldRecording(
-        views=views_of(data, board, lens, bar) if len(imu) else [],
+        views=views,
         num_images=len(data.frame_times_ns),
         imu=imu,
         target=board,
@@ -112,30 +113,40 @@ def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calib
         noise=known.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0),
         gravity=known.gravity,
         sigma_intrinsics=lens_sigma(lens),
+        notes=notes,
     )
 
 
-def views_of(data: Dataset, board: Target, lens: CameraCalibration, bar: Bar) -> list[BoardView]:
-    """Raises DataError where the images are not of the lens' size."""
+def views_of(data: Dataset, board: Target, lens: CameraCalibration, bar: Bar) -> tuple[list[BoardView], list[str]]:
+    """The views of the target, and what is to be said about images that cannot be read.
+
+    Raises:
+        DataError: the images are not of the lens' size.
+    """
     bar.step("looking for the target", len(data.frame_times_ns))
     assert data.read_frames is not None
-    finder, views = make_finder(board), []
+    finder, views, unreadable = make_finder(board), [], []
     for frame in data.read_frames():
-        grey = frame.grey()
+        bar.advance()
+        try:
+            grey = frame.grey()
+        except DataError as exc:
+            unreadable.append(str(exc))
+            continue
         check_size(grey, lens, data)
         view = view_board(finder, board, grey, frame.name, frame.t_robot_ns)
-        bar.advance()
         if view is not None and view.ids_are_sure:
             views.append(view)
-    return views
+    notes = [f"not used: {len(unreadable)} images cannot be read, the first: {unreadable[0]}"] if unreadable else []
+    return views, notes
 
 
 def check_size(grey: ImageArray, lens: CameraCalibration, data: Dataset) -> None:
     height, width = grey.shape
     if (width, height) != (lens.width, lens.height):
         raise DataError(
-            f"{data.path}: an image has {width}x{height} pixels, its lens was calibrated with {lens.width}x{lens.height};"
-            f" run `station calibrate camera` with images of {width}x{height} and give --camera"
+            f"{data.path}: an image has {width}x{height} pixels, its lens was calibrated with {lens.width}x{lens.height}"
+            f"; run `station calibrate camera` with images of {width}x{height} and give --camera"
         )
 
 
@@ -161,5 +172,6 @@ def summary(results: dict[str, Any], out: Path) -> str:
             f"left over    {results['rms_px']:.2f} px, {math.degrees(results['rms_gyro']):.2f} °/s,"
             f" {results['rms_accel']:.3f} m/s²",
         ]
+    lines += results["notes"]
     lines += [f"refused: {reason}" for reason in results["reasons"]]
     return "\n".join(lines if results["reasons"] else [*lines, f"written to {out}"])

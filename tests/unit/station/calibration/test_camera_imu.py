@@ -32,7 +32,15 @@ def short_session(
 
 def calibrated(session: Session, num_images: int = 115) -> CameraImuCalibration:
     recording = HandheldRecording(
-        session.views, num_images, session.imu, session.target, session.told(), session.noise, 9.81, SIGMA_INTRINSICS
+        views=session.views,
+        num_images=num_images,
+        imu=session.imu,
+        target=session.target,
+        camera=session.told(),
+        noise=session.noise,
+        gravity=9.81,
+        sigma_intrinsics=SIGMA_INTRINSICS,
+        notes=[],
     )
     return calibrate_camera_imu(recording, progress=lambda step: None)
 

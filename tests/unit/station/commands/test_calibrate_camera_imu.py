@@ -92,3 +92,11 @@ def test_images_of_another_size_than_the_lens_are_an_error_that_says_what_to_run
         pytest.raises(DataError, match=r"has 320x240 pixels.* with 640x480; run `station calibrate camera`"),
     ):
         views_of(images_of(320, 240), TARGET, REFERENCE_CAMERA, bar)
+
+
+def test_a_damaged_image_is_left_out_and_named() -> None:
+    with working("reading") as bar:
+        views, notes = views_of(images_of(640, 480, b"\xff\xd8 torn"), TARGET, REFERENCE_CAMERA, bar)
+    assert views == []
+    assert len(notes) == 1
+    assert "1 images cannot be read, the first: image 1.png" in notes[0]
