@@ -18,6 +18,7 @@ from shared.errors import DataError
 from shared.geometry import FloatArray
 from shared.sensor_yaml import CONSUMER_IMU, read_camera, read_imu_noise, read_yaml
 from station.calibration.boards import make_finder, view_board
+from station.calibration.camera_files import read_camchain
 from station.calibration.camera_imu.calibrate import HandheldRecording, calibrate_camera_imu
 from station.calibration.target import BoardView, Target
 from station.calibration.target_file import read_target
@@ -44,11 +45,15 @@ def camera_imu(
     out: Annotated[Path, typer.Option("--out", help="The calibration.yaml to write; nothing is written when refused.")],
     camera: Annotated[
         Path | None,
-        typer.Option("--camera", help="camera.yaml or calibration.yaml with its lens; by default the dataset's."),
+        typer.Option(
+            "--camera", help="camera.yaml, calibration.yaml or kalibr's camchain with its lens; default: the dataset's."
+        ),
     ] = None,
     imu: Annotated[
         Path | None,
-        typer.Option("--imu", help="sensor.yaml or calibration.yaml with the IMU's noise; by default the dataset's."),
+        typer.Option(
+            "--imu", help="imu.yaml (kalibr's too) or calibration.yaml with the IMU's noise; default: the dataset's."
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -80,14 +85,20 @@ def camera_imu(
 def told(own: Calibration, camera: Path | None, imu: Path | None) -> Calibration:
     """What is known beforehand: the dataset's own, or what files say instead."""
     if camera is not None:
-        content = read_yaml(camera)
-        lens = as_calibration(content, camera).camera if "camera" in content else read_camera(camera, content)
-        own = msgspec.structs.replace(own, camera=lens)
+        own = msgspec.structs.replace(own, camera=read_lens(camera))
     if imu is not None:
         content = read_yaml(imu)
         noise = as_calibration(content, imu).imu if "imu" in content else read_imu_noise(imu, content)
         own = msgspec.structs.replace(own, imu=noise)
     return own
+
+
+def read_lens(path: Path) -> CameraCalibration | None:
+    """Of a calibration.yaml, a camchain of kalibr's or a camera.yaml; None where the first has no camera."""
+    content = read_yaml(path)
+    if "camera" in content:
+        return as_calibration(content, path).camera
+    return read_camchain(path) if "cam0" in content else read_camera(path, content)
 
 
 def open_thinned(dataset: Path) -> Dataset:

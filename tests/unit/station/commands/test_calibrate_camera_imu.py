@@ -16,7 +16,7 @@ from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.calibration_yaml import read_calibration
 from shared.errors import DataError
 from shared.geometry import so3_log
-from station.commands.calibrate.camera_imu import views_of
+from station.commands.calibrate.camera_imu import told, views_of
 from station.commands.progress import working
 from station.datasets import Dataset
 from station.main import app
@@ -100,3 +100,29 @@ def test_a_damaged_image_is_left_out_and_named() -> None:
     assert views == []
     assert len(notes) == 1
     assert "1 images cannot be read, the first: image 1.png" in notes[0]
+
+
+CAMCHAIN = """cam0:
+  camera_model: pinhole
+  intrinsics: [500.0, 501.0, 320.0, 240.0]
+  distortion_model: radtan
+  distortion_coeffs: [-0.3, 0.1, 0.0, 0.0]
+  resolution: [640, 480]
+"""
+IMU_YAML = """accelerometer_noise_density: 0.01
+accelerometer_random_walk: 0.002
+gyroscope_noise_density: 0.0003
+gyroscope_random_walk: 0.00004
+update_rate: 250.0
+"""
+
+
+def test_the_lens_and_the_noise_may_be_files_of_kalibr(tmp_path: Path) -> None:
+    camchain, imu = tmp_path / "camchain.yaml", tmp_path / "imu.yaml"
+    camchain.write_text(CAMCHAIN)
+    imu.write_text(IMU_YAML)
+    known = told(REFERENCE_ROBOT, camchain, imu)
+    assert known.camera is not None
+    assert known.imu is not None
+    assert (known.camera.fx, known.camera.width, known.camera.distortion[0]) == (500.0, 640, -0.3)
+    assert (known.imu.gyro_density, known.imu.accel_walk, known.imu.rate_hz) == (0.0003, 0.002, 250.0)
