@@ -104,10 +104,10 @@ def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> Ca
     origin_ns = int(recording.imu.t_robot_ns[0])
     progress("poses of the target")
     poses = camera_poses(recording.views, recording.target, Lens(recording.camera), origin_ns)
-    reasons = verdict.poor_views(poses, recording.num_images)
+    samples = Samples.of(recording.imu, recording.noise, origin_ns)
+    reasons = verdict.poor_views(poses, recording.num_images) or verdict.poor_imu(poses, samples)
     if reasons:
         return CameraImuCalibration(reasons, None, notes)
-    samples = Samples.of(recording.imu, recording.noise, origin_ns)
     progress("time shift")
     try:
         match = match_turning(poses, samples.t_s, samples.gyro)

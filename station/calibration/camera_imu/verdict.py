@@ -18,6 +18,7 @@ from station.calibration.target import Target
 MIN_DURATION_S = 10.0
 MIN_VIEWS = 40
 MIN_SHARE_SEEN = 0.4  # of the images
+MAX_SILENCE_S = 0.5  # of the IMU: up to then the images show the motion
 MIN_RATE = 0.1  # rad/s RMS about the axis that it turned second most about
 MAX_UNEXPLAINED = 0.3  # of the turning's variance
 MIN_APART = 3.0  # by how much worse the second best time shift must be
@@ -43,6 +44,19 @@ def poor_views(poses: CameraPoses, num_images: int) -> list[str]:
             " the whole target in view"
         ]
     return []
+
+
+def poor_imu(poses: CameraPoses, samples: Samples) -> list[str]:
+    """Reasons against an IMU whose readings are interrupted while the target is in view."""
+    silent_s = np.diff(samples.t_s)
+    silent_s[(samples.t_s[1:] < poses.t_s[0]) | (samples.t_s[:-1] > poses.t_s[-1])] = 0.0
+    longest = int(silent_s.argmax())
+    if silent_s[longest] <= MAX_SILENCE_S:
+        return []
+    return [
+        f"the IMU fell silent for {silent_s[longest]:.1f} s at second {samples.t_s[longest]:.0f}: see to its cable and"
+        " to what else the robot computes, and record again"
+    ]
 
 
 def poor_motion(match: TurningMatch) -> list[str]:

@@ -45,15 +45,11 @@ def camera_imu(
     out: Annotated[Path, typer.Option("--out", help="The calibration.yaml to write; nothing is written when refused.")],
     camera: Annotated[
         Path | None,
-        typer.Option(
-            "--camera", help="camera.yaml, calibration.yaml or kalibr's camchain with its lens; default: the dataset's."
-        ),
+        typer.Option("--camera", help="camera.yaml, calibration.yaml or camchain of kalibr's; else the dataset's."),
     ] = None,
     imu: Annotated[
         Path | None,
-        typer.Option(
-            "--imu", help="imu.yaml (kalibr's too) or calibration.yaml with the IMU's noise; default: the dataset's."
-        ),
+        typer.Option("--imu", help="imu.yaml (kalibr's too) or calibration.yaml; else the dataset's."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -156,8 +152,8 @@ def check_size(grey: ImageArray, lens: CameraCalibration, data: Dataset) -> None
     height, width = grey.shape
     if (width, height) != (lens.width, lens.height):
         raise DataError(
-            f"{data.path}: an image has {width}x{height} pixels, its lens was calibrated with {lens.width}x{lens.height}"
-            f"; run `station calibrate camera` with images of {width}x{height} and give --camera"
+            f"{data.path}: an image has {width}x{height} pixels, the lens was calibrated with {lens.width}x"
+            f"{lens.height}; run `station calibrate camera` with images of {width}x{height} and give --camera"
         )
 
 

@@ -18,7 +18,7 @@ from station.calibration.camera_imu.calibrate import (
 from station.calibration.camera_imu.unknowns import MOUNT_POSITION, MOUNT_ROTATION
 from station.calibration.target import Target
 from station.model.frames import ImuBatch
-from tests.support.calibration_sessions import Session, Waving, make_session, without
+from tests.support.calibration_sessions import ORIGIN_NS, Session, Waving, make_session, without
 
 SMALL = Target("aprilgrid", columns=4, rows=4, square_m=0.036, gap_m=0.0108)
 SIGMA_INTRINSICS = np.array([2.0, 2.0, 2.0, 2.0, 0.01, 0.01, 1e-3, 1e-3])
@@ -87,6 +87,26 @@ def test_noise_is_measured_from_the_residuals(good: tuple[Session, CameraImuCali
 def test_images_without_the_target_are_bridged_by_the_imu() -> None:
     session = short_session(2)
     assert calibrated(without(session, 40, 60)).is_accepted
+
+
+def silent(session: Session, begin_s: float, seconds: float) -> Session:
+    """The IMU's readings of some seconds lost."""
+    imu, t_s = session.imu, 1e-9 * (session.imu.t_robot_ns - ORIGIN_NS)
+    kept = (t_s < begin_s) | (t_s > begin_s + seconds)
+    return replace(session, imu=ImuBatch(imu.t_robot_ns[kept], imu.gyro_imu[kept], imu.accel_imu[kept]))
+
+
+def test_a_tenth_of_a_second_without_the_imu_is_bridged(good: tuple[Session, CameraImuCalibration]) -> None:
+    session = good[0]
+    found = calibrated(silent(session, 6.02, 0.1))
+    assert found.reasons == []
+    assert found.solution is not None
+    T, true = found.solution.unknowns.camera.T_body_cam_matrix, session.camera.T_body_cam_matrix
+    assert np.degrees(np.linalg.norm(so3_log(T[:3, :3].T @ true[:3, :3]))) < 0.2
+
+
+def test_an_imu_that_fell_silent_for_long_is_the_reason() -> None:
+    assert_only_reason(calibrated(silent(short_session(), 6.0, 1.5)), r"fell silent for 1\.5 s at second 6")
 
 
 @pytest.mark.parametrize(
