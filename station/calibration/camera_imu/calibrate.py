@@ -20,7 +20,15 @@ from station.calibration.camera_imu.batch import (
     target_shape,
 )
 from station.calibration.camera_imu.rows import Corners, Samples
-from station.calibration.camera_imu.start import CameraPoses, TurningMatch, camera_poses, match_turning
+from station.calibration.camera_imu.start import (
+    MAX_SHIFT_S,
+    MAX_USED_S,
+    CameraPoses,
+    TurningMatch,
+    best_part,
+    camera_poses,
+    match_turning,
+)
 from station.calibration.camera_imu.unknowns import (
     DELAY,
     GRAVITY,
@@ -104,8 +112,16 @@ def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> Ca
     origin_ns = int(recording.imu.t_robot_ns[0])
     progress("poses of the target")
     poses = camera_poses(recording.views, recording.target, Lens(recording.camera), origin_ns)
+    reasons = verdict.poor_views(poses, recording.num_images)
+    if reasons:
+        return CameraImuCalibration(reasons, None, notes)
     samples = Samples.of(recording.imu, recording.noise, origin_ns)
-    reasons = verdict.poor_views(poses, recording.num_images) or verdict.poor_imu(poses, samples)
+    if np.ptp(poses.t_s) > MAX_USED_S:
+        poses = best_part(poses, samples.t_s, samples.gyro)
+        begin_s, end_s = poses.t_s[[0, -1]]
+        samples = samples.between(begin_s - 2 * MAX_SHIFT_S, end_s + 2 * MAX_SHIFT_S)
+        notes = [*notes, f"used: second {begin_s:.0f} to {end_s:.0f}, where it turned most; 60 s are enough"]
+    reasons = verdict.poor_imu(poses, samples)
     if reasons:
         return CameraImuCalibration(reasons, None, notes)
     progress("time shift")

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from shared.geometry import so3_log
+from station.calibration.camera_imu import calibrate, start
 from station.calibration.camera_imu.calibrate import (
     CameraImuCalibration,
     HandheldRecording,
     calibrate_camera_imu,
 )
+from station.calibration.camera_imu.start import MAX_USED_S, CameraPoses, best_part
 from station.calibration.camera_imu.unknowns import MOUNT_POSITION, MOUNT_ROTATION
-from station.calibration.target import Target
+from station.calibration.target import BoardView, Target
 from station.model.frames import ImuBatch
 from tests.support.calibration_sessions import ORIGIN_NS, Session, Waving, make_session, without
 
@@ -107,6 +109,32 @@ def test_a_tenth_of_a_second_without_the_imu_is_bridged(good: tuple[Session, Cam
 
 def test_an_imu_that_fell_silent_for_long_is_the_reason() -> None:
     assert_only_reason(calibrated(silent(short_session(), 6.0, 1.5)), r"fell silent for 1\.5 s at second 6")
+
+
+def test_of_a_long_recording_the_part_is_used_in_which_it_turned_about_all_axes() -> None:
+    t_s, t_imu_s = np.arange(0.0, 600.0, 0.1), np.arange(0.0, 600.0, 0.01)
+    gyro = np.random.default_rng(1).normal(0.0, 0.01, (len(t_imu_s), 3))
+    gyro[:20_000, 0] += 3.0 * np.sin(t_imu_s[:20_000])  # faster, but about one axis
+    lively = slice(30_000, 36_000)
+    gyro[lively] += np.sin(t_imu_s[lively, None] * [1.0, 1.3, 1.7])
+    views = [BoardView(f"{t:.1f}", int(1e9 * t), np.arange(4), np.zeros((4, 2))) for t in t_s]
+    poses = CameraPoses(t_s, np.tile(np.eye(4), (len(t_s), 1, 1)), np.zeros(len(t_s)), views)
+    used = best_part(poses, t_imu_s, gyro)
+    assert used.t_s[0] <= 301.0
+    assert used.t_s[-1] >= 359.0
+    assert np.ptp(used.t_s) <= MAX_USED_S
+    assert [view.name for view in used.views] == [f"{t:.1f}" for t in used.t_s]
+
+
+def test_a_recording_longer_than_is_used_says_which_part_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (calibrate, start):
+        monkeypatch.setattr(module, "MAX_USED_S", 10.5)
+    found = calibrated(short_session())
+    assert found.reasons == []
+    assert found.solution is not None
+    motion = found.solution.unknowns.motion
+    assert motion.end_s - motion.start_s < 11.0
+    assert re.search(r"used: second \d to 1\d", found.results()["notes"][0])
 
 
 @pytest.mark.parametrize(
