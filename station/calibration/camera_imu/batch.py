@@ -217,9 +217,17 @@ def linearise(problem: Problem, unknowns: Unknowns, corners: Corners) -> tuple[l
     seen = seen.weighted(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
     motion = unknowns.motion
     felt = inertial_rows(unknowns, problem.samples.between(motion.start_s, motion.end_s))
-    equations = normal_equations([seen, felt], motion.num_segments, unknowns.size)
+    unseen = inertial_rows(unknowns, problem.samples.interpolated(silent_times(unknowns, felt)))
+    equations = normal_equations([seen, felt, unseen], motion.num_segments, unknowns.size)
     add_priors(equations, problem, unknowns)
     return [seen, felt], equations
+
+
+def silent_times(unknowns: Unknowns, felt: Rows) -> FloatArray:
+    """(N,) s: the middles of the motion's segments that have no inertial sample: their knots may lack rows too."""
+    motion = unknowns.motion
+    silent = np.setdiff1d(np.arange(motion.num_segments), felt.segment)
+    return np.asarray(motion.start_s + motion.spacing_s * (silent + 0.5))
 
 
 def add_priors(equations: NormalEquations, problem: Problem, unknowns: Unknowns) -> None:
