@@ -74,8 +74,13 @@ class Driving:
         on_silence: Callable[[str], None],
         now_ns: Callable[[], int] = time.monotonic_ns,
         on_command: Callable[[str, float, float, int], None] = lambda *_: None,
+        must_stand: Callable[[], str] = lambda: "",
     ) -> None:
-        """`on_command` gets what was sent to the robot: driver, m/s, rad/s, ms to live."""
+        """`on_command` gets what was sent to the robot: driver, m/s, rad/s, ms to live.
+
+        `must_stand` says why the robot may not move, in a sentence; empty when it may.
+        """
+        self._must_stand = must_stand
         self._on_command = on_command
         self._link = link
         self._config = config
@@ -123,7 +128,8 @@ class Driving:
         """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
 
         Raises:
-            NoRobot, NotCapable, NotDriver, OutOfRange, Conflict (was stopped and holds on): in words for a person.
+            NoRobot, NotCapable, NotDriver, OutOfRange, Conflict (was stopped and holds on, or must stand): in words for
+                a person.
         """
         able = self._require_drive()
         _check("linear", linear, able.max_linear_m_s, "m/s")
@@ -131,6 +137,8 @@ class Driving:
         if not 1 <= ttl_ms <= MAX_TTL_MS:
             raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
         is_still = linear == 0.0 and angular == 0.0
+        if not is_still and (reason := self._must_stand()):
+            raise Conflict(reason)
         verdict = self._lease.command(_named(driver), is_still, self._now_ns(), ttl_ms * 1_000_000)
         self._require_wheel(verdict != "taken")
         if verdict == "stopped":

@@ -115,6 +115,7 @@ class RobotSession(IgnoringListener):
             on_driver=self._notify_driver,
             on_silence=lambda text: events.notify("drive", text, "warning"),
             on_command=self.current_navigation.on_command,
+            must_stand=lambda: self.must_stand,
         )
 
     async def run(self) -> None:
@@ -158,6 +159,13 @@ class RobotSession(IgnoringListener):
         if self.active_maps.first is None or self.driving.looks_ahead:
             return ""
         return "the camera looks aside; the place is looked for again when it looks straight ahead (pan 0, tilt 0)"
+
+    @property
+    def must_stand(self) -> str:
+        """Why the robot may not move, in a sentence; empty when it may."""
+        if self.guided_calibration.is_busy:
+            return "somebody holds a board before the robot to calibrate it; finish that, or give it up"
+        return ""
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
         """Point the camera head (rad). Raises as Driving.point, and Conflict while it must look straight ahead."""
@@ -235,12 +243,13 @@ class RobotSession(IgnoringListener):
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
 
     async def start_calibration(self, kind: SessionKind, board: Target | PrintedBoard) -> CalibrationSession:
-        """Look at a calibration board and record. Raises NoRobot, NotCapable, Conflict, DataError."""
+        """Look at a calibration board and record; the robot stands meanwhile. Raises NoRobot, NotCapable, Conflict, DataError."""
         state = self.link.state
         if not state.connected or state.hello is None:
             raise NoRobot("no robot is connected; there is nothing to calibrate")
         if self.current_navigation.is_busy:
             raise Conflict("a navigation is being recorded; stop it first")
+        self.driving.stop()
         return await self.guided_calibration.start(state.hello, kind, board)
 
     async def start_navigation(self, name: str) -> NavigationRecord:

@@ -41,3 +41,18 @@ async def test_a_camera_is_calibrated_on_a_phone_used_and_undone(browser: Browse
         await dialog.get_by_role("button", name="Undo").click()
         await expect(dialog.get_by_role("button", name="Use it")).to_be_visible()
         assert (await desk.http.get("/calibration")).json()["camera"]["intrinsics"][0] == TOLD.fx
+
+
+async def test_stop_can_be_pressed_on_a_phone_while_the_dialog_is_open(browser: Browser, tmp_path: Path) -> None:
+    async with before_a_board(tmp_path) as (desk, bench, _):
+        room = Room(desk, bench, Film(bench), browser)  # the film is not shown
+        page = await room.open(**PHONE)
+        await page.locator("#calibrate").click()
+        dialog = page.locator("#calibrate-dialog")
+        stop = dialog.get_by_role("button", name="STOP")
+        for step in ("Begin", "Give up"):
+            await expect(dialog.get_by_role("button", name=step)).to_be_visible()
+            await expect(stop).to_be_in_viewport(ratio=1)
+            await stop.tap()
+            await expect(dialog.locator(".stopping")).to_contain_text("Stopped")
+            await dialog.get_by_role("button", name=step).click()

@@ -8,8 +8,9 @@ import pytest
 
 from station.datasets import open_dataset
 from tests.support.board_bench import BUILT, HELD, TOLD, before_a_board
+from tests.support.link import until
 from tests.support.station import running_station
-from tests.support.station_at_work import is_problem, wait_for
+from tests.support.station_at_work import drive_off, is_problem, wait_for
 
 pytestmark = pytest.mark.timeout(600)
 ORDER = {"kind": "camera", "target": {"kind": "aprilgrid", "size": "A4"}}
@@ -65,6 +66,21 @@ async def test_one_view_is_refused_and_what_is_given_up_is_gone(tmp_path: Path) 
         wrong = {"kind": "camera", "target": {"kind": "chessboard", "columns": 7, "rows": 1, "square_m": 0.02}}
         assert is_problem(await http.post("/calibration/sessions", json=wrong), 422)
         assert (await http.post("/navigations")).status_code == 201
+
+
+async def test_the_robot_stands_while_a_board_is_held_before_it(tmp_path: Path) -> None:
+    async with before_a_board(tmp_path) as (desk, bench, _):
+        http = desk.http
+        forward = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}
+        await drive_off(bench, lambda: http.post("/drive", json=forward))
+        begun = await http.post("/calibration/sessions", json=ORDER)
+        assert begun.status_code == 201 and not desk.station.first.driving.is_moving
+        refused = await http.post("/drive", json=forward)
+        assert is_problem(refused, 409) and "board" in refused.json()["detail"]
+        await until(lambda: bench.motors.are_off)
+        assert (await http.post("/drive", json=forward | {"linear": 0.0})).status_code == 200
+        await http.delete(f"/calibration/sessions/{begun.json()['id']}")
+        await drive_off(bench, lambda: http.post("/drive", json=forward))
 
 
 async def test_the_board_is_printed_from_the_page(tmp_path: Path) -> None:

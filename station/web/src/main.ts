@@ -27,7 +27,7 @@ const library = new Library({
 const health = new HealthView(library);
 const log = new EventLog();
 const places = new PlaceView();
-const calibrate = new CalibrateDialog(video.canvas);
+const calibrate = new CalibrateDialog(video.canvas, (say) => drive.emergencyStop("STOP", say));
 const map = makeMap();
 
 /** Without WebGL everything but the 3D view works. */

@@ -35,7 +35,10 @@ export class CalibrateDialog {
   private step = "";
   private isWaiting = false; // for the station's answer to a button
 
-  constructor(private readonly video: HTMLCanvasElement) {
+  constructor(
+    private readonly video: HTMLCanvasElement,
+    private readonly stop: (say: (text: string) => void) => void,
+  ) {
     by("calibrate").addEventListener("click", () => attempt(() => this.open()));
     const followPicture = () => {
       if (this.dialog.open && this.session?.state === "looking") this.drawPicture();
@@ -78,7 +81,7 @@ export class CalibrateDialog {
     const step = this.session ? `${this.session.id} ${this.session.state}` : "start";
     if (step !== this.step) {
       this.step = step;
-      this.dialog.replaceChildren(make("h2", {}, "Calibrate the camera"), ...this.content());
+      this.dialog.replaceChildren(make("h2", {}, "Calibrate the camera"), ...this.content(), this.stopping());
     }
     if (this.session?.state === "looking") this.drawProgress(this.session);
   }
@@ -209,6 +212,18 @@ export class CalibrateDialog {
   private undoing(): HTMLElement | null {
     if (!this.told?.can_undo || document.body.dataset.role !== "admin") return null;
     return this.button("Undo", () => this.change(() => call("POST", "/calibration/undo")));
+  }
+
+  /** The page's own STOP cannot be pressed behind a dialog. */
+  private stopping(): HTMLElement {
+    const said = make("span", { class: "note", role: "status" });
+    const press = () => this.stop((text) => setText(said, text));
+    return make(
+      "div",
+      { class: "stopping" },
+      said,
+      make("button", { type: "button", class: "stop", onclick: press }, "STOP"),
+    );
   }
 
   private closing(): HTMLElement {

@@ -115,14 +115,15 @@ export class DriveControl {
     return true;
   }
 
-  private emergencyStop(reason: string): void {
+  /** `say` tells whoever pressed it what became of it. */
+  emergencyStop(reason: string, say = (text: string) => this.say(text)): void {
     this.hands.release();
     this.line?.send({ type: "stop", reason });
     // Also by itself, and not for watchers only: the socket may be dead, and neither end told yet.
-    this.say("STOP sent");
+    say("STOP sent");
     attempt(async () => {
       const { confirmed } = await call<StopModel>("POST", "/stop");
-      this.say(confirmed ? "Stopped" : "STOP sent, but the robot has not confirmed it yet");
+      say(confirmed ? "Stopped" : "STOP sent, but the robot has not confirmed it yet");
     });
   }
 

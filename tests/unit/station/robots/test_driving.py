@@ -153,3 +153,17 @@ def test_commands_out_of_range_are_refused_and_do_not_take_the_wheel(
     with pytest.raises(OutOfRange):
         desk.drive("anna", linear, angular, ttl_ms)
     assert desk.driver is None and link.told == []
+
+
+async def test_a_robot_that_must_stand_refuses_to_move_with_the_reason_and_may_be_stopped() -> None:
+    able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=True, battery=False, hijack=False)
+    link, reasons = Link(), ["a board is held before it"]
+    desk = Driving(link, DriveConfig(), lambda: able, lambda _: None, lambda _: None, must_stand=lambda: reasons[-1])
+    with pytest.raises(Conflict, match="a board is held before it"):
+        desk.drive("page", 0.1, 0.0, 200)
+    assert link.told == []
+    desk.drive("page", 0.0, 0.0, 200)
+    assert desk.stop("page") and link.told == [(0.0, 0.0, 200), "stop"]
+    reasons.append("")
+    desk.drive("page", 0.1, 0.0, 200)
+    assert link.told[-1] == (0.1, 0.0, 200)
