@@ -20,6 +20,7 @@ from scipy.stats import t as student
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, orthonormal, se3
+from station.calibration import CALIBRATE_CAMERA
 from station.calibration.boards import make_finder, view_board
 from station.calibration.target import Target
 from station.datasets.dataset import Dataset
@@ -108,8 +109,7 @@ def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None]
         raise DataError(f"{data.path} has no images; record the robot with its camera")
     if not camera.is_measured:
         raise DataError(
-            f"{data.path}: the lens is a guess; run `station calibrate camera`, give the robot its camera.yaml, "
-            "and record again"
+            f"{data.path}: the lens is a guess; {CALIBRATE_CAMERA}, give the robot its camera.yaml, and record again"
         )
     if not data.drive:
         raise DataError(f"{data.path} has no drive commands; record a drive of the robot itself")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from station.calibration import CALIBRATE_CAMERA
 from station.calibration.camera_imu.batch import Solution, TargetShape
 from station.calibration.camera_imu.rows import Samples
 from station.calibration.camera_imu.start import MAX_SHIFT_S, CameraPoses, TurningMatch
@@ -122,7 +123,7 @@ def poor_lens(solution: Solution) -> list[str]:
         return []
     return [
         f"the lens is another than its file says: {INTRINSIC_NAMES[worst]} is {found[worst]:.4g}, not {told[worst]:.4g}"
-        "; run `station calibrate camera` with the lens as it is focused now, and give its file as --camera"
+        f"; {CALIBRATE_CAMERA} with the lens as it is focused now, and give its file as --camera"
     ]
 
 

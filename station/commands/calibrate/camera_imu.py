@@ -17,6 +17,7 @@ from shared.disk import replacing
 from shared.errors import DataError
 from shared.geometry import FloatArray
 from shared.sensor_yaml import CONSUMER_IMU, read_camera, read_imu_noise, read_yaml
+from station.calibration import CALIBRATE_CAMERA
 from station.calibration.boards import make_finder, view_board
 from station.calibration.camera_files import read_camchain
 from station.calibration.camera_imu.calibrate import HandheldRecording, calibrate_camera_imu
@@ -67,7 +68,7 @@ def camera_imu(
             raise DataError(f"{dataset} holds no images with a camera.yaml; record the camera as well")
         if not lens.is_measured:
             where = camera or dataset
-            raise DataError(f"{where}: the lens is a guess; run `station calibrate camera` and give --camera")
+            raise DataError(f"{where}: the lens is a guess; {CALIBRATE_CAMERA} and give --camera")
         found = calibrate_camera_imu(recorded(data, board, lens, known, bar), bar.step)
     if found.is_accepted and found.solution is not None:
         measured = msgspec.structs.replace(known, camera=found.solution.unknowns.camera)
@@ -153,7 +154,7 @@ def check_size(grey: ImageArray, lens: CameraCalibration, data: Dataset) -> None
     if (width, height) != (lens.width, lens.height):
         raise DataError(
             f"{data.path}: an image has {width}x{height} pixels, the lens was calibrated with {lens.width}x"
-            f"{lens.height}; run `station calibrate camera` with images of {width}x{height} and give --camera"
+            f"{lens.height}; {CALIBRATE_CAMERA} with images of {width}x{height} and give --camera"
         )
 
 
