@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from shared.bounded import shown
@@ -30,6 +31,17 @@ def lens_yaml(size: tuple[int, int], intrinsics: list[float], model: str, distor
         f"distortion_model: {OUR_NAMES[model]}\n"
         f"distortion_coefficients: {_list(distortion)}\n"
     )
+
+
+def opencv_yaml(size: tuple[int, int], intrinsics: list[float], distortion: list[float]) -> str:
+    """A lens as OpenCV's calibration sample writes it: with k1 k2 p1 p2 and up to four more."""
+    fx, fy, cx, cy = intrinsics
+    storage = cv2.FileStorage(".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", size[0])
+    storage.write("image_height", size[1])
+    storage.write("camera_matrix", np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+    storage.write("distortion_coefficients", np.array([distortion]))
+    return storage.releaseAndGetString()
 
 
 def camchain_yaml(camera: CameraCalibration) -> str:
