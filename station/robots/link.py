@@ -354,6 +354,7 @@ class RobotLink:
                 station_name=self._station_name,
                 resume_session_id=hello.session_id if is_same_run else "",
                 next_imu_sequence=self._arrived.next_imu_sequence,
+                knows_calibration_changed=True,
             )
         )
 

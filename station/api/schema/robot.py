@@ -144,7 +144,7 @@ class StopModel(Model):
     """It was sent."""
 
     ok: Literal[True] = True
-    confirmed: bool = Field(description="the robot said that its motors took it; false: sent, not confirmed yet")
+    confirmed: bool = Field(description="the robot said that it has stopped; false: sent, not confirmed yet")
 
 
 class DriverModel(Model):

@@ -13,7 +13,7 @@ import yaml
 
 from robot.config import CalibrationConfig, RobotConfig
 from robot.own_calibration import FILE, OwnCalibration, calibration_folder, read_own
-from shared.calibration import REFERENCE_ROBOT, Calibration
+from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT, Calibration
 from shared.calibration_yaml import calibration_text
 from shared.errors import ConfigError, DataError
 from shared.geometry import se3, so3_exp
@@ -70,7 +70,7 @@ def test_without_a_folder_it_is_told_until_the_program_ends() -> None:
         (camera_with(cx=700.0), "outside the picture"),
         (msgspec.structs.replace(REFERENCE_ROBOT, rig="hand-held"), "rig is 'wheels'"),
         (
-            msgspec.structs.replace(REFERENCE_ROBOT, imu=msgspec.structs.replace(REFERENCE_ROBOT.imu, gyro_range=1.0)),
+            msgspec.structs.replace(REFERENCE_ROBOT, imu=msgspec.structs.replace(REFERENCE_IMU, gyro_range=1.0)),
             "ranges of the robot's IMU",
         ),
         (msgspec.structs.replace(REFERENCE_ROBOT, camera=None), "one camera, the calibration none"),
