@@ -96,7 +96,7 @@ def figures(solution: Solution) -> dict[str, Any]:
             "line_delay_s": float(solution.sigma(slice(DELAY, DELAY + 1))[0]),
             "gravity": solution.sigma(GRAVITY).tolist(),
         },
-        "rms_px": solution.fit.corner_px,
+        "rms_px": solution.rms_px,
         "rms_gyro": solution.fit.gyro,
         "rms_accel": solution.fit.accel,
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],

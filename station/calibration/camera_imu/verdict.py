@@ -23,7 +23,8 @@ MAX_SILENCE_S = 0.5  # of the IMU: up to then the images show the motion
 MIN_RATE = 0.1  # rad/s RMS about the axis that it turned second most about
 MAX_UNEXPLAINED = 0.3  # of the turning's variance
 MIN_APART = 3.0  # by how much worse the second best time shift must be
-MAX_CORNER_PX = 1.0  # of a sharp, well found corner it is 0.1 to 0.4
+MAX_CORNER_PX = 1.4  # RMS of distances, 1 px in each direction: of sharp, well found corners it is 0.15 to 0.6
+MAX_LEFT_OUT = 0.2  # of the corners, as of those of a camera's lens
 MAX_NOISE_RATIO = 6.0  # of IMU residuals to the noise that was told: data sheets are off by up to three times
 MAX_MOMENT = 3.0  # of the residuals' usual size, for half a second: of a rigid pair before a still target 1.5 to 1.8
 SURELY = 5.0  # sigmas
@@ -86,10 +87,15 @@ def poor_fit(solution: Solution, told: Samples) -> list[str]:
     reasons = []
     if not solution.has_converged:
         reasons.append("the estimate did not settle: record again, slower, with the target in view all the time")
-    if solution.fit.corner_px > MAX_CORNER_PX:
+    if solution.rms_px > MAX_CORNER_PX:
         reasons.append(
-            f"the corners lie {solution.fit.corner_px:.1f} px (RMS) beside where they should: focus the lens, calibrate"
+            f"the corners lie {solution.rms_px:.1f} px (RMS) beside where they should: focus the lens, calibrate"
             " the camera first, and use the target whose file was given"
+        )
+    if solution.left_out > MAX_LEFT_OUT:
+        reasons.append(
+            f"{100 * solution.left_out:.0f} % of the corners lie far beside where they should: take more light, cover"
+            " what mirrors in the target, and use the target whose file was given"
         )
     ratios = {
         "gyroscope": solution.fit.gyro / told.sigma_gyro,

@@ -186,6 +186,35 @@ def test_corners_far_from_where_they_should_be_are_refused() -> None:
     assert_only_reason(calibrated(short_session(corner_noise_px=1.5)), "focus the lens")
 
 
+def with_wrong_corners(session: Session, share: float) -> Session:
+    """Some corners 6 px beside where they were seen."""
+    rng = np.random.default_rng(4)
+    views = []
+    for view in session.views:
+        away = rng.normal(0.0, 1.0, view.corners_px.shape)
+        away *= 6.0 / np.linalg.norm(away, axis=1, keepdims=True)
+        is_wrong = rng.uniform(size=(len(away), 1)) < share
+        views.append(replace(view, corners_px=view.corners_px + is_wrong * away))
+    return replace(session, views=views)
+
+
+def test_what_is_left_over_is_the_length_of_the_residuals(good: tuple[Session, CameraImuCalibration]) -> None:
+    assert good[1].results()["rms_px"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.05)
+
+
+def test_a_few_wrong_corners_are_left_out() -> None:
+    found = calibrated(with_wrong_corners(short_session(), 0.05))
+    assert found.reasons == []
+    assert found.results()["rms_px"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.15)
+    assert found.solution is not None
+    assert found.solution.left_out == pytest.approx(0.05, abs=0.01)
+
+
+def test_many_wrong_corners_are_a_reason_against_it() -> None:
+    found = calibrated(with_wrong_corners(short_session(), 0.25))
+    assert any(re.search(r"2[3-7] % of the corners lie far", reason) for reason in found.reasons), found.reasons
+
+
 def assert_only_reason(found: CameraImuCalibration, pattern: str) -> None:
     assert not found.is_accepted
     assert len(found.reasons) == 1, found.reasons
