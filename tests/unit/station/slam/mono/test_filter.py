@@ -53,7 +53,7 @@ def test_start_that_fits_its_mirror_image_better_is_mended_by_the_pictures_that_
 
 
 def test_features_become_points_where_they_are_known_well_enough() -> None:
-    mono, truth, found, results = follow(2)
+    mono, truth, found, results = follow(2, seconds=3.0)
     state = mono.state
     assert 0 < state.is_inverse.sum() < len(state.ids)
     assert len(state.x) == 13 + 6 * state.is_inverse.sum() + 3 * (~state.is_inverse).sum()
