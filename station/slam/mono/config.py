@@ -13,8 +13,9 @@ class FilterConfig:
     sigma_angular_accel: float = 6.0  # rad/s^2, the same for turning (eq. 2.1)
     sigma_first_velocity: float = 1.0  # units/s, before the first image pair
     sigma_first_turn: float = 1.0  # rad/s
-    # R of eq. 2.6. Features are measured to about 1 px; the rest covers what straight lines for curves lose.
-    sigma_px: float = 1.4
+    sigma_px: float = 1.0  # R of eq. 2.6
+    # When the start is solved again: doubling, since what can be told from a path grows with its length.
+    start_frames: tuple[int, ...] = (10, 20, 40)
     first_inverse_depth: float = 0.3  # 1/units, of a new feature (C.2)
     sigma_first_inverse_depth: float = 0.3  # one of them reaches to infinity
     max_linearity: float = 0.1  # below, a feature becomes XYZ (Civera et al. 2008, eq. 28)

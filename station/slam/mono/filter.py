@@ -14,6 +14,7 @@ from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import FilterConfig
 from station.slam.mono.measurement import Predicted, predict
 from station.slam.mono.motion import first_camera
+from station.slam.mono.start import Start
 from station.slam.mono.state import State
 from station.vision.lens import BoolArray, Lens
 
@@ -69,6 +70,7 @@ class MonoFilter:
         self._tries: dict[int, IntArray] = {}  # by id: times looked for, times found, last frame found
         self._frame = 0
         self.next_id = first_id
+        self._start = Start(lens, config)
 
     def process(self, dt_s: float, finder: Finder) -> FrameResult:
         """Take one image in, dt_s after the one before."""
@@ -86,6 +88,7 @@ class MonoFilter:
         self.state, removed = self._prune(state)
         new_ids, new_uv = self._add(finder)
         ids, uv = np.concatenate([ids, new_ids]), np.concatenate([uv[agreed], new_uv])
+        self.state = self._start.take(dt_s, self.state, ids, uv)
         return FrameResult(ids, uv, len(agreed), int(tried.sum()), wanted, settled, removed)
 
     def _choose(self, state: State) -> tuple[Wanted, Predicted]:

@@ -15,9 +15,11 @@ from tests.support.synthetic_run import room_points
 SECONDS = 4.0
 
 
-def follow(seed: int, outliers: float = 0.0) -> tuple[MonoFilter, Trajectory, Trajectory, list[FrameResult]]:
+def follow(
+    seed: int, outliers: float = 0.0, seconds: float = SECONDS
+) -> tuple[MonoFilter, Trajectory, Trajectory, list[FrameResult]]:
     """The filter at the end of a sequence of points, the truth, what it found, and what each frame gave."""
-    calibration, path = hand_held_camera(), hand_held_path(seed, SECONDS)
+    calibration, path = hand_held_camera(), hand_held_path(seed, seconds)
     assert calibration.camera is not None
     lens = Lens(calibration.camera)
     finder = PointFinder(lens, room_points(path.T_world_body[:, :3, 3], seed), 1.0, seed, outliers)
@@ -44,8 +46,14 @@ def test_camera_among_points_is_followed_within_two_percent_also_where_some_meas
     )
 
 
+def test_start_that_fits_its_mirror_image_better_is_mended_by_the_pictures_that_follow() -> None:
+    _, truth, found, _ = follow(106, seconds=10.0)
+    error = absolute_trajectory_error(found, truth, "sim3")
+    assert np.degrees(error.rotation_rmse_rad) < 5.0 and error.rmse_m < 0.02 * path_length(truth)
+
+
 def test_features_become_points_where_they_are_known_well_enough() -> None:
-    mono, truth, found, results = follow(2)
+    mono, truth, found, results = follow(2, seconds=3.0)
     state = mono.state
     assert 0 < state.is_inverse.sum() < len(state.ids)
     assert len(state.x) == 13 + 6 * state.is_inverse.sum() + 3 * (~state.is_inverse).sum()
