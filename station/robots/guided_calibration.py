@@ -143,7 +143,11 @@ class GuidedCalibration(LinkListeners):
                 raise Conflict(f"this calibration is over ({session.state}); begin a new one")
             times = await self._worker.call(CalibrationProgram.taken)
             self._set(replace(session, state="estimating"))
-            await self._end()
+            try:
+                await self._end()
+            except Exception as exc:
+                self._set(replace(session, state="failed", message=f"the recording could not be closed: {exc}"))
+                raise
             return self.get(session_id), times
 
     async def give_up(self, session_id: str) -> None:
