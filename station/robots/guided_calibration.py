@@ -29,6 +29,8 @@ from station.workers.worker import Worker
 logger = logging.getLogger(__name__)
 
 LOOK_EVERY_S = 0.2
+LONGEST_S = 1800.0  # of one recording: a patient person needs minutes; a page that was closed ends nothing
+KEPT_FOLDERS = 5  # of the newest sessions, with their recordings
 OTHER_RUN = "the robot was started anew, or another one was connected, or its calibration was changed; begin again"
 SessionKind = Literal["camera"]
 SessionState = Literal["looking", "estimating", "done", "failed"]
@@ -73,6 +75,7 @@ class GuidedCalibration(LinkListeners):
         self._worker: Worker[CalibrationProgram, None] | None = None
         self._frames: Latest[CameraFrame] = Latest()
         self._looking: asyncio.Task[None] | None = None
+        self._ending: asyncio.Task[None] | None = None  # of what a failed session leaves
         self._changing = asyncio.Lock()
         self.session: CalibrationSession | None = None
 
@@ -128,7 +131,7 @@ class GuidedCalibration(LinkListeners):
             self.listeners = (self._recorder,)
         self._hello = hello
         self._set(session := CalibrationSession(session_id, kind, target, folder, told, hello.robot_id))
-        self._looking = asyncio.create_task(self._look_on(worker), name=f"calibration {session_id}")
+        self._looking = asyncio.create_task(self._look_and_watch(worker), name=f"calibration {session_id}")
         self._events.notify("calibration", "the camera is being calibrated; show it the board")
         return session
 
@@ -174,6 +177,8 @@ class GuidedCalibration(LinkListeners):
             self._set(change(self.session))
 
     async def close(self) -> None:
+        if self._ending is not None:
+            await asyncio.wait([self._ending])
         await self._end()
 
     # What the link delivers, beside the recorder
@@ -203,10 +208,29 @@ class GuidedCalibration(LinkListeners):
             self._set(replace(self.session, state="failed", message=why))
             self._events.notify("calibration", why, "error")
             self.listeners = ()
+            self._ending = asyncio.create_task(self._end_failed(), name="end of a failed calibration")
+
+    async def _end_failed(self) -> None:
+        async with self._changing:
+            if self.session is not None and self.session.state == "failed":
+                await self._end()
 
     def _set(self, session: CalibrationSession) -> None:
         self.session = session
         self._events.changed("calibration")
+
+    async def _look_and_watch(self, worker: Worker[CalibrationProgram, None]) -> None:
+        why, looking = "", asyncio.create_task(self._look_on(worker))
+        try:
+            async with asyncio.timeout(LONGEST_S):
+                while not looking.done() and not (why := "" if self._recorder is None else self._recorder.error):
+                    await asyncio.wait([looking], timeout=1.0)
+        except TimeoutError:
+            why = f"nobody finished it within {LONGEST_S / 60:.0f} minutes; begin again"
+        finally:
+            looking.cancel()
+        if why:
+            self._fail(why)
 
     async def _look_on(self, worker: Worker[CalibrationProgram, None]) -> None:
         """The newest picture, a few times a second."""
@@ -247,6 +271,9 @@ class GuidedCalibration(LinkListeners):
         folder = self._root / session_id
         try:
             make_folder(folder)
+            for old in sorted(self._root.glob("cal-*"))[:-KEPT_FOLDERS]:
+                if time.time() - old.stat().st_mtime > 2 * LONGEST_S:  # else perhaps another robot's, still in use
+                    shutil.rmtree(old, ignore_errors=True)
         except OSError as exc:
             raise DataError(f"{folder} cannot be made ({exc.strerror}); give a folder that can be written") from exc
         return session_id, folder
