@@ -48,9 +48,24 @@ def machines(results: dict[str, ResultFile]) -> list[str]:
 
 
 def table_rows(result: ResultFile) -> list[str]:
+    """A row for each figure; those of one thing (`thing: what`) that have no bound share one."""
     before, after = result.load
     end = f"`{result.command}` | {result.commit} | {result.date} | {before:g}, {after:g} |"
-    return [f"| {figure.what} | {value_with_unit(figure)} | {bound(figure)} | {end}" for figure in result.figures]
+    rows = []
+    for thing, group in itertools.groupby(result.figures, _thing_without_bound):
+        figures = list(group)
+        if thing and len(figures) > 1:
+            told = "; ".join(f"{figure.what.removeprefix(thing)} {value_with_unit(figure)}" for figure in figures)
+            rows.append(f"| {thing.strip(': ')} | {told} | – | {end}")
+        else:
+            rows += [f"| {figure.what} | {value_with_unit(figure)} | {bound(figure)} | {end}" for figure in figures]
+    return rows
+
+
+def _thing_without_bound(figure: Figure) -> str:
+    """What a figure without a bound is of, with the colon behind it; else nothing."""
+    thing, colon, _ = figure.what.partition(": ")
+    return thing + colon if colon and figure.at_least is None and figure.at_most is None else ""
 
 
 def value_with_unit(figure: Figure) -> str:

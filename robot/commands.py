@@ -192,6 +192,10 @@ class CommandDesk:
             self.lease.stop(None, now_ns)
         if self.watchdog is not None:
             self.watchdog.stop()
+            if self.watchdog.stop_fault:
+                reason = f"the motors do not answer STOP ({self.watchdog.stop_fault}); it is repeated until they do"
+                logger.error("%s", reason)
+                return notice("device", reason)
         return None
 
     def _point(self, client: int, message: PanTilt, now_ns: int) -> ErrorNotice | None:

@@ -22,6 +22,8 @@ KEPT_TRIPS = 50  # of a few bytes: some seconds
 # Messages under way that are remembered, of pictures and of others each. A link holds fewer; a station that confirms no
 # bytes leaves all of them under way.
 KEPT_UNDER_WAY = 2048
+# No way gets so much shorter from one message to the next: a clock stood still, as that of a computer that slept.
+CLOCK_STEP_NS = 100_000_000
 LEAST_SERVICE_NS = 1_000_000  # two event loops cannot tell less
 
 
@@ -55,7 +57,9 @@ class LinkMeter:
         self._frames: deque[_Sent] = deque(maxlen=KEPT_UNDER_WAY)  # the pictures under way
         self._others: deque[_Sent] = deque(maxlen=KEPT_UNDER_WAY)  # and what else is
         self._trips_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
-        self._delays_ns: deque[int] = deque(maxlen=KEPT_TRIPS)  # the way there, by two clocks
+        # The way there and the way back, by two clocks: each is off by what lies between them.
+        self._delays_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
+        self._returns_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
         self._sent = self._confirmed = 0
         self._served: deque[tuple[int, int]] = deque(maxlen=KEPT_FRAMES)  # bytes and time of the last pictures
         self._frame_confirmed_ns = 0
@@ -120,6 +124,9 @@ class LinkMeter:
         frames, others = _pop_confirmed(self._frames, num_bytes), _pop_confirmed(self._others, num_bytes)
         for sent in (*frames[-1:], *others[-1:]):
             self.has_heard_ns = max(sent.t_ns, self.has_heard_ns or sent.t_ns)
+        newest_ns = max((sent.t_ns for sent in (*frames[-1:], *others[-1:])), default=None)
+        if newest_ns is not None:
+            self._follow_clocks(read_ns - newest_ns, trip_end_ns - read_ns)
         for frame in frames:
             self._note_frame(frame, read_ns)
         if others and not (frames and frames[-1].end > others[-1].end):
@@ -129,6 +136,22 @@ class LinkMeter:
             if not newest.met_frame or not self._trips_ns or trip_ns < self.trip_ns:
                 self._trips_ns.append(trip_ns)
                 self._delays_ns.append(read_ns - newest.t_ns)
+                self._returns_ns.append(trip_end_ns - read_ns)
+
+    def _follow_clocks(self, there_ns: int, back_ns: int) -> None:
+        """Where a clock stood still, what was learnt of the delays is moved by as much.
+
+        While the station's did, the way there looks shorter; while ours did, the way back.
+        """
+        ways = ((there_ns, self._delays_ns), (back_ns, self._returns_ns))
+        if not any(known and way_ns < min(known) - CLOCK_STEP_NS for way_ns, known in ways):
+            return
+        step_ns = back_ns - _middle(self._returns_ns)
+        self._frame_confirmed_ns -= step_ns
+        for known, by_ns in ((self._delays_ns, -step_ns), (self._returns_ns, step_ns)):
+            moved = [way_ns + by_ns for way_ns in known]
+            known.clear()
+            known.extend(moved)
 
     def _note_frame(self, frame: _Sent, read_ns: int) -> None:
         # The middle delay: jitter belongs to it, or every picture would be blamed for it.

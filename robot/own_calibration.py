@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
 
-import numpy as np
+import msgspec
 
 from robot.config import RobotConfig
 from shared.calibration import Calibration, CameraCalibration
-from shared.calibration_yaml import calibration_text, read_calibration
-from shared.disk import make_folder, replacing
-from shared.errors import ConfigError
+from shared.calibration_yaml import calibration_text, read_calibration, read_previous
+from shared.disk import make_folder, replace_file
+from shared.errors import ConfigError, DataError
 from shared.messages import CalibrationOrigin
 
-FILE, PREVIOUS = "calibration.yaml", "calibration.previous.yaml"
+logger = logging.getLogger(__name__)
+
+FILE = "calibration.yaml"
 NOT_MEASURED = "another robot's numbers, for want of its own"
 CAME_WITH = "what its devices came with"
 FROM_FILE = f"its {FILE}"
 IN_MEMORY = "given by a station, until robot-server ends (set calibration.folder to keep it)"
 REMEDY = "set calibration.folder to a folder that robot-server may write"
-MAX_SKEW = 1e-3  # of a rotation's rows from unit length and right angles
-LONGEST_FOCAL = 20.0  # focal length over the picture's width: a view of 3 degrees
 
 
 def calibration_folder(kind: str, config: RobotConfig) -> Path | None:
@@ -39,7 +40,7 @@ def read_own(folder: Path | None) -> Calibration | None:
 
 
 class OwnCalibration:
-    """What the robot tells now, and the one before it. The folder's files are written whole or not at all."""
+    """What the robot tells now, and the one before it. One file keeps both, and is written whole or not at all."""
 
     def __init__(self, folder: Path | None, came_with: Calibration) -> None:
         """Raises DataError or ConfigError: the folder's calibration cannot be read or is not of this robot."""
@@ -50,9 +51,8 @@ class OwnCalibration:
         self.current = came_with
         if folder is not None and (own := read_own(folder)) is not None:
             self._check(own, f"{folder / FILE}: ")
-            self.current, self._is_given = own, True
-        if folder is not None and (folder / PREVIOUS).is_file():
-            self._previous = read_calibration(folder / PREVIOUS)
+            self.current, self._is_given = self._with_our_head(own), True
+            self._previous = self._read_previous(folder / FILE)
 
     @property
     def origin(self) -> CalibrationOrigin:
@@ -66,12 +66,14 @@ class OwnCalibration:
             ConfigError: it is not of this robot, or its folder cannot be written. Nothing has changed then.
         """
         self._check(calibration)
+        self._check_what_nobody_measures(calibration)
         self._replace(calibration)
 
     def undo(self) -> None:
         """Tell the one before it again; undone twice is done. Raises ConfigError as `use`, or where none is kept."""
         if self._previous is None:
             raise ConfigError("no earlier calibration is kept; there is nothing to undo")
+        self._check(self._previous)
         self._replace(self._previous)
 
     def _replace(self, calibration: Calibration) -> None:
@@ -79,7 +81,21 @@ class OwnCalibration:
         if self._folder is not None:
             # What is told is what the file says: a restart must not change it by a rounding.
             calibration = _stored(self._folder, before, calibration)
-        self.current, self._previous, self._is_given = calibration, before, True
+        self.current, self._previous, self._is_given = self._with_our_head(calibration), before, True
+
+    def _read_previous(self, path: Path) -> Calibration | None:
+        """None as well where it cannot be used: what is told now is whole, and a robot without undo still drives."""
+        try:
+            if (previous := read_previous(path)) is not None:
+                self._check(previous, f"{path}: ")
+        except (ConfigError, DataError) as exc:
+            logger.warning("the calibration before the present one cannot be used, so there is no undo: %s", exc)
+            return None
+        return None if previous is None else self._with_our_head(previous)
+
+    def _with_our_head(self, calibration: Calibration) -> Calibration:
+        """The head is as it was built: nobody measures it, the file leaves it out."""
+        return msgspec.structs.replace(calibration, head=self._came_with.head)
 
     @property
     def _source(self) -> str:
@@ -110,6 +126,17 @@ class OwnCalibration:
         if given.robot_kind != ours.robot_kind:
             raise ConfigError(f"{where}it is of a {given.robot_kind!r} robot, this one is {ours.robot_kind!r}")
 
+    def _check_what_nobody_measures(self, given: Calibration) -> None:
+        """Raises ConfigError: an order changes how the robot was built."""
+        if given.rig != self.current.rig:
+            raise ConfigError(f"the robot's rig is {self.current.rig!r}, no calibration makes it {given.rig!r}")
+        if _ranges(given) != _ranges(self.current):
+            raise ConfigError("the ranges of the robot's IMU are its settings; no calibration changes them")
+
+
+def _ranges(calibration: Calibration) -> tuple[float, float] | None:
+    return None if calibration.imu is None else (calibration.imu.gyro_range, calibration.imu.accel_range)
+
 
 def _check_camera(ours: CameraCalibration, given: CameraCalibration, where: str) -> None:
     size = (given.width, given.height)
@@ -118,23 +145,15 @@ def _check_camera(ours: CameraCalibration, given: CameraCalibration, where: str)
             f"{where}it is of pictures of {size[0]}x{size[1]}, the camera's have {ours.width}x{ours.height};"
             " calibrate at that size"
         )
-    R = given.T_body_cam_matrix[:3, :3]
-    if not (np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0):
-        raise ConfigError(f"{where}T_body_cam is no rigid motion: its rotation's rows are no right-handed unit axes")
-    if max(given.fx, given.fy) > LONGEST_FOCAL * given.width:
-        raise ConfigError(f"{where}focal length ({given.fx:g}, {given.fy:g}) px is longer than any lens gives")
     if not (0 <= given.cx < given.width and 0 <= given.cy < given.height):
         raise ConfigError(f"{where}the principal point ({given.cx:g}, {given.cy:g}) px is outside the picture")
 
 
 def _stored(folder: Path, before: Calibration, calibration: Calibration) -> Calibration:
-    """Write both; returns the new one as it will be read at the next start. Raises ConfigError."""
+    """Write both, at once; returns the new one as it will be read at the next start. Raises ConfigError."""
     try:
         make_folder(folder)
-        # In this order: wherever a power cut falls, the calibration in use is whole.
-        for name, content in ((PREVIOUS, before), (FILE, calibration)):
-            with replacing(folder / name) as file:
-                file.write(calibration_text(content).encode())
+        replace_file(folder / FILE, calibration_text(calibration, before).encode())
         return read_calibration(folder / FILE)
     except OSError as exc:
         raise ConfigError(f"the robot cannot write {folder / FILE} ({exc.strerror}); {REMEDY}") from exc

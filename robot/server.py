@@ -204,7 +204,8 @@ class RobotServer:
             return
         if isinstance(message, Heartbeat):
             t_robot_ns = self._devices.clock()
-            client.put(reply_to(message, t_robot_ns, t_robot_ns))
+            took_stop = self.watchdog is None or not self.watchdog.stop_fault
+            client.put(reply_to(message, t_robot_ns, t_robot_ns, took_stop=took_stop))
         if (refusal := self.desk.handle(client.id, message, client.read_ns)) is not None:
             client.put(refusal)
 
@@ -218,6 +219,9 @@ class RobotServer:
         client.put(notice("not_allowed", text, about=about))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
+        if self._is_recalibrating and not join.knows_calibration_changed:
+            client.end(Event.REFUSAL, Refusal(reason="the robot's calibration is just being written; connect again"))
+            return
         rank = _rank(client)
         if self._seats.is_full and (silent := self._silent_station(rank)) is not None:
             self._end(silent, "silent", "this station was silent, and another needs its place")
@@ -226,6 +230,7 @@ class RobotServer:
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
             return
         client.station_name = join.station_name
+        client.knows_calibration_changed = join.knows_calibration_changed
         client.put(Welcome(client_id=client.id))
         client.put(self._drive_report(self._applied()))
         client.put(self._status_for(client))
@@ -281,6 +286,11 @@ class RobotServer:
             return "another calibration is just being written; try again"
         if self.desk.lease.driver(self._now_ns()) is not None or not self._applied().is_zero:
             return "the robot is being driven; let go, then change its calibration"
+        if older := [c.station_name for c in self._clients.values() if c.is_joined and not c.knows_calibration_changed]:
+            return (
+                f"{', '.join(older)} runs an older release, which cannot be told of another calibration;"
+                " disconnect it, or install the robot's release there"
+            )
         return self.calibration.origin.fixed
 
     async def _change_calibration(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:

@@ -59,6 +59,7 @@ class StationClient:
         self.id = client_id
         self.caller = caller
         self.station_name = ""
+        self.knows_calibration_changed = False
         self.address = str((writer.get_extra_info("peername") or ("?",))[0])
         self.challenge = b""  # what this connection must answer; empty: no access control
         self.role: Role | None = None  # None: who it is is not known yet

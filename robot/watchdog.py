@@ -108,7 +108,8 @@ class MotorWatchdog:
         self._looked_ns = now_ns()
         self._told_commands = 0  # how many commands the motors have been told
         self.fault = ""  # why the motors do not obey, in a sentence
-        motors.stop()  # whatever ran here before may have left them running
+        self.stop_fault = ""  # why the motors did not take the last stop, in a sentence
+        self._stop_motors()  # whatever ran here before may have left them running
         self._thread = threading.Thread(target=self._run, name="motor-watchdog", daemon=True)
         self._thread.start()
 
@@ -133,7 +134,7 @@ class MotorWatchdog:
         A time, not a duration: this process may have been stopped since the caller looked at the clock.
         """
         if not self._thread.is_alive():
-            self._motors.stop()
+            self._stop_motors()
             return False
         with self._changed:
             accepted = self._guard.command(wish, until_ns, self._now_ns())
@@ -146,14 +147,17 @@ class MotorWatchdog:
             self._guard.stop()
             self._changed.notify()
         # The thread stops them as well, after anything it is telling them at this moment.
-        self._motors.stop()
+        self._stop_motors()
 
     def check(self) -> None:
-        """Stop the motors from the caller's thread when ours hangs in a driver. Call it regularly from elsewhere."""
+        """Stop the motors from the caller's thread when ours hangs in a driver, or when they took no stop.
+
+        Call it regularly from elsewhere.
+        """
         with self._changed:
             must_rest = self._guard.velocity(self._now_ns()).is_zero
-        if must_rest and not self._applied.is_zero:
-            self._motors.stop()
+        if must_rest and (self.stop_fault or not self._applied.is_zero):
+            self._stop_motors()
 
     def close(self) -> None:
         """Stop for good and end the thread. Safe to call twice."""
@@ -161,9 +165,12 @@ class MotorWatchdog:
             self._guard.close()
             self._closed = True
             self._changed.notify()
-        self._motors.stop()
+        self._stop_motors()
         self._thread.join(timeout=1.0)
-        self._motors.stop()
+        self._stop_motors()
+
+    def _stop_motors(self) -> None:
+        self.stop_fault = self._motors.stop()
 
     def _run(self) -> None:
         try:
@@ -173,7 +180,7 @@ class MotorWatchdog:
             logger.exception("motor watchdog")
             self.fault = f"the motors' watchdog failed ({type(exc).__name__}: {exc}); restart robot-server"
         finally:
-            self._motors.stop()
+            self._stop_motors()
             self._note(STANDSTILL)
 
     def _apply_once(self) -> None:
@@ -201,16 +208,17 @@ class MotorWatchdog:
     def _tell(self, velocity: Velocity, until_ns: int) -> None:
         try:
             if velocity.is_zero:
-                self._motors.stop()
+                self._stop_motors()
             else:
                 self._motors.drive(velocity.linear_m_s, velocity.angular_rad_s, until_ns)
+                self.stop_fault = ""  # whoever obeys has no stop before it
         except HardwareError as exc:
             if not self.fault:
                 logger.error("motors do not obey: %s", exc)
             self.fault = f"motors do not obey: {exc}"
             with self._changed:
                 self._guard.stop()
-            self._motors.stop()
+            self._stop_motors()
             velocity = STANDSTILL
         else:
             self.fault = ""

@@ -18,6 +18,15 @@ MAX_IMAGE_SIDE_PX = 8192
 Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_IMAGE_SIDE_PX)]
 MAX_SHIFT_S = 10.0  # between the clocks of one robot's sensors; more is a mistake of units
 MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
+# Beyond these no phone, fisheye or telescope goes: a number is in the wrong place or unit.
+FOCAL_SIDES = (0.05, 50.0)  # focal length over the picture's longer side
+MAX_PIXEL_ASPECT = 4.0  # fx over fy, or fy over fx
+MAX_DISTORTION = 1000.0
+MAX_LEVER_M = 10.0  # camera or head from the IMU
+MAX_SKEW = 1e-3  # of a rotation's rows from unit length and right angles
+MAX_NOISE = 10.0  # of a gyroscope's or accelerometer's densities and walks, SI units
+MAX_RATE_HZ = 1e5
+GRAVITIES = (1.0, 30.0)  # m/s^2, smaller than the Moon's, more than Jupiter's
 
 
 class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
@@ -47,18 +56,46 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
         if not all(math.isfinite(n) for n in numbers):
             raise ConfigError("camera calibration holds a number that is not finite")
         # Written so that NaN fails as well.
-        if not 1e-3 <= self.rate_hz <= 1e5:
-            raise ConfigError(f"rate_hz is {self.rate_hz:g}, must be 0.001 to 100000 images a second")
+        if not 1e-3 <= self.rate_hz <= MAX_RATE_HZ:
+            raise ConfigError(f"rate_hz is {self.rate_hz:g}, must be 0.001 to {MAX_RATE_HZ:.0f} images a second")
         if not abs(self.time_shift_s) <= MAX_SHIFT_S:
             raise ConfigError(f"time_shift_s is {self.time_shift_s:g}, must be within {MAX_SHIFT_S:g} s")
         if not abs(self.line_delay_s) <= MAX_LINE_DELAY_S:
             raise ConfigError(f"line_delay_s is {self.line_delay_s:g}, must be within {MAX_LINE_DELAY_S:g} s")
-        if self.fx <= 0 or self.fy <= 0:
-            raise ConfigError(f"focal length ({self.fx}, {self.fy}) px must be positive")
         if len(self.T_body_cam) != 16:
             raise ConfigError(f"T_body_cam has {len(self.T_body_cam)} numbers, needs 16 (row-major 4x4)")
         if len(self.distortion) != 4:
             raise ConfigError(f"distortion has {len(self.distortion)} numbers, needs 4")
+        self._check_lens()
+        self._check_mounting()
+
+    def _check_lens(self) -> None:
+        if self.fx <= 0 or self.fy <= 0:
+            raise ConfigError(f"focal length ({self.fx}, {self.fy}) px must be positive")
+        shortest, longest = (sides * max(self.width, self.height) for sides in FOCAL_SIDES)
+        if not (shortest <= self.fx <= longest and shortest <= self.fy <= longest):
+            raise ConfigError(
+                f"focal length ({self.fx:g}, {self.fy:g}) px is none that a lens gives pictures of"
+                f" {self.width}x{self.height}, which is {shortest:g} to {longest:g} px"
+            )
+        if max(self.fx / self.fy, self.fy / self.fx) > MAX_PIXEL_ASPECT:
+            raise ConfigError(f"focal lengths {self.fx:g} and {self.fy:g} px differ more than any sensor's pixels do")
+        if max(map(abs, self.distortion)) > MAX_DISTORTION:
+            raise ConfigError(f"distortion {self.distortion} is no lens's, whose numbers are within {MAX_DISTORTION:g}")
+
+    def _check_mounting(self) -> None:
+        T = self.T_body_cam_matrix
+        R = T[:3, :3]
+        is_rotation = np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0
+        if not is_rotation or self.T_body_cam[12:] != (0, 0, 0, 1):
+            raise ConfigError(
+                "T_body_cam is no rigid motion: its rotation's rows must be right-handed unit axes,"
+                " its last row 0, 0, 0, 1"
+            )
+        if np.linalg.norm(T[:3, 3]) > MAX_LEVER_M:
+            raise ConfigError(
+                f"T_body_cam puts the camera further than {MAX_LEVER_M:g} m from the IMU; it is in metres"
+            )
 
     @property
     def middle_row_shift_s(self) -> float:
@@ -95,6 +132,8 @@ class HeadCalibration(msgspec.Struct, frozen=True, kw_only=True):
         numbers = (self.max_pan, self.max_tilt, self.speed, self.sigma)
         if not all(map(math.isfinite, self.pivot_body)) or not all(0 < n < math.inf for n in numbers):
             raise ConfigError("the head's calibration holds a number that is not positive and finite")
+        if math.hypot(*self.pivot_body) > MAX_LEVER_M:
+            raise ConfigError(f"the head's pivot is further than {MAX_LEVER_M:g} m from the IMU; it is in metres")
         if not 0 <= self.lag_s <= MAX_SHIFT_S:
             raise ConfigError(f"the head's lag_s is {self.lag_s:g}, must be within 0 to {MAX_SHIFT_S:g} s")
 
@@ -111,9 +150,13 @@ class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
     accel_range: float = math.inf  # m/s^2
 
     def __post_init__(self) -> None:
-        numbers = (self.gyro_density, self.accel_density, self.gyro_walk, self.accel_walk, self.rate_hz)
-        if not all(map(math.isfinite, numbers)) or math.isnan(self.gyro_range) or math.isnan(self.accel_range):
-            raise ConfigError("the IMU's noise holds a number that is not finite")
+        for name in ("gyro_density", "accel_density", "gyro_walk", "accel_walk"):
+            if not 0 <= getattr(self, name) <= MAX_NOISE:
+                raise ConfigError(f"the IMU's {name} is {getattr(self, name):g}, must be 0 to {MAX_NOISE:g} (SI units)")
+        if not 0 < self.rate_hz <= MAX_RATE_HZ:
+            raise ConfigError(f"the IMU's rate_hz is {self.rate_hz:g}, must be over 0, up to {MAX_RATE_HZ:.0f}")
+        if not (self.gyro_range > 0 and self.accel_range > 0):
+            raise ConfigError(f"the IMU's ranges ({self.gyro_range:g}, {self.accel_range:g}) must be over 0")
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,8 +171,9 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     head: HeadCalibration | None = None  # None: the camera is fixed to the body
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.gravity):
-            raise ConfigError(f"gravity is {self.gravity:g}, must be finite")
+        lightest, heaviest = GRAVITIES
+        if not lightest <= self.gravity <= heaviest:
+            raise ConfigError(f"gravity is {self.gravity:g}, must be {lightest:g} to {heaviest:g} m/s^2")
 
     @property
     def has_wheels(self) -> bool:

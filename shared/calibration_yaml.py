@@ -17,10 +17,18 @@ from shared.sensor_yaml import number, read_camera, read_imu_noise, read_rig, re
 
 IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
+PREVIOUS = "previous"  # the section of the calibration before: one file, so that both change at once or not at all
 
 
-def calibration_text(calibration: Calibration) -> str:
-    """The file's content; every number is read back as it is."""
+def calibration_text(calibration: Calibration, previous: Calibration | None = None) -> str:
+    """The file's content; every number is read back as it is, and `previous` by `read_previous`."""
+    content = _content(calibration)
+    if previous is not None:
+        content[PREVIOUS] = _content(previous)
+    return HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+
+
+def _content(calibration: Calibration) -> dict[str, Any]:
     content: dict[str, Any] = {
         "robot_kind": calibration.robot_kind,
         "rig": calibration.rig,
@@ -30,7 +38,7 @@ def calibration_text(calibration: Calibration) -> str:
         content["camera"] = camera_content(calibration.camera)
     if calibration.imu is not None:
         content["imu"] = _imu_content(calibration.imu)
-    return HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+    return content
 
 
 def camera_content(camera: CameraCalibration) -> dict[str, Any]:
@@ -70,16 +78,18 @@ def imu_text(imu: ImuNoise) -> str:
 
 def read_imu(path: Path) -> ImuNoise:
     """An `imu.yaml` of ours or kalibr's. Raises DataError, which names the file and the key."""
-    content = read_yaml(path)
-    try:
-        return read_imu_noise(path, content)
-    except ConfigError as exc:
-        raise DataError(f"{path}: {exc}") from exc
+    return read_imu_noise(path, read_yaml(path))
 
 
 def read_calibration(path: Path) -> Calibration:
     """A robot's `calibration.yaml`. Raises DataError, which names the file and the key."""
     return as_calibration(read_yaml(path), path)
+
+
+def read_previous(path: Path) -> Calibration | None:
+    """The calibration before the one in a robot's `calibration.yaml`; None: it keeps none. Raises DataError."""
+    section = _section(read_yaml(path), PREVIOUS, path)
+    return None if section is None else as_calibration(section, path)
 
 
 def as_calibration(content: dict[str, Any], path: Path) -> Calibration:

@@ -126,13 +126,14 @@ class Paired(_Message, frozen=True, kw_only=True, tag="paired"):
         return "Paired()"  # the token is for nobody's log
 
 
-class Join(_Message, frozen=True, kw_only=True, tag="join"):
+class Join(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="join"):
     """Station's first message. It may continue the IMU stream where an earlier connection ended."""
 
     protocol: Count
     station_name: Name
     resume_session_id: Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)] = ""
     next_imu_sequence: NextSequence = -1  # the first sample not yet received; -1: from now on
+    knows_calibration_changed: bool = False  # False: an older station, whose connection that message would end
 
 
 class Welcome(_Message, frozen=True, kw_only=True, tag="welcome"):
@@ -157,13 +158,14 @@ class Heartbeat(_Message, frozen=True, kw_only=True, tag="heartbeat"):
     t_station_ns: Time
 
 
-class HeartbeatReply(_Message, frozen=True, kw_only=True, tag="heartbeat_reply"):
+class HeartbeatReply(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="heartbeat_reply"):
     """Answer to one heartbeat, with the robot's clock at its arrival and at the answer's departure."""
 
     seq: Count
     t_station_ns: Time  # as received
     t_robot_received_ns: Time
     t_robot_sent_ns: Time
+    took_stop: bool = True  # False: the motors have not taken the last stop, so that this confirms none
 
 
 class Received(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="received"):

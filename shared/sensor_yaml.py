@@ -179,15 +179,18 @@ def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
         value = number(content, key, default, path)
         return value if value > 0 else default
 
-    return ImuNoise(
-        gyro_density=density("gyroscope_noise_density", CONSUMER_IMU["gyro_density"]),
-        accel_density=density("accelerometer_noise_density", CONSUMER_IMU["accel_density"]),
-        gyro_walk=density("gyroscope_random_walk", CONSUMER_IMU["gyro_walk"]),
-        accel_walk=density("accelerometer_random_walk", CONSUMER_IMU["accel_walk"]),
-        rate_hz=density("rate_hz", density("update_rate", 200.0)),
-        gyro_range=density("gyroscope_range", np.inf),
-        accel_range=density("accelerometer_range", np.inf),
-    )
+    try:
+        return ImuNoise(
+            gyro_density=density("gyroscope_noise_density", CONSUMER_IMU["gyro_density"]),
+            accel_density=density("accelerometer_noise_density", CONSUMER_IMU["accel_density"]),
+            gyro_walk=density("gyroscope_random_walk", CONSUMER_IMU["gyro_walk"]),
+            accel_walk=density("accelerometer_random_walk", CONSUMER_IMU["accel_walk"]),
+            rate_hz=density("rate_hz", density("update_rate", 200.0)),
+            gyro_range=density("gyroscope_range", np.inf),
+            accel_range=density("accelerometer_range", np.inf),
+        )
+    except ConfigError as exc:
+        raise DataError(f"{path}: {exc}") from exc
 
 
 def read_intrinsics_text(path: Path) -> FloatArray:

@@ -226,11 +226,12 @@ def event_of(message: Message) -> Event:
     return _EVENT_OF.get(type(message), Event.MESSAGE)
 
 
-def reply_to(heartbeat: Heartbeat, received_ns: int, sent_ns: int) -> HeartbeatReply:
+def reply_to(heartbeat: Heartbeat, received_ns: int, sent_ns: int, *, took_stop: bool = True) -> HeartbeatReply:
     """The robot's answer to a heartbeat, both times on the robot's clock."""
     return HeartbeatReply(
         seq=heartbeat.seq,
         t_station_ns=heartbeat.t_station_ns,
         t_robot_received_ns=received_ns,
         t_robot_sent_ns=sent_ns,
+        took_stop=took_stop,
     )

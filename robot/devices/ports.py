@@ -73,7 +73,9 @@ class Motors(Protocol):
         The time goes along as far as the motors: a command that was held up on its way moves nothing after its end.
         """
 
-    def stop(self) -> None: ...
+    def stop(self) -> str:
+        """Returns why it did not reach the motors, in a sentence; empty: they took it."""
+        ...
 
     def close(self) -> None: ...
 

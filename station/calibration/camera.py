@@ -12,7 +12,7 @@ import numpy as np
 from shared.geometry import FloatArray
 from station.calibration.boards import homography
 from station.calibration.bundle import Corners, Fit, covariance, fit_camera, fit_poses, refit, residuals, stack_views
-from station.calibration.distortion import COUNT, LENS_NAMES, LensName
+from station.calibration.distortion import LENS_NAMES, ROBOT_LENSES, LensName
 from station.calibration.target import BoardView, Target
 
 LEAST_VIEWS = 6
@@ -138,9 +138,8 @@ def fits_better(trials: Sequence[LensTrial]) -> bool:
 
 
 def best_lens(trials: Sequence[LensTrial]) -> LensTrial:
-    """The one with the fewest numbers among those that foretell images they have not seen as well as any."""
-    least = min(trial.validation_px for trial in trials)
-    return min((t for t in trials if t.validation_px < 1.05 * least), key=lambda t: (COUNT[t.lens], t.validation_px))
+    """The one that foretells images it has not seen best, among those that the robot reads."""
+    return min((t for t in trials if t.lens in ROBOT_LENSES), key=lambda t: t.validation_px)
 
 
 def try_lens(target: Target, views: Sequence[BoardView], lens: LensName, size: tuple[int, int]) -> LensTrial:

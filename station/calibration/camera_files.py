@@ -1,4 +1,4 @@
-"""Calibration files: our `camera.yaml`, and kalibr's camchain and IMU files, read and written.
+"""Calibration files of a camera: our `camera.yaml`, written, and kalibr's camchain, written and read.
 
 Source: kalibr's wiki, "YAML formats". kalibr's T_cam_imu maps the IMU's coordinates to the camera's, and its
 timeshift_cam_imu is ours: t_imu = t_cam + shift.
@@ -9,10 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from shared.bounded import shown
-from shared.calibration import CameraCalibration, ImuNoise
+from shared.calibration import CameraCalibration
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
 from shared.sensor_yaml import DISTORTION_MODELS, number, numbers, read_yaml
@@ -32,21 +33,15 @@ def lens_yaml(size: tuple[int, int], intrinsics: list[float], model: str, distor
     )
 
 
-def camera_yaml(camera: CameraCalibration) -> str:
-    """A whole camera, mounted and timed."""
-    lens = lens_yaml(
-        (camera.width, camera.height),
-        [camera.fx, camera.fy, camera.cx, camera.cy],
-        camera.model,
-        list(camera.distortion),
-    )
-    return (
-        f"{lens}"
-        f"T_BS:\n  cols: 4\n  rows: 4\n  data: {_list(list(camera.T_body_cam))}    # camera to body (IMU)\n"
-        f"time_shift_s: {camera.time_shift_s!r}    # t_imu = t_cam + time_shift_s\n"
-        f"line_delay_s: {camera.line_delay_s!r}    # row v is exposed line_delay_s * v after row 0\n"
-        f"rate_hz: {camera.rate_hz!r}\n"
-    )
+def opencv_yaml(size: tuple[int, int], intrinsics: list[float], distortion: list[float]) -> str:
+    """A lens as OpenCV's calibration sample writes it: with k1 k2 p1 p2 and up to four more."""
+    fx, fy, cx, cy = intrinsics
+    storage = cv2.FileStorage(".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", size[0])
+    storage.write("image_height", size[1])
+    storage.write("camera_matrix", np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+    storage.write("distortion_coefficients", np.array([distortion]))
+    return storage.releaseAndGetString()
 
 
 def camchain_yaml(camera: CameraCalibration) -> str:
@@ -106,40 +101,6 @@ def read_camchain(path: Path) -> CameraCalibration:
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc
-
-
-def imu_yaml(noise: ImuNoise) -> str:
-    """kalibr's imu.yaml."""
-    return (
-        f"accelerometer_noise_density: {noise.accel_density!r}    # m/s^2/sqrt(Hz)\n"
-        f"accelerometer_random_walk: {noise.accel_walk!r}    # m/s^3/sqrt(Hz)\n"
-        f"gyroscope_noise_density: {noise.gyro_density!r}    # rad/s/sqrt(Hz)\n"
-        f"gyroscope_random_walk: {noise.gyro_walk!r}    # rad/s^2/sqrt(Hz)\n"
-        f"update_rate: {noise.rate_hz!r}    # Hz\n"
-        "rostopic: /imu0\n"
-    )
-
-
-def read_imu(path: Path) -> ImuNoise:
-    """An imu.yaml of kalibr's, as it stands or under `imu0`. Raises DataError naming file, key and remedy."""
-    content = read_yaml(path)
-    inner = content.get("imu0")
-    if isinstance(inner, dict):
-        content = inner
-
-    def positive(key: str) -> float:
-        value = number(content, key, 0.0, path)
-        if not value > 0.0:
-            raise DataError(f"{path}: {key} must be over 0, is {shown(content.get(key))}")
-        return value
-
-    return ImuNoise(
-        gyro_density=positive("gyroscope_noise_density"),
-        accel_density=positive("accelerometer_noise_density"),
-        gyro_walk=positive("gyroscope_random_walk"),
-        accel_walk=positive("accelerometer_random_walk"),
-        rate_hz=positive("update_rate"),
-    )
 
 
 def _rigid(content: dict[str, Any], key: str, path: Path) -> FloatArray:

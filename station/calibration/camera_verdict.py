@@ -8,6 +8,7 @@ import numpy as np
 
 from shared.geometry import FloatArray
 from station.calibration.camera import GRID, CameraFit, best_lens, covered_cells
+from station.calibration.distortion import ROBOT_LENSES
 
 MAX_FOCAL_SIGMA = 0.01  # of the focal length: 3 % spoil a map, and that is three sigmas
 MAX_CENTRE_SIGMA = 0.015  # of the image's width
@@ -18,6 +19,7 @@ LEAST_SPAN = 0.08  # of the image's diagonal: the board in the median view
 MAX_BEND = 0.01  # of its length
 MAX_GAP_ERROR = 0.03
 MAX_RMS = 1.5e-3  # of the image's width: 1 px of 640
+HIGHER_NAMES = ("k3", "k4", "k5", "k6")  # of radtan5 and radtan8; the others may well be zero
 MAX_LEFT_OUT = 0.2  # of the corners
 
 
@@ -92,6 +94,13 @@ def _model(found: CameraFit) -> Iterator[str]:
             f"the lens model {fit.lens} does not fit: {found.rms_px:.2f} px are left, and "
             f"{100 * (1 - fit.is_inlier.mean()):.0f} % of the corners are farther off; {remedy}"
         )
+    unsure = [
+        name
+        for name, value, sigma in zip(found.names, fit.numbers, found.sigma, strict=True)
+        if name in HIGHER_NAMES and fit.lens not in ROBOT_LENSES and not sigma < abs(value)
+    ]
+    if unsure:
+        yield f"the images do not tell {', '.join(unsure)} of the lens model {fit.lens}; take --model radtan"
     if not focal_sigma < MAX_FOCAL_SIGMA:
         yield (
             f"the focal length is known to {min(100 * focal_sigma, 999.0):.1f} % only; "

@@ -7,6 +7,7 @@ motors' lag then shows in how the yaw rate follows the command.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,6 +20,7 @@ from scipy.stats import t as student
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, orthonormal, se3
+from station.calibration import CALIBRATE_CAMERA
 from station.calibration.boards import make_finder, view_board
 from station.calibration.target import Target
 from station.datasets.dataset import Dataset
@@ -32,12 +34,20 @@ POSE_TOLERANCE_PX = 2.0
 LEAST_VIEWS = 3  # of the board in a rest
 LEAST_MOVES = 3  # of each sort: fewer cannot contradict each other
 LEAST_WAY_M, LEAST_TURN_RAD = 0.1, 0.5  # of one move that is worth comparing
-FLOOR = 5e-4  # relative error that no scatter shows: of the printed board, of the gyroscope's scale
+# Relative errors that all moves share, so that no scatter shows them. The way goes with the focal length, which a
+# calibration file gives without its sigma: `station calibrate camera` accepts up to 1 %, half of it is assumed. It goes
+# with the board's scale as well: a ruler tells 0.3 mm of the page's 100. The turn goes with the gyroscope's scale:
+# the MPU-6050's data sheet allows 3 %, taken for three sigmas; nothing here measures it.
+FOCAL_SIGMA, BOARD_SIGMA, GYRO_SIGMA = 0.005, 0.003, 0.01
+WAY_SIGMA = math.hypot(FOCAL_SIGMA, BOARD_SIGMA)
 MAX_SCATTER = 0.05  # between single moves; wheels that slip that much are stopped by something
-MAX_SIGMA = 0.02  # relative: floors differ by more
+MAX_SIGMA = 0.0225  # relative, of it 0.02 by scatter: floors differ by more
 MIN_TURN_SAMPLES = 20
+MAX_IMU_GAP_S = 0.05  # a turn that is longer without samples may have changed meanwhile
 LAG_RANGE_S = (0.005, 0.5)
 PERCENT_3_SIGMA = 0.99865  # of a normal distribution is below three sigmas
+IMU_MISSING = "Samples of the IMU are missing"
+RECORD_AGAIN = "see that nothing else keeps the robot busy, and record again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,21 +103,31 @@ class Wheels:
 def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None] = lambda: None) -> Wheels:
     """Measure a robot's wheels. Raises DataError where the dataset lacks a sensor altogether."""
     camera = data.calibration.camera
-    if data.imu is None:
+    if data.imu is None or not len(data.imu):
         raise DataError(f"{data.path} has no IMU samples; record the robot with its IMU")
     if camera is None or data.read_frames is None:
         raise DataError(f"{data.path} has no images; record the robot with its camera")
+    if not camera.is_measured:
+        raise DataError(
+            f"{data.path}: the lens is a guess; {CALIBRATE_CAMERA}, give the robot its camera.yaml, and record again"
+        )
     if not data.drive:
         raise DataError(f"{data.path} has no drive commands; record a drive of the robot itself")
-    rests = find_rests(data.drive, int(data.imu.t_robot_ns[-1]))
-    if len(rests) < 2:
+    t_ns = data.imu.t_robot_ns
+    stops = find_rests(data.drive, int(t_ns[-1]))
+    if len(stops) < 2:
         return Wheels(None, None, None, None, (), ("The robot never stands still: pause two seconds between moves.",))
-    poses = _board_poses(data.read_frames(), camera, target, rests, on_frame)
-    moves = _moves(data.drive, data.imu, rests, poses)
-    speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive])
-    turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if m.is_turn])
-    lag, lag_sigma = (None, None) if turn is None else _fit_lag(data.drive, data.imu, rests, turn.value)
-    return Wheels(speed, turn, lag, lag_sigma, moves, tuple(_reasons(moves, poses, speed, turn)))
+    rests = _felt(stops, t_ns)
+    if len(rests) < 2:
+        return Wheels(None, None, None, None, (), (f"{IMU_MISSING} almost everywhere: {RECORD_AGAIN}.",))
+    poses = board_poses(data.read_frames(), camera, target, rests, on_frame)
+    yaw_rate = _yaw_rates(data.imu, rests)
+    moves = _moves(data.drive, t_ns, yaw_rate, rests, poses)
+    speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive], WAY_SIGMA)
+    turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if m.is_turn], GYRO_SIGMA)
+    lag, lag_sigma = (None, None) if turn is None else _fit_lag(data.drive, t_ns, yaw_rate, moves, turn.value)
+    lost = len(stops) - 1 - len(moves)
+    return Wheels(speed, turn, lag, lag_sigma, moves, tuple(_reasons(moves, lost, poses, speed, turn)))
 
 
 # --- rests and moves --------------------------------------------------------------------------------------------------
@@ -130,14 +150,19 @@ def find_rests(drive: Sequence[DriveSample], end_ns: int) -> list[tuple[int, int
 
 
 def _moves(
-    drive: Sequence[DriveSample], imu: ImuBatch, rests: list[tuple[int, int]], poses: list[FloatArray | None]
+    drive: Sequence[DriveSample],
+    imu_t_ns: IntArray,
+    yaw_rate: FloatArray,
+    rests: list[tuple[int, int]],
+    poses: list[FloatArray | None],
 ) -> tuple[Move, ...]:
-    """What happened between each rest and the next."""
+    """What happened between each rest and the next; not where the IMU was silent meanwhile."""
     t_ns = np.array([d.t_robot_ns for d in drive])
     commands = np.array([[d.linear_m_s, d.angular_rad_s] for d in drive])
-    yaw_rate = _yaw_rates(imu, rests)
     found = []
     for k, ((_, begin), (end, _)) in enumerate(pairwise(rests)):
+        if _has_gap(imu_t_ns, begin, end):
+            continue
         held = slice(np.searchsorted(t_ns, begin), np.searchsorted(t_ns, end))
         until = np.append(t_ns[held][1:], min(end, t_ns[held.stop] if held.stop < len(t_ns) else end))
         total = (commands[held] * ((until - t_ns[held]) * 1e-9)[:, None]).sum(axis=0)
@@ -151,10 +176,22 @@ def _moves(
                 float(largest[0]),
                 float(largest[1]),
                 _forward(poses[k], poses[k + 1]),
-                _integral(imu.t_robot_ns, yaw_rate, begin, end),
+                _integral(imu_t_ns, yaw_rate, begin, end),
             )
         )
     return tuple(found)
+
+
+def _felt(rests: list[tuple[int, int]], t_ns: IntArray) -> list[tuple[int, int]]:
+    """The rests of which the IMU's samples, at times (N,) ns, tell its biases; from its first sample on."""
+    begun = [(max(begin, int(t_ns[0])), end) for begin, end in rests]
+    return [(begin, end) for begin, end in begun if end - begin > MIN_REST_S * 1e9 and not _has_gap(t_ns, begin, end)]
+
+
+def _has_gap(t_ns: IntArray, begin: int, end: int) -> bool:
+    """Whether samples at times (N,) ns leave more than MAX_IMU_GAP_S of a span open, at its ends or within."""
+    inside = t_ns[slice(*np.searchsorted(t_ns, (begin, end)))]
+    return bool(np.diff(inside, prepend=begin, append=end).max() > MAX_IMU_GAP_S * 1e9)
 
 
 def _yaw_rates(imu: ImuBatch, rests: list[tuple[int, int]]) -> FloatArray:
@@ -183,7 +220,7 @@ def _forward(before: FloatArray | None, after: FloatArray | None) -> float | Non
 # --- where the robot stands in front of the board ---------------------------------------------------------------------
 
 
-def _board_poses(
+def board_poses(
     frames: Iterator[ImageFrame],
     camera: CameraCalibration,
     target: Target,
@@ -201,8 +238,12 @@ def _board_poses(
         rest = int(np.searchsorted(begins, t_ns)) - 1
         if rest < 0 or t_ns > rests[rest][1]:
             continue  # it may be moving
-        view = view_board(finder, target, frame.grey(), frame.name, frame.t_robot_ns)
-        if view is None:
+        try:
+            grey = frame.grey()
+        except DataError:
+            continue  # damaged on its way
+        view = view_board(finder, target, grey, frame.name, frame.t_robot_ns)
+        if view is None or not view.ids_are_sure:
             continue
         found = solve_pose(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
         if found is not None:
@@ -219,8 +260,12 @@ def _middle(poses: list[FloatArray]) -> FloatArray:
 # --- factors and lag --------------------------------------------------------------------------------------------------
 
 
-def fit_factor(pairs: list[tuple[float, float]]) -> Factor | None:
-    """Achieved over commanded, from pairs (commanded, achieved); None of fewer than LEAST_MOVES."""
+def fit_factor(pairs: list[tuple[float, float]], shared_sigma: float) -> Factor | None:
+    """Achieved over commanded, from pairs (commanded, achieved); None of fewer than LEAST_MOVES.
+
+    Args:
+        shared_sigma: relative, of what makes all of the achieved ones too long or too short alike.
+    """
     if len(pairs) < LEAST_MOVES:
         return None
     commanded, achieved = np.array(pairs).T
@@ -228,30 +273,31 @@ def fit_factor(pairs: list[tuple[float, float]]) -> Factor | None:
     ratio = achieved / commanded
     value = float(weight @ ratio)
     scatter = float(np.sqrt(weight @ (ratio - value) ** 2 * len(pairs) / (len(pairs) - 1)) / abs(value))
-    return Factor(value, _sigma_of_mean(scatter, len(pairs)) * abs(value), scatter, len(pairs))
+    return Factor(
+        value, float(np.hypot(_sigma_of_mean(scatter, len(pairs)), shared_sigma)) * abs(value), scatter, len(pairs)
+    )
 
 
 def _sigma_of_mean(scatter: float, count: int) -> float:
     """Of a mean, from the scatter of few values: Student's quantile in place of three sigmas."""
     few = student.ppf(PERCENT_3_SIGMA, count - 1) / 3.0
-    return float(np.hypot(few * scatter / np.sqrt(count), FLOOR))
+    return float(few * scatter / np.sqrt(count))
 
 
 def _fit_lag(
-    drive: Sequence[DriveSample], imu: ImuBatch, rests: list[tuple[int, int]], factor: float
+    drive: Sequence[DriveSample], imu_t_ns: IntArray, yaw_rate: FloatArray, moves: Sequence[Move], factor: float
 ) -> tuple[float, float] | tuple[None, None]:
     """How late the motors answer, s, and its sigma: from each turn by itself."""
-    yaw_rate = _yaw_rates(imu, rests)
     t_ns = np.array([d.t_robot_ns for d in drive])
     turning = np.array([d.angular_rad_s for d in drive])
-    commanded = factor * turning[np.maximum(np.searchsorted(t_ns, imu.t_robot_ns, side="right") - 1, 0)]
-    commanded[imu.t_robot_ns < t_ns[0]] = 0.0
+    commanded = factor * turning[np.maximum(np.searchsorted(t_ns, imu_t_ns, side="right") - 1, 0)]
+    commanded[imu_t_ns < t_ns[0]] = 0.0
     lags = []
-    for (_, begin), (end, _) in pairwise(rests):
-        part = slice(np.searchsorted(imu.t_robot_ns, begin), np.searchsorted(imu.t_robot_ns, end))
+    for move in moves:
+        part = slice(*np.searchsorted(imu_t_ns, (move.begin_ns, move.end_ns)))
         if part.stop - part.start < MIN_TURN_SAMPLES or not commanded[part].any():
             continue
-        period_s = float(np.diff(imu.t_robot_ns[part]).mean()) * 1e-9
+        period_s = float(np.diff(imu_t_ns[part]).mean()) * 1e-9
         lags.append(_lag_of_turn(commanded[part], yaw_rate[part], period_s))
     if len(lags) < LEAST_MOVES:
         return None, None
@@ -282,10 +328,12 @@ def late(commanded: FloatArray, lag_s: float, period_s: float) -> FloatArray:
 
 
 def _reasons(
-    moves: tuple[Move, ...], poses: list[FloatArray | None], speed: Factor | None, turn: Factor | None
+    moves: tuple[Move, ...], lost: int, poses: list[FloatArray | None], speed: Factor | None, turn: Factor | None
 ) -> list[str]:
     """What speaks against using it, each with what to do."""
     reasons = []
+    if lost and (speed is None or turn is None):
+        reasons.append(f"{IMU_MISSING} in {lost} of {lost + len(moves)} moves: {RECORD_AGAIN}.")
     if sum(m.is_drive for m in moves) < LEAST_MOVES:
         reasons.append("There are hardly any straight drives: drive to and fro before the board at several speeds.")
     elif speed is None:
@@ -297,14 +345,18 @@ def _reasons(
     if turn is None:
         reasons.append("There are hardly any turns: turn on the spot, twice to each side, with a pause after each.")
     for name, factor in (("straight drives", speed), ("turns", turn)):
-        if factor is not None and factor.scatter > MAX_SCATTER:
+        if factor is None:
+            continue
+        if not np.isfinite([factor.value, factor.sigma]).all():
+            reasons.append(f"The {name} cannot be compared with their commands: record them again.")
+        elif not factor.scatter <= MAX_SCATTER:
             reasons.append(
                 f"The {name} differ by {100 * factor.scatter:.0f} %: free the robot's way, and drive on one even floor."
             )
-        elif factor is not None and factor.sigma > MAX_SIGMA * abs(factor.value):
+        elif not factor.sigma <= MAX_SIGMA * abs(factor.value):
             reasons.append(
                 f"The {name} tell only to {100 * factor.sigma / abs(factor.value):.1f} %: make more and longer ones."
             )
-        if factor is not None and factor.value <= 0:
+        if factor.value <= 0:
             reasons.append(f"The {name} go the wrong way round: check the motors' wiring (`pi.invert_left`).")
     return reasons

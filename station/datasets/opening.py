@@ -28,6 +28,7 @@ def open_dataset(
     step: int = 1,
     *,
     needs_camera: bool = True,
+    needs_upright: bool = True,
 ) -> Dataset:
     """Open a recorded navigation: ASL/EuRoC folder, folder of images, video file or MCAP recording.
 
@@ -37,11 +38,13 @@ def open_dataset(
             for a folder of images (`frame-000398.color.jpg` is 398), the position from 0 otherwise.
         step: use every step-th of these frames. Inertial samples are cut to the range, never thinned.
         needs_camera: False: images whose camera no file describes are opened too, without a camera calibration.
+        needs_upright: False: a rig on wheels may lie on its side, as when its IMU is calibrated.
     Raises:
         DataError: the path, or a file in it, cannot be used; says which and what to do.
     """
     data = _open(Path(path), first, last, step, needs_camera)
-    _check_axes(data)
+    if needs_upright:
+        _check_axes(data)
     return data
 
 

@@ -306,7 +306,8 @@ class RobotLink:
                 self._clock.add_reply(message, now_ns)
                 if self._clock.rtt_ns is not None:
                     self._delays.add_round_trip(self._clock.rtt_ns)
-                self.commands.receive_beat(message.seq)
+                if message.took_stop:
+                    self.commands.receive_beat(message.seq)
             case Status():
                 self._status = message
                 self._listener.on_status(message)
@@ -353,6 +354,7 @@ class RobotLink:
                 station_name=self._station_name,
                 resume_session_id=hello.session_id if is_same_run else "",
                 next_imu_sequence=self._arrived.next_imu_sequence,
+                knows_calibration_changed=True,
             )
         )
 

@@ -94,6 +94,16 @@ def test_a_person_reads_a_short_clear_result(images: Path, tmp_path: Path) -> No
     assert "12 of 12 images used" in result.stdout and "fx" in result.stdout
 
 
+def test_a_lens_model_that_the_images_do_not_tell_is_refused(images: Path, tmp_path: Path) -> None:
+    out = tmp_path / "camera.yaml"
+    options = ("--target", images / "target.yaml", "--out", out, "--model", "radtan8")
+    found = report(run(images / "good", *options, "--json"))
+    assert any("take --model radtan" in reason for reason in found["reasons"])
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(DataError, match="kalibr has no lens model radtan8"):
+        run(images / "good", *options, "--kalibr", tmp_path / "chain.yaml")
+
+
 def dark(image: Image) -> Image:
     return image // 30
 

@@ -7,13 +7,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from robot.simulation.calibration.conduct import Kind
 from robot.simulation.calibration.sessions import record_session
 from shared.calibration_yaml import read_imu
 from station.datasets import open_dataset
+from tests.support.inertial_noise import EDGES, FACES, turned
 from tests.support.paths import RECORDINGS, ROOT
+from tests.support.recordings import record_samples
 
 
 def calibrate_imu(*options: str | Path) -> subprocess.CompletedProcess[str]:
@@ -65,6 +68,30 @@ def test_a_poor_recording_is_refused_and_nothing_is_written(
     report = json.loads(done.stdout.splitlines()[-1])
     assert not report["accepted"] and report["used"] is None and remedy in report["reasons"][0]
     assert not (tmp_path / "imu.yaml").exists()
+
+
+def test_a_recording_of_a_robot_on_all_its_sides_tells_its_accelerometers_errors(tmp_path: Path) -> None:
+    """Made by the recorder, of a robot on wheels, which stood on its nose for the longest time."""
+    unit = turned(7, np.vstack([FACES, EDGES]))
+    report = record_samples(tmp_path / "sides.mcap", unit.imu.gyro_imu, unit.imu.accel_imu, 10_000_000)
+    assert not report.error
+    done = calibrate_imu(tmp_path / "sides.mcap", "--out", tmp_path / "imu.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])["accelerometer"]
+    for figure, true in (("scale", unit.scale), ("misalignment", unit.angles), ("bias", unit.bias)):
+        assert (np.abs(np.array(found[figure]) - true) < 3.0 * np.array(found["sigma"][figure])).all()
+    assert max(found["sigma"]["scale"]) < 3e-3 and found["rests"] == 12
+    assert "accelerometer misalignment" in done.stderr and (tmp_path / "imu.yaml").is_file()
+
+
+def test_images_of_a_camera_that_no_file_describes_do_not_matter(tmp_path: Path) -> None:
+    record_session(Kind.IMU, tmp_path / "rest", 3, poor="too-short")
+    (tmp_path / "rest/mav0/cam0").mkdir(exist_ok=True)
+    (tmp_path / "rest/mav0/cam0/sensor.yaml").unlink(missing_ok=True)
+    (tmp_path / "rest/mav0/cam0/data.csv").write_text("#timestamp [ns],filename\n1000,1000.jpg\n")
+    done = calibrate_imu(tmp_path / "rest", "--out", tmp_path / "imu.yaml", "--json")
+    assert done.returncode == 2, done.stderr  # for its length
+    assert "record 30 minutes" in json.loads(done.stdout.splitlines()[-1])["reasons"][0]
 
 
 def test_a_recording_without_an_imu_is_refused_in_a_sentence(tmp_path: Path) -> None:

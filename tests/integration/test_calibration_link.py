@@ -13,6 +13,8 @@ import yaml
 from robot.own_calibration import OwnCalibration
 from shared.access import Role
 from shared.calibration import REFERENCE_ROBOT, Calibration
+from shared.framing import MAX_STATION_PAYLOAD, encode_payload
+from shared.messages import PROTOCOL_VERSION, Join, encode_message
 from station.calibration.target import Target
 from station.datasets import open_dataset
 from station.robots.guided_calibration import CalibrationSession
@@ -93,6 +95,8 @@ async def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(tmp
         refusals = {
             "outside the picture": {"camera": {"intrinsics": [1000.0, 1000.0, 900.0, 240.0]}},
             "1280x720": {"camera": {"resolution": [1280, 720]}},
+            "give the distortion too": {"camera": {"model": "equidistant"}},
+            "no rigid motion": {"camera": {"T_body_cam": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [9, 9, 9, 9]]}},
             "within 10 s": {"camera": {"time_shift_s": 60.0}},
             "at least one number": {},
         }
@@ -152,6 +156,21 @@ async def test_a_robot_whose_folder_cannot_be_written_says_so(tmp_path: Path) ->
         bench.server.calibration = OwnCalibration(tmp_path / "file" / "own", REFERENCE_ROBOT)
         answer = await desk.http.post("/calibration/use", json=LENS)
         assert is_problem(answer, 409) and "set calibration.folder" in answer.json()["detail"]
+
+
+async def test_while_an_older_station_is_there_that_could_not_be_told_the_calibration_stays(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        older = encode_payload(encode_message(Join(protocol=PROTOCOL_VERSION, station_name="old")), MAX_STATION_PAYLOAD)
+        _, writer = await asyncio.open_connection("127.0.0.1", bench.port)
+        try:
+            writer.write(older)
+            await until(lambda: (status := desk.station.first.state.status) is not None and status.stations == 2)
+            answer = await desk.http.post("/calibration/use", json=LENS)
+            assert is_problem(answer, 409) and "old runs an older release" in answer.json()["detail"]
+        finally:
+            writer.close()
+        while (await desk.http.post("/calibration/use", json=LENS)).status_code != 200:
+            await asyncio.sleep(0.05)
 
 
 async def test_a_navigation_keeps_the_calibration_it_was_made_with(tmp_path: Path) -> None:

@@ -87,6 +87,16 @@ async def proxied(bench: Bench) -> AsyncIterator[Proxy]:
         await proxy.cut()
 
 
+async def test_a_stop_is_confirmed_only_when_the_motors_took_it(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        await until_confirmed(desk)
+        bench.motors.stop_fault = "the Mega is not connected"
+        assert (await desk.http.post("/stop")).json()["confirmed"] is False
+        await until(lambda: "do not answer STOP (the Mega is not connected)" in str(desk.station.first.link.state))
+        bench.motors.stop_fault = ""
+        await until(lambda: not desk.station.first.link.commands.awaits_stop)
+
+
 async def until_confirmed(desk: Desk) -> None:
     while not (await desk.http.post("/stop")).json()["confirmed"]:
         await asyncio.sleep(0.05)

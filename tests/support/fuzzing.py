@@ -81,6 +81,8 @@ class CountingGuard:
         self.commands += 1
         return True
 
+    stop_fault = ""
+
     def stop(self) -> None: ...
 
 

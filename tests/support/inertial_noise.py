@@ -63,3 +63,53 @@ def resting(
     omega = np.stack([axis(rng, count, rate_hz, gyro) for _ in range(3)], axis=1)
     force = np.stack([axis(rng, count, rate_hz, accel) for _ in range(3)], axis=1)
     return ImuBatch(t_ns, omega + 0.02 * rng.standard_normal(3), force + UP + 0.1 * rng.standard_normal(3))
+
+
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+EDGES = np.array([(1, 1, 0), (-1, 1, 0), (1, 0, 1), (-1, 0, 1), (0, 1, 1), (0, -1, 1)]) / np.sqrt(2.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turned:
+    """A unit that was laid on its different sides, and what its accelerometer really is."""
+
+    imu: ImuBatch
+    scale: FloatArray  # (3,) force = T @ (scale * (reading - bias))
+    angles: FloatArray  # (3,) rad; above T's diagonal are -angles[0], angles[1], -angles[2]
+    bias: FloatArray  # (3,) m/s^2, amid the rests
+
+
+def turned(
+    seed: int,
+    directions: FloatArray,
+    first_s: float = 90.0,
+    rest_s: float = 10.0,
+    rate_hz: float = 100.0,
+    accel: TrueNoise = ACCEL,
+) -> Turned:
+    """First at rest for the noise, then on each side; up is some 5 degrees from `directions` (n, 3) of the sensor."""
+    rng = np.random.default_rng([seed, 21])
+    moving_s = 3.0
+    lasting = np.array([first_s, *[rest_s] * (len(directions) - 1)])
+    begin = np.cumsum(lasting + moving_s) - lasting
+    count = int((begin[-1] + lasting[-1]) * rate_hz)
+    t = np.arange(count) / rate_hz
+    up = directions + rng.normal(0.0, np.radians(5.0), directions.shape)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    lies = np.searchsorted(begin, t, side="right") - 1  # -1 while it is carried there
+    is_carried = (lies < 0) | (t > (begin + lasting)[lies])
+    force = 9.81 * up[lies]
+    force[is_carried] += rng.normal(0.0, 2.0, (int(is_carried.sum()), 3))
+    omega = np.where(is_carried[:, None], rng.normal(0.0, 1.0, (count, 3)), 0.0)
+
+    scale = 1.0 + rng.normal(0.0, 0.02, 3)
+    yx, zx, zy = angles = rng.normal(0.0, 0.01, 3)
+    T = np.array([[1.0, -yx, zx], [0.0, 1.0, -zy], [0.0, 0.0, 1.0]])
+    drift = np.stack([axis(rng, count, rate_hz, TrueNoise(0.0, accel.walk)) for _ in range(3)], axis=1)
+    white = np.stack([axis(rng, count, rate_hz, TrueNoise(accel.density, 0.0)) for _ in range(3)], axis=1)
+    bias = rng.normal(0.0, 0.3, 3)
+    reading = np.linalg.solve(T, force.T).T / scale + bias + drift + white
+    omega += np.stack([axis(rng, count, rate_hz, GYRO) for _ in range(3)], axis=1) + 0.02 * rng.standard_normal(3)
+    amid = int(np.median(begin + 0.5 * lasting) * rate_hz)
+    t_ns = np.round(t * 1e9).astype(np.int64)
+    return Turned(ImuBatch(t_ns, omega, reading), scale, angles, bias + drift[amid])

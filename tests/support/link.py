@@ -96,6 +96,7 @@ class FakeMotors:
 
     def __init__(self) -> None:
         self.history: list[tuple[int, float, float]] = []
+        self.stop_fault = ""  # why a stop does not reach them
 
     @property
     def are_off(self) -> bool:
@@ -105,8 +106,9 @@ class FakeMotors:
         if time.monotonic_ns() < until_ns:
             self.history.append((time.monotonic_ns(), linear_m_s, angular_rad_s))
 
-    def stop(self) -> None:
+    def stop(self) -> str:
         self.history.append((time.monotonic_ns(), 0.0, 0.0))
+        return self.stop_fault
 
     def close(self) -> None:
         self.stop()

@@ -15,6 +15,7 @@ class FakeMotors:
         self.may_go_on = threading.Event()
         self.may_go_on.set()
         self.failure: Exception | None = None
+        self.stop_fault = ""  # why a stop does not reach them
 
     def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
         self.until_ns = until_ns
@@ -23,8 +24,9 @@ class FakeMotors:
         if self.failure is not None:
             raise self.failure
 
-    def stop(self) -> None:
+    def stop(self) -> str:
         self._note(0.0, 0.0)
+        return self.stop_fault
 
     def close(self) -> None:
         pass

@@ -12,6 +12,7 @@ from mcap.writer import Writer
 
 import station.recordings.recorder
 from shared.calibration import REFERENCE_ROBOT
+from shared.geometry import FloatArray
 from shared.messages import (
     CameraFrame,
     Capabilities,
@@ -36,6 +37,9 @@ HELLO = Hello(
 
 
 START_NS = 1_403_715_283_262_142_976
+
+
+BATCH = 20  # samples
 
 
 JPEG = bytes(cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (48, 64), np.uint8))[1])
@@ -76,6 +80,20 @@ def record(path: Path, frames: int = 20) -> RecordingReport:
     recorder.on_gap(3)
     recorder.on_notice(ErrorNotice(code="device", message="x"))
     recorder.on_disconnected("over")
+    return recorder.close()
+
+
+def record_samples(path: Path, gyro: FloatArray, accel: FloatArray, period_ns: int) -> RecordingReport:
+    """A recording of nothing but inertial samples (n, 3), in batches as a robot sends them."""
+    recorder = Recorder(path, min_free_bytes=0)
+    recorder.on_connected(HELLO)
+    stamps = range(START_NS, START_NS + len(gyro) * period_ns, period_ns)
+    samples = [
+        ImuSample(t_ns, (w[0], w[1], w[2]), (a[0], a[1], a[2]))
+        for t_ns, w, a in zip(stamps, gyro.tolist(), accel.tolist(), strict=True)
+    ]
+    for first in range(0, len(samples), BATCH):
+        recorder.on_imu(ImuBatch(first_sequence=first, samples=tuple(samples[first : first + BATCH])))
     return recorder.close()
 
 

@@ -110,11 +110,13 @@ class GpioMotors:
         left, right = self._geometry.duties(linear_m_s, angular_rad_s)
         self._process.send(f"drive {left} {right} {until_ns // 1_000_000}")
 
-    def stop(self) -> None:
+    def stop(self) -> str:
         try:
             self._process.send("stop")
         except DeviceLost as exc:
             logger.debug("stop not sent: %s", exc)
+            return str(exc)
+        return ""
 
     def close(self) -> None:
         self.stop()

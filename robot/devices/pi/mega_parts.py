@@ -45,11 +45,14 @@ class MegaMotors:
         if status is not None and status.flags & Flag.LOW_BATTERY:
             raise DeviceLost(f"the motors' battery is low ({status.battery_mv / 1000:.1f} V); charge it")
 
-    def stop(self) -> None:
+    def stop(self) -> str:
         try:
             self._mega.send(Stop())
         except HardwareError as exc:
             logger.debug("stop not sent (%s); the firmware stops by itself", exc)
+            return str(exc)
+        silence_ns = self._mega.silence_ns
+        return "" if silence_ns <= SILENT_NS else f"the Mega has been silent for {silence_ns / 1e9:.1f} s"
 
     def close(self) -> None:
         self.stop()

@@ -133,8 +133,9 @@ class RecordedMotors:
         if self.now_ns() < until_ns:
             self._note(linear_m_s, angular_rad_s)
 
-    def stop(self) -> None:
+    def stop(self) -> str:
         self._note(0.0, 0.0)
+        return ""
 
     def close(self) -> None:
         self.stop()

@@ -39,8 +39,9 @@ class SimulatedMotors(_Part):
     def drive(self, linear_m_s: float, angular_rad_s: float, until_ns: int) -> None:
         self._robot.command(linear_m_s, angular_rad_s, until_ns)
 
-    def stop(self) -> None:
+    def stop(self) -> str:
         self._robot.halt()
+        return ""
 
     def close(self) -> None:
         self.stop()

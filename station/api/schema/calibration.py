@@ -271,6 +271,8 @@ def ordered_calibration(told: Calibration, order: CalibrationOrder) -> Calibrati
         raise OutOfRange("the robot has no such sensor; GET /calibration shows those it has")
     try:
         if order.camera is not None and camera is not None:
+            if order.camera.model not in (None, camera.model) and order.camera.distortion is None:
+                raise OutOfRange(f"give the distortion too: that of a {camera.model} lens means another thing")
             camera = msgspec.structs.replace(camera, **_camera_changes(order.camera))
         if order.imu is not None and imu is not None:
             imu = msgspec.structs.replace(imu, **_imu_changes(order.imu))

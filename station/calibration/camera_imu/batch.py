@@ -49,6 +49,7 @@ SAMPLES_PER_KNOT = 2.0  # of the IMU: follows all that it can see
 MIN_SPACING_S = 0.01  # a hand trembles at up to 12 Hz
 MARGIN_S = 0.1  # of motion before the first and after the last image: the time shift moves these meanwhile
 HUBER = 3.0  # sigmas of a corner: beyond, it counts less
+OUTLIER = 5.0  # sigmas of a corner: farther off, it is left out
 DAMPING = 1e-9
 MAX_ITERATIONS = 25
 ROUGHLY, CONVERGED = 0.3, 0.02  # sigmas: no unknown of the calibration moves more
@@ -76,7 +77,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """How well the motion explains what was measured, each a standard deviation of one number."""
+    """How well the motion explains what was measured: the standard deviation of one number, by which it is weighted."""
 
     corner_px: float
     gyro: float  # rad/s
@@ -96,6 +97,13 @@ class Solution:
     covariance: FloatArray  # (f, f)
     fit: Fit
     has_converged: bool
+    left_out: float = 0.0  # share of the corners, as too far off
+
+    @property
+    def rms_px(self) -> float:
+        """Of the distances by which the corners that are used lie beside where they should, as of a camera's lens."""
+        away = camera_rows(self.unknowns, within(self.corners, self.unknowns)).residual * self.corners.sigma_px
+        return float(np.sqrt((away**2).sum(axis=1).mean()))
 
     @property
     def worst_moment(self) -> tuple[float, float]:
@@ -147,12 +155,15 @@ def solve(problem: Problem, start: Unknowns, progress: Progress, free_target: bo
         DegenerateGeometry: the measurements leave the motion or the calibration open.
     """
     rough = _iterate(problem, start, ROUGHLY, free_target, progress)
+    seen = within(replace(problem.corners, sigma_px=rough.fit.corner_px), rough.unknowns)
+    is_used = np.linalg.norm(camera_rows(rough.unknowns, seen).residual, axis=1) < OUTLIER
     problem = replace(
         problem,
-        corners=replace(problem.corners, sigma_px=rough.fit.corner_px),
+        corners=seen.chosen(is_used),
         samples=replace(problem.samples, sigma_gyro=rough.fit.gyro, sigma_accel=rough.fit.accel),
     )
-    return _iterate(problem, rough.unknowns, CONVERGED, free_target, progress)
+    found = _iterate(problem, rough.unknowns, CONVERGED, free_target, progress)
+    return replace(found, left_out=float(1.0 - is_used.mean()))
 
 
 def _iterate(problem: Problem, start: Unknowns, tolerance: float, free_target: bool, progress: Progress) -> Solution:
@@ -217,9 +228,17 @@ def linearise(problem: Problem, unknowns: Unknowns, corners: Corners) -> tuple[l
     seen = seen.weighted(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
     motion = unknowns.motion
     felt = inertial_rows(unknowns, problem.samples.between(motion.start_s, motion.end_s))
-    equations = normal_equations([seen, felt], motion.num_segments, unknowns.size)
+    unseen = inertial_rows(unknowns, problem.samples.interpolated(silent_times(unknowns, felt)))
+    equations = normal_equations([seen, felt, unseen], motion.num_segments, unknowns.size)
     add_priors(equations, problem, unknowns)
     return [seen, felt], equations
+
+
+def silent_times(unknowns: Unknowns, felt: Rows) -> FloatArray:
+    """(N,) s: the middles of the motion's segments that have no inertial sample: their knots may lack rows too."""
+    motion = unknowns.motion
+    silent = np.setdiff1d(np.arange(motion.num_segments), felt.segment)
+    return np.asarray(motion.start_s + motion.spacing_s * (silent + 0.5))
 
 
 def add_priors(equations: NormalEquations, problem: Problem, unknowns: Unknowns) -> None:

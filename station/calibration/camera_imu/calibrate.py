@@ -20,7 +20,15 @@ from station.calibration.camera_imu.batch import (
     target_shape,
 )
 from station.calibration.camera_imu.rows import Corners, Samples
-from station.calibration.camera_imu.start import CameraPoses, TurningMatch, camera_poses, match_turning
+from station.calibration.camera_imu.start import (
+    MAX_SHIFT_S,
+    MAX_USED_S,
+    CameraPoses,
+    TurningMatch,
+    best_part,
+    camera_poses,
+    match_turning,
+)
 from station.calibration.camera_imu.unknowns import (
     DELAY,
     GRAVITY,
@@ -47,6 +55,7 @@ class HandheldRecording:
     noise: ImuNoise
     gravity: float  # m/s^2
     sigma_intrinsics: FloatArray  # (8,) how well the lens is known: fx, fy, cx, cy px, distortion; 0: exactly
+    notes: list[str]  # what is to be said about what could not be used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +64,7 @@ class CameraImuCalibration:
 
     reasons: list[str]  # against it
     solution: Solution | None  # None: nothing could be estimated
+    notes: list[str]  # what was not used of the recording
 
     @property
     def is_accepted(self) -> bool:
@@ -62,7 +72,7 @@ class CameraImuCalibration:
 
     def results(self) -> dict[str, Any]:
         """For scripts; numbers are null where nothing could be estimated."""
-        verdict = {"accepted": self.is_accepted, "reasons": self.reasons}
+        verdict = {"accepted": self.is_accepted, "reasons": self.reasons, "notes": self.notes}
         return (NOTHING if self.solution is None else figures(self.solution)) | verdict
 
 
@@ -86,7 +96,7 @@ def figures(solution: Solution) -> dict[str, Any]:
             "line_delay_s": float(solution.sigma(slice(DELAY, DELAY + 1))[0]),
             "gravity": solution.sigma(GRAVITY).tolist(),
         },
-        "rms_px": solution.fit.corner_px,
+        "rms_px": solution.rms_px,
         "rms_gyro": solution.fit.gyro,
         "rms_accel": solution.fit.accel,
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
@@ -96,24 +106,36 @@ def figures(solution: Solution) -> dict[str, Any]:
 
 def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> CameraImuCalibration:
     """The calibration, or why this recording gives none."""
+    notes = recording.notes
     if len(recording.imu) < 2:
-        return CameraImuCalibration(["the recording holds no inertial readings: record the IMU as well"], None)
+        return CameraImuCalibration(["the recording holds no inertial readings: record the IMU as well"], None, notes)
     origin_ns = int(recording.imu.t_robot_ns[0])
     progress("poses of the target")
     poses = camera_poses(recording.views, recording.target, Lens(recording.camera), origin_ns)
     reasons = verdict.poor_views(poses, recording.num_images)
     if reasons:
-        return CameraImuCalibration(reasons, None)
+        return CameraImuCalibration(reasons, None, notes)
     samples = Samples.of(recording.imu, recording.noise, origin_ns)
+    if np.ptp(poses.t_s) > MAX_USED_S:
+        poses = best_part(poses, samples.t_s, samples.gyro)
+        begin_s, end_s = poses.t_s[[0, -1]]
+        samples = samples.between(begin_s - 2 * MAX_SHIFT_S, end_s + 2 * MAX_SHIFT_S)
+        notes = [*notes, f"used: second {begin_s:.0f} to {end_s:.0f}, where it turned most; 60 s are enough"]
+    reasons = verdict.poor_imu(poses, samples)
+    if reasons:
+        return CameraImuCalibration(reasons, None, notes)
     progress("time shift")
     try:
         match = match_turning(poses, samples.t_s, samples.gyro)
         reasons = verdict.poor_motion(match)
         if reasons:
-            return CameraImuCalibration(reasons, None)
-        return _estimate(recording, _problem(recording, poses, samples, origin_ns), poses, match, progress)
+            return CameraImuCalibration(reasons, None, notes)
+        problem = _problem(recording, poses, samples, origin_ns)
+        reasons, solution = _estimate(recording, problem, poses, match, progress)
+        return CameraImuCalibration(reasons, solution, notes)
     except DegenerateGeometry as exc:
-        return CameraImuCalibration([f"{exc}: record 30 to 60 s with the target in view, turning about all axes"], None)
+        reasons = [f"{exc}: record 30 to 60 s with the target in view, turning about all axes"]
+        return CameraImuCalibration(reasons, None, notes)
 
 
 def _problem(recording: HandheldRecording, poses: CameraPoses, samples: Samples, origin_ns: int) -> Problem:
@@ -129,12 +151,16 @@ def _problem(recording: HandheldRecording, poses: CameraPoses, samples: Samples,
 
 def _estimate(
     recording: HandheldRecording, problem: Problem, poses: CameraPoses, match: TurningMatch, progress: Progress
-) -> CameraImuCalibration:
+) -> tuple[list[str], Solution]:
     """The batch estimate, and whether the target and the measurements are as they should be."""
     solution = solve(problem, start_unknowns(problem, poses, match), progress)
     shape = target_shape(solution)
     if verdict.poor_target(shape, recording.target):  # far off one step does not tell by how much
         shape = target_shape(solve(problem, solution.unknowns, progress, free_target=True))
-    # A target that is not as its file says explains what does not fit.
-    reasons = verdict.poor_target(shape, recording.target) or verdict.poor_fit(solution, problem.samples)
-    return CameraImuCalibration(reasons, solution)
+    # A target or a lens that is not as its file says explains what does not fit.
+    reasons = (
+        verdict.poor_target(shape, recording.target)
+        or verdict.poor_lens(solution)
+        or verdict.poor_fit(solution, problem.samples)
+    )
+    return reasons, solution

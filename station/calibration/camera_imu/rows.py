@@ -28,6 +28,7 @@ from station.model.frames import ImuBatch
 from station.vision.lens import BoolArray, Lens
 
 INTRINSICS_STEP = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6, 1e-6])  # of their numerical derivative
+SIGMA_UNSEEN_GYRO, SIGMA_UNSEEN_ACCEL = 2.0, 20.0  # rad/s, m/s^2: what a hand changes within a tenth of a second
 KNOT = 6  # unknowns of one: rotation, position
 
 
@@ -51,6 +52,13 @@ class Samples:
     @property
     def interval_s(self) -> float:
         return float(np.median(np.diff(self.t_s)))
+
+    def interpolated(self, t_s: FloatArray) -> Samples:
+        """What it would have read at other times (N,), as surely as a hand's motion is foretold from its past."""
+        gyro, accel = (
+            np.stack([np.interp(t_s, self.t_s, axis) for axis in read.T], axis=1) for read in (self.gyro, self.accel)
+        )
+        return Samples(t_s, gyro, accel, SIGMA_UNSEEN_GYRO, SIGMA_UNSEEN_ACCEL)
 
     def between(self, begin_s: float, end_s: float) -> Samples:
         inside = (self.t_s >= begin_s) & (self.t_s <= end_s)
@@ -143,7 +151,7 @@ def inertial_rows(unknowns: Unknowns, samples: Samples) -> Rows:
     return Rows(
         weights.segment,
         residual / sigma,
-        by_knots.reshape(N, 6, -1) / sigma[:, None],
+        by_knots.reshape(N, 6, ORDER * KNOT) / sigma[:, None],
         by_border / sigma[:, None],
         columns,
     )

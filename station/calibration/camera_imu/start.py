@@ -13,6 +13,7 @@ from station.calibration.target import BoardView, Target
 from station.vision.lens import Lens
 
 MIN_CORNERS = 6
+MAX_USED_S = 90.0
 MAX_SHIFT_S = 0.5  # searched on both sides
 SHIFT_STEP_S = 0.002
 MAX_INTERVAL_S = 0.25  # between two images: more, and the turn between them says little of when
@@ -25,6 +26,19 @@ class CameraPoses:
     T_target_cam: FloatArray  # (V, 4, 4)
     rms_px: FloatArray  # (V,) how well each fits its corners
     views: list[BoardView]  # those that have a pose
+
+
+def best_part(poses: CameraPoses, t_imu_s: FloatArray, gyro: FloatArray) -> CameraPoses:
+    """Of a long recording the MAX_USED_S in which it turned most, about all axes, with the target in view.
+
+    The memory of the batch estimate grows with the square of the time, and a minute tells nearly all.
+    """
+    rates = np.stack([np.interp(poses.t_s, t_imu_s, axis) for axis in gyro.T], axis=1)
+    summed = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(rates[:, :, None] * rates[:, None], axis=0)])
+    after = np.searchsorted(poses.t_s, poses.t_s + MAX_USED_S, side="right")
+    begin = int(np.argmax(np.linalg.det(summed[after] - summed[:-1])))
+    used = slice(begin, int(after[begin]))
+    return CameraPoses(poses.t_s[used], poses.T_target_cam[used], poses.rms_px[used], poses.views[used])
 
 
 def camera_poses(views: list[BoardView], target: Target, lens: Lens, origin_ns: int) -> CameraPoses:

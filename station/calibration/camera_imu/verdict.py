@@ -9,25 +9,29 @@ from __future__ import annotations
 
 import numpy as np
 
+from station.calibration import CALIBRATE_CAMERA
 from station.calibration.camera_imu.batch import Solution, TargetShape
 from station.calibration.camera_imu.rows import Samples
 from station.calibration.camera_imu.start import MAX_SHIFT_S, CameraPoses, TurningMatch
-from station.calibration.camera_imu.unknowns import MOUNT_POSITION, MOUNT_ROTATION, SHIFT
+from station.calibration.camera_imu.unknowns import MOUNT_POSITION, MOUNT_ROTATION, SHIFT, intrinsics_of
 from station.calibration.target import Target
 
 MIN_DURATION_S = 10.0
 MIN_VIEWS = 40
 MIN_SHARE_SEEN = 0.4  # of the images
+MAX_SILENCE_S = 0.5  # of the IMU: up to then the images show the motion
 MIN_RATE = 0.1  # rad/s RMS about the axis that it turned second most about
 MAX_UNEXPLAINED = 0.3  # of the turning's variance
 MIN_APART = 3.0  # by how much worse the second best time shift must be
-MAX_CORNER_PX = 1.0  # of a sharp, well found corner it is 0.1 to 0.4
+MAX_CORNER_PX = 1.4  # RMS of distances, 1 px in each direction: of sharp, well found corners it is 0.15 to 0.6
+MAX_LEFT_OUT = 0.2  # of the corners, as of those of a camera's lens
 MAX_NOISE_RATIO = 6.0  # of IMU residuals to the noise that was told: data sheets are off by up to three times
 MAX_MOMENT = 3.0  # of the residuals' usual size, for half a second: of a rigid pair before a still target 1.5 to 1.8
 SURELY = 5.0  # sigmas
 MAX_SCALE_ERROR = 0.01
 MAX_BEND_M = 1.5e-3
 MAX_SIGMA = {"rotation": np.radians(0.3), "translation": 0.01, "time shift": 1e-3}
+INTRINSIC_NAMES = ("fx", "fy", "cx", "cy", *(f"distortion coefficient {i}" for i in (1, 2, 3, 4)))
 TURNS = ("tilt it up and down", "turn it left and right", "roll it about the direction of view")
 
 
@@ -42,6 +46,19 @@ def poor_views(poses: CameraPoses, num_images: int) -> list[str]:
             " the whole target in view"
         ]
     return []
+
+
+def poor_imu(poses: CameraPoses, samples: Samples) -> list[str]:
+    """Reasons against an IMU whose readings are interrupted while the target is in view."""
+    silent_s = np.diff(samples.t_s)
+    silent_s[(samples.t_s[1:] < poses.t_s[0]) | (samples.t_s[:-1] > poses.t_s[-1])] = 0.0
+    longest = int(silent_s.argmax())
+    if silent_s[longest] <= MAX_SILENCE_S:
+        return []
+    return [
+        f"the IMU fell silent for {silent_s[longest]:.1f} s at second {samples.t_s[longest]:.0f}: see to its cable and"
+        " to what else the robot computes, and record again"
+    ]
 
 
 def poor_motion(match: TurningMatch) -> list[str]:
@@ -70,10 +87,15 @@ def poor_fit(solution: Solution, told: Samples) -> list[str]:
     reasons = []
     if not solution.has_converged:
         reasons.append("the estimate did not settle: record again, slower, with the target in view all the time")
-    if solution.fit.corner_px > MAX_CORNER_PX:
+    if solution.rms_px > MAX_CORNER_PX:
         reasons.append(
-            f"the corners lie {solution.fit.corner_px:.1f} px (RMS) beside where they should: focus the lens, calibrate"
+            f"the corners lie {solution.rms_px:.1f} px (RMS) beside where they should: focus the lens, calibrate"
             " the camera first, and use the target whose file was given"
+        )
+    if solution.left_out > MAX_LEFT_OUT:
+        reasons.append(
+            f"{100 * solution.left_out:.0f} % of the corners lie far beside where they should: take more light, cover"
+            " what mirrors in the target, and use the target whose file was given"
         )
     ratios = {
         "gyroscope": solution.fit.gyro / told.sigma_gyro,
@@ -95,6 +117,20 @@ def poor_fit(solution: Solution, told: Samples) -> list[str]:
         if sigma > MAX_SIGMA[name]:
             reasons.append(f"the {name} stays uncertain: record longer, and turn faster about all axes")
     return reasons
+
+
+def poor_lens(solution: Solution) -> list[str]:
+    """Reasons against a lens that is not the one it was said to be: it may be refined, not replaced."""
+    problem, found = solution.problem, intrinsics_of(solution.unknowns.camera)
+    told, sigma = intrinsics_of(problem.told), problem.sigma_intrinsics
+    away = np.divide(np.abs(found - told), sigma, out=np.zeros_like(sigma), where=sigma > 0)
+    worst = int(away.argmax())
+    if away[worst] <= SURELY:
+        return []
+    return [
+        f"the lens is another than its file says: {INTRINSIC_NAMES[worst]} is {found[worst]:.4g}, not {told[worst]:.4g}"
+        f"; {CALIBRATE_CAMERA} with the lens as it is focused now, and give its file as --camera"
+    ]
 
 
 def known_to(solution: Solution) -> dict[str, float]:

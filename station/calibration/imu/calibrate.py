@@ -13,6 +13,14 @@ from shared.geometry import FloatArray
 from shared.sensor_yaml import CONSUMER_IMU
 from station.calibration.imu.noise_fit import FLAT_SHARE, Estimate, Noise
 from station.calibration.imu.sensor import SensorNoise, measure_sensor
+from station.calibration.imu.six_positions import (
+    MOST_RMS,
+    AccelerometerErrors,
+    RestForces,
+    fit_errors,
+    missing_orientations,
+    rest_forces,
+)
 from station.calibration.imu.still import EvenSamples, Stillness, find_stillness, on_even_grid
 from station.calibration.imu.vibration import Shaking, measure_shaking
 from station.model.frames import ImuBatch
@@ -43,6 +51,7 @@ class ImuCalibration:
     shaking: tuple[Shaking, Shaking] | None  # gyroscope and accelerometer, while the motors run
     gyro_bias: FloatArray | None  # (3,) rad/s
     gravity: float | None  # m/s^2, the mean force at rest
+    accelerometer: AccelerometerErrors | None  # None: it did not lie on enough sides; where it was turned, a note
     notes: tuple[str, ...]  # what it cannot tell, or what was cut out of it
     reasons: tuple[str, ...]  # why it cannot be used
 
@@ -51,13 +60,16 @@ class ImuCalibration:
         return not self.reasons
 
 
-def calibrate_imu(imu: ImuBatch, told: ImuNoise | None = None, motors: ImuBatch | None = None) -> ImuCalibration:
-    """The noise of an inertial unit from a recording at rest.
+def calibrate_imu(
+    imu: ImuBatch, told: ImuNoise | None = None, motors: ImuBatch | None = None, gravity: float = 9.81
+) -> ImuCalibration:
+    """The noise of an inertial unit from a recording at rest; its accelerometer's errors if it rested on its sides.
 
     Args:
         imu: the recording; when it was moved is found and cut out.
         told: only for its ranges, at which readings are saturated.
         motors: it, resting, with its motors running.
+        gravity: m/s^2, where it was recorded.
     Raises:
         DataError: hardly any samples, or not in order of time.
     """
@@ -69,10 +81,13 @@ def calibrate_imu(imu: ImuBatch, told: ImuNoise | None = None, motors: ImuBatch 
     too_short = (_too_restless(longest, stillness, samples),) if longest < MIN_REST_S else ()
     unfit = (*too_short, *_unfit(samples, stillness, told))
     if not stillness.rests or len(unfit) > len(too_short):
-        return ImuCalibration(samples, stillness, None, None, None, shaking, None, None, _lost_note(samples), unfit)
+        lost = _lost_note(samples)
+        return ImuCalibration(samples, stillness, None, None, None, shaking, None, None, None, lost, unfit)
     rests = [samples.values[rest] for rest in stillness.rests]
     gyro, accel = (_measured(rests, columns, samples.rate_hz, longest) for columns in (GYRO, ACCEL))
     at_rest = np.concatenate(rests)
+    forces = rest_forces(samples, stillness.rests)
+    accelerometer, told_by_sides = _accelerometer(forces, accel, gravity)
     return ImuCalibration(
         samples=samples,
         stillness=stillness,
@@ -81,8 +96,9 @@ def calibrate_imu(imu: ImuBatch, told: ImuNoise | None = None, motors: ImuBatch 
         used=_used(gyro, accel, shaking, samples.rate_hz, told),
         shaking=shaking,
         gyro_bias=at_rest[:, GYRO].mean(axis=0),
-        gravity=float(np.mean([np.linalg.norm(rest[:, ACCEL].mean(axis=0)) for rest in rests])),
-        notes=(*_lost_note(samples), *_notes(samples, stillness, gyro, accel, longest)),
+        gravity=forces.mean_length(),
+        accelerometer=accelerometer,
+        notes=(*_lost_note(samples), *_notes(samples, stillness, gyro, accel, longest), *told_by_sides),
         reasons=(
             *too_short,
             *_not_its_noise("gyroscope", "gyro", gyro, samples),
@@ -129,8 +145,10 @@ def _unfit(samples: EvenSamples, stillness: Stillness, told: ImuNoise | None) ->
         if (scatter[columns] <= step[columns] / COARSE).any():
             yield f"an axis of the {name} hardly changes; it is broken, or too coarse: set a smaller range"
     usual = np.median(samples.values, axis=0)
-    force, rate = float(np.linalg.norm(usual[ACCEL])), float(np.abs(usual[GYRO]).max())
-    if len(stillness.rests) <= 1 and abs(force / 9.81 - 1.0) > GRAVITY_TOLERANCE:
+    forces = rest_forces(samples, stillness.rests)
+    force = forces.mean_length() if stillness.rests else float(np.linalg.norm(usual[ACCEL]))
+    rate = float(np.abs(usual[GYRO]).max())
+    if abs(force / 9.81 - 1.0) > GRAVITY_TOLERANCE:
         yield f"at rest the accelerometer reads {force:.3g} and not 9.8; it must be in m/s^2, gravity included"
     if rate > MAX_BIAS_RAD_S:
         yield f"at rest the gyroscope reads {rate:.2g}; it must be in rad/s, and must not turn"
@@ -158,6 +176,28 @@ def _not_its_noise(name: str, key: str, sensor: SensorNoise, samples: EvenSample
         if estimate.low > WORST[f"{key}_{figure}"]:
             what = "noise" if figure == DENSITY else "random walk"
             yield f"the {name}'s {what} is larger than any such sensor's; it was moved, or is not in SI units"
+
+
+def _accelerometer(
+    rests: RestForces, accel: SensorNoise, gravity: float
+) -> tuple[AccelerometerErrors | None, tuple[str, ...]]:
+    """Its scale, misalignment and bias, and what to do where the rests do not tell all of them."""
+    if rests.num_orientations() == 1:
+        return None, ()  # nobody tried
+    if missing := tuple(missing_orientations(rests)):
+        return None, missing
+    found = fit_errors(rests, _noisiest(accel, DENSITY), used_walk(accel, CONSUMER_IMU["accel_walk"]), gravity)
+    if found.rms > MOST_RMS:
+        return None, (
+            f"the rests' forces differ by {found.rms:.2g} m/s^2 whatever the accelerometer's scale and bias;"
+            " let go of it in each orientation, and record again",
+        )
+    if not found.angles_known:
+        return found, (
+            "the accelerometer's misalignment needs more orientations: lean it on its edges as well, twelve in all,"
+            " after a longer rest",
+        )
+    return found, ()
 
 
 # What is said beside

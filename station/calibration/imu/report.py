@@ -6,10 +6,13 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from shared.calibration import ImuNoise
 from station.calibration.imu.calibrate import ImuCalibration
 from station.calibration.imu.noise_fit import Estimate
 from station.calibration.imu.sensor import SensorNoise
+from station.calibration.imu.six_positions import ANGLES, BIAS, SCALE, AccelerometerErrors
 
 # Name in the JSON object → attribute of Noise, its unit for the gyroscope and for the accelerometer.
 FIGURES = {
@@ -33,6 +36,7 @@ def calibration_json(found: ImuCalibration) -> dict[str, Any]:
         "used": _used_json(found.used) if found.accepted and found.used is not None else None,
         "gyro_bias": None if found.gyro_bias is None else found.gyro_bias.tolist(),
         "gravity": found.gravity,
+        "accelerometer": None if found.accelerometer is None else _errors_json(found.accelerometer),
         "rate_hz": found.samples.rate_hz,
         "duration_s": found.samples.duration_s,
         "lost_samples": found.samples.num_lost,
@@ -56,6 +60,23 @@ def _figure(sensor: SensorNoise, attribute: str, unit: str) -> dict[str, Any]:
     }
 
 
+def _errors_json(errors: AccelerometerErrors) -> dict[str, Any]:
+    """`misalignment` is null, and so is its sigma, where the rests do not tell it."""
+    known = errors.angles_known
+    return {
+        "scale": errors.scale.tolist(),
+        "misalignment": errors.angles.tolist() if known else None,
+        "bias": errors.bias.tolist(),
+        "sigma": {
+            "scale": errors.sigma[SCALE].tolist(),
+            "misalignment": errors.sigma[ANGLES].tolist() if known else None,
+            "bias": errors.sigma[BIAS].tolist(),
+        },
+        "rms": errors.rms,
+        "rests": errors.num_rests,
+    }
+
+
 def _used_json(used: ImuNoise) -> dict[str, float]:
     return {
         "gyro_noise_density": used.gyro_density,
@@ -74,12 +95,28 @@ def calibration_lines(found: ImuCalibration) -> Iterator[str]:
         for figure, (attribute, *units) in FIGURES.items():
             said = _said(getattr(sensor.noise, attribute))
             yield f"{name:13} {figure.replace('_', ' '):16} {said} {units[name == 'accelerometer']}"
+    if found.gyro_bias is not None:
+        yield f"{'gyroscope':13} {'bias':16} {' '.join(f'{b:.3g}' for b in found.gyro_bias)} rad/s"
+    if found.accelerometer is not None:
+        yield from _errors_lines(found.accelerometer)
     if found.shaking is not None:
         gyro, accel = found.shaking
         shaken = f"{gyro.scatter:.2g} rad/s and {accel.scatter:.2g} m/s^2"
         yield f"motors running: {shaken}, most at {accel.strongest_hz:.0f} Hz"
     yield from (f"note: {note}" for note in found.notes)
     yield from (f"refused: {reason}" for reason in found.reasons)
+
+
+def _errors_lines(errors: AccelerometerErrors) -> Iterator[str]:
+    figures = {
+        "scale": (errors.scale, errors.sigma[SCALE], 5, ""),
+        "bias": (errors.bias, errors.sigma[BIAS], 4, " m/s^2"),
+    }
+    if errors.angles_known:
+        figures["misalignment"] = (np.degrees(errors.angles), np.degrees(errors.sigma[ANGLES]), 3, " degrees")
+    for figure, (values, sigmas, digits, unit) in figures.items():
+        axes = ", ".join(f"{v:.{digits}f} +- {s:.{digits}f}" for v, s in zip(values, sigmas, strict=True))
+        yield f"{'accelerometer':13} {figure:16} {axes}{unit}"
 
 
 def _said(estimate: Estimate) -> str:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from shared.disk import replacing
+from shared.errors import DataError
 from station.calibration.camera import (
     LEAST_VIEWS,
     CameraFit,
@@ -18,10 +19,10 @@ from station.calibration.camera import (
     best_lens,
     calibrate_camera,
 )
-from station.calibration.camera_files import lens_camchain_yaml, lens_yaml
+from station.calibration.camera_files import lens_camchain_yaml, lens_yaml, opencv_yaml
 from station.calibration.camera_page import write_camera_page
 from station.calibration.camera_verdict import reasons_against
-from station.calibration.distortion import LensName
+from station.calibration.distortion import ROBOT_LENSES, LensName
 from station.calibration.target_file import read_target
 from station.calibration.views import Views, find_views, why_few
 from station.commands.options import Json, check_out_file
@@ -41,13 +42,20 @@ def camera(
     out: Annotated[Path, typer.Option("--out", help="The camera.yaml to write; nothing is written when refused.")],
     model: Annotated[
         Literal["auto", "radtan", "radtan5", "radtan8", "equidistant"],
-        typer.Option(help="Lens model; auto: radtan, unless it does not fit and equidistant does."),
+        typer.Option(
+            help="Lens model; auto: radtan, unless it does not fit and equidistant does. radtan5 and radtan8 are for "
+            "OpenCV: written beside --out as .opencv.yaml."
+        ),
     ] = "auto",
     kalibr: Annotated[Path | None, typer.Option("--kalibr", help="Write kalibr's camchain here as well.")] = None,
     plots: Annotated[Path | None, typer.Option("--plots", help="Write residuals and coverage here, a .png.")] = None,
     as_json: Json = False,
 ) -> None:
     """Calibrate a camera's lens. Exit code 2 when the images do not suffice; says what to do."""
+    lens: LensName | None = None if model == "auto" else model
+    if kalibr is not None and lens is not None and lens not in ROBOT_LENSES:
+        raise DataError(f"kalibr has no lens model {lens}; leave out --kalibr, or take --model radtan or equidistant")
+    out = _named(out, lens)
     for path in (out, kalibr, plots):
         if path is not None:
             check_out_file(path)
@@ -56,14 +64,13 @@ def camera(
     with working(f"opening {dataset.name}") as bar:
         bar.step("looking for the board", len(data.frame_times_ns))
         seen = find_views(board, data, bar.advance)
-        lens: LensName | None = None if model == "auto" else model
         found, unused = calibrate_camera(board, seen.views, seen.size, lens, bar.step)
         rejected = (*seen.rejected, *unused)
         if found is None:
             reasons = [why_few(board, seen, seen.looked_at - len(rejected), LEAST_VIEWS, rejected)]
         else:
             reasons = reasons_against(found)
-            _write(found, not reasons, out, kalibr, plots)
+            write(found, not reasons, out, kalibr, plots)
     if as_json:
         print(json.dumps(report(found, seen, rejected, reasons)))
     else:
@@ -76,7 +83,7 @@ def report(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...],
     """The JSON object. What is not known, as nothing was fitted, is null."""
     numbers = [] if found is None else found.fit.numbers.tolist()
     return {
-        "model": None if found is None else _model(found.fit.lens),
+        "model": None if found is None else found.fit.lens,
         "resolution": list(seen.size),
         "intrinsics": numbers[:4] or None,
         "distortion": numbers[4:] or None,
@@ -91,18 +98,23 @@ def report(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...],
     }
 
 
-def _model(lens: LensName) -> str:
-    return "equidistant" if lens == "equidistant" else "radtan"
+def _named(out: Path, lens: LensName | None) -> Path:
+    """Where the lens goes: not under the name that was meant for the robot where the robot cannot read it."""
+    return out if lens is None or lens in ROBOT_LENSES else out.with_suffix(".opencv.yaml")
 
 
-def _write(found: CameraFit, accepted: bool, out: Path, kalibr: Path | None, plots: Path | None) -> None:
+def write(found: CameraFit, accepted: bool, out: Path, kalibr: Path | None, plots: Path | None) -> None:
     """The files that were asked for; of a refused camera only what shows why."""
     if plots is not None:
         write_camera_page(found, plots)
     if not accepted:
         return
     numbers = found.fit.numbers.tolist()
-    lens = (found.size, numbers[:4], _model(found.fit.lens), numbers[4:])
+    if found.fit.lens not in ROBOT_LENSES:
+        with replacing(out) as file:
+            file.write(opencv_yaml(found.size, numbers[:4], numbers[4:]).encode())
+        return
+    lens = (found.size, numbers[:4], found.fit.lens, numbers[4:])
     with replacing(out) as file:
         file.write(lens_yaml(*lens).encode())
     if kalibr is not None:
@@ -117,7 +129,7 @@ def _print(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...],
         print(
             f"{len(found.views)} of {seen.looked_at} images used, corners in {100 * found.coverage:.0f} % of the image"
         )
-        print(f"{_model(fit.lens)}, {found.size[0]}x{found.size[1]}, {found.rms_px:.2f} px left over")
+        print(f"{fit.lens}, {found.size[0]}x{found.size[1]}, {found.rms_px:.2f} px left over")
         for name, value, sigma in zip(found.names, fit.numbers, found.sigma, strict=True):
             print(
                 f"  {name:<3}{value:11.4f} +- {sigma:.4f}"
@@ -146,8 +158,7 @@ def unused(rejected: tuple[Rejected, ...]) -> list[str]:
 
 
 def _better(best: LensTrial, own: LensTrial) -> str:
-    line = (
+    return (
         f"of images not used for it, it foretells corners to {own.validation_px:.2f} px and leaves "
         f"{100 * own.left_out:.1f} % of them out; --model {best.lens}: {best.validation_px:.2f} px"
     )
-    return line if best.lens == "equidistant" else f"{line} (more numbers than the robot reads)"

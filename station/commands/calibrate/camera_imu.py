@@ -17,14 +17,16 @@ from shared.disk import replacing
 from shared.errors import DataError
 from shared.geometry import FloatArray
 from shared.sensor_yaml import CONSUMER_IMU, read_camera, read_imu_noise, read_yaml
+from station.calibration import CALIBRATE_CAMERA
 from station.calibration.boards import make_finder, view_board
+from station.calibration.camera_files import read_camchain
 from station.calibration.camera_imu.calibrate import HandheldRecording, calibrate_camera_imu
 from station.calibration.target import BoardView, Target
 from station.calibration.target_file import read_target
 from station.commands.options import Json, check_out_file
 from station.commands.progress import Bar, working
 from station.datasets import Dataset, open_dataset
-from station.model.frames import ImuBatch
+from station.model.frames import ImageArray, ImuBatch
 
 REFUSED = 2  # exit code
 IMAGES_PER_S = 10.0  # more say little more of one motion
@@ -44,11 +46,11 @@ def camera_imu(
     out: Annotated[Path, typer.Option("--out", help="The calibration.yaml to write; nothing is written when refused.")],
     camera: Annotated[
         Path | None,
-        typer.Option("--camera", help="camera.yaml or calibration.yaml with its lens; by default the dataset's."),
+        typer.Option("--camera", help="camera.yaml, calibration.yaml or camchain of kalibr's; else the dataset's."),
     ] = None,
     imu: Annotated[
         Path | None,
-        typer.Option("--imu", help="sensor.yaml or calibration.yaml with the IMU's noise; by default the dataset's."),
+        typer.Option("--imu", help="imu.yaml (kalibr's too) or calibration.yaml; else the dataset's."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -66,7 +68,7 @@ def camera_imu(
             raise DataError(f"{dataset} holds no images with a camera.yaml; record the camera as well")
         if not lens.is_measured:
             where = camera or dataset
-            raise DataError(f"{where}: the lens is a guess; run `station calibrate camera` and give --camera")
+            raise DataError(f"{where}: the lens is a guess; {CALIBRATE_CAMERA} and give --camera")
         found = calibrate_camera_imu(recorded(data, board, lens, known, bar), bar.step)
     if found.is_accepted and found.solution is not None:
         measured = msgspec.structs.replace(known, camera=found.solution.unknowns.camera)
@@ -80,14 +82,20 @@ def camera_imu(
 def told(own: Calibration, camera: Path | None, imu: Path | None) -> Calibration:
     """What is known beforehand: the dataset's own, or what files say instead."""
     if camera is not None:
-        content = read_yaml(camera)
-        lens = as_calibration(content, camera).camera if "camera" in content else read_camera(camera, content)
-        own = msgspec.structs.replace(own, camera=lens)
+        own = msgspec.structs.replace(own, camera=read_lens(camera))
     if imu is not None:
         content = read_yaml(imu)
         noise = as_calibration(content, imu).imu if "imu" in content else read_imu_noise(imu, content)
         own = msgspec.structs.replace(own, imu=noise)
     return own
+
+
+def read_lens(path: Path) -> CameraCalibration | None:
+    """Of a calibration.yaml, a camchain of kalibr's or a camera.yaml; None where the first has no camera."""
+    content = read_yaml(path)
+    if "camera" in content:
+        return as_calibration(content, path).camera
+    return read_camchain(path) if "cam0" in content else read_camera(path, content)
 
 
 def open_thinned(dataset: Path) -> Dataset:
@@ -103,8 +111,9 @@ def open_thinned(dataset: Path) -> Dataset:
 def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calibration, bar: Bar) -> HandheldRecording:
     """The recording with the target found in its images; without an IMU they need not be looked at."""
     imu = data.imu or ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    views, notes = views_of(data, board, lens, bar) if len(imu) else ([], [])
     return HandheldRecording(
-        views=views_of(data, board, bar) if len(imu) else [],
+        views=views,
         num_images=len(data.frame_times_ns),
         imu=imu,
         target=board,
@@ -112,19 +121,41 @@ def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calib
         noise=known.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0),
         gravity=known.gravity,
         sigma_intrinsics=lens_sigma(lens),
+        notes=notes,
     )
 
 
-def views_of(data: Dataset, board: Target, bar: Bar) -> list[BoardView]:
+def views_of(data: Dataset, board: Target, lens: CameraCalibration, bar: Bar) -> tuple[list[BoardView], list[str]]:
+    """The views of the target, and what is to be said about images that cannot be read.
+
+    Raises:
+        DataError: the images are not of the lens' size.
+    """
     bar.step("looking for the target", len(data.frame_times_ns))
     assert data.read_frames is not None
-    finder, views = make_finder(board), []
+    finder, views, unreadable = make_finder(board), [], []
     for frame in data.read_frames():
-        view = view_board(finder, board, frame.grey(), frame.name, frame.t_robot_ns)
         bar.advance()
+        try:
+            grey = frame.grey()
+        except DataError as exc:
+            unreadable.append(str(exc))
+            continue
+        check_size(grey, lens, data)
+        view = view_board(finder, board, grey, frame.name, frame.t_robot_ns)
         if view is not None and view.ids_are_sure:
             views.append(view)
-    return views
+    notes = [f"not used: {len(unreadable)} images cannot be read, the first: {unreadable[0]}"] if unreadable else []
+    return views, notes
+
+
+def check_size(grey: ImageArray, lens: CameraCalibration, data: Dataset) -> None:
+    height, width = grey.shape
+    if (width, height) != (lens.width, lens.height):
+        raise DataError(
+            f"{data.path}: an image has {width}x{height} pixels, the lens was calibrated with {lens.width}x"
+            f"{lens.height}; {CALIBRATE_CAMERA} with images of {width}x{height} and give --camera"
+        )
 
 
 def lens_sigma(lens: CameraCalibration) -> FloatArray:
@@ -149,5 +180,6 @@ def summary(results: dict[str, Any], out: Path) -> str:
             f"left over    {results['rms_px']:.2f} px, {math.degrees(results['rms_gyro']):.2f} °/s,"
             f" {results['rms_accel']:.3f} m/s²",
         ]
+    lines += results["notes"]
     lines += [f"refused: {reason}" for reason in results["reasons"]]
     return "\n".join(lines if results["reasons"] else [*lines, f"written to {out}"])

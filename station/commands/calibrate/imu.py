@@ -1,4 +1,4 @@
-"""`station calibrate imu`: noise of the inertial unit from a recording at rest."""
+"""`station calibrate imu`: noise and errors of the inertial unit from a recording at rest."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from station.commands.options import Json, check_out_file
 from station.commands.progress import working
 
 if TYPE_CHECKING:
-    from shared.calibration import ImuNoise
+    from shared.calibration import Calibration
     from station.model.frames import ImuBatch
 
 REFUSED = 2
@@ -25,14 +25,19 @@ def register(app: typer.Typer) -> None:
 
 
 def calibrate(
-    dataset: Annotated[Path, typer.Argument(help="A recording of the robot lying still, half an hour of it.")],
+    dataset: Annotated[
+        Path, typer.Argument(help="A recording of the robot lying still, half an hour of it; then on each side.")
+    ],
     out: Annotated[Path, typer.Option("--out", help="The imu.yaml to write; a plot, .png, is written beside it.")],
     motors: Annotated[
         Path | None, typer.Option(help="A recording of the robot on blocks, its motors running, half a minute of it.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Measure the noise of gyroscope and accelerometer at rest. Exit code 2: the recording is refused, with reasons."""
+    """Measure an IMU's noise at rest, and on all sides its accelerometer's scale, misalignment and bias.
+
+    Exit code 2: the recording is refused, with reasons.
+    """
     from shared.calibration_yaml import imu_text
     from shared.disk import replacing
     from station.calibration.imu.calibrate import calibrate_imu
@@ -45,9 +50,10 @@ def calibrate(
     check_out_file(out)
     check_out_file(plot)
     with working("reading") as bar:
-        (samples, told), shaken = _read(dataset), None if motors is None else _read(motors)[0]
+        samples, believed = _read(dataset)
+        shaken = None if motors is None else _read(motors)[0]
         bar.step("fitting")
-        found = calibrate_imu(samples, told, shaken)
+        found = calibrate_imu(samples, believed.imu, shaken, believed.gravity)
         if found.gyro is not None and found.accel is not None:
             draw_allan(found.gyro, found.accel, plot)
     for line in calibration_lines(found):
@@ -62,10 +68,10 @@ def calibrate(
         raise typer.Exit(REFUSED)
 
 
-def _read(path: Path) -> tuple[ImuBatch, ImuNoise | None]:
+def _read(path: Path) -> tuple[ImuBatch, Calibration]:
     from station.datasets import open_dataset
 
-    data = open_dataset(path)
+    data = open_dataset(path, needs_camera=False, needs_upright=False)
     if data.imu is None:
         raise DataError(f"{path} holds no IMU samples; give a recording of a robot with an IMU")
-    return data.imu, data.calibration.imu
+    return data.imu, data.calibration

@@ -30,9 +30,9 @@ class NotedMotors:
         os.write(self._fd, Told(time.monotonic_ns(), linear_m_s, angular_rad_s).packed)
         self._motors.drive(linear_m_s, angular_rad_s, until_ns)
 
-    def stop(self) -> None:
+    def stop(self) -> str:
         os.write(self._fd, Told(time.monotonic_ns(), 0.0, 0.0).packed)
-        self._motors.stop()
+        return self._motors.stop()
 
     def close(self) -> None:
         self._motors.close()

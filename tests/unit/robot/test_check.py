@@ -31,7 +31,8 @@ class ToldMotors:
     def __init__(self, on_drive: Callable[[float, float, int], None]) -> None:
         self.drive = on_drive
 
-    def stop(self) -> None: ...
+    def stop(self) -> str:
+        return ""
 
     def close(self) -> None: ...
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import re
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+import yaml
 
 from robot.config import CalibrationConfig, RobotConfig
-from robot.own_calibration import FILE, PREVIOUS, OwnCalibration, calibration_folder, read_own
-from shared.calibration import REFERENCE_ROBOT, Calibration
+from robot.own_calibration import FILE, OwnCalibration, calibration_folder, read_own
+from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT, Calibration
+from shared.calibration_yaml import calibration_text
 from shared.errors import ConfigError, DataError
 from shared.geometry import se3, so3_exp
 
@@ -65,9 +68,11 @@ def test_without_a_folder_it_is_told_until_the_program_ends() -> None:
     [
         (camera_with(width=1280, height=720), "1280x720, the camera's have 640x480"),
         (camera_with(cx=700.0), "outside the picture"),
-        (camera_with(fx=50_000.0), "longer than any lens"),
-        (camera_with(T_body_cam=tuple(2.0 * v for v in np.eye(4).ravel())), "no rigid motion"),
-        (camera_with(T_body_cam=(-1.0, *np.eye(4).ravel().tolist()[1:])), "no rigid motion"),
+        (msgspec.structs.replace(REFERENCE_ROBOT, rig="hand-held"), "rig is 'wheels'"),
+        (
+            msgspec.structs.replace(REFERENCE_ROBOT, imu=msgspec.structs.replace(REFERENCE_IMU, gyro_range=1.0)),
+            "ranges of the robot's IMU",
+        ),
         (msgspec.structs.replace(REFERENCE_ROBOT, camera=None), "one camera, the calibration none"),
         (msgspec.structs.replace(REFERENCE_ROBOT, imu=None), "one imu, the calibration none"),
         (msgspec.structs.replace(REFERENCE_ROBOT, robot_kind="generic"), "'generic' robot"),
@@ -91,20 +96,51 @@ def test_a_folder_that_cannot_be_written_is_named_with_the_remedy(tmp_path: Path
     assert own.current == REFERENCE_ROBOT
 
 
-def test_a_killed_writer_leaves_a_whole_calibration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("is_undo", [False, True])
+def test_a_full_disk_or_a_killed_writer_leaves_both_calibrations_as_they_were(
+    is_undo: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     own = OwnCalibration(tmp_path, REFERENCE_ROBOT)
+    own.use(camera_with(fx=900.0))
     own.use(MEASURED)
     told, replace = own.current, Path.replace
 
     def full(self: Path, target: Path) -> Path:
         if target.name == FILE:
-            raise OSError(28, "No space left on device")
-        return replace(self, target)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return replace(self, target)  # what was written before it stays, as a killed writer leaves it
 
-    monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(ConfigError, match="No space left"):
-        own.use(camera_with(fx=900.0))
-    assert own.current == told == read_own(tmp_path)
+    with monkeypatch.context() as while_full:
+        while_full.setattr(Path, "replace", full)
+        with pytest.raises(ConfigError, match="No space left"):
+            own.undo() if is_undo else own.use(camera_with(fx=800.0))
+    assert own.current == told
+    again = OwnCalibration(tmp_path, REFERENCE_ROBOT)
+    assert again.current == told
+    again.undo()
+    assert again.current == camera_with(fx=900.0)
+
+
+@pytest.mark.parametrize(
+    "previous", ["", "previous: 3\n", "previous: {rig: wheels}\n", "previous:\n  camera: {resolution: [640, 480]}\n"]
+)
+def test_a_damaged_earlier_calibration_costs_the_undo_and_no_more(
+    previous: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / FILE).write_text(calibration_text(MEASURED) + previous)
+    own = OwnCalibration(tmp_path, REFERENCE_ROBOT)
+    assert own.current == MEASURED and not own.origin.can_undo
+    assert ("there is no undo" in caplog.text) == (previous != "")
+    with pytest.raises(ConfigError, match="nothing to undo"):
+        own.undo()
+
+
+def test_an_earlier_calibration_of_other_pictures_is_not_brought_back(tmp_path: Path) -> None:
+    smaller = camera_with(width=320, height=240, cx=160.0, cy=120.0)
+    own = OwnCalibration(tmp_path, smaller)
+    own.use(msgspec.structs.replace(smaller, gravity=9.80665))
+    (tmp_path / FILE).write_text(calibration_text(MEASURED, smaller))  # the camera was set to larger pictures since
+    assert not OwnCalibration(tmp_path, REFERENCE_ROBOT).origin.can_undo
 
 
 def test_files_written_by_hand_are_read_and_wrong_ones_name_file_and_key(tmp_path: Path) -> None:
@@ -121,11 +157,18 @@ def test_files_written_by_hand_are_read_and_wrong_ones_name_file_and_key(tmp_pat
             read_own(tmp_path)
 
 
-def test_the_previous_one_is_an_ordinary_file_beside_it(tmp_path: Path) -> None:
+def test_the_previous_one_is_a_section_of_the_one_file(tmp_path: Path) -> None:
     own = OwnCalibration(tmp_path, REFERENCE_ROBOT)
     own.use(MEASURED)
-    assert {path.name for path in tmp_path.iterdir()} == {FILE, PREVIOUS}
-    assert "intrinsics: [1083.4, 1076.4, 335.0879, 257.0793]" in (tmp_path / PREVIOUS).read_text()
+    assert [path.name for path in tmp_path.iterdir()] == [FILE]
+    assert yaml.safe_load((tmp_path / FILE).read_text())["previous"]["camera"]["intrinsics"][0] == 1083.4
+
+
+def test_the_head_stays_as_it_was_built(tmp_path: Path) -> None:
+    own = OwnCalibration(tmp_path, REFERENCE_ROBOT)
+    own.use(msgspec.structs.replace(MEASURED, head=None))
+    assert own.current.head == REFERENCE_ROBOT.head is not None
+    assert OwnCalibration(tmp_path, REFERENCE_ROBOT).current.head == REFERENCE_ROBOT.head
 
 
 def test_only_a_real_robot_keeps_its_calibration_without_being_told_where() -> None:

@@ -122,7 +122,8 @@ class HangingMotors:
         self.entered.set()
         self.let_go.wait(WAIT_S)
 
-    def stop(self) -> None: ...
+    def stop(self) -> str:
+        return ""
 
     def close(self) -> None: ...
 

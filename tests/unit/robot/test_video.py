@@ -41,6 +41,7 @@ class ThinLink:
     most_waiting_bytes: float = 0.0
     is_on_this_machine: bool = False
     counts_bytes: bool = True  # False: a station of before `Received.num_bytes`
+    paused_ms: Callable[[float], float] = lambda _: 0.0  # by so much the station's clock has stood still
     back_ms: Callable[[float], float] = lambda _: 0.0  # by so much a word of the station's is late, at a time in s
 
     def __post_init__(self) -> None:
@@ -120,12 +121,13 @@ class ThinLink:
 
     def _confirm(self, seq: int) -> None:
         read, read_ns, held_ns = self._read, self._read_ns, self.now_ns - self._read_ns
+        t_station_ns = read_ns + STATION_AHEAD_NS - round(self.paused_ms(read_ns / S) * MS)
         delay_ns = round((self.delay_ms + self.back_ms(self.now_ns / S)) * MS)
 
         def hear() -> None:
             count = self.stream.confirm(seq)
             if self.counts_bytes:
-                self.meter.confirm(read, held_ns, self.now_ns, read_ns + STATION_AHEAD_NS)
+                self.meter.confirm(read, held_ns, self.now_ns, t_station_ns)
             else:
                 for _ in range(count):
                     self.meter.confirm_frame(self.now_ns)
@@ -190,6 +192,20 @@ def test_what_is_lost_on_the_way_back_is_not_taken_for_a_thin_link() -> None:
     assert link.meter.estimate is not None
     assert link.meter.estimate.bytes_per_s == pytest.approx(250_000, rel=0.2)
     assert float(np.percentile(link.ages_ms(30.0), 99)) <= 250.0
+
+
+@pytest.mark.parametrize("paused_s", [3.0, 0.2, -3.0])  # below 0: the robot's own clock stood still
+@pytest.mark.parametrize(("mbit_s", "delay_ms"), [(6.0, 15.0), (1.0, 60.0)])
+def test_a_clock_that_stood_still_changes_nothing_of_what_the_link_is_thought_to_carry(
+    mbit_s: float, delay_ms: float, paused_s: float
+) -> None:
+    rate = mbit_s / 8 * 1e6
+    link = ThinLink(lambda _: rate, delay_ms, paused_ms=lambda t_s: 1e3 * paused_s * (t_s > 10.0))
+    link.run(9.9)
+    for _ in range(100):
+        link.run(0.1)
+        assert link.meter.estimate is not None
+        assert 0.5 * rate < link.meter.estimate.bytes_per_s < 2 * rate
 
 
 def test_a_late_picture_is_never_sent() -> None:

@@ -213,3 +213,20 @@ def test_after_close_nothing_moves_any_more() -> None:
     watchdog.close()
     assert not watchdog.command(AHEAD, later_ns(250))
     assert set(motors.history) == {(0.0, 0.0)}
+
+
+def test_a_stop_that_the_motors_did_not_take_is_known_and_repeated_until_they_do() -> None:
+    motors = FakeMotors()
+    watchdog = MotorWatchdog(motors)
+    try:
+        motors.stop_fault = "the Mega is not connected"
+        watchdog.stop()
+        assert watchdog.stop_fault == "the Mega is not connected"
+        motors.stop_fault = ""
+        told = len(motors.history)
+        watchdog.check()
+        assert watchdog.stop_fault == "" and motors.history[told:] == [(0.0, 0.0)]
+        watchdog.check()
+        assert len(motors.history) == told + 1
+    finally:
+        watchdog.close()

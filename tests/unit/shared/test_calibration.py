@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_ROBOT, Calibration, Rig
-from shared.errors import DataError
-from shared.sensor_yaml import read_rig
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_HEAD, REFERENCE_IMU, REFERENCE_ROBOT, Calibration, Rig
+from shared.errors import ConfigError, DataError
+from shared.sensor_yaml import read_imu_noise, read_rig
 
 
 @pytest.mark.parametrize(("kind", "has_wheels"), [("sentinel", True), ("generic", False), ("handheld rig", False)])
@@ -33,3 +34,51 @@ def test_a_rig_nobody_heard_of_is_refused_by_its_name(tmp_path: Path) -> None:
     assert read_rig({}, tmp_path) == "unknown" and read_rig({"rig": "hand-held"}, tmp_path) == "hand-held"
     with pytest.raises(DataError, match="rig is 'boat'; write one of wheels, hand-held, unknown"):
         read_rig({"rig": "boat"}, tmp_path)
+
+
+EYE = tuple(np.eye(4).ravel().tolist())
+
+
+@pytest.mark.parametrize(
+    ("sensor", "changes", "words"),
+    [
+        (REFERENCE_CAMERA, {"fx": 1e-6, "fy": 1e-6}, "none that a lens gives"),
+        (REFERENCE_CAMERA, {"fx": 50_000.0, "fy": 50_000.0}, "none that a lens gives"),
+        (REFERENCE_CAMERA, {"fx": 10_000.0, "fy": 100.0}, "differ more than any sensor's pixels"),
+        (REFERENCE_CAMERA, {"distortion": (1e6, 0.0, 0.0, 0.0)}, "no lens's"),
+        (REFERENCE_CAMERA, {"T_body_cam": (*EYE[:3], 1e6, *EYE[4:])}, "further than 10 m"),
+        (REFERENCE_CAMERA, {"T_body_cam": (*EYE[:12], 9.0, 9.0, 9.0, 9.0)}, "no rigid motion"),
+        (REFERENCE_CAMERA, {"T_body_cam": tuple(2.0 * value for value in EYE)}, "no rigid motion"),
+        (REFERENCE_CAMERA, {"T_body_cam": (-1.0, *EYE[1:])}, "no rigid motion"),
+        (REFERENCE_HEAD, {"pivot_body": (0.0, 100.0, 0.0)}, "further than 10 m"),
+        (REFERENCE_IMU, {"gyro_density": 1e9}, "gyro_density is 1e"),
+        (REFERENCE_IMU, {"accel_walk": -1.0}, "accel_walk is -1"),
+        (REFERENCE_IMU, {"rate_hz": -5.0}, "rate_hz is -5"),
+        (REFERENCE_IMU, {"gyro_range": 0.0}, "must be over 0"),
+        (REFERENCE_ROBOT, {"gravity": 0.0}, "gravity is 0"),
+        (REFERENCE_ROBOT, {"gravity": -9.81}, "gravity is -9.81"),
+    ],
+)
+def test_numbers_of_no_sensor_are_refused_by_whoever_reads_them(
+    sensor: msgspec.Struct, changes: dict[str, object], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        msgspec.structs.replace(sensor, **changes)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"width": 4000, "height": 3000, "fx": 2900.0, "fy": 2900.0, "distortion": (0.2, -1.5, 0.001, 2.6)},  # a phone
+        {"fx": 170.0, "fy": 171.0, "model": "equidistant"},  # a fisheye of 220 degrees
+        {"fx": 30_000.0, "fy": 30_000.0},  # a telescope
+        {"fx": 1000.0, "fy": 500.0},  # every second line left out
+    ],
+)
+def test_unusual_cameras_are_cameras(changes: dict[str, object]) -> None:
+    msgspec.structs.replace(REFERENCE_CAMERA, **changes)
+
+
+def test_noise_of_no_imu_is_refused_with_the_files_name(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"imu\.yaml: the IMU's gyro_density"):
+        read_imu_noise(tmp_path / "imu.yaml", {"gyroscope_noise_density": 1e9})

@@ -66,7 +66,7 @@ def test_a_falling_uptime_is_a_new_start_also_with_the_same_boot_number() -> Non
         told = len(line.written)
         with pytest.raises(DeviceLost, match="started anew"):
             MegaMotors(mega, DriveGeometry()).drive(0.2, 0.0, UNTIL_NS)
-        MegaMotors(mega, DriveGeometry()).stop()
+        assert "motors are off until it has been greeted" in MegaMotors(mega, DriveGeometry()).stop()
         assert len(line.written) == told
         line.say(hello(1), STATUS)
         until(lambda: line.written.count(sp.encode(sp.ConfigMotors())) == 2)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from shared.calibration import CameraCalibration
+from shared.errors import DataError
 from shared.geometry import FloatArray
+from shared.sensor_yaml import read_camera
 from station.calibration.bundle import covariance, fit_camera, stack_views
-from station.calibration.camera import CameraFit, Rejected, calibrate_camera
+from station.calibration.camera import CameraFit, Rejected, best_lens, calibrate_camera
 from station.calibration.camera_verdict import reasons_against
 from station.calibration.target import BoardView, Target
+from station.commands.calibrate.camera import write
 from tests.support.board_views import CAMERA, GRID, Shape, facing, random_pose, see, session
 from tests.support.paths import RECORDINGS
 
@@ -59,6 +64,20 @@ def test_a_wide_lens_is_found_to_be_equidistant() -> None:
     found, _ = calibrated(session(2, 25, to_the_edge, camera=FISHEYE))
     assert found.fit.lens == "equidistant" and reasons_against(found) == []
     assert found.fit.numbers[:4] == pytest.approx(numbers(FISHEYE)[:4], abs=1.0)
+
+
+def test_a_lens_that_only_opencv_reads_is_written_for_opencv_and_never_recommended(tmp_path: Path) -> None:
+    views = session(2, 25, to_the_edge, camera=FISHEYE)
+    found, _ = calibrate_camera(GRID, views, SIZE, "radtan8")
+    assert found is not None
+    assert best_lens(found.trials).lens in ("radtan", "equidistant")
+    path = tmp_path / "camera.opencv.yaml"
+    write(found, True, path, None, None)
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    K, distortion = file.getNode("camera_matrix").mat(), file.getNode("distortion_coefficients").mat()
+    assert [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *distortion.ravel()] == pytest.approx(found.fit.numbers, rel=1e-12)
+    with pytest.raises(DataError):
+        read_camera(path)
 
 
 def test_true_numbers_lie_within_three_sigmas() -> None:

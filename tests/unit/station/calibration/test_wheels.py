@@ -1,20 +1,28 @@
 """Wheels are measured between rests: by the board for the way, by the gyroscope for turns."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import msgspec
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sessions import Session, record_session
+from shared.calibration import REFERENCE_ROBOT, CameraCalibration
 from shared.errors import DataError
+from station.calibration.target import Target
 from station.calibration.target_file import read_target
-from station.calibration.wheels import Move, Wheels, calibrate_wheels, find_rests, fit_factor, late
-from station.datasets import open_dataset
+from station.calibration.target_page import page_target
+from station.calibration.wheels import Move, Wheels, board_poses, calibrate_wheels, find_rests, fit_factor, late
+from station.datasets import Dataset, open_dataset
 from station.main import app
-from station.model.frames import DriveSample
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from tests.support.target_images import T_cam_board, photograph, printed_page
 
 S = 1_000_000_000
 
@@ -51,6 +59,82 @@ def test_the_command_writes_what_the_robot_should_be_told(recording: tuple[Path,
     assert answer["full_speed_m_s"] == pytest.approx(0.5 * true["linear_efficiency"], rel=0.003)
     assert answer["track_m"] == pytest.approx(0.2 * true["linear_efficiency"] / true["yaw_efficiency"], rel=0.01)
     assert f"track_m = {answer['track_m']:.4f}" in out.read_text()
+
+
+def turning(without_imu_s: Sequence[tuple[float, float]] = (), frames: Sequence[ImageFrame] = ()) -> Dataset:
+    """Six turns of 2 s at 1 rad/s, of which 80 % are done, each after 2 s of rest; the IMU is silent in some spans."""
+    drive = [DriveSample(k * 2 * S, 0.0, float(k % 2)) for k in range(13)]
+    t_s = np.arange(0.0, 26.0, 0.01)
+    for begin, end in without_imu_s:
+        t_s = t_s[(t_s < begin) | (t_s >= end)]
+    yaw_rate = np.where(t_s // 2 % 2 == 1, 0.8, 0.0)
+    gyro = np.stack([np.zeros_like(t_s), np.zeros_like(t_s), yaw_rate + 0.01], axis=1)
+    imu = ImuBatch(np.round(t_s * 1e9).astype(np.int64), gyro, np.tile([0.0, 0.0, 9.81], (len(t_s), 1)))
+    times = np.array([frame.t_robot_ns for frame in frames], dtype=np.int64)
+    return Dataset(Path("turning"), "asl", REFERENCE_ROBOT, True, times, lambda: iter(frames), imu, drive)
+
+
+CHESSBOARD = Target("chessboard", 9, 6, 0.025)
+
+
+@pytest.mark.parametrize("silent", [(8.5, 9.9), (8.4, 10.1), (8.0, 10.0), (5.0, 7.0), (0.0, 1.5), (25.0, 26.0)])
+def test_turns_are_measured_where_the_imu_was_not_silent(silent: tuple[float, float]) -> None:
+    found = calibrate_wheels(turning([silent]), CHESSBOARD)
+    assert found.turn is not None
+    assert found.turn.value == pytest.approx(0.8, rel=0.01)
+    assert found.turn.moves >= 4
+
+
+def test_where_samples_are_missing_the_refusal_names_them() -> None:
+    found = calibrate_wheels(turning([(4.5, 5.5), (8.5, 9.5), (12.5, 13.5), (16.5, 17.5)]), CHESSBOARD)
+    assert found.turn is None
+    assert "Samples of the IMU are missing" in found.reasons[0]
+    silent = calibrate_wheels(turning([(0.5, 25.5)]), CHESSBOARD)
+    assert "Samples of the IMU are missing" in silent.reasons[0]
+
+
+def test_a_guessed_lens_is_refused() -> None:
+    data = turning()
+    assert data.calibration.camera is not None
+    guess = msgspec.structs.replace(data.calibration.camera, is_measured=False)
+    guessed = replace(data, calibration=msgspec.structs.replace(data.calibration, camera=guess))
+    with pytest.raises(DataError, match="station calibrate camera"):
+        calibrate_wheels(guessed, CHESSBOARD)
+
+
+def pictures(images: Sequence[bytes]) -> list[ImageFrame]:
+    """At 10 Hz from the beginning of the third rest on."""
+    return [ImageFrame(k, 9 * S + k * S // 10, 0, image, f"{k}.jpg") for k, image in enumerate(images)]
+
+
+def test_a_damaged_picture_is_passed_over() -> None:
+    found = calibrate_wheels(turning(frames=pictures([b"damaged"])), CHESSBOARD)
+    assert found.turn is not None
+
+
+def test_a_part_of_a_chessboard_tells_no_pose() -> None:
+    target = page_target("chessboard", "A4")
+    camera = CameraCalibration(
+        width=752, height=480, fx=460.0, fy=458.0, cx=367.0, cy=248.0, distortion=(-0.28, 0.07, 2e-4, 0.0)
+    )
+    seen = {}
+    for name, aside in (("whole", 0.0), ("part", -0.8)):
+        T = T_cam_board(target, np.array([0.2, -0.2, 0.0]), 0.3, (aside, 0.0))
+        grey = photograph(printed_page(target), camera, T)
+        encoded = [cv2.imencode(".png", grey)[1].tobytes()] * 3
+        seen[name] = board_poses(iter(pictures(encoded)), camera, target, [(8 * S, 10 * S)], lambda: None)[0]
+    assert seen["whole"] is not None
+    assert seen["part"] is None
+
+
+def test_a_gyroscope_whose_scale_is_off_as_its_data_sheet_allows_is_within_three_sigmas() -> None:
+    data = turning()
+    assert data.imu is not None
+    scaled = replace(data, imu=replace(data.imu, gyro_imu=1.03 * data.imu.gyro_imu))
+    found = calibrate_wheels(scaled, CHESSBOARD).turn
+    assert found is not None
+    assert abs(found.value - 0.8) < 3.1 * found.sigma
+    assert not any("tell only to" in reason for reason in calibrate_wheels(scaled, CHESSBOARD).reasons)
 
 
 @pytest.mark.parametrize(
@@ -109,14 +193,14 @@ def test_three_sigmas_of_few_moves_hold_as_often_as_they_say() -> None:
     outside = 0
     for _ in range(2000):
         ratio = 0.8 * (1 + 0.01 * rng.standard_normal(4))
-        factor = fit_factor([(2.0, 2.0 * r) for r in ratio])
+        factor = fit_factor([(2.0, 2.0 * r) for r in ratio], 0.0)
         assert factor is not None
         outside += abs(factor.value - 0.8) > 3 * factor.sigma
     assert outside <= 16  # 0.27 % of 2000 are 5.4
 
 
 def test_two_moves_are_too_few_to_contradict_each_other() -> None:
-    assert fit_factor([(1.0, 0.9), (1.0, 0.9)]) is None
+    assert fit_factor([(1.0, 0.9), (1.0, 0.9)], 0.0) is None
 
 
 def test_an_arc_is_neither_a_drive_nor_a_turn() -> None:

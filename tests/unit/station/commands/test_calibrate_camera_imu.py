@@ -5,15 +5,23 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from robot.simulation.calibration.conduct import Kind
 from robot.simulation.calibration.sessions import Session, record_session
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.calibration_yaml import read_calibration
+from shared.errors import DataError
 from shared.geometry import so3_log
+from station.commands.calibrate.camera_imu import told, views_of
+from station.commands.progress import working
+from station.datasets import Dataset
 from station.main import app
+from station.model.frames import ImageFrame
+from tests.support.calibration_sessions import TARGET
 
 SECONDS = 13.0
 
@@ -68,3 +76,53 @@ def test_a_lens_that_is_a_guess_is_an_error_that_says_what_to_run(
     code, printed = calibrate(folder, tmp_path / "calibration.yaml", "--camera", str(guess))
     assert code != 0
     assert "station calibrate camera" in printed
+
+
+def images_of(width: int, height: int, *more: bytes) -> Dataset:
+    """Of a grey wall, and more that are given as they are in their files."""
+    wall = cv2.imencode(".png", np.full((height, width), 128, np.uint8))[1].tobytes()
+    frames = [ImageFrame(i, 10**8 * i, 0, data, f"{i}.png") for i, data in enumerate((wall, *more))]
+    times = np.array([frame.t_robot_ns for frame in frames])
+    return Dataset(Path("waved"), "asl", REFERENCE_ROBOT, True, times, lambda: iter(frames))
+
+
+def test_images_of_another_size_than_the_lens_are_an_error_that_says_what_to_run() -> None:
+    with (
+        working("reading") as bar,
+        pytest.raises(DataError, match=r"has 320x240 pixels.* with 640x480; run `station calibrate camera`"),
+    ):
+        views_of(images_of(320, 240), TARGET, REFERENCE_CAMERA, bar)
+
+
+def test_a_damaged_image_is_left_out_and_named() -> None:
+    with working("reading") as bar:
+        views, notes = views_of(images_of(640, 480, b"\xff\xd8 torn"), TARGET, REFERENCE_CAMERA, bar)
+    assert views == []
+    assert len(notes) == 1
+    assert "1 images cannot be read, the first: image 1.png" in notes[0]
+
+
+CAMCHAIN = """cam0:
+  camera_model: pinhole
+  intrinsics: [500.0, 501.0, 320.0, 240.0]
+  distortion_model: radtan
+  distortion_coeffs: [-0.3, 0.1, 0.0, 0.0]
+  resolution: [640, 480]
+"""
+IMU_YAML = """accelerometer_noise_density: 0.01
+accelerometer_random_walk: 0.002
+gyroscope_noise_density: 0.0003
+gyroscope_random_walk: 0.00004
+update_rate: 250.0
+"""
+
+
+def test_the_lens_and_the_noise_may_be_files_of_kalibr(tmp_path: Path) -> None:
+    camchain, imu = tmp_path / "camchain.yaml", tmp_path / "imu.yaml"
+    camchain.write_text(CAMCHAIN)
+    imu.write_text(IMU_YAML)
+    known = told(REFERENCE_ROBOT, camchain, imu)
+    assert known.camera is not None
+    assert known.imu is not None
+    assert (known.camera.fx, known.camera.width, known.camera.distortion[0]) == (500.0, 640, -0.3)
+    assert (known.imu.gyro_density, known.imu.accel_walk, known.imu.rate_hz) == (0.0003, 0.002, 250.0)
