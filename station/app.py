@@ -82,6 +82,7 @@ class Station:
             ComputeSlots(),
         )
         self._pages: dict[tuple[TargetKind, PaperSize], bytes] = {}  # calibration targets, as PDF
+        self._drawing = asyncio.Lock()  # one of them
         self.robots: dict[str, RobotSession] = {}
         for robot in config.fleet:
             events = Events()
@@ -242,7 +243,12 @@ class Station:
             return {"navigation": navigation_id, "landmarks": report.landmarks}
 
         try:
-            return self.jobs.start("reprocess", f"SLAM over {navigation.name}", work)
+            return self.jobs.start(
+                "reprocess",
+                f"SLAM over {navigation.name}",
+                work,
+                on_failure=lambda _: self.navigations.release(navigation_id),
+            )
         except Conflict:
             self.navigations.release(navigation_id)
             raise
@@ -256,36 +262,35 @@ class Station:
         session, times_ns = await guided.stop_looking(session_id)
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
-            try:
-                result = await worker.call(
-                    LibraryProgram.calibrate_camera, session.folder, times_ns, session.target, session.told
-                )
-            except BaseException as exc:
-                why = str(exc) if isinstance(exc, RobotSystemError) else "the estimate was ended"
-                guided.change(session_id, lambda now: replace(now, state="failed", message=why))
-                raise
+            result = await worker.call(
+                LibraryProgram.calibrate_camera, session.folder, times_ns, session.target, session.told
+            )
             guided.change(session_id, lambda now: replace(now, state="done", result=result))
             return {"session": session_id, "accepted": result["accepted"]}
 
-        try:
-            job = self.jobs.start("calibrate", f"camera of {robot.name} from {len(times_ns)} pictures", work)
-        except Conflict as exc:
-            why = str(exc)
+        def fail(why: str) -> None:
             guided.change(session_id, lambda now: replace(now, state="failed", message=why))
+
+        title = f"camera of {robot.name} from {len(times_ns)} pictures"
+        try:
+            job = self.jobs.start("calibrate", title, work, on_failure=fail)
+        except Conflict as exc:
+            fail(str(exc))
             raise
         guided.change(session_id, lambda now: replace(now, job=job.id))
         return job
 
     async def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
         """A calibration target to print, as PDF."""
-        if (kind, size) not in self._pages:
-            worker: JobWorker[LibraryProgram] = Worker("calibration target", LIBRARY)
-            try:
-                await worker.start()
-                self._pages[kind, size] = await worker.call(LibraryProgram.target_page, kind, size)
-            finally:
-                await worker.close()
-        return self._pages[kind, size]
+        async with self._drawing:  # however many ask: one worker
+            if (kind, size) not in self._pages:
+                worker: JobWorker[LibraryProgram] = Worker("calibration target", LIBRARY)
+                try:
+                    await worker.start()
+                    self._pages[kind, size] = await worker.call(LibraryProgram.target_page, kind, size)
+                finally:
+                    await worker.close()
+            return self._pages[kind, size]
 
     def _robot_of(self, navigation: NavigationRecord) -> RobotSession:
         """The robot that drove it, if it is one of ours."""

@@ -7,7 +7,9 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse
 
+from shared.calibration import Calibration
 from shared.calibration_yaml import calibration_text
+from shared.messages import Hello
 from station.api.deps import RobotDep, StationDep
 from station.api.problems import responses
 from station.api.schema.calibration import (
@@ -68,12 +70,13 @@ async def use(order: CalibrationOrder, robot: RobotDep) -> CalibrationModel:
 
     409 while it drives or a navigation is recorded, 422 with its words for numbers that cannot be its own.
     """
-    hello = robot.state.hello
-    if hello is None:
-        raise NoRobot("no robot is connected")
-    if order.session is not None:
-        order = order_of_result(robot.guided_calibration.get(order.session))
-    await robot.use_calibration(ordered_calibration(hello.calibration, order))
+
+    def completed(hello: Hello) -> Calibration:
+        session = order.session
+        numbers = order if session is None else order_of_result(robot.guided_calibration.get_for(hello, session))
+        return ordered_calibration(hello.calibration, numbers)
+
+    await robot.use_calibration(completed)
     return calibration_model(robot)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 
+from shared.errors import DataError
 from station.calibration.target import Target
 
 APRIL_DICTIONARY = "DICT_APRILTAG_36h11"
@@ -25,8 +26,14 @@ def april_dictionary() -> Any:
 
 
 def charuco_board(target: Target) -> Any:
-    """OpenCV's board of a ChArUco target. Its corners have the ids of Target.corners."""
+    """OpenCV's board of a ChArUco target. Its corners have the ids of Target.corners.
+
+    Raises DataError: it has more markers than its dictionary.
+    """
     name = target.dictionary or DEFAULT_CHARUCO_DICTIONARY
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     size = (target.columns + 1, target.rows + 1)
+    markers = size[0] * size[1] // 2
+    if markers > len(dictionary.bytesList):
+        raise DataError(f"a board of {markers} markers is too large for {name}, which has {len(dictionary.bytesList)}")
     return cv2.aruco.CharucoBoard(size, target.square_m, target.marker_m, dictionary)

@@ -35,6 +35,8 @@ class Target:
             raise ConfigError(f"a target of {self.columns} x {self.rows} is outside 2..50 in each direction")
         if not 1e-3 <= self.square_m <= 2.0:
             raise ConfigError(f"a target's square of {self.square_m:g} m is outside 0.001 to 2 m")
+        if self.kind == "charuco" and not 0.0 < self.marker_m < self.square_m:
+            raise ConfigError(f"a marker of {self.marker_m:g} m is not smaller than its square of {self.square_m:g} m")
 
     @property
     def corners(self) -> FloatArray:

@@ -29,7 +29,9 @@ from station.workers.worker import Worker
 logger = logging.getLogger(__name__)
 
 LOOK_EVERY_S = 0.2
-OTHER_RUN = "the robot was started anew, or another one was connected; begin again"
+LONGEST_S = 1800.0  # of one recording: a patient person needs minutes; a page that was closed ends nothing
+KEPT_FOLDERS = 5  # of the newest sessions, with their recordings
+OTHER_RUN = "the robot was started anew, or another one was connected, or its calibration was changed; begin again"
 SessionKind = Literal["camera"]
 SessionState = Literal["looking", "estimating", "done", "failed"]
 
@@ -43,11 +45,20 @@ class CalibrationSession:
     target: Target
     folder: Path
     told: CameraCalibration  # what the robot told when it began
+    robot_id: str
     state: SessionState = "looking"
     message: str = ""  # why it failed, in a sentence
     seen: BoardSeen | None = None  # the newest picture that was looked at
     job: str = ""  # that estimates
     result: dict[str, Any] | None = None  # what the estimate came to
+
+
+@dataclass(slots=True)
+class _Beginning:
+    """A session whose worker and recording are being made."""
+
+    hello: Hello
+    is_void: bool = False  # another robot, another run of it or another calibration came meanwhile
 
 
 class GuidedCalibration(LinkListeners):
@@ -58,17 +69,23 @@ class GuidedCalibration(LinkListeners):
         self._root = root
         self._events = events
         self._make_recorder = make_recorder
-        self._run = ""  # the robot's, that is recorded
+        self._hello: Hello | None = None  # of the robot that is recorded
+        self._beginning: _Beginning | None = None
         self._recorder: NavigationRecorder | None = None
         self._worker: Worker[CalibrationProgram, None] | None = None
         self._frames: Latest[CameraFrame] = Latest()
         self._looking: asyncio.Task[None] | None = None
+        self._ending: asyncio.Task[None] | None = None  # of what a failed session leaves
         self._changing = asyncio.Lock()
         self.session: CalibrationSession | None = None
 
     @property
     def is_busy(self) -> bool:
-        """The board is looked at, and what the robot sends is recorded."""
+        """The board is looked at and what the robot sends is recorded, or about to be."""
+        return self._beginning is not None or self._is_looking
+
+    @property
+    def _is_looking(self) -> bool:
         return self.session is not None and self.session.state == "looking"
 
     def get(self, session_id: str) -> CalibrationSession:
@@ -82,23 +99,41 @@ class GuidedCalibration(LinkListeners):
         told = hello.calibration.camera
         if told is None or not hello.capabilities.camera:
             raise NotCapable("this robot has no camera to calibrate")
-        async with self._changing:
-            if self.session is not None and self.session.state in ("looking", "estimating"):
-                raise Conflict("a calibration is going on; finish it, or give it up")
-            await self._end()
+        if self.is_busy or (self.session is not None and self.session.state == "estimating"):
+            raise Conflict("a calibration is going on; finish it, or give it up")
+        self._beginning = beginning = _Beginning(hello)
+        try:
+            async with self._changing:
+                return await self._begin(beginning, kind, board, told)
+        finally:
+            self._beginning = None
+
+    async def _begin(
+        self, beginning: _Beginning, kind: SessionKind, board: Target | PrintedBoard, told: CameraCalibration
+    ) -> CalibrationSession:
+        await self._end()
+        hello, folder = beginning.hello, None
+        try:
             self._worker = worker = Worker("calibration", WATCHER, on_death=self._fail)
             await worker.start()
             target = await worker.call(CalibrationProgram.begin, board, told)
             session_id, folder = await asyncio.to_thread(self._make_folder)
             self._recorder = await asyncio.to_thread(self._make_recorder, folder / RECORDING)
-            if self._recorder is not None:
-                self._recorder.on_connected(hello)
-                self.listeners = (self._recorder,)
-            self._run = hello.session_id
-            self._set(CalibrationSession(session_id, kind, target, folder, told))
-            self._looking = asyncio.create_task(self._look_on(worker), name=f"calibration {session_id}")
+            if beginning.is_void:
+                raise Conflict(OTHER_RUN)
+        except BaseException:
+            await self._end()
+            if folder is not None:
+                await asyncio.to_thread(shutil.rmtree, folder, True)
+            raise
+        if self._recorder is not None:
+            self._recorder.on_connected(hello)
+            self.listeners = (self._recorder,)
+        self._hello = hello
+        self._set(session := CalibrationSession(session_id, kind, target, folder, told, hello.robot_id))
+        self._looking = asyncio.create_task(self._look_and_watch(worker), name=f"calibration {session_id}")
         self._events.notify("calibration", "the camera is being calibrated; show it the board")
-        return self.get(session_id)
+        return session
 
     async def stop_looking(self, session_id: str) -> tuple[CalibrationSession, list[int]]:
         """End the recording; returns the times (robot clock, ns) of the pictures that count.
@@ -111,7 +146,11 @@ class GuidedCalibration(LinkListeners):
                 raise Conflict(f"this calibration is over ({session.state}); begin a new one")
             times = await self._worker.call(CalibrationProgram.taken)
             self._set(replace(session, state="estimating"))
-            await self._end()
+            try:
+                await self._end()
+            except Exception as exc:
+                self._set(replace(session, state="failed", message=f"the recording could not be closed: {exc}"))
+                raise
             return self.get(session_id), times
 
     async def give_up(self, session_id: str) -> None:
@@ -125,35 +164,73 @@ class GuidedCalibration(LinkListeners):
             self.session = None
             self._events.changed("calibration")
 
+    def get_for(self, hello: Hello, session_id: str) -> CalibrationSession:
+        """Raises Unknown; Conflict when another robot was calibrated than the one of this hello."""
+        session = self.get(session_id)
+        if session.robot_id != hello.robot_id:
+            raise Conflict("another robot than the present one was calibrated; connect that one again")
+        return session
+
     def change(self, session_id: str, change: Callable[[CalibrationSession], CalibrationSession]) -> None:
         """A new state of this session, if it is still the newest."""
         if self.session is not None and self.session.id == session_id:
             self._set(change(self.session))
 
     async def close(self) -> None:
+        if self._ending is not None:
+            await asyncio.wait([self._ending])
         await self._end()
 
     # What the link delivers, beside the recorder
 
     def on_connected(self, hello: Hello) -> None:
-        if self.is_busy and hello.session_id != self._run:
-            self._fail(OTHER_RUN)
+        self._compare(hello)
         super().on_connected(hello)
+
+    def on_calibration(self, hello: Hello) -> None:
+        self._compare(hello)
+        super().on_calibration(hello)
+
+    def _compare(self, hello: Hello) -> None:
+        """A session is of one run of one robot that tells one calibration."""
+        if self._beginning is not None and _differ(self._beginning.hello, hello):
+            self._beginning.is_void = True
+        if self._hello is not None and _differ(self._hello, hello):
+            self._fail(OTHER_RUN)
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
         super().on_frame(frame, t_station_ns)
-        if self.is_busy:
+        if self._is_looking:
             self._frames.put(frame)
 
     def _fail(self, why: str) -> None:
-        if self.session is not None and self.session.state == "looking":
+        if self.session is not None and self._is_looking:
             self._set(replace(self.session, state="failed", message=why))
             self._events.notify("calibration", why, "error")
             self.listeners = ()
+            self._ending = asyncio.create_task(self._end_failed(), name="end of a failed calibration")
+
+    async def _end_failed(self) -> None:
+        async with self._changing:
+            if self.session is not None and self.session.state == "failed":
+                await self._end()
 
     def _set(self, session: CalibrationSession) -> None:
         self.session = session
         self._events.changed("calibration")
+
+    async def _look_and_watch(self, worker: Worker[CalibrationProgram, None]) -> None:
+        why, looking = "", asyncio.create_task(self._look_on(worker))
+        try:
+            async with asyncio.timeout(LONGEST_S):
+                while not looking.done() and not (why := "" if self._recorder is None else self._recorder.error):
+                    await asyncio.wait([looking], timeout=1.0)
+        except TimeoutError:
+            why = f"nobody finished it within {LONGEST_S / 60:.0f} minutes; begin again"
+        finally:
+            looking.cancel()
+        if why:
+            self._fail(why)
 
     async def _look_on(self, worker: Worker[CalibrationProgram, None]) -> None:
         """The newest picture, a few times a second."""
@@ -170,7 +247,7 @@ class GuidedCalibration(LinkListeners):
             except RobotSystemError as exc:
                 self._fail(str(exc))
                 return
-            if self.is_busy and self.session is not None:
+            if self._is_looking and self.session is not None:
                 self._set(replace(self.session, seen=seen))
             await asyncio.sleep(max(0.0, LOOK_EVERY_S - (time.monotonic() - begun_s)))
 
@@ -194,6 +271,13 @@ class GuidedCalibration(LinkListeners):
         folder = self._root / session_id
         try:
             make_folder(folder)
+            for old in sorted(self._root.glob("cal-*"))[:-KEPT_FOLDERS]:
+                if time.time() - old.stat().st_mtime > 2 * LONGEST_S:  # else perhaps another robot's, still in use
+                    shutil.rmtree(old, ignore_errors=True)
         except OSError as exc:
             raise DataError(f"{folder} cannot be made ({exc.strerror}); give a folder that can be written") from exc
         return session_id, folder
+
+
+def _differ(begun: Hello, now: Hello) -> bool:
+    return begun.session_id != now.session_id or begun.calibration != now.calibration

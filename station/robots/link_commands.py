@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Callable
 
 from shared.calibration import Calibration
+from shared.calibration_yaml import calibration_text
 from shared.errors import LocalProtocolError
 from shared.messages import (
     MAX_DRIVE_TTL_MS,
@@ -87,6 +88,7 @@ class LinkCommands:
         self._stop_seq: int | None = None  # of a stop that the robot has not confirmed; 0: not sent either
         self._stop_is_confirmed = asyncio.Event()
         self._calibrated: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for another calibration
+        self._wanted: Calibration | None = None  # that one; None: whichever the robot tells next
 
     def restart_count(self) -> None:
         """A connection was made; the robot counts anew for each."""
@@ -200,6 +202,7 @@ class LinkCommands:
         if not self._put(question, self._is_connected):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
         self._calibrated = answer = asyncio.get_running_loop().create_future()
+        self._wanted = calibration
         try:
             async with asyncio.timeout(WRITTEN_WITHIN_S):
                 return await answer
@@ -207,10 +210,13 @@ class LinkCommands:
             raise NoRobot("the robot did not answer; GET /calibration says which calibration it tells") from exc
         finally:
             self._calibrated = None
+            self._due.discard(type(question))  # nobody would hear what became of it
 
-    def receive_calibration(self) -> None:
-        """The robot tells another calibration."""
-        _resolve(self._calibrated, None)
+    def receive_calibration(self, told: Calibration) -> None:
+        """The robot tells this calibration now: perhaps the one that we asked for, perhaps another station's."""
+        # By the words of its file: the robot tells what it reads there, without what no station changes.
+        if self._wanted is None or calibration_text(told) == calibration_text(self._wanted):
+            _resolve(self._calibrated, None)
 
     def beat(self) -> None:
         self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))

@@ -224,33 +224,45 @@ class RobotSession(IgnoringListener):
             return "this robot takes no calibration from a station; update sentinel-robot on it"
         return hello.calibration_origin.fixed
 
-    async def use_calibration(self, calibration: Calibration | None) -> None:
-        """Let the robot tell this calibration from now on, or (None) the one before its present one.
+    async def use_calibration(self, make: Callable[[Hello], Calibration] | None) -> None:
+        """Let the robot tell what `make` makes of its hello from now on, or (None) what it told before the present.
+
+        `make` is called when earlier orders are through: an order is completed by what the robot tells then.
 
         Raises NoRobot, NotCapable for an older robot, Conflict while a navigation is recorded or with the robot's own
         words, OutOfRange where these say what is wrong with it.
         """
-        hello = self.link.state.hello
-        if hello is None:
-            raise NoRobot("no robot is connected")
-        if hello.calibration_origin is None:
-            raise NotCapable(self.why_calibration_fixed)
-        if self.current_navigation.is_busy:
-            raise Conflict("a navigation is being recorded with the present calibration; stop it first")
         async with self._calibrating:
-            refusal = await self.link.commands.use_calibration(calibration)
+            hello = self.link.state.hello
+            if hello is None:
+                raise NoRobot("no robot is connected")
+            if hello.calibration_origin is None:
+                raise NotCapable(self.why_calibration_fixed)
+            if self.current_navigation.is_busy:
+                raise Conflict("a navigation is being recorded with the present calibration; stop it first")
+            if self.guided_calibration.is_busy:
+                raise Conflict("a board is looked at with the present calibration; finish that, or give it up")
+            refusal = await self.link.commands.use_calibration(None if make is None else make(hello))
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
 
     async def start_calibration(self, kind: SessionKind, board: Target | PrintedBoard) -> CalibrationSession:
-        """Look at a calibration board and record; the robot stands meanwhile. Raises NoRobot, NotCapable, Conflict, DataError."""
+        """Look at a calibration board and record. The robot stands meanwhile.
+
+        Raises NoRobot, NotCapable, Conflict, DataError.
+        """
         state = self.link.state
         if not state.connected or state.hello is None:
             raise NoRobot("no robot is connected; there is nothing to calibrate")
         if self.current_navigation.is_busy:
             raise Conflict("a navigation is being recorded; stop it first")
+        self._require_calibration_at_rest()
         self.driving.stop()
         return await self.guided_calibration.start(state.hello, kind, board)
+
+    def _require_calibration_at_rest(self) -> None:
+        if self._calibrating.locked():
+            raise Conflict("another calibration is just being written; try again")
 
     async def start_navigation(self, name: str) -> NavigationRecord:
         """Record from now on. Raises NoRobot, NotCapable, Conflict, DataError."""
@@ -261,6 +273,7 @@ class RobotSession(IgnoringListener):
             raise NotCapable("this robot has no camera; SLAM needs one")
         if self.guided_calibration.is_busy:
             raise Conflict("the robot is being calibrated; finish that, or give it up")
+        self._require_calibration_at_rest()
         if not self.driving.head_is_centred:
             raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you record")
         return await self.current_navigation.start(state.hello, name)

@@ -63,14 +63,18 @@ class Jobs(Generic[ProgramT]):
         kind: str,
         title: str,
         work: Callable[[JobWorker[ProgramT]], Awaitable[dict[str, Any]]],
+        on_failure: Callable[[str], None] = lambda _: None,
     ) -> Job:
-        """Run `work` with a fresh worker. Raises Conflict when enough jobs run."""
+        """Run `work` with a fresh worker. Raises Conflict when enough jobs run.
+
+        `on_failure` hears in a sentence why the job came to nothing, also where `work` was never begun.
+        """
         self.require_room()
         self._count += 1
         job = Job(id=f"job-{self._count}", kind=kind, title=title)
         worker = Worker(job.id, self._program, on_event=lambda progress: self._advance(job.id, progress))
         self._store(job)
-        self._running[job.id] = (asyncio.create_task(self._run(job.id, worker, work), name=job.id), worker)
+        self._running[job.id] = (asyncio.create_task(self._run(job.id, worker, work, on_failure), name=job.id), worker)
         return job
 
     def require_room(self) -> None:
@@ -103,6 +107,7 @@ class Jobs(Generic[ProgramT]):
         job_id: str,
         worker: JobWorker[ProgramT],
         work: Callable[[JobWorker[ProgramT]], Awaitable[dict[str, Any]]],
+        on_failure: Callable[[str], None],
     ) -> None:
         try:
             await worker.start()
@@ -111,10 +116,13 @@ class Jobs(Generic[ProgramT]):
             self._store(done)
             self._events.notify("job", f"{done.title}: done")
         except RobotSystemError as exc:
+            on_failure(str(exc))
             self._fail(job_id, str(exc))
         except Exception as exc:  # on top of the job: whatever it is, nobody must wait for what will never be done
             logger.exception("%s", job_id)
-            self._fail(job_id, f"an error of the station ended this job: {exc!r}")
+            sentence = f"an error of the station ended this job: {exc!r}"
+            on_failure(sentence)
+            self._fail(job_id, sentence)
         finally:
             await worker.close()
             self._running.pop(job_id, None)

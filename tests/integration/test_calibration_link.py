@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from pathlib import Path
 
 import msgspec
@@ -14,13 +15,45 @@ from shared.access import Role
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.messages import PROTOCOL_VERSION, Join, encode_message
+from station.calibration.target import Target
 from station.datasets import open_dataset
+from station.robots.guided_calibration import CalibrationSession
 from tests.support.access import guarded_station
 from tests.support.link import linked, running_robot, until
 from tests.support.station_at_work import at_work, drive_off, is_problem, wait_for
 
 pytestmark = pytest.mark.timeout(300)
 LENS = {"camera": {"intrinsics": [1001.5, 1002.5, 321.0, 241.0], "time_shift_s": -0.0125}}
+
+
+TARGET = Target("aprilgrid", 6, 6, 0.024, gap_m=0.0072)
+GOOD = {
+    "model": "radtan",
+    "resolution": [640, 480],
+    "intrinsics": [1001.5, 1002.5, 321.0, 241.0],
+    "distortion": [0.0, 0.0, 0.0, 0.0],
+    "rms_px": 0.1,
+    "sigma": {},
+    "images_used": 20,
+    "images_rejected": [],
+    "coverage": 1.0,
+    "line_delay_s": None,
+    "accepted": True,
+    "reasons": [],
+}
+
+
+class SlowCalibration(OwnCalibration):
+    """Written when the test says so."""
+
+    def __init__(self) -> None:
+        super().__init__(None, REFERENCE_ROBOT)
+        self.is_asked, self.may_write = threading.Event(), threading.Event()
+
+    def use(self, calibration: Calibration) -> None:
+        self.is_asked.set()
+        self.may_write.wait(60)
+        super().use(calibration)
 
 
 def focal(calibration: Calibration) -> float:
@@ -76,6 +109,44 @@ async def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(tmp
         driving = await desk.http.post("/calibration/use", json=LENS)
         assert is_problem(driving, 409) and "being driven" in driving.json()["detail"]
         assert (await desk.http.get("/calibration")).json() == before
+
+
+async def test_two_orders_at_once_are_both_followed(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, _):
+        noise = {"imu": {"gyro_noise_density": 0.0025}}
+        answers = await asyncio.gather(*(desk.http.post("/calibration/use", json=order) for order in (LENS, noise)))
+        assert [answer.status_code for answer in answers] == [200, 200]
+        told = (await desk.http.get("/calibration")).json()
+        assert told["camera"]["intrinsics"] == LENS["camera"]["intrinsics"]
+        assert told["imu"]["gyro_noise_density"] == 0.0025
+
+
+async def test_a_result_of_another_robot_is_not_written_into_the_present_one(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, _):
+        before = (await desk.http.get("/calibration")).json()
+        assert REFERENCE_ROBOT.camera is not None
+        desk.station.first.guided_calibration.session = CalibrationSession(
+            "cal-1", "camera", TARGET, tmp_path, REFERENCE_ROBOT.camera, "another", state="done", result=GOOD
+        )
+        answer = await desk.http.post("/calibration/use", json={"session": "cal-1"})
+        assert is_problem(answer, 409) and "another robot" in answer.json()["detail"]
+        assert (await desk.http.get("/calibration")).json() == before
+
+
+async def test_nothing_begins_while_a_calibration_is_being_written(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _):
+        assert bench.server is not None
+        bench.server.calibration = own = SlowCalibration()
+        writing = asyncio.create_task(desk.http.post("/calibration/use", json=LENS))
+        try:
+            await until(own.is_asked.is_set)
+            board = {"kind": "camera", "target": {"kind": "aprilgrid", "size": "A4"}}
+            for path, order in (("/navigations", {}), ("/calibration/sessions", board)):
+                answer = await desk.http.post(path, json=order)
+                assert is_problem(answer, 409) and "being written" in answer.json()["detail"]
+        finally:
+            own.may_write.set()
+        assert (await writing).status_code == 200
 
 
 async def test_a_robot_whose_folder_cannot_be_written_says_so(tmp_path: Path) -> None:

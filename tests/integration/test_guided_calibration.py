@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from station.datasets import open_dataset
+from station.workers.worker import Worker
 from tests.support.board_bench import BUILT, HELD, TOLD, before_a_board
 from tests.support.link import until
 from tests.support.station import running_station
@@ -88,3 +91,17 @@ async def test_the_board_is_printed_from_the_page(tmp_path: Path) -> None:
         page = await desk.http.get("/calibration/target.pdf?kind=charuco&size=Letter")
         assert page.headers["content-type"] == "application/pdf" and page.content.startswith(b"%PDF")
         assert is_problem(await desk.http.get("/calibration/target.pdf?size=A9"), 422)
+
+
+async def test_a_page_that_many_ask_for_at_once_is_drawn_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, start = list[str](), Worker.start
+
+    async def count(worker: Worker[Any, Any]) -> None:
+        begun.append(worker.name)
+        await start(worker)
+
+    monkeypatch.setattr(Worker, "start", count)
+    async with running_station(1, tmp_path) as desk:
+        pages = await asyncio.gather(*(desk.station.target_page("chessboard", "A4") for _ in range(3)))
+    assert len(set(pages)) == 1 and pages[0].startswith(b"%PDF")
+    assert begun.count("calibration target") == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import signal
 import time
@@ -18,6 +19,7 @@ from station.workers.executors.opening import open_executor
 from station.workers.jobs import Job, Jobs, JobWorker
 from station.workers.library_interface import Progress
 from station.workers.request import Program, ProgramName
+from station.workers.worker import Worker
 
 STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports
 
@@ -117,3 +119,17 @@ async def test_a_job_that_was_done_before_it_could_be_cancelled_is_not_called_ca
         assert jobs.get(job.id).state == "done"
     finally:
         await jobs.close()
+
+
+async def test_a_job_whose_process_cannot_be_made_fails_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def refuse(_: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    async def work(_: JobWorker[Porter]) -> dict[str, Any]:
+        raise AssertionError("there is no worker to work with")
+
+    monkeypatch.setattr(Worker, "start", refuse)
+    jobs, heard = Jobs(Events(), ProgramName.of(Porter)), list[str]()
+    job = jobs.start("carry", "a box", work, on_failure=heard.append)
+    await until(lambda: jobs.get(job.id).state == "failed")
+    assert len(heard) == 1 and "temporarily unavailable" in heard[0]

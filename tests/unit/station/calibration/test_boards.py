@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from shared.calibration import CameraCalibration
+from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray
 from station.calibration.boards import make_finder, view_board
+from station.calibration.dictionaries import charuco_board
 from station.calibration.target import Target, TargetKind
 from station.calibration.target_file import read_target
 from station.calibration.target_page import page_target
@@ -102,3 +104,14 @@ def test_euroc_images_show_nearly_all_of_the_grid() -> None:
         view = view_board(finder, target, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), path.name, 0)
         found.append(0 if view is None else len(view.ids))
     assert min(found) >= 70 and np.median(found) >= 120
+
+
+@pytest.mark.parametrize("marker_m", [0.0, 0.02, 0.03])
+def test_a_charuco_board_whose_markers_fill_its_squares_is_refused(marker_m: float) -> None:
+    with pytest.raises(ConfigError, match="not smaller than its square"):
+        Target("charuco", 6, 9, 0.02, marker_m=marker_m)
+
+
+def test_a_charuco_board_of_more_markers_than_its_dictionary_is_refused() -> None:
+    with pytest.raises(DataError, match="too large for DICT_4X4_250"):
+        charuco_board(Target("charuco", 50, 50, 0.02, marker_m=0.015))

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
-from shared.messages import Capabilities, Drive, Heartbeat, PanTilt, StationMessage, Stop
+import msgspec
+import pytest
+
+from shared.calibration import REFERENCE_ROBOT, Calibration
+from shared.messages import Capabilities, Drive, Heartbeat, PanTilt, StationMessage, Stop, UseCalibration
+from station.errors import NoRobot
+from station.robots import link_commands
 from station.robots.link_commands import DueMessages, LinkCommands
 
 
@@ -81,3 +87,28 @@ async def test_the_stations_own_stop_and_one_for_another_robot_are_said_once() -
     commands.forget_stop()
     assert await commands.stop_is_confirmed(60.0)
     assert reconnect(commands, due) == []
+
+
+def with_focal_length(fx: float) -> Calibration:
+    assert REFERENCE_ROBOT.camera is not None
+    return msgspec.structs.replace(REFERENCE_ROBOT, camera=msgspec.structs.replace(REFERENCE_ROBOT.camera, fx=fx))
+
+
+async def test_another_stations_calibration_is_no_answer_to_our_order() -> None:
+    commands, due = connected()
+    asking = asyncio.create_task(commands.use_calibration(with_focal_length(1001.0)))
+    await asyncio.sleep(0)
+    assert said(due) == [UseCalibration]
+    commands.receive_calibration(with_focal_length(900.0))
+    await asyncio.sleep(0)
+    assert not asking.done()
+    commands.receive_calibration(with_focal_length(1001.0))
+    assert await asking is None
+
+
+async def test_an_order_that_nobody_waits_for_any_more_is_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_commands, "WRITTEN_WITHIN_S", 0.0)
+    commands, due = connected()
+    with pytest.raises(NoRobot, match="did not answer"):
+        await commands.use_calibration(with_focal_length(1001.0))
+    assert said(due) == []
