@@ -39,6 +39,6 @@ def test_a_calibrated_lens_is_the_lens_that_is_used(lens: LensName, seed: int) -
     xy, d = draw(lens, seed)
     model = "equidistant" if lens == "equidistant" else "radtan"
     camera = CameraCalibration(
-        width=640, height=480, fx=1.0, fy=1.0, cx=0.0, cy=0.0, model=model, distortion=tuple(d.tolist())
+        width=640, height=480, fx=640.0, fy=640.0, cx=0.0, cy=0.0, model=model, distortion=tuple(d.tolist())
     )
-    assert distort(lens, xy, d).xy == pytest.approx(Lens(camera).project(xy), abs=1e-12)
+    assert distort(lens, xy, d).xy == pytest.approx(Lens(camera).project(xy) / 640.0, abs=1e-12)
