@@ -43,7 +43,7 @@ from station.robots.link import RobotLink
 from tests.support.link import Bench, HearingDesk, Notes
 from tests.support.station import Desk, running_station
 
-JOIN = Join(protocol=PROTOCOL_VERSION, station_name="desk")
+JOIN = Join(protocol=PROTOCOL_VERSION, station_name="desk", knows_calibration_changed=True)
 NOW = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
 
 

@@ -178,7 +178,7 @@ def test_a_lens_that_is_not_the_one_of_its_file_is_refused() -> None:
     session = short_session()
     other = msgspec.structs.replace(session.camera, fx=1.06 * session.camera.fx, fy=1.06 * session.camera.fy)
     assert_only_reason(
-        calibrated(replace(session, camera=other)), r"f[xy] is 6.*, not 678.* run `station calibrate camera`"
+        calibrated(replace(session, camera=other)), r"f[xy] is 6.*, not 678.* run `station calibrate camera "
     )
 
 

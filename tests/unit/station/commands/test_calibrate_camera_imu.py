@@ -89,7 +89,7 @@ def images_of(width: int, height: int, *more: bytes) -> Dataset:
 def test_images_of_another_size_than_the_lens_are_an_error_that_says_what_to_run() -> None:
     with (
         working("reading") as bar,
-        pytest.raises(DataError, match=r"has 320x240 pixels.* with 640x480; run `station calibrate camera`"),
+        pytest.raises(DataError, match=r"has 320x240 pixels.* with 640x480; run `station calibrate camera "),
     ):
         views_of(images_of(320, 240), TARGET, REFERENCE_CAMERA, bar)
 
