@@ -14,9 +14,9 @@ import numpy as np
 
 from shared.bounded import shown
 from shared.calibration import CameraCalibration
-from shared.errors import ConfigError, DataError
+from shared.errors import DataError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
-from shared.sensor_yaml import DISTORTION_MODELS, number, numbers, read_yaml
+from shared.sensor_yaml import numbers, read_camera, read_yaml
 
 OUR_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"}
 KALIBR_NAMES = {"radtan": "radtan", "equidistant": "equidistant"}
@@ -79,28 +79,19 @@ def read_camchain(path: Path) -> CameraCalibration:
         raise DataError(f"{path} has no cam0; give a camchain of kalibr's")
     if content.get("camera_model", "pinhole") != "pinhole":
         raise DataError(f"{path}: camera_model is {shown(content['camera_model'])}; only pinhole is used")
-    model = DISTORTION_MODELS.get(str(content.get("distortion_model", "none")).lower())
-    if model is None:
-        raise DataError(f"{path}: distortion_model is {shown(content['distortion_model'])}; use radtan or equidistant")
-    fx, fy, cx, cy = numbers(content, "intrinsics", 4, path)
-    width, height = numbers(content, "resolution", 2, path)
-    distortion = numbers(content, "distortion_coeffs", 4, path) if content.get("distortion_coeffs") else [0.0] * 4
-    try:
-        return CameraCalibration(
-            width=int(width),
-            height=int(height),
-            fx=fx,
-            fy=fy,
-            cx=cx,
-            cy=cy,
-            model="equidistant" if model == "equidistant" else "radtan",
-            distortion=tuple(distortion),
-            T_body_cam=tuple(inverse(_rigid(content, "T_cam_imu", path)).ravel().tolist()),
-            time_shift_s=number(content, "timeshift_cam_imu", 0.0, path),
-            line_delay_s=number(content, "line_delay", 0.0, path),
-        )
-    except ConfigError as exc:
-        raise DataError(f"{path}: {exc}") from exc
+    T_body_cam = inverse(_rigid(content, "T_cam_imu", path))
+    return read_camera(
+        path,
+        {
+            "resolution": content.get("resolution"),
+            "intrinsics": content.get("intrinsics"),
+            "distortion_model": content.get("distortion_model", "none"),
+            "distortion_coefficients": content.get("distortion_coeffs"),
+            "T_BS": T_body_cam.ravel().tolist(),
+            "time_shift_s": content.get("timeshift_cam_imu"),
+            "line_delay_s": content.get("line_delay"),
+        },
+    )
 
 
 def _rigid(content: dict[str, Any], key: str, path: Path) -> FloatArray:
