@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +50,19 @@ class PlanEdits:
     doors_drawn: tuple[FloatArray, ...] = ()  # (2, 2) each: a line that parts a room
     doors_erased: tuple[FloatArray, ...] = ()  # (2, 2) each: a door that is none; both sides are one room
     names: Mapping[str, str] = field(default_factory=dict)  # of rooms, by id
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NameSuggestion:
+    """A name that something seen speaks for. A person accepts it, or nobody does."""
+
+    room: str  # id
+    name: str
+    source: Literal["sticker", "door plate", "model", "other map"]
+    confidence: float  # 0..1
+    reason: str  # a sentence for a person
+    keyframe_index: int | None = None  # of the map: the picture that shows it
+    corners_px: FloatArray | None = None  # (4, 2) where in that picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
