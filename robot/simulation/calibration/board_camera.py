@@ -18,8 +18,9 @@ from robot.simulation.renderer import Float32Array, undistort
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, inverse, transform
 
-# Where in a pixel the passes look: a square turned so that neither rows nor columns fall together.
-OFFSETS_PX = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
+# Where in a pixel the passes look: a square turned so that neither rows nor columns fall together. Before and after the
+# middle of the exposure they look at opposite places: else motion shifts all corners to one side.
+OFFSETS_PX = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 PX_PER_PASS = 1.0  # of motion blur
 MAX_PASSES = 16
 BEND_ROUNDS = 3

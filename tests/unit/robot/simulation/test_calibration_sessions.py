@@ -11,6 +11,7 @@ import pytest
 
 from robot.simulation.along import read_states
 from robot.simulation.asl import TRUTH
+from robot.simulation.calibration.board_camera import OFFSETS_PX
 from robot.simulation.calibration.conduct import POOR
 from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sensors import draw_camera
@@ -180,3 +181,8 @@ def test_an_unknown_mistake_is_refused_with_those_there_are(tmp_path: Path) -> N
     with pytest.raises(ConfigError, match="too-still"):
         record_session(Kind.CAMERA_IMU, tmp_path / "session", seed=0, poor="too-loud")
     assert not (tmp_path / "session").exists()
+
+
+def test_an_exposure_looks_at_opposite_places_before_and_after_its_middle() -> None:
+    """So that motion blurs corners and does not shift them: 0.005 px is more than a sigma."""
+    np.testing.assert_array_equal(np.array(OFFSETS_PX), -np.array(OFFSETS_PX[::-1]))
