@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from shared.geometry import FloatArray, IntArray
 from station.calibration.distortion import COUNT, LensName, distort, undistorted_guess
@@ -122,7 +122,7 @@ def covariance(corners: Corners, fit: Fit) -> FloatArray:
     moved = np.stack([_inverse(H - S[i]) @ s[i] for i in range(len(S))])
     views = len(S)
     # Few images know their own scatter badly: Student's distribution, at three sigmas.
-    widening = stats.t.ppf(stats.norm.cdf(3.0), max(views - 1, 1)) / 3.0
+    widening = special.stdtrit(max(views - 1, 1), special.ndtr(3.0)) / 3.0
     by_images = widening**2 * (views - 1) / views * (moved - moved.mean(axis=0)).T @ (moved - moved.mean(axis=0))
     larger = np.sqrt(np.maximum(np.diag(by_images) / np.maximum(np.diag(by_noise), 1e-300), 1.0))
     return np.asarray(by_noise * np.outer(larger, larger))

@@ -53,6 +53,7 @@ OUTLIER = 5.0  # sigmas of a corner: farther off, it is left out
 DAMPING = 1e-9
 MAX_ITERATIONS = 25
 ROUGHLY, CONVERGED = 0.3, 0.02  # sigmas: no unknown of the calibration moves more
+ROUGH_SHARE = 5  # of the corners one is enough to come near; a tag has four, so that all places of a tag are met
 CLUSTER_S = 0.5  # residuals nearer to each other than that may be alike
 IMAGE_PARTS = 8  # in each direction, in which they may be alike as well
 # Gravity differs by 0.026 m/s^2 from pole to equator, a consumer accelerometer's scale by half a percent.
@@ -154,7 +155,8 @@ def solve(problem: Problem, start: Unknowns, progress: Progress, free_target: bo
     Raises:
         DegenerateGeometry: the measurements leave the motion or the calibration open.
     """
-    rough = _iterate(problem, start, ROUGHLY, free_target, progress)
+    every = np.arange(len(problem.corners.ids)) % ROUGH_SHARE == 0
+    rough = _iterate(replace(problem, corners=problem.corners.chosen(every)), start, ROUGHLY, free_target, progress)
     seen = within(replace(problem.corners, sigma_px=rough.fit.corner_px), rough.unknowns)
     is_used = np.linalg.norm(camera_rows(rough.unknowns, seen).residual, axis=1) < OUTLIER
     problem = replace(

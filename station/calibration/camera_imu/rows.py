@@ -137,8 +137,10 @@ def inertial_rows(unknowns: Unknowns, samples: Samples) -> Rows:
     residual = np.concatenate([turned.omega, force], axis=1) + bias
     residual -= np.concatenate([samples.gyro, samples.accel], axis=1)
     by_knots = np.zeros((N, 6, ORDER, KNOT))
-    by_knots[:, :3, :, :3] = np.swapaxes(turned.omega_by_knots, 1, 2)
-    by_knots[:, 3:, :, :3] = np.swapaxes(skew(force)[:, None] @ turned.R_by_knots, 1, 2)
+    by_R, by_omega = np.zeros((2, N, 6, 3))
+    by_R[:, 3:] = skew(force)
+    by_omega[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    by_knots[..., :3] = turned.by_knots(by_R, by_omega)
     by_knots[:, 3:, :, 3:] = Rt[:, :, None, :] * weights.blend[:, None, 2, :, None]
     by_border = np.zeros((N, 6, 3 + unknowns.biases.size))
     by_border[:, 3:, :3] = -Rt
@@ -185,7 +187,7 @@ def camera_rows(unknowns: Unknowns, corners: Corners) -> Rows:
     by_p_body = by_p_cam @ Rt_cam
     by_board = by_p_body @ Rt
     by_knots = np.empty((len(z), 2, ORDER, KNOT))
-    by_knots[..., :3] = np.swapaxes((by_p_body @ skew(p_body))[:, None] @ turned.R_by_knots, 1, 2)
+    by_knots[..., :3] = turned.by_knots(by_p_body @ skew(p_body))
     by_knots[..., 3:] = -by_board[:, :, None, :] * weights.blend[:, None, 0, :, None]
     by_border = np.empty((len(z), 2, BIASES))
     by_border[..., MOUNT_ROTATION] = by_p_cam @ skew(p_cam)

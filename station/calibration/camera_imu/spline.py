@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from shared.geometry import FloatArray, IntArray, gammas, skew, so3_exp, so3_log
+from shared.geometry import DIAGONAL, FloatArray, IntArray, skew, so3_exp, so3_log
 from station.motion import lie
 
 ORDER = 5  # knots that act on one time: with 5, quartic, the specific force is smooth
@@ -52,13 +52,45 @@ class Weights:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """One factor of the rotation at N times, from one knot to the next: Exp(share * d)."""
+
+    R: FloatArray  # (N, 3, 3)
+    R_by_d: FloatArray  # (N, 3, 3) perturbation on the right of R
+    omega_by_d: FloatArray  # (N, 3, 3) of the angular rate after it
+    d_by_knots: FloatArray  # (N, 3, 6): of the knot before, of the knot after
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Orientation:
-    """Rotation and angular rate at N times, with their derivatives by the knots that act."""
+    """Rotation and angular rate at N times, and what they are made of."""
 
     R: FloatArray  # (N, 3, 3) R_target_body
     omega: FloatArray  # (N, 3) rad/s, body
-    R_by_knots: FloatArray  # (N, ORDER, 3, 3) perturbation on the right of R
-    omega_by_knots: FloatArray  # (N, ORDER, 3, 3)
+    turns: list[Turn]  # ORDER - 1
+
+    def by_knots(self, by_R: FloatArray, by_omega: FloatArray | None = None) -> FloatArray:
+        """Derivatives (N, m, ORDER, 3) by the knots' rotations of m numbers whose derivatives by R are known.
+
+        From the last turn to the first, as the chain rule goes with few numbers of many unknowns.
+
+        Args:
+            by_R: (N, m, 3) by a perturbation on the right of R.
+            by_omega: (N, m, 3); None: they do not depend on it.
+        """
+        N, m, _ = by_R.shape
+        out = np.zeros((N, m, ORDER, 3))
+        for j in range(ORDER - 1, 0, -1):
+            turn = self.turns[j - 1]
+            by_d = by_R @ turn.R_by_d
+            if by_omega is not None:
+                by_d += by_omega @ turn.omega_by_d
+            out[:, :, j - 1 : j + 1] += (by_d @ turn.d_by_knots).reshape(N, m, 2, 3)
+            back = np.swapaxes(turn.R, 1, 2)
+            by_R = by_R @ back
+            by_omega = None if by_omega is None else by_omega @ back
+        out[:, :, 0] += by_R
+        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,35 +131,42 @@ class Motion:
 
     def orientations(self, weights: Weights) -> Orientation:
         d = so3_log(np.swapaxes(self.R_knots[:-1], 1, 2) @ self.R_knots[1:])
-        by_later = lie.so3_left_jacobian_inverse(-d)  # of d, by the knot after it
-        by_earlier = -lie.so3_left_jacobian_inverse(d)
-        share = weights.cumulative
-        N, first = len(weights.segment), weights.segment
-        R = self.R_knots[first]
-        omega = np.zeros((N, 3))
-        R_by = np.zeros((N, ORDER, 3, 3))
-        R_by[:, 0] = np.eye(3)
-        omega_by = np.zeros((N, ORDER, 3, 3))
+        angle = np.linalg.norm(d, axis=1)
+        axis = skew(d / np.maximum(angle, 1e-12)[:, None])
+        axis2 = axis @ axis
+        d_by_knots = np.concatenate([-lie.so3_left_jacobian_inverse(d), lie.so3_left_jacobian_inverse(-d)], axis=2)
+        share, first = weights.cumulative, weights.segment
+        R, omega, turns = self.R_knots[first], np.zeros((len(first), 3)), []
         for j in range(1, ORDER):
             pair = first + j - 1
-            turn, A_by = gammas(share[:, 0, j, None] * d[pair], (0, 1))
-            A_by = np.swapaxes(A_by, 1, 2) * share[:, 0, j, None, None]  # by d, on the right of the turn
-            back = np.swapaxes(turn, 1, 2)
-            R = R @ turn
-            carried = (back @ omega[..., None])[..., 0]
-            omega = carried + share[:, 1, j, None] * d[pair]
-            R_by[:, :j] = back[:, None] @ R_by[:, :j]
-            omega_by[:, :j] = back[:, None] @ omega_by[:, :j]
-            omega_by_d = skew(carried) @ A_by
-            omega_by_d[:, [0, 1, 2], [0, 1, 2]] += share[:, 1, j, None]
-            for knot, by in ((j - 1, by_earlier), (j, by_later)):
-                R_by[:, knot] += A_by @ by[pair]
-                omega_by[:, knot] += omega_by_d @ by[pair]
-        return Orientation(R, omega, R_by, omega_by)
+            part, rate = share[:, 0, j], share[:, 1, j]
+            turned, by_d = _about(axis[pair], axis2[pair], part * angle[pair])
+            by_d *= part[:, None, None]
+            carried = (omega[:, None] @ turned)[:, 0]
+            omega_by_d = skew(carried) @ by_d
+            omega_by_d[:, DIAGONAL, DIAGONAL] += rate[:, None]
+            R, omega = R @ turned, carried + rate[:, None] * d[pair]
+            turns.append(Turn(turned, by_d, omega_by_d, d_by_knots[pair]))
+        return Orientation(R, omega, turns)
 
     def moved(self, step: FloatArray) -> Motion:
         """step (n, 6): rotation vector on the right, then metres, per knot."""
         return Motion(self.start_s, self.spacing_s, self.R_knots @ so3_exp(step[:, :3]), self.p_knots + step[:, 3:])
+
+
+def _about(K: FloatArray, K2: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotations (N, 3, 3) by angles (N,) about axes given as skew matrices K and their squares, with right Jacobians.
+
+    As `shared.geometry.gammas`, with what the axes have in common taken out of the loop over the times.
+    """
+    sine, half = np.sin(angle), np.sin(0.5 * angle)
+    R = sine[:, None, None] * K + (2.0 * half * half)[:, None, None] * K2
+    # (1 - cos) / angle and 1 - sin / angle; numpy's sinc is sin(pi x) / (pi x)
+    by = (1.0 - np.sinc(angle / np.pi))[:, None, None] * K2
+    by -= (half * np.sinc(0.5 * angle / np.pi))[:, None, None] * K
+    for matrix in (R, by):
+        matrix[:, DIAGONAL, DIAGONAL] += 1.0
+    return R, by
 
 
 def motion_through(

@@ -11,29 +11,20 @@ import msgspec
 import numpy as np
 import typer
 
-from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration import Calibration, CameraCalibration
 from shared.calibration_yaml import as_calibration, calibration_text
 from shared.disk import replacing
 from shared.errors import DataError
-from shared.geometry import FloatArray
-from shared.sensor_yaml import CONSUMER_IMU, read_camera, read_imu_noise, read_yaml
+from shared.sensor_yaml import read_camera, read_imu_noise, read_yaml
 from station.calibration import CALIBRATE_CAMERA
-from station.calibration.boards import make_finder, view_board
 from station.calibration.camera_files import read_camchain
-from station.calibration.camera_imu.calibrate import HandheldRecording, calibrate_camera_imu
-from station.calibration.target import BoardView, Target
+from station.calibration.camera_imu.calibrate import calibrate_camera_imu
+from station.calibration.camera_imu.recording import open_thinned, read_recording
 from station.calibration.target_file import read_target
 from station.commands.options import Json, check_out_file
-from station.commands.progress import Bar, working
-from station.datasets import Dataset, open_dataset
-from station.model.frames import ImageArray, ImuBatch
+from station.commands.progress import working
 
 REFUSED = 2  # exit code
-IMAGES_PER_S = 10.0  # more say little more of one motion
-# How well a lens is known whose file does not say it: of a focal length and a centre 0.3 % of the image's width, and
-# what a calibration from 30 images leaves open of the distortion.
-SIGMA_OF_WIDTH = 0.003
-SIGMA_DISTORTION = {"radtan": (0.01, 0.01, 0.001, 0.001), "equidistant": (0.005, 0.005, 0.005, 0.005)}
 
 
 def register(app: typer.Typer) -> None:
@@ -69,7 +60,7 @@ def camera_imu(
         if not lens.is_measured:
             where = camera or dataset
             raise DataError(f"{where}: the lens is a guess; {CALIBRATE_CAMERA} and give --camera")
-        found = calibrate_camera_imu(recorded(data, board, lens, known, bar), bar.step)
+        found = calibrate_camera_imu(read_recording(data, board, lens, known, bar), bar.step)
     if found.is_accepted and found.solution is not None:
         measured = msgspec.structs.replace(known, camera=found.solution.unknowns.camera)
         with replacing(out) as file:
@@ -96,71 +87,6 @@ def read_lens(path: Path) -> CameraCalibration | None:
     if "camera" in content:
         return as_calibration(content, path).camera
     return read_camchain(path) if "cam0" in content else read_camera(path, content)
-
-
-def open_thinned(dataset: Path) -> Dataset:
-    """With about IMAGES_PER_S images a second."""
-    data = open_dataset(dataset)
-    times = data.frame_times_ns
-    if len(times) < 2:
-        return data
-    step = int(1e9 / IMAGES_PER_S / max(float(np.median(np.diff(times))), 1.0) + 1e-3)
-    return open_dataset(dataset, step=step) if step > 1 else data
-
-
-def recorded(data: Dataset, board: Target, lens: CameraCalibration, known: Calibration, bar: Bar) -> HandheldRecording:
-    """The recording with the target found in its images; without an IMU they need not be looked at."""
-    imu = data.imu or ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
-    views, notes = views_of(data, board, lens, bar) if len(imu) else ([], [])
-    return HandheldRecording(
-        views=views,
-        num_images=len(data.frame_times_ns),
-        imu=imu,
-        target=board,
-        camera=lens,
-        noise=known.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0),
-        gravity=known.gravity,
-        sigma_intrinsics=lens_sigma(lens),
-        notes=notes,
-    )
-
-
-def views_of(data: Dataset, board: Target, lens: CameraCalibration, bar: Bar) -> tuple[list[BoardView], list[str]]:
-    """The views of the target, and what is to be said about images that cannot be read.
-
-    Raises:
-        DataError: the images are not of the lens' size.
-    """
-    bar.step("looking for the target", len(data.frame_times_ns))
-    assert data.read_frames is not None
-    finder, views, unreadable = make_finder(board), [], []
-    for frame in data.read_frames():
-        bar.advance()
-        try:
-            grey = frame.grey()
-        except DataError as exc:
-            unreadable.append(str(exc))
-            continue
-        check_size(grey, lens, data)
-        view = view_board(finder, board, grey, frame.name, frame.t_robot_ns)
-        if view is not None and view.ids_are_sure:
-            views.append(view)
-    notes = [f"not used: {len(unreadable)} images cannot be read, the first: {unreadable[0]}"] if unreadable else []
-    return views, notes
-
-
-def check_size(grey: ImageArray, lens: CameraCalibration, data: Dataset) -> None:
-    height, width = grey.shape
-    if (width, height) != (lens.width, lens.height):
-        raise DataError(
-            f"{data.path}: an image has {width}x{height} pixels, the lens was calibrated with {lens.width}x"
-            f"{lens.height}; {CALIBRATE_CAMERA} with images of {width}x{height} and give --camera"
-        )
-
-
-def lens_sigma(lens: CameraCalibration) -> FloatArray:
-    """(8,) of fx, fy, cx, cy px and the distortion."""
-    return np.array([*[SIGMA_OF_WIDTH * lens.width] * 4, *SIGMA_DISTORTION[lens.model]])
 
 
 def summary(results: dict[str, Any], out: Path) -> str:

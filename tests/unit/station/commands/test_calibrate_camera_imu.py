@@ -16,7 +16,8 @@ from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.calibration_yaml import read_calibration
 from shared.errors import DataError
 from shared.geometry import so3_log
-from station.commands.calibrate.camera_imu import told, views_of
+from station.calibration.camera_imu.recording import views_of
+from station.commands.calibrate.camera_imu import told
 from station.commands.progress import working
 from station.datasets import Dataset
 from station.main import app
