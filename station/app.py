@@ -256,22 +256,25 @@ class Station:
     # Calibration
 
     async def finish_calibration(self, robot: RobotSession, session_id: str) -> Job:
-        """Estimate the camera from what a guided session has seen, in the background. Raises Unknown, Conflict."""
+        """Estimate from what a guided session has seen, in the background. Raises Unknown, Conflict."""
         self.jobs.require_room()
         guided = robot.guided_calibration
         session, times_ns = await guided.stop_looking(session_id)
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
-            result = await worker.call(
-                LibraryProgram.calibrate_camera, session.folder, times_ns, session.target, session.told
-            )
+            known = (session.target, session.told)
+            if session.kind == "camera":
+                result = await worker.call(LibraryProgram.calibrate_camera, session.folder, times_ns, *known)
+            else:
+                result = await worker.call(LibraryProgram.calibrate_camera_imu, session.folder, *known)
             guided.change(session_id, lambda now: replace(now, state="done", result=result))
             return {"session": session_id, "accepted": result["accepted"]}
 
         def fail(why: str) -> None:
             guided.change(session_id, lambda now: replace(now, state="failed", message=why))
 
-        title = f"camera of {robot.name} from {len(times_ns)} pictures"
+        what = "camera" if session.kind == "camera" else "camera and IMU"
+        title = f"{what} of {robot.name} from {len(times_ns)} pictures"
         try:
             job = self.jobs.start("calibrate", title, work, on_failure=fail)
         except Conflict as exc:

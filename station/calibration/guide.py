@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from enum import Enum
 
 import cv2
@@ -11,6 +10,7 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
+from station.calibration.guidance import MAX_BLUR_PX, MIN_CORNERS, Guidance
 from station.calibration.target import BoardView, Target
 from station.vision.lens import Lens
 
@@ -26,8 +26,6 @@ LEAST_TILT = np.tan(np.radians(15.0))  # less tells focal length from distance h
 NEAR, FAR = 0.65, 0.40  # the board's diagonal over the picture's
 STILL = 0.010  # of the picture's width that corners move between two looks; more is blurred and skewed by the shutter
 NEW = 0.06  # of the picture's width that corners must have moved since any earlier view
-MAX_BLUR_PX = 2.0
-MIN_CORNERS = 12
 
 
 class Pose(Enum):
@@ -52,18 +50,6 @@ WANTED: dict[Pose, int] = {
     Pose.LOWER: 3,
     Pose.FAR: 2,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Guidance:
-    """What one look at the board came to."""
-
-    instruction: str  # what to do next
-    is_taken: bool  # this view counts
-    num_views: int  # that count
-    cells: tuple[float, ...]  # how full each cell of the picture is, 0..1, by rows from the upper left
-    poses: dict[str, float]  # how many of the wanted views of each pose there are, 0..1
-    is_enough: bool  # everything is full
 
 
 class Guide:

@@ -16,6 +16,7 @@ from shared.calibration import CameraCalibration
 from shared.disk import make_folder
 from shared.errors import DataError, RobotSystemError
 from shared.messages import CameraFrame, Hello
+from station.calibration.guidance import GuidedKind
 from station.calibration.target import Target
 from station.errors import Conflict, NotCapable, Unknown
 from station.events import Latest, Notifier
@@ -31,8 +32,11 @@ logger = logging.getLogger(__name__)
 LOOK_EVERY_S = 0.2
 LONGEST_S = 1800.0  # of one recording: a patient person needs minutes; a page that was closed ends nothing
 KEPT_FOLDERS = 5  # of the newest sessions, with their recordings
+SHOWN: dict[GuidedKind, str] = {
+    "camera": "the camera is being calibrated; show it the board",
+    "camera-imu": "camera and IMU are being calibrated; wave the robot before the board",
+}
 OTHER_RUN = "the robot was started anew, or another one was connected, or its calibration was changed; begin again"
-SessionKind = Literal["camera"]
 SessionState = Literal["looking", "estimating", "done", "failed"]
 
 
@@ -41,7 +45,7 @@ class CalibrationSession:
     """One guided calibration, as far as it is."""
 
     id: str
-    kind: SessionKind
+    kind: GuidedKind
     target: Target
     folder: Path
     told: CameraCalibration  # what the robot told when it began
@@ -94,11 +98,15 @@ class GuidedCalibration(LinkListeners):
             raise Unknown(f"there is no calibration session {session_id!r}; GET /calibration/sessions lists it")
         return self.session
 
-    async def start(self, hello: Hello, kind: SessionKind, board: Target | PrintedBoard) -> CalibrationSession:
+    async def start(self, hello: Hello, kind: GuidedKind, board: Target | PrintedBoard) -> CalibrationSession:
         """Begin to look and record; an earlier session is over. Raises Conflict, NotCapable, DataError."""
         told = hello.calibration.camera
         if told is None or not hello.capabilities.camera:
             raise NotCapable("this robot has no camera to calibrate")
+        if kind == "camera-imu" and not hello.capabilities.imu:
+            raise NotCapable("this robot has no IMU that the camera could sit on")
+        if kind == "camera-imu" and not told.is_measured:
+            raise Conflict("the camera's lens is a guess; calibrate the camera first")
         if self.is_busy or (self.session is not None and self.session.state == "estimating"):
             raise Conflict("a calibration is going on; finish it, or give it up")
         self._beginning = beginning = _Beginning(hello)
@@ -109,14 +117,14 @@ class GuidedCalibration(LinkListeners):
             self._beginning = None
 
     async def _begin(
-        self, beginning: _Beginning, kind: SessionKind, board: Target | PrintedBoard, told: CameraCalibration
+        self, beginning: _Beginning, kind: GuidedKind, board: Target | PrintedBoard, told: CameraCalibration
     ) -> CalibrationSession:
         await self._end()
         hello, folder = beginning.hello, None
         try:
             self._worker = worker = Worker("calibration", WATCHER, on_death=self._fail)
             await worker.start()
-            target = await worker.call(CalibrationProgram.begin, board, told)
+            target = await worker.call(CalibrationProgram.begin, kind, board, told)
             session_id, folder = await asyncio.to_thread(self._make_folder)
             self._recorder = await asyncio.to_thread(self._make_recorder, folder / RECORDING)
             if beginning.is_void:
@@ -132,7 +140,7 @@ class GuidedCalibration(LinkListeners):
         self._hello = hello
         self._set(session := CalibrationSession(session_id, kind, target, folder, told, hello.robot_id))
         self._looking = asyncio.create_task(self._look_and_watch(worker), name=f"calibration {session_id}")
-        self._events.notify("calibration", "the camera is being calibrated; show it the board")
+        self._events.notify("calibration", SHOWN[kind])
         return session
 
     async def stop_looking(self, session_id: str) -> tuple[CalibrationSession, list[int]]:

@@ -15,6 +15,7 @@ from shared.calibration import Calibration
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
 from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
+from station.calibration.guidance import GuidedKind
 from station.calibration.target import Target
 from station.config import RobotConfig, StationConfig
 from station.errors import Conflict, NoRobot, NotCapable, OutOfRange
@@ -27,7 +28,7 @@ from station.model.map_store import StoreAddress
 from station.robots.current_navigation import CurrentNavigation
 from station.robots.current_place import CurrentPlace
 from station.robots.driving import Driving
-from station.robots.guided_calibration import CalibrationSession, GuidedCalibration, SessionKind
+from station.robots.guided_calibration import CalibrationSession, GuidedCalibration
 from station.robots.link import RobotLink
 from station.robots.link_events import IgnoringListener, LinkListeners
 from station.robots.link_state import LinkState
@@ -246,7 +247,7 @@ class RobotSession(IgnoringListener):
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
 
-    async def start_calibration(self, kind: SessionKind, board: Target | PrintedBoard) -> CalibrationSession:
+    async def start_calibration(self, kind: GuidedKind, board: Target | PrintedBoard) -> CalibrationSession:
         """Look at a calibration board and record. The robot stands meanwhile.
 
         Raises NoRobot, NotCapable, Conflict, DataError.

@@ -8,6 +8,8 @@ from dataclasses import asdict
 from shared.calibration import CameraCalibration
 from shared.errors import EstimationError
 from station.calibration.boards import Finder, make_finder, view_board
+from station.calibration.camera_imu.guide import WavingGuide
+from station.calibration.guidance import GuidedKind, TargetGuide
 from station.calibration.guide import Guide
 from station.calibration.meter import read_meter
 from station.calibration.target import Target
@@ -17,16 +19,17 @@ from station.workers.calibration_interface import BoardSeen, CalibrationProgram,
 
 
 class BoardWatcher(CalibrationProgram):
-    """Follows one guided calibration. The meter is read again while no picture waits."""
+    """Follows one guided calibration. A camera's meter is read again while no picture waits."""
 
     def __init__(self, emit: Callable[[None], None]) -> None:  # noqa: ARG002
-        self._begun: tuple[Target, CameraCalibration, Finder, Guide] | None = None
+        self._begun: tuple[Target, CameraCalibration, Finder, TargetGuide] | None = None
         self._meter: tuple[MeterReading, ...] = ()
         self._metered = 0  # how many views the meter has seen
 
-    def begin(self, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
+    def begin(self, kind: GuidedKind, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
         target = page_target(board.kind, board.size) if isinstance(board, PrintedBoard) else board
-        self._begun = (target, camera, make_finder(target), Guide(target, camera))
+        guide = Guide(target, camera) if kind == "camera" else WavingGuide(target, camera)
+        self._begun = (target, camera, make_finder(target), guide)
         return target
 
     def look(self, frame: ImageFrame) -> BoardSeen:
@@ -53,11 +56,13 @@ class BoardWatcher(CalibrationProgram):
         if self._begun is None or self._metered == len(self._begun[3].views):
             return False
         target, camera, _, guide = self._begun
+        if not isinstance(guide, Guide):
+            return False
         self._metered = len(guide.views)
         self._meter = tuple(MeterReading(**asdict(reading)) for reading in read_meter(guide.views, target, camera))
         return False
 
-    def _require(self) -> tuple[Target, CameraCalibration, Finder, Guide]:
+    def _require(self) -> tuple[Target, CameraCalibration, Finder, TargetGuide]:
         if self._begun is None:
             raise EstimationError("the board is not known yet; begin first")
         return self._begun

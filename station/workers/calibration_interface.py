@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from shared.calibration import CameraCalibration
+from station.calibration.guidance import GuidedKind
 from station.calibration.target import Target, TargetKind
 from station.model.frames import ImageFrame
 from station.workers.request import Program, ProgramName
@@ -36,7 +37,7 @@ class BoardSeen:
     instruction: str
     is_taken: bool  # this view counts
     num_views: int
-    cells: tuple[float, ...]  # how full each of the 3x3 cells of the picture is, 0..1, by rows
+    cells: tuple[float, ...]  # how full each of the 3x3 cells of the picture is, 0..1, by rows; none where all will do
     poses: dict[str, float]
     meter: tuple[MeterReading, ...]
     is_enough: bool
@@ -54,7 +55,7 @@ class CalibrationProgram(Program, ABC):
     """Looks for the board in pictures and chooses those that count."""
 
     @abstractmethod
-    def begin(self, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
+    def begin(self, kind: GuidedKind, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
         """The first request of all; returns the board with its numbers. `camera` as the robot tells it."""
 
     @abstractmethod

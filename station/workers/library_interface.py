@@ -67,6 +67,10 @@ class LibraryProgram(Program, ABC):
         """The camera, from these pictures of the folder's recording; result and plot are written there."""
 
     @abstractmethod
+    def calibrate_camera_imu(self, folder: Path, target: Target, told: CameraCalibration) -> dict[str, Any]:
+        """How camera and IMU sit on each other, from the folder's recording; result and plot are written there."""
+
+    @abstractmethod
     def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
         """A target to print that fills a page, as PDF."""
 

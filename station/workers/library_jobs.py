@@ -10,6 +10,7 @@ from typing import Any
 
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
+from station.calibration.camera_imu.guided import estimate_camera_imu
 from station.calibration.guided import estimate_camera, store_result
 from station.calibration.target import Target, TargetKind
 from station.datasets import open_dataset
@@ -113,12 +114,17 @@ class LibraryJobs(LibraryProgram):
     def calibrate_camera(
         self, folder: Path, times_ns: list[int], target: Target, told: CameraCalibration
     ) -> dict[str, Any]:
-        def progress(share: float, text: str) -> None:
-            self._emit(Progress(share, text))
-
-        result = estimate_camera(folder / RECORDING, times_ns, target, told, folder / RESIDUALS, progress)
+        result = estimate_camera(folder / RECORDING, times_ns, target, told, folder / RESIDUALS, self._progress)
         store_result(result, folder / RESULT)
         return result
+
+    def calibrate_camera_imu(self, folder: Path, target: Target, told: CameraCalibration) -> dict[str, Any]:
+        result = estimate_camera_imu(folder / RECORDING, target, told, folder / RESIDUALS, self._progress)
+        store_result(result, folder / RESULT)
+        return result
+
+    def _progress(self, share: float, text: str) -> None:
+        self._emit(Progress(share, text))
 
     def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
         return _pdf(kind, size)

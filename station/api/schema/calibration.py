@@ -11,6 +11,7 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.errors import ConfigError
 from station.api.schema.base import Model, Number, Question
 from station.api.schema.robot import CalibrationFitModel, calibration_fit_model
+from station.calibration.guidance import GuidedKind
 from station.calibration.target import Target
 from station.errors import Conflict, NoRobot, OutOfRange
 from station.robots.guided_calibration import CalibrationSession
@@ -115,7 +116,7 @@ class TargetOrder(Question):
 
 
 class SessionOrder(Question):
-    kind: Literal["camera"] = "camera"
+    kind: GuidedKind = "camera"
     target: TargetOrder = Field(examples=[{"kind": "aprilgrid", "size": "A4"}])
 
 
@@ -137,8 +138,13 @@ class BoardSeenModel(Model):
     instruction: str = Field(examples=["tilt it: its left edge nearer; move it to the lower edge of the picture"])
     is_taken: bool = Field(description="this view counts")
     num_views: int = Field(description="that count")
-    cells: list[float] = Field(description="how full each of the 3x3 cells of the picture is, 0..1, by rows")
-    poses: dict[str, float] = Field(description="how many of the wanted views of each pose there are, 0..1")
+    cells: list[float] = Field(
+        description="how full each of the 3x3 cells of the picture is, 0..1, by rows; none for camera-imu"
+    )
+    poses: dict[str, float] = Field(
+        description="how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, "
+        "distance and time: how much of each wanted motion"
+    )
     meter: list[MeterModel]
     is_enough: bool
 
@@ -165,17 +171,46 @@ class CameraResult(Model):
     reasons: list[str]
 
 
+class MountingSigma(Model):
+    rotation_deg: list[float] = Field(description="about the camera's axes")
+    translation_m: list[float]
+    time_shift_s: float
+    line_delay_s: float
+    gravity: list[float]
+
+
+class MountingResult(Model):
+    """What the estimate of camera and IMU came to; numbers are null where there was too little to estimate anything."""
+
+    T_body_cam: Pose | None
+    time_shift_s: float | None
+    line_delay_s: float | None
+    gravity: list[float] | None = Field(description="m/s² in the target's axes")
+    sigma: MountingSigma | None
+    rms_px: float | None
+    rms_gyro: float | None = Field(description="rad/s")
+    rms_accel: float | None = Field(description="m/s²")
+    model: Lens
+    resolution: list[int]
+    intrinsics: list[float] | None = Field(description="of the lens, a little refined")
+    distortion: list[float] | None
+    accepted: bool
+    reasons: list[str]
+    notes: list[str] = Field(description="what was not used of the recording")
+
+
 class CalibrationSessionModel(Model):
     """A guided calibration, as far as it is."""
 
     id: str
-    kind: Literal["camera"]
+    kind: GuidedKind
     state: Literal["looking", "estimating", "done", "failed"]
     message: str = Field(description="why it failed, in a sentence")
     resolution: list[int] = Field(description="of the robot's pictures: width, height")
     seen: BoardSeenModel | None = Field(description="the newest picture that was looked at")
     job: str = Field(description="that estimates; empty: not yet")
-    result: CameraResult | None
+    result: CameraResult | None = Field(description="of kind camera")
+    mounting: MountingResult | None = Field(description="the result of kind camera-imu")
     recording: str = Field(description="the path of what was recorded")
 
 
@@ -202,9 +237,18 @@ def session_model(session: CalibrationSession) -> CalibrationSessionModel:
         session,
         resolution=[told.width, told.height],
         seen=None if seen is None else _seen_model(seen),
-        result=None if session.result is None else CameraResult.model_validate(session.result),
+        result=_camera_result(session) if session.kind == "camera" else None,
+        mounting=_mounting_result(session) if session.kind == "camera-imu" else None,
         recording=f"/calibration/sessions/{session.id}/{RECORDING}",
     )
+
+
+def _camera_result(session: CalibrationSession) -> CameraResult | None:
+    return None if session.result is None else CameraResult.model_validate(session.result)
+
+
+def _mounting_result(session: CalibrationSession) -> MountingResult | None:
+    return None if session.result is None else MountingResult.model_validate(session.result)
 
 
 def _seen_model(seen: BoardSeen) -> BoardSeenModel:
@@ -229,17 +273,20 @@ def ordered_board(order: TargetOrder) -> Target | PrintedBoard:
 
 def order_of_result(session: CalibrationSession) -> CalibrationOrder:
     """Raises Conflict: there is no result that may be used."""
-    if session.result is None:
+    result = _camera_result(session) if session.kind == "camera" else _mounting_result(session)
+    if result is None:
         raise Conflict(f"this calibration has no result ({session.message or session.state})")
-    result = CameraResult.model_validate(session.result)
     if not result.accepted:
         raise Conflict(f"this result is not good enough: {'; '.join(result.reasons)}")
+    mounting = result if isinstance(result, MountingResult) else None
     camera = CameraOrder(
         model=result.model,
         resolution=result.resolution,
         intrinsics=result.intrinsics,
         distortion=result.distortion,
         line_delay_s=result.line_delay_s,
+        T_body_cam=None if mounting is None else mounting.T_body_cam,
+        time_shift_s=None if mounting is None else mounting.time_shift_s,
     )
     return CalibrationOrder(camera=camera)
 

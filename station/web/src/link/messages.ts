@@ -40,9 +40,9 @@ export interface BoardSeenModel {
   is_taken: boolean;
   /** that count */
   num_views: number;
-  /** how full each of the 3x3 cells of the picture is, 0..1, by rows */
+  /** how full each of the 3x3 cells of the picture is, 0..1, by rows; none for camera-imu */
   cells: number[];
-  /** how many of the wanted views of each pose there are, 0..1 */
+  /** how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, distance and time: how much of each wanted motion */
   poses: Record<string, number>;
   meter: MeterModel[];
   is_enough: boolean;
@@ -96,7 +96,7 @@ export interface CalibrationOrder {
 /** A guided calibration, as far as it is. */
 export interface CalibrationSessionModel {
   id: string;
-  kind: "camera";
+  kind: "camera" | "camera-imu";
   state: "looking" | "estimating" | "done" | "failed";
   /** why it failed, in a sentence */
   message: string;
@@ -106,7 +106,10 @@ export interface CalibrationSessionModel {
   seen: BoardSeenModel | null;
   /** that estimates; empty: not yet */
   job: string;
+  /** of kind camera */
   result: CameraResult | null;
+  /** the result of kind camera-imu */
+  mounting: MountingResult | null;
   /** the path of what was recorded */
   recording: string;
 }
@@ -446,6 +449,39 @@ export interface MeterModel {
   unit: string;
 }
 
+/** What the estimate of camera and IMU came to; numbers are null where there was too little to estimate anything. */
+export interface MountingResult {
+  T_body_cam: number[][] | null;
+  time_shift_s: number | null;
+  line_delay_s: number | null;
+  /** m/s² in the target's axes */
+  gravity: number[] | null;
+  sigma: MountingSigma | null;
+  rms_px: number | null;
+  /** rad/s */
+  rms_gyro: number | null;
+  /** m/s² */
+  rms_accel: number | null;
+  model: "radtan" | "equidistant";
+  resolution: number[];
+  /** of the lens, a little refined */
+  intrinsics: number[] | null;
+  distortion: number[] | null;
+  accepted: boolean;
+  reasons: string[];
+  /** what was not used of the recording */
+  notes: string[];
+}
+
+export interface MountingSigma {
+  /** about the camera's axes */
+  rotation_deg: number[];
+  translation_m: number[];
+  time_shift_s: number;
+  line_delay_s: number;
+  gravity: number[];
+}
+
 /** A navigation changed; null: one was deleted. */
 export interface NavigationMessage {
   type: "navigation";
@@ -690,7 +726,7 @@ export interface SessionModel {
 }
 
 export interface SessionOrder {
-  kind: "camera";
+  kind: "camera" | "camera-imu";
   target: TargetOrder;
 }
 
