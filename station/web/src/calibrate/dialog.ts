@@ -1,13 +1,45 @@
-// The guided calibration of the camera: what to print, what to show, what came out of it.
+// The guided calibration: what to print, what to show, what came out of it.
 import { call } from "../link/api";
 import type { CalibrationModel, CalibrationSessionModel, JobModel } from "../link/messages";
 import { by, context2d, make, present, setText, show } from "../ui/dom";
 import { capitalised } from "../ui/text";
 import { attempt } from "../ui/toast";
 import { drawLooking } from "./overlay";
+import { mountingOf } from "./mounting";
 import { link, presentOf, progressOf, resultOf } from "./parts";
 
+type Kind = CalibrationSessionModel["kind"];
+
 const LEAST_VIEWS = 6;
+const LEAST_TIME = 0.5; // of the seconds that are wanted
+const TITLES: Record<Kind, string> = {
+  camera: "Calibrate the camera",
+  "camera-imu": "Calibrate camera and IMU",
+};
+const WHAT: [Kind, string][] = [
+  ["camera", "Camera: its lens"],
+  ["camera-imu", "Camera and IMU: how they sit"],
+];
+const STEPS: Record<Kind, string[]> = {
+  camera: [
+    "Glue it onto something flat: a board, a window pane. A bent one is noticed and refused.",
+    "Turn the camera's focus ring until the picture is sharp; from now on leave it.",
+    "Hold the board before the camera, and do what the page says.",
+  ],
+  "camera-imu": [
+    "Calibrate the camera first: its lens must be known.",
+    "Fix the board to a wall, flat and in good light. It must not move.",
+    "Take the robot into your hand and wave it before the board for half a minute, as the page says.",
+  ],
+};
+const BEGINNINGS: Record<Kind, string> = {
+  camera: "Hold the board before the camera",
+  "camera-imu": "Hold the robot before the board",
+};
+const ESTIMATING: Record<Kind, string> = {
+  camera: "The camera is being estimated",
+  "camera-imu": "Camera and IMU are being estimated",
+};
 const KINDS: [string, string][] = [
   ["aprilgrid", "AprilGrid: may be seen in part"],
   ["charuco", "ChArUco: may be seen in part"],
@@ -81,7 +113,8 @@ export class CalibrateDialog {
     const step = this.session ? `${this.session.id} ${this.session.state}` : "start";
     if (step !== this.step) {
       this.step = step;
-      this.dialog.replaceChildren(make("h2", {}, "Calibrate the camera"), ...this.content(), this.stopping());
+      const title = this.session ? TITLES[this.session.kind] : "Calibrate";
+      this.dialog.replaceChildren(make("h2", {}, title), ...this.content(), this.stopping());
     }
     if (this.session?.state === "looking") this.drawProgress(this.session);
   }
@@ -92,7 +125,7 @@ export class CalibrateDialog {
         return this.lookingContent(this.session);
       case "estimating":
         return [
-          make("p", { class: "instruction", role: "status" }, "The camera is being estimated"),
+          make("p", { class: "instruction", role: "status" }, ESTIMATING[this.session.kind]),
           make("progress", { class: "estimate", max: "1", value: "0", "aria-label": "Estimate" }),
           this.buttons(this.closing()),
         ];
@@ -105,6 +138,7 @@ export class CalibrateDialog {
   }
 
   private startContent(): (Node | string)[] {
+    const what = choice("What", WHAT);
     const kind = choice("Board", KINDS);
     const size = choice("Paper", SIZES);
     const print = link("/calibration/target.pdf", "Board to print (PDF)");
@@ -116,13 +150,17 @@ export class CalibrateDialog {
       { class: "fields" },
       ...MEASURED.map(([label], i) => make("label", {}, label, measured[i])),
     );
+    const steps = make("ol", { class: "steps" });
+    const asked = () => what.select.value as Kind;
     const refresh = () => {
+      const printing = make("li", {}, "Print the board at 100 %, and check the ruler on it. ", print);
+      steps.replaceChildren(printing, ...STEPS[asked()].map((step) => make("li", {}, step)));
       const isOther = size.select.value === OTHER;
       show(other, isOther);
       show(print, !isOther);
       print.href = `/calibration/target.pdf?kind=${kind.select.value}&size=${size.select.value}`;
     };
-    for (const { select } of [kind, size]) select.addEventListener("change", refresh);
+    for (const { select } of [what, kind, size]) select.addEventListener("change", refresh);
     refresh();
     const numbers = () => {
       const [columns, rows, square = NaN, gap = NaN] = measured.map((input) => Number(input.value));
@@ -132,20 +170,13 @@ export class CalibrateDialog {
     const begin = () => {
       const board = size.select.value === OTHER ? numbers() : { size: size.select.value };
       const target = { kind: kind.select.value, ...board };
-      return this.change(() => call("POST", "/calibration/sessions", { kind: "camera", target }));
+      return this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target }));
     };
     return [
       ...(this.told ? presentOf(this.told) : []),
-      make(
-        "ol",
-        { class: "steps" },
-        make("li", {}, "Print the board at 100 %, and check the ruler on it. ", print),
-        make("li", {}, "Glue it onto something flat: a board, a window pane. A bent one is noticed and refused."),
-        make("li", {}, "Turn the camera's focus ring until the picture is sharp; from now on leave it."),
-        make("li", {}, "Hold the board before the camera, and do what the page says."),
-      ),
-      make("div", { class: "fields" }, kind.label, size.label),
+      make("div", { class: "fields" }, what.label, kind.label, size.label),
       other,
+      steps,
       this.buttons(this.closing(), this.undoing(), this.button("Begin", begin, "primary")),
     ];
   }
@@ -154,7 +185,7 @@ export class CalibrateDialog {
     const giveUp = () => this.change(() => call("DELETE", `/calibration/sessions/${session.id}`));
     const finish = () => this.change(() => call("POST", `/calibration/sessions/${session.id}/finish`));
     return [
-      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, "Hold the board before the camera"),
+      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, BEGINNINGS[session.kind]),
       make("canvas", { class: "board", width: "640", height: "480", role: "img", "aria-label": "The board, as seen" }),
       make("div", { class: "progress-of" }),
       this.buttons(this.button("Give up", giveUp, "quiet apart"), this.button("Finish", finish, "primary finish")),
@@ -163,14 +194,14 @@ export class CalibrateDialog {
 
   private drawProgress(session: CalibrationSessionModel): void {
     const seen = session.seen;
-    const views = seen?.num_views ?? 0;
     if (seen) {
       setText(find(this.dialog, ".instruction", HTMLElement), capitalised(seen.instruction));
-      find(this.dialog, ".progress-of", HTMLElement).replaceChildren(...progressOf(seen));
+      find(this.dialog, ".progress-of", HTMLElement).replaceChildren(...progressOf(seen, session.kind));
     }
     const finish = find(this.dialog, ".finish", HTMLButtonElement);
-    finish.disabled = this.isWaiting || views < LEAST_VIEWS;
-    setText(finish, views < LEAST_VIEWS ? `Finish (${views} of ${LEAST_VIEWS} views)` : `Finish (${views} views)`);
+    const [isEnough, text] = finishing(session);
+    finish.disabled = this.isWaiting || !isEnough;
+    setText(finish, text);
   }
 
   private drawPicture(): void {
@@ -181,14 +212,14 @@ export class CalibrateDialog {
   }
 
   private resultContent(session: CalibrationSessionModel): (Node | string)[] {
-    const { result } = session;
+    const result = session.result ?? session.mounting;
     const use = () => this.change(() => call("POST", "/calibration/use", { session: session.id }));
-    const isTold = result !== null && String(this.told?.camera?.intrinsics) === String(result.intrinsics);
+    const isTold = this.isTold(session);
     const again = () => this.change(() => call("DELETE", `/calibration/sessions/${session.id}`));
     return present(
-      ...(result
-        ? resultOf(session, result)
-        : [make("p", { class: "verdict bad", role: "status" }, capitalised(session.message))]),
+      ...(session.result ? resultOf(session, session.result) : []),
+      ...(session.mounting ? mountingOf(session, session.mounting) : []),
+      ...(result ? [] : [make("p", { class: "verdict bad", role: "status" }, capitalised(session.message))]),
       isTold &&
         make("p", { class: "note", role: "status" }, "The robot tells these numbers now; the ones before are kept."),
       make(
@@ -207,6 +238,13 @@ export class CalibrateDialog {
         result?.accepted && !isTold ? this.button("Use it", use, "primary") : null,
       ),
     );
+  }
+
+  private isTold(session: CalibrationSessionModel): boolean {
+    const camera = this.told?.camera;
+    const result = session.result ?? session.mounting;
+    if (!camera || !result || String(camera.intrinsics) !== String(result.intrinsics)) return false;
+    return !session.mounting || String(camera.T_body_cam) === String(session.mounting.T_body_cam);
   }
 
   private undoing(): HTMLElement | null {
@@ -251,6 +289,17 @@ export class CalibrateDialog {
       this.draw();
     }
   }
+}
+
+/** Whether there may be enough to estimate from, and what the button says. */
+function finishing({ kind, seen }: CalibrationSessionModel): [boolean, string] {
+  const views = seen?.num_views ?? 0;
+  if (kind === "camera-imu") {
+    const time = seen?.poses.time ?? 0;
+    return [time >= LEAST_TIME, time >= LEAST_TIME ? "Finish" : `Finish (${Math.floor(100 * time)} %)`];
+  }
+  if (views < LEAST_VIEWS) return [false, `Finish (${views} of ${LEAST_VIEWS} views)`];
+  return [true, `Finish (${views} views)`];
 }
 
 function choice(text: string, options: [string, string][]): { select: HTMLSelectElement; label: HTMLElement } {

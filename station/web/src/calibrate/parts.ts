@@ -12,21 +12,30 @@ import { count } from "../ui/text";
 
 type Content = Node | string;
 
-const POSES: [string, string][] = [
-  ["flat", "flat"],
-  ["near", "near"],
-  ["far", "far"],
-  ["left", "left edge"],
-  ["right", "right edge"],
-  ["upper", "upper edge"],
-  ["lower", "lower edge"],
-];
+const POSES: Record<CalibrationSessionModel["kind"], [string, string][]> = {
+  camera: [
+    ["flat", "flat"],
+    ["near", "near"],
+    ["far", "far"],
+    ["left", "left edge"],
+    ["right", "right edge"],
+    ["upper", "upper edge"],
+    ["lower", "lower edge"],
+  ],
+  "camera-imu": [
+    ["tilt", "up, down"],
+    ["turn", "left, right"],
+    ["roll", "roll"],
+    ["distance", "near, far"],
+    ["time", "time"],
+  ],
+};
 const NUMBERS = ["fx", "fy", "cx", "cy"];
 
 export const link = (path: string, text: string, name = ""): HTMLAnchorElement =>
   make("a", { class: "small", href: toRobot(path), ...(name ? { download: name } : { target: "_blank" }) }, text);
 
-const fixed = (value: number | null | undefined, digits: number): string => value?.toFixed(digits) ?? "?";
+export const fixed = (value: number | null | undefined, digits: number): string => value?.toFixed(digits) ?? "?";
 
 /** How full something is, as a bar with its name. */
 function bar(text: string, share: number, note = ""): HTMLElement {
@@ -48,22 +57,22 @@ function meterNote(reading: MeterModel): string {
 }
 
 /** Which views there are, and how well they tell each quantity. */
-export function progressOf(seen: BoardSeenModel | null): Content[] {
-  if (!seen) return [];
-  return [
+export function progressOf(seen: BoardSeenModel, kind: CalibrationSessionModel["kind"]): Content[] {
+  return present(
     make(
       "ul",
       { class: "bars", "aria-label": "Views" },
-      ...POSES.map(([name, text]) => bar(text, seen.poses[name] ?? 0)),
+      ...POSES[kind].map(([name, text]) => bar(text, seen.poses[name] ?? 0)),
     ),
-    make(
-      "ul",
-      { class: "bars known", "aria-label": "How well it is known" },
-      ...(seen.meter.length
-        ? seen.meter.map((reading) => bar(reading.name, reading.wanted / reading.sigma, meterNote(reading)))
-        : [make("li", { class: "note" }, "How well the numbers are known shows after six views.")]),
-    ),
-  ];
+    kind === "camera" &&
+      make(
+        "ul",
+        { class: "bars known", "aria-label": "How well it is known" },
+        ...(seen.meter.length
+          ? seen.meter.map((reading) => bar(reading.name, reading.wanted / reading.sigma, meterNote(reading)))
+          : [make("li", { class: "note" }, "How well the numbers are known shows after six views.")]),
+      ),
+  );
 }
 
 /** What the robot tells now. */
@@ -82,11 +91,8 @@ export function presentOf(told: CalibrationModel): Content[] {
   );
 }
 
-/** What the estimate came to, with what it is told by. */
-export function resultOf(session: CalibrationSessionModel, result: CameraResult): Content[] {
-  const values = result.intrinsics;
-  const rejected = result.images_rejected;
-  const residuals = toRobot(`/calibration/sessions/${session.id}/residuals.png`);
+/** Whether to use it, and why not. */
+export function verdictOf(result: { accepted: boolean; reasons: string[] }): Content[] {
   return present(
     make(
       "p",
@@ -94,6 +100,20 @@ export function resultOf(session: CalibrationSessionModel, result: CameraResult)
       result.accepted ? "This calibration is good." : "This calibration is not good enough.",
     ),
     result.reasons.length > 0 && make("ul", { class: "reasons" }, ...result.reasons.map((r) => make("li", {}, r))),
+  );
+}
+
+export function residualsOf(session: CalibrationSessionModel, alt: string): HTMLElement {
+  const src = toRobot(`/calibration/sessions/${session.id}/residuals.png`);
+  return make("a", { href: src, target: "_blank" }, make("img", { class: "residuals", src, alt }));
+}
+
+/** What the estimate came to, with what it is told by. */
+export function resultOf(session: CalibrationSessionModel, result: CameraResult): Content[] {
+  const values = result.intrinsics;
+  const rejected = result.images_rejected;
+  return present(
+    ...verdictOf(result),
     values &&
       make(
         "dl",
@@ -107,16 +127,7 @@ export function resultOf(session: CalibrationSessionModel, result: CameraResult)
         make("dt", {}, "left over"),
         make("dd", {}, `${fixed(result.rms_px, 2)} px rms, ${count(result.images_used, "picture")} used`),
       ),
-    values &&
-      make(
-        "a",
-        { href: residuals, target: "_blank" },
-        make("img", {
-          class: "residuals",
-          src: residuals,
-          alt: "What is left over of each corner, and where in the picture corners were seen",
-        }),
-      ),
+    values && residualsOf(session, "What is left over of each corner, and where in the picture corners were seen"),
     rejected.length > 0 &&
       make(
         "details",
