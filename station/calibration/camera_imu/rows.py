@@ -212,8 +212,7 @@ def by_intrinsics(camera: CameraCalibration, xy: FloatArray) -> FloatArray:
     out = np.empty((len(xy), 2, len(now)))
     for i, step in enumerate(INTRINSICS_STEP):
         high, low = (
-            Lens(with_intrinsics(camera, now + sign * step * (np.arange(8) == i))).project(xy)
-            for sign in (0.5, -0.5)
+            Lens(with_intrinsics(camera, now + sign * step * (np.arange(8) == i))).project(xy) for sign in (0.5, -0.5)
         )
         out[..., i] = (high - low) / step
     return out

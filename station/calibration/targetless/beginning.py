@@ -1,18 +1,21 @@
-"""Where the estimate starts: with the turning known, positions, velocities, gravity and corners are a linear problem."""
+"""Where the estimate starts: with the turning known, the rest is a linear problem."""
 
 from __future__ import annotations
 
-import numpy as np
+import itertools
+
 import msgspec
+import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, skew, homogeneous
+from shared.geometry import FloatArray, homogeneous
 from station.calibration.camera_imu.start import TurningMatch
 from station.calibration.camera_imu.unknowns import bias_nodes
 from station.calibration.targetless.rows import Inertial
 from station.calibration.targetless.tracks import Sightings
 from station.calibration.targetless.unknowns import MAX_INVERSE_DEPTH, Estimate, across
+from station.motion.preintegration import Preintegration, compose
 from station.vision.lens import Lens
 
 ROUNDS = 4
@@ -41,11 +44,8 @@ def begin(
     biases = np.zeros((bias_nodes(t_s[-1] - t_s[0]), 6))
     biases[:, :3] = match.gyro_bias
     K, L = len(t_s), seen.num_corners
-    steps = [inertial.between(a, b, biases[0]) for a, b in zip(t_s[:-1], t_s[1:], strict=True)]
-    R = [np.eye(3)]
-    for step in steps:
-        R.append(R[-1] @ step.dR)
-    R = np.array(R)
+    steps = [inertial.between(a, b, biases[0]) for a, b in itertools.pairwise(t_s)]
+    R, _, _, _ = compose(steps)
     # Unknown: K positions and velocities, gravity (3), accelerometer bias (3); corners are eliminated.
     n = UNKNOWN * K + 6
     T = camera.T_body_cam_matrix
@@ -107,12 +107,20 @@ def begin(
     distance = distance.sum(axis=1)
     inverse_depth = np.where(distance > NEAREST_M, 1.0 / np.maximum(distance, NEAREST_M), 1.0 / typical)
     return Estimate(
-        camera=camera, gravity=fall, biases=biases, t_s=t_s, R=R, p=p, v=v, anchor=anchor,
-        ray=rays[first], inverse_depth=np.clip(inverse_depth, 0.0, MAX_INVERSE_DEPTH),
+        camera=camera,
+        gravity=fall,
+        biases=biases,
+        t_s=t_s,
+        R=R,
+        p=p,
+        v=v,
+        anchor=anchor,
+        ray=rays[first],
+        inverse_depth=np.clip(inverse_depth, 0.0, MAX_INVERSE_DEPTH),
     )
 
 
-def _inertial_part(steps, R: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
+def _inertial_part(steps: list[Preintegration], R: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
     H, g = np.zeros((n, n)), np.zeros(n)
     eye = np.eye(3)
     for i, step in enumerate(steps):

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.calibration import Calibration, ImuNoise
+from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray, skew, so3_exp, so3_log
 from station.calibration.camera_imu.rows import Samples, by_intrinsics
 from station.calibration.camera_imu.unknowns import (
     BIASES,
     DELAY,
-    GRAVITY,
     INTRINSICS,
     MOUNT_POSITION,
     MOUNT_ROTATION,
@@ -23,7 +22,7 @@ from station.calibration.targetless.unknowns import STATE, Estimate, across
 from station.model.frames import ImuBatch
 from station.motion import lie
 from station.motion.imu_buffer import ImuBuffer
-from station.motion.preintegration import preintegrate
+from station.motion.preintegration import Preintegration, preintegrate
 from station.vision.lens import Lens
 
 RATE_STEP_S = 0.005  # over which the angular rate at an image is taken
@@ -60,7 +59,10 @@ class Inertial:
         self._buffer = ImuBuffer(noise)
         self._buffer.add(imu)
         self._angle = np.concatenate(
-            [np.zeros((1, 3)), np.cumsum(0.5 * (samples.gyro[1:] + samples.gyro[:-1]) * np.diff(samples.t_s)[:, None], 0)]
+            [
+                np.zeros((1, 3)),
+                np.cumsum(0.5 * (samples.gyro[1:] + samples.gyro[:-1]) * np.diff(samples.t_s)[:, None], 0),
+            ]
         )
 
     def angle(self, t_s: FloatArray) -> FloatArray:
@@ -76,7 +78,8 @@ class Inertial:
         """(N, 3) m/s^2, with bias."""
         return np.stack([np.interp(t_s, self._samples.t_s, axis) for axis in self._samples.accel.T], axis=1)
 
-    def between(self, begin_s: float, end_s: float, bias: FloatArray):
+    def between(self, begin_s: float, end_s: float, bias: FloatArray) -> Preintegration:
+        """What the readings between two times say, at a bias (6,)."""
         begin, end = (self._origin_ns + round(1e9 * t) for t in (begin_s, end_s))
         return preintegrate(self._buffer.segment(begin, end), bias, self.noise)
 
@@ -86,7 +89,7 @@ def sighting_rows(now: Estimate, seen: Sightings, inertial: Inertial, sigma_px: 
     camera, lens = now.camera, Lens(now.camera)
     T = camera.T_body_cam_matrix
     R_cam_body, t_body_cam = T[:3, :3].T, T[:3, 3]
-    k, l, M = seen.image, seen.corner, len(seen.image)
+    k, corner, M = seen.image, seen.corner, len(seen.image)
     middle = 0.5 * (camera.height - 1)
     later = camera.line_delay_s * (seen.uv_px[:, 1] - middle)
     t = now.t_s[k] + later
@@ -98,9 +101,9 @@ def sighting_rows(now: Estimate, seen: Sightings, inertial: Inertial, sigma_px: 
     Rt = np.swapaxes(now.R[k] @ after, 1, 2)
     v = now.v[k] + later[:, None] * a[k]
     p = now.p[k] + later[:, None] * (now.v[k] + 0.5 * later[:, None] * a[k])
-    rho = now.inverse_depth[l]
-    away = now.anchor[l] - p
-    q = (Rt @ (now.ray[l] + rho[:, None] * away)[..., None])[..., 0]
+    rho = now.inverse_depth[corner]
+    away = now.anchor[corner] - p
+    q = (Rt @ (now.ray[corner] + rho[:, None] * away)[..., None])[..., 0]
     h = (q - rho[:, None] * t_body_cam) @ R_cam_body.T
     z = np.where(np.abs(h[:, 2]) > 1e-3, h[:, 2], 1e-3)
     xy = h[:, :2] / z[:, None]
@@ -122,7 +125,7 @@ def sighting_rows(now: Estimate, seen: Sightings, inertial: Inertial, sigma_px: 
     by_border[..., DELAY] = by_border[..., SHIFT] * seen.uv_px[:, 1, None]
     by_border[..., INTRINSICS] = by_intrinsics(camera, xy) / sigma_px
     by_point = np.empty((M, 2, 3))
-    by_point[..., :2] = by_q @ Rt @ across(now.ray)[l]
+    by_point[..., :2] = by_q @ Rt @ across(now.ray)[corner]
     by_point[..., 2] = (by_q @ ((Rt @ away[..., None])[..., 0] - t_body_cam)[..., None])[..., 0]
     return SightingRows((lens.project(xy) - seen.uv_px) / sigma_px, by_state, by_border, by_point)
 
@@ -165,13 +168,9 @@ def inertial_rows(now: Estimate, inertial: Inertial, scale: FloatArray) -> Inert
 
 def carried(now: Estimate, t_s: FloatArray, inertial: Inertial) -> Estimate:
     """The same motion, its states given for other times (K,) nearby, as the IMU says."""
-    from dataclasses import replace
-
     bias = now.bias_at(now.t_s)
     dt = (t_s - now.t_s)[:, None]
     turn = inertial.angle(t_s) - inertial.angle(now.t_s) - bias[:, :3] * dt
     force = inertial.force(0.5 * (t_s + now.t_s)) - bias[:, 3:]
     a = (now.R @ so3_exp(0.5 * turn) @ force[..., None])[..., 0] + now.gravity
-    return replace(
-        now, t_s=t_s, R=now.R @ so3_exp(turn), p=now.p + dt * (now.v + 0.5 * dt * a), v=now.v + dt * a
-    )
+    return replace(now, t_s=t_s, R=now.R @ so3_exp(turn), p=now.p + dt * (now.v + 0.5 * dt * a), v=now.v + dt * a)

@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, IntArray
-from station.calibration.camera_imu.unknowns import BIASES
+from station.calibration.camera_imu.unknowns import BIASES, GRAVITY
 from station.calibration.targetless.rows import InertialRows, SightingRows
 from station.calibration.targetless.tracks import Sightings
 from station.calibration.targetless.unknowns import POINT, STATE
@@ -49,7 +49,12 @@ class Equations:
 
 
 def equations(
-    seen: Sightings, sighted: SightingRows, felt: InertialRows, priors: Sequence[Prior], num_states: int, border: int,
+    seen: Sightings,
+    sighted: SightingRows,
+    felt: InertialRows,
+    priors: Sequence[Prior],
+    num_states: int,
+    border: int,
     damping: float,
 ) -> Equations:
     """Everything that was measured and known, with the corners' part of it damped."""
@@ -106,8 +111,6 @@ def equations(
 
 
 def _add_inertial(H: FloatArray, g: FloatArray, felt: InertialRows, num_states: int) -> None:
-    from station.calibration.camera_imu.unknowns import GRAVITY
-
     gravity = num_states + np.arange(GRAVITY.start, GRAVITY.stop)
     for k, (r, J) in enumerate(zip(felt.residual, felt.by_states, strict=True)):
         s = slice(STATE * k, STATE * (k + 2))

@@ -16,9 +16,9 @@ from station.vision.klt import Tracker, TrackerConfig
 from station.vision.lens import BoolArray, Lens
 
 MAX_USED_S = 30.0  # more takes longer than it tells
-MAX_KEYFRAMES = 240  # the equations are dense in them: a second per step
+MAX_KEYFRAMES = 160  # the equations are dense in them
 MIN_SIGHTINGS = 3  # of a corner: two views say nothing that a third could contradict
-MAX_IMAGES = 0
+MAX_IMAGES = 20  # a track drifts: what goes on longer begins a corner of its own
 MIN_TRACKED = 15  # corners from one image to the next: fewer do not tell how the camera turned
 TRACKER = TrackerConfig(num_features=160, epipolar_px=2.0)
 
@@ -89,7 +89,9 @@ def follow(
             )
         t_s = 1e-9 * (frame.t_robot_ns - origin_ns)
         at = t_s + camera.middle_row_shift_s
-        turned = np.zeros(3) if before_s is None else _angle(at, samples.t_s, angle) - _angle(before_s, samples.t_s, angle)
+        turned = (
+            np.zeros(3) if before_s is None else _angle(at, samples.t_s, angle) - _angle(before_s, samples.t_s, angle)
+        )
         before_s = at
         seen = tracker.process(grey, R_body_cam.T @ so3_exp(turned) @ R_body_cam, is_bias_known=False)
         if number % step:
@@ -99,7 +101,9 @@ def follow(
         ids.append(seen.ids)
         uv.append(seen.uv_px)
         xy.append(seen.xy)
-    return _sorted(np.array(times), *(np.concatenate(parts) if parts else np.zeros(0) for parts in (images, ids, uv, xy)))
+    return _sorted(
+        np.array(times), *(np.concatenate(parts) if parts else np.zeros(0) for parts in (images, ids, uv, xy))
+    )
 
 
 def _angle(t_s: float, t_imu_s: FloatArray, angle: FloatArray) -> FloatArray:
@@ -108,12 +112,10 @@ def _angle(t_s: float, t_imu_s: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def _sorted(t_s: FloatArray, image: IntArray, ids: IntArray, uv_px: FloatArray, xy: FloatArray) -> Sightings:
-    if MAX_IMAGES:
-        begun = {}
-        for im, i in zip(image.tolist(), ids.tolist()):
-            begun.setdefault(i, im)
-        piece = np.array([(im - begun[i]) // MAX_IMAGES for im, i in zip(image.tolist(), ids.tolist())])
-        ids = ids * 1000 + piece
+    begun = np.full(int(ids.max(initial=0)) + 1, len(t_s))
+    np.minimum.at(begun, ids.astype(np.int64), image.astype(np.int64))
+    piece = (image - begun[ids.astype(np.int64)]) // MAX_IMAGES
+    ids = ids * (len(t_s) + 1) + piece
     order = np.lexsort((image, ids))
     _, corner = np.unique(ids[order], return_inverse=True)
     every = Sightings(t_s, image[order].astype(np.int64), corner, uv_px[order], xy[order])
