@@ -88,7 +88,7 @@ def begin(
             H[np.ix_(columns, columns)] -= W.T @ Vi[i] @ W
             g[columns] -= W.T @ (Vi[i] @ gl[i])
         try:
-            x = -np.linalg.solve(H, g)
+            x = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         except np.linalg.LinAlgError as exc:
             raise DegenerateGeometry("the corners do not tell how the camera moved") from exc
         p = x[: UNKNOWN * K].reshape(K, UNKNOWN)[:, :3]

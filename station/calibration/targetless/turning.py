@@ -78,7 +78,7 @@ def relative_rotation(xy_a: FloatArray, xy_b: FloatArray, inlier: float) -> tupl
         # A camera that only turns leaves the direction open: damped, it stays where it is.
         H[[3, 4], [3, 4]] += 1e-7 * len(a)
         H[[0, 1, 2], [0, 1, 2]] += 1e-9 * len(a)
-        step = -np.linalg.solve(H, J.T @ (weight * distance))
+        step: FloatArray = np.asarray(-np.linalg.solve(H, J.T @ (weight * distance)), dtype=np.float64)
         R = R @ so3_exp(step[:3])
         t = t + basis.T @ step[3:]
         t /= np.linalg.norm(t)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, IntArray
 from station.calibration.camera_imu.unknowns import BIASES, DELAY, GRAVITY, MOUNT_POSITION, MOUNT_ROTATION, SHIFT
 from station.calibration.targetless.adjustment import Linearised, Problem, assembled
 from station.calibration.targetless.unknowns import STATE, Estimate
@@ -114,7 +114,7 @@ def honest_covariance(problem: Problem, now: Estimate, at: Linearised) -> FloatA
     return np.asarray(found)
 
 
-def _sums(values: FloatArray, labels: FloatArray) -> FloatArray:
+def _sums(values: FloatArray, labels: IntArray) -> FloatArray:
     out = np.zeros((int(labels.max()) + 1, values.shape[1]))
     np.add.at(out, labels, values)
     return out
