@@ -28,6 +28,7 @@ from station.calibration.camera_imu.start import (
     best_part,
     camera_poses,
     match_turning,
+    turns_between,
 )
 from station.calibration.camera_imu.unknowns import (
     DELAY,
@@ -126,7 +127,7 @@ def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> Ca
         return CameraImuCalibration(reasons, None, notes)
     progress("time shift")
     try:
-        match = match_turning(poses, samples.t_s, samples.gyro)
+        match = match_turning(turns_between(poses), samples.t_s, samples.gyro)
         reasons = verdict.poor_motion(match)
         if reasons:
             return CameraImuCalibration(reasons, None, notes)

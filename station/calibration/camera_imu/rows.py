@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.calibration import ImuNoise
+from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, IntArray, skew
 from station.calibration.camera_imu.spline import ORDER, Orientation
 from station.calibration.camera_imu.unknowns import (
@@ -197,7 +197,7 @@ def camera_rows(unknowns: Unknowns, corners: Corners) -> Rows:
     by_border[..., GRAVITY] = 0.0
     by_border[..., SCALE] = (by_board @ corners.board[..., None])[..., 0]
     by_border[..., BEND] = by_board[:, :, 2, None] * corners.bend[:, None]
-    by_border[..., INTRINSICS] = _by_intrinsics(unknowns, xy) / corners.sigma_px
+    by_border[..., INTRINSICS] = by_intrinsics(camera, xy) / corners.sigma_px
     residual = (lens.project(xy) - corners.uv_px) / corners.sigma_px
     return Rows(weights.segment, residual, by_knots.reshape(len(z), 2, -1), by_border, np.arange(BIASES))
 
@@ -208,14 +208,13 @@ def _seen_moving(turned: Orientation, p_body: FloatArray, v: FloatArray) -> Floa
     return np.asarray(-np.cross(turned.omega, p_body) - (Rt @ v[..., None])[..., 0])
 
 
-def _by_intrinsics(unknowns: Unknowns, xy: FloatArray) -> FloatArray:
+def by_intrinsics(camera: CameraCalibration, xy: FloatArray) -> FloatArray:
     """(M, 2, 8) px. Numerical, so that every lens model has it: it is linear in all of them but for rounding."""
-    now = intrinsics_of(unknowns.camera)
+    now = intrinsics_of(camera)
     out = np.empty((len(xy), 2, len(now)))
     for i, step in enumerate(INTRINSICS_STEP):
         high, low = (
-            Lens(with_intrinsics(unknowns.camera, now + sign * step * (np.arange(8) == i))).project(xy)
-            for sign in (0.5, -0.5)
+            Lens(with_intrinsics(camera, now + sign * step * (np.arange(8) == i))).project(xy) for sign in (0.5, -0.5)
         )
         out[..., i] = (high - low) / step
     return out

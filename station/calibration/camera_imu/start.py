@@ -85,22 +85,37 @@ class TurningMatch:
     axes_cam: FloatArray  # (3, 3) rows: those axes in the camera's frame
 
 
-def match_turning(poses: CameraPoses, t_imu_s: FloatArray, gyro: FloatArray) -> TurningMatch:
-    """Time shift, mounting and bias with which the camera turns as the gyroscope says.
+@dataclass(frozen=True, slots=True, eq=False)
+class Turns:
+    """By how much the camera turned between pairs of images."""
 
-    Between neighbouring images both say by how much the body turned. For every shift that is tried the best rotation
-    and bias have a closed form (Kabsch), so that the search is over time alone.
-    Raises:
-        DegenerateGeometry: too few images follow each other closely.
-    """
+    begin_s: FloatArray  # (N,) camera clock
+    end_s: FloatArray  # (N,)
+    turns: FloatArray  # (N, 3) rad, rotation vector of R_begin_end, camera axes
+
+
+def turns_between(poses: CameraPoses) -> Turns:
+    """Of neighbouring images. Raises DegenerateGeometry: too few of them follow each other closely."""
     gap = np.diff(poses.t_s)
     near = gap < max(MAX_INTERVAL_S, 1.5 * float(np.median(gap))) if len(gap) else np.zeros(0, dtype=bool)
     if near.sum() < 8:
         raise DegenerateGeometry("too few images of the target follow each other closely")
     R = poses.T_target_cam[:, :3, :3]
     turns = so3_log(np.swapaxes(R[:-1], 1, 2) @ R[1:])[near]
-    begin, end = poses.t_s[:-1][near], poses.t_s[1:][near]
-    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(gyro[:-1] * np.diff(t_imu_s)[:, None], axis=0)])
+    return Turns(poses.t_s[:-1][near], poses.t_s[1:][near], turns)
+
+
+def match_turning(turned: Turns, t_imu_s: FloatArray, gyro: FloatArray) -> TurningMatch:
+    """Time shift, mounting and bias with which the camera turns as the gyroscope says.
+
+    Of each pair of images both say by how much the body turned. For every shift that is tried the best rotation
+    and bias have a closed form (Kabsch), so that the search is over time alone.
+    Raises:
+        DegenerateGeometry: images and inertial readings do not overlap.
+    """
+    turns, begin, end = turned.turns, turned.begin_s, turned.end_s
+    rate = 0.5 * (gyro[1:] + gyro[:-1])  # either reading alone would be half an interval early or late
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(rate * np.diff(t_imu_s)[:, None], axis=0)])
     shifts = np.arange(-MAX_SHIFT_S, MAX_SHIFT_S + 1e-9, SHIFT_STEP_S)
     matches = [_match_at(shift, turns, begin, end, t_imu_s, angle) for shift in shifts]
     cost = np.array([np.inf if match is None else match.unexplained for match in matches])
