@@ -15,7 +15,7 @@ from station.places.rooms.openings import Opening, cut_across, is_door
 from station.places.space.space import Cells
 
 NARROWEST_M = 0.3  # half the width of what can be a room, or a corridor
-SMALLEST_M2 = 1.0  # a smaller room is none: a doorway between two doors
+SLIVER_M = 0.24  # narrower free space is a gap between two sights, or one past the end of a wall
 LINE_M = 0.15  # a drawn line parts this much free space
 
 
@@ -38,7 +38,9 @@ class Segments:
 
 def part_rooms(ground: Ground, drawn: Sequence[FloatArray], erased: Sequence[FloatArray]) -> Segments:
     """Rooms that were entered; lines (2, 2) drawn by a person part them, doors erased by a person do not."""
-    free = ground.free.copy()
+    free = without_slivers(ground)
+    standing = np.zeros(free.shape, dtype=np.bool_)
+    standing[tuple(ground.cells_of(ground.standing).T)] = True
     lines = [_line_cells(ground, line) for line in drawn]
     for cells in lines:
         free[cells] = False
@@ -46,15 +48,13 @@ def part_rooms(ground: Ground, drawn: Sequence[FloatArray], erased: Sequence[Flo
     groups = _Groups(basins, ground)
     open_ends: list[tuple[Passage, Opening]] = []
     for passage in basins.passages:
-        opening = cut_across(free, passage, ground)
+        opening = cut_across(free, standing, passage, ground)
         is_erased = any(_is_same(ground, opening, line) for line in erased)
-        if is_erased or not is_door(opening, groups.narrower(passage), ground):
+        smaller = min(groups.size(passage.a), groups.size(passage.b))
+        if is_erased or not is_door(opening, groups.narrower(passage), smaller, ground):
             groups.join(passage.a, passage.b)
         else:
             open_ends.append((passage, opening))
-    for passage, _ in open_ends:
-        if min(groups.size(passage.a), groups.size(passage.b)) < SMALLEST_M2 * ground.metres(1.0) ** 2:
-            groups.join(passage.a, passage.b)
     labels, number = groups.entered()
     gates = [
         _gate(number[groups.of(p.a)], number[groups.of(p.b)], cut_ends(ground, opening))
@@ -63,6 +63,14 @@ def part_rooms(ground: Ground, drawn: Sequence[FloatArray], erased: Sequence[Flo
     ]
     gates += [gate for line, cells in zip(drawn, lines, strict=True) for gate in _drawn_gate(labels, line, cells)]
     return Segments(labels, max(number.values(), default=0), tuple(_without_repeats(gates)))
+
+
+def without_slivers(ground: Ground) -> Cells:
+    """The free cells but for what is too narrow to be more than an error of a few sights."""
+    reach = ground.metres(0.5 * SLIVER_M)
+    a = np.arange(-int(reach), int(reach) + 1)
+    disc = np.hypot(a[:, None], a[None]) <= reach
+    return np.asarray(ndimage.binary_opening(ground.free, disc) | (ground.free & ground.driven), dtype=np.bool_)
 
 
 class _Groups:
