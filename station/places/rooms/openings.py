@@ -18,9 +18,8 @@ THIN_M = 0.45  # a wall, and what a camera beside it does not see through; furni
 # A door, and an opening in a wall, which leaves some of the wall: widths, and shares of the narrower room's width.
 DOOR_M, DOOR_SHARE = (0.45, 1.3), 0.75
 OPENING_SHARE = 0.78
-WALL_M = 0.4  # of thin wall beside a passage, seen from both its sides: furniture has no such back
+WALL_M = 0.3  # of thin wall beside a passage, seen from both its sides: furniture has no such back
 MARKED_M = 0.2  # of what is beside a door must show landmarks; else nobody knows what narrows the passage
-ROOM_M2 = 2.0  # less free space is no room of its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +44,9 @@ def cut_across(free: Cells, standing: Cells, passage: Passage, ground: Ground) -
     return min(cuts, key=lambda cut: cut.width)
 
 
-def is_door(opening: Opening, clearance: float, cells: int, ground: Ground) -> bool:
-    """Whether rooms end here; `clearance`, `cells`: the widest of the narrower of the two, the size of the smaller."""
-    if cells < ROOM_M2 * ground.metres(1.0) ** 2 or opening.marked < ground.metres(MARKED_M):
+def is_door(opening: Opening, clearance: float, ground: Ground) -> bool:
+    """Whether rooms end here; `clearance` (cells): the largest of the narrower one of the two."""
+    if opening.marked < ground.metres(MARKED_M):
         return False
     share = opening.width / (2 * clearance)
     has_wall = opening.wall >= ground.metres(WALL_M)

@@ -16,6 +16,7 @@ from station.places.space.space import Cells
 
 NARROWEST_M = 0.3  # half the width of what can be a room, or a corridor
 SLIVER_M = 0.24  # narrower free space is a gap between two sights, or one past the end of a wall
+ROOM_M2 = 2.0  # less free space is no room of its own
 LINE_M = 0.15  # a drawn line parts this much free space
 
 
@@ -50,11 +51,11 @@ def part_rooms(ground: Ground, drawn: Sequence[FloatArray], erased: Sequence[Flo
     for passage in basins.passages:
         opening = cut_across(free, standing, passage, ground)
         is_erased = any(_is_same(ground, opening, line) for line in erased)
-        smaller = min(groups.size(passage.a), groups.size(passage.b))
-        if is_erased or not is_door(opening, groups.narrower(passage), smaller, ground):
+        if is_erased or not is_door(opening, groups.narrower(passage), ground):
             groups.join(passage.a, passage.b)
         else:
             open_ends.append((passage, opening))
+    _join_small(groups, open_ends, ROOM_M2 * ground.metres(1.0) ** 2)
     labels, number = groups.entered()
     gates = [
         _gate(number[groups.of(p.a)], number[groups.of(p.b)], cut_ends(ground, opening))
@@ -71,6 +72,13 @@ def without_slivers(ground: Ground) -> Cells:
     a = np.arange(-int(reach), int(reach) + 1)
     disc = np.hypot(a[:, None], a[None]) <= reach
     return np.asarray(ndimage.binary_opening(ground.free, disc) | (ground.free & ground.driven), dtype=np.bool_)
+
+
+def _join_small(groups: _Groups, open_ends: Sequence[tuple[Passage, Opening]], least: float) -> None:
+    """What is too small for a room is a doorway, or a corner: it joins where the least wall parts it from a room."""
+    for passage, _ in sorted(open_ends, key=lambda end: (end[1].wall, -end[1].width)):
+        if min(groups.size(passage.a), groups.size(passage.b)) < least:
+            groups.join(passage.a, passage.b)
 
 
 class _Groups:
