@@ -56,7 +56,7 @@ def part_rooms(ground: Ground, drawn: Sequence[FloatArray], erased: Sequence[Flo
         else:
             open_ends.append((passage, opening))
     _join_small(groups, open_ends, ROOM_M2 * ground.metres(1.0) ** 2)
-    labels, number = groups.entered()
+    labels, number = groups.entered(lines)
     gates = [
         _gate(number[groups.of(p.a)], number[groups.of(p.b)], cut_ends(ground, opening))
         for p, opening in open_ends
@@ -112,14 +112,20 @@ class _Groups:
     def narrower(self, passage: Passage) -> float:
         return float(min(self._clearance[self.of(passage.a)], self._clearance[self.of(passage.b)]))
 
-    def entered(self) -> tuple[Labels, dict[int, int]]:
-        """Labels in the order in which the body first came, and each group's number; 0: nobody was there."""
+    def entered(self, lines: Sequence[Cells]) -> tuple[Labels, dict[int, int]]:
+        """Labels in the order in which the body first came, and each group's number; 0: nobody was there.
+
+        A part beside a line that a person drew is a room, entered or not; it comes last.
+        """
         group = np.array([self.of(k) for k in range(len(self._parent))], dtype=np.int32)
         of_cell = group[self._basins.labels]
         visits = self._ground.visits
         visits = visits[np.all((visits >= 0) & (visits < of_cell.shape), axis=1)]
         met = of_cell[tuple(visits.T)]
         order = dict.fromkeys(met[met > 0].tolist())
+        for cells in lines:
+            beside = of_cell[_beside(cells)]
+            order |= dict.fromkeys(g for g in np.unique(beside[beside > 0]).tolist() if g not in order)
         number = dict.fromkeys(set(group.tolist()), 0) | {g: k for k, g in enumerate(order, start=1)}
         table = np.array([number[g] if k else 0 for k, g in enumerate(group.tolist())], dtype=np.int32)
         return table[self._basins.labels], number
@@ -154,9 +160,14 @@ def _is_same(ground: Ground, opening: Opening, line: FloatArray) -> bool:
     return bool(apart <= 0.5 * max(np.linalg.norm(ends[1] - ends[0]), np.linalg.norm(line[1] - line[0])))
 
 
+def _beside(cells: Cells) -> Cells:
+    """These cells and two more all around."""
+    return np.asarray(ndimage.binary_dilation(cells, np.ones((3, 3)), iterations=2), dtype=np.bool_)
+
+
 def _drawn_gate(labels: Labels, line: FloatArray, cells: Cells) -> list[Gate]:
     """The drawn line as a door between what lies on both its sides; none where that is one room still."""
-    beside = ndimage.binary_dilation(cells, np.ones((3, 3)), iterations=2) & (labels > 0)
+    beside = _beside(cells) & (labels > 0)
     met = np.bincount(labels[beside])
     met[:1] = 0
     both = np.argsort(-met, kind="stable")[:2]
