@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -78,7 +79,7 @@ def moved(navigation: Navigation, T: FloatArray) -> Navigation:
 def _along(way: FloatArray, step: float) -> FloatArray:
     pieces = [
         a + np.linspace(0, 1, max(2, round(float(np.linalg.norm(b - a)) / step) + 1))[:-1, None] * (b - a)
-        for a, b in zip(way[:-1], way[1:], strict=True)
+        for a, b in itertools.pairwise(way)
     ]
     return np.concatenate([*pieces, way[-1:]])
 
