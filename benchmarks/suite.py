@@ -74,6 +74,11 @@ SUITE = (
     Benchmark("calibrate_imu", SLAM, "bench_calibrate_imu", "--seeds 20", "--seeds 1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
+    Benchmark(
+        "rooms", PLACES, "bench_rooms",
+        "--worlds home:600-609 plain:600-609 corner:600-609 small:600-604 lookalike:600-604 large:600-609",
+        "--worlds small:600",
+    ),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
     Benchmark("appearance", PLACES, "bench_appearance", "--step 2", "--step 20", data=f"{DATA}/redkitchen"),

@@ -21,6 +21,12 @@ from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
 from station.places.making.graph import to_graphml
+from station.places.rooms.geojson import floorplan_json
+from station.places.rooms.plan import make_floor_plan
+from station.places.rooms.png import floorplan_png
+from station.places.rooms.svg import floorplan_svg
+
+PLAN_WRITERS = {".svg": floorplan_svg, ".png": floorplan_png, ".json": floorplan_json}
 
 
 def register(app: typer.Typer) -> None:
@@ -38,18 +44,21 @@ def export(
     ],
     out: Annotated[Path, typer.Option("--out", help="File to write; a folder for euroc and colmap. Must not exist.")],
     file_format: Annotated[
-        Literal["tum", "ply", "graphml", "euroc", "mcap", "colmap"], typer.Option("--format", help="What to write.")
+        Literal["tum", "ply", "graphml", "euroc", "mcap", "colmap", "floorplan"],
+        typer.Option("--format", help="What to write; a floorplan is .svg, .png or .json by the name of --out."),
     ],
     data: Data = None,
     config: Config = None,
 ) -> None:
-    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, or all for Foxglove (mcap)."""
+    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, floor plan, or all (mcap)."""
     try:
         is_taken = out.exists()
     except OSError as exc:  # too long a name
         raise DataError(f"{out} cannot be written ({exc.strerror}); choose another place") from exc
     if is_taken:
         raise DataError(f"{out} exists already; give a new name with --out")
+    if file_format == "floorplan" and out.suffix not in PLAN_WRITERS:
+        raise DataError(f"{out} is no name of a floor plan; end it with {', '.join(PLAN_WRITERS)}")
     place_map: PlaceMap | None = None
     folder = navigation_folder(Path(source))
     if folder is not None:
@@ -57,6 +66,12 @@ def export(
     else:
         place_map = open_map(source, data, config)
         nav = place_map.navigation
+    if file_format == "floorplan":
+        if place_map is None:
+            raise DataError(f"{source} is a navigation and has no places; give a map for --format floorplan")
+        content = PLAN_WRITERS[out.suffix](make_floor_plan(nav, place_map.places), place_map)
+        _whole_or_not(out, lambda path: path.write_bytes(content))
+        return
     if file_format == "graphml":
         if place_map is None:
             raise DataError(f"{source} is a navigation and has no place graph; give a map for --format graphml")

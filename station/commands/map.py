@@ -28,6 +28,8 @@ from station.places.making.changes import without_hidden
 from station.places.making.config import PlacesConfig, ThesisConfig
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
+from station.places.rooms.plan import make_floor_plan
+from station.places.rooms.summary import plan_lines, plan_summary
 from station.workers.executors.opening import open_executor
 from station.workers.executors.port import Executor
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
@@ -38,6 +40,7 @@ def register(app: typer.Typer) -> None:
     maps.command("build")(build)
     maps.command("show")(show)
     maps.command("route")(route)
+    maps.command("rooms")(rooms)
     map_store.register(maps)
     app.add_typer(maps, name="map")
 
@@ -157,6 +160,22 @@ def show(
     name = {place.id: place.name for place in place_map.places}
     for edge in place_map.edges:
         print(f"  {name[edge.a]} - {name[edge.b]}: {_leg(edge, place_map)}, {edge.kind}")
+
+
+def rooms(
+    which: MapArgument,
+    data: Data = None,
+    config: Config = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print rooms and doors as JSON on stdout.")] = False,
+) -> None:
+    """Rooms, their areas and the doors between them, as the map's navigation saw them."""
+    place_map = open_map(which, data, config)
+    with working("looking for rooms and doors"):
+        plan = make_floor_plan(place_map.navigation, place_map.places)
+    if as_json:
+        print(json.dumps(plan_summary(plan, place_map)))
+        return
+    print("\n".join([f"{place_map.name} ({place_map.id})", *(f"  {line}" for line in plan_lines(plan, place_map))]))
 
 
 def _leg(edge: PlaceEdge, place_map: PlaceMap) -> str:

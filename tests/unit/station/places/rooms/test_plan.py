@@ -1,0 +1,161 @@
+"""Floor plans of empty flats: rooms, doors, walls, what people drew, and who is who on another day."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shared.geometry import FloatArray, se3, sim3, transform, yaw_rotation
+from station.model.floor_plan import FloorPlan, PlanEdits
+from station.model.navigation import Navigation
+from station.model.place_map import Place
+from station.places.rooms.plan import make_floor_plan
+from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, moved, navigate
+
+LEFT, RIGHT = np.array([[1.0, 3.0, 0.0]]), np.array([[7.0, 1.0, 0.0]])
+
+
+@functools.cache
+def two_rooms() -> Navigation:
+    return navigate(TWO_ROOMS, WAY_OF_TWO)
+
+
+@functools.cache
+def plan_of_two() -> FloorPlan:
+    return make_floor_plan(two_rooms(), ())
+
+
+def on_ground(plan: FloorPlan, *p: tuple[float, float]) -> FloatArray:
+    """Positions of the map (n, 2) in the plan's axes."""
+    return (np.column_stack([np.array(p), np.zeros(len(p))]) @ plan.R_ground_map.T)[:, :2]
+
+
+def test_two_rooms_behind_a_door_are_two_named_in_the_order_of_entering() -> None:
+    plan = plan_of_two()
+    assert [room.name for room in plan.rooms] == ["Room 1", "Room 2"]
+    assert plan.rooms_at(LEFT).tolist() == [0] and plan.rooms_at(RIGHT).tolist() == [1]
+    assert [room.area for room in plan.rooms] == pytest.approx([16.0, 16.0], rel=0.1)
+    assert plan.rooms_at(np.array([[20.0, 1.0, 0.0], [-400.0, 0.0, 0.0]])).tolist() == [-1, -1]
+
+
+def test_the_door_is_where_it_is_and_as_wide() -> None:
+    (door,) = plan_of_two().doors
+    assert door.ends.mean(axis=0) == pytest.approx(on_ground(plan_of_two(), DOOR)[0], abs=0.15)
+    assert door.width == pytest.approx(0.9, abs=0.2)
+    assert set(door.rooms) == {room.id for room in plan_of_two().rooms}
+
+
+def test_walls_run_where_landmarks_line_up() -> None:
+    plan = plan_of_two()
+    middles = plan.walls.mean(axis=1) @ plan.R_ground_map[:2, :2]
+    to_wall = np.minimum(
+        np.abs(middles[:, None, 0] - [0.0, 4.0, 4.1, 8.1]).min(axis=1), np.abs(middles[:, None, 1] - [0, 4]).min(axis=1)
+    )
+    assert len(plan.walls) >= 8
+    assert np.median(to_wall) < 0.03
+
+
+def test_an_l_shaped_room_is_one_room_without_its_missing_corner() -> None:
+    plan = make_floor_plan(navigate(ELL, WAY_OF_ELL), ())
+    assert len(plan.rooms) == 1 and not plan.doors
+    assert plan.rooms[0].area == pytest.approx(18.75, rel=0.1)
+    assert plan.rooms_at(np.array([[4.0, 4.0, 0.0]])).tolist() == [-1]
+
+
+@pytest.mark.parametrize("yaw", [0.3, 1.2, -2.5])
+def test_a_turned_flat_has_the_same_rooms_turned(yaw: float) -> None:
+    T = se3(yaw_rotation(yaw), np.array([3.0, -20.0, 0.0]))
+    plan = make_floor_plan(moved(two_rooms(), T), ())
+    assert [room.area for room in plan.rooms] == pytest.approx([room.area for room in plan_of_two().rooms], rel=0.05)
+    assert plan.rooms_at(transform(T, LEFT)).tolist() == [0] and plan.rooms_at(transform(T, RIGHT)).tolist() == [1]
+    assert len(plan.doors) == 1
+
+
+def test_lengths_follow_a_scale_that_nobody_knows() -> None:
+    unknown = replace(two_rooms(), report=replace(two_rooms().report, scale="arbitrary"))
+    plan, larger = make_floor_plan(unknown, ()), make_floor_plan(moved(unknown, sim3(7.0, np.eye(3), np.zeros(3))), ())
+    assert len(plan.rooms) == len(larger.rooms)
+    assert larger.unit == pytest.approx(7 * plan.unit)
+    assert larger.rooms[0].area == pytest.approx(49 * plan.rooms[0].area, rel=0.05)
+
+
+def test_the_same_arguments_give_the_same_plan() -> None:
+    again = make_floor_plan(two_rooms(), ())
+    assert [room.id for room in again.rooms] == [room.id for room in plan_of_two().rooms]
+    assert np.array_equal(again.room, plan_of_two().room) and np.array_equal(again.walls, plan_of_two().walls)
+
+
+def test_a_drawn_line_parts_a_room_and_the_larger_part_keeps_the_name() -> None:
+    before = plan_of_two()
+    line = on_ground(before, (-0.5, 1.4), (4.05, 1.4))
+    plan = make_floor_plan(two_rooms(), (), PlanEdits(doors_drawn=(line,)), before)
+    assert len(plan.rooms) == 3
+    assert plan.rooms[int(plan.rooms_at(LEFT)[0])].id == before.rooms[0].id
+    small = plan.rooms[int(plan.rooms_at(np.array([[1.0, 0.7, 0.0]]))[0])]
+    assert small.name == "Room 3" and small.id not in {room.id for room in before.rooms}
+    (drawn,) = [door for door in plan.doors if door.is_drawn]
+    assert np.array_equal(drawn.ends, line) and set(drawn.rooms) == {small.id, before.rooms[0].id}
+
+
+def test_an_erased_door_joins_its_rooms() -> None:
+    before = plan_of_two()
+    plan = make_floor_plan(two_rooms(), (), PlanEdits(doors_erased=(before.doors[0].ends,)), before)
+    assert len(plan.rooms) == 1 and not plan.doors
+    assert plan.rooms[0].id in {room.id for room in before.rooms}
+
+
+def test_rooms_keep_id_and_name_when_the_map_moved() -> None:
+    names = {plan_of_two().rooms[1].id: "Kitchen"}
+    before = make_floor_plan(two_rooms(), (), PlanEdits(names=names), plan_of_two())
+    assert before.rooms[1].name == "Kitchen"
+    T = se3(yaw_rotation(0.7), np.array([1.0, 2.0, 0.0]))
+    backwards = moved(navigate(TWO_ROOMS, WAY_OF_TWO[::-1], seed=3), T)  # enters the kitchen first
+    plan = make_floor_plan(replace(backwards, id="another day"), (), previous=before, T_map_previous=T)
+    assert plan.rooms[int(plan.rooms_at(transform(T, RIGHT))[0])].name == "Kitchen"
+    assert {room.id for room in plan.rooms} == {room.id for room in before.rooms}
+
+
+def test_a_place_belongs_to_the_room_it_is_seen_from_at_hand() -> None:
+    navigation = two_rooms()
+    p = navigation.landmarks.p_world
+    beside_door = (p[:, 1] > 2.6) & (p[:, 1] < 3.6)
+    faces = {
+        "near": beside_door & (np.abs(p[:, 0] - 4.0) < 0.04),
+        "behind": beside_door & (np.abs(p[:, 0] - 4.1) < 0.04),
+    }
+    places = [
+        Place(name, name, p[mask].mean(axis=0), 0.3, np.flatnonzero(mask), np.zeros(0, np.int64), -1, 1.0)
+        for name, mask in faces.items()
+    ]
+    plan = make_floor_plan(navigation, places)
+    assert [plan.room_of_place[name] for name in ("near", "behind")] == [room.id for room in plan.rooms]
+
+
+def test_a_navigation_that_saw_nothing_has_a_plan_without_rooms() -> None:
+    keyframes, landmarks = two_rooms().keyframes, two_rooms().landmarks
+    nothing = replace(
+        two_rooms(),
+        trajectory=replace(two_rooms().trajectory, t_robot_ns=np.zeros(0, np.int64), T_world_body=np.zeros((0, 4, 4))),
+        keyframes=replace(
+            keyframes,
+            frame_index=np.zeros(0, np.int64),
+            t_robot_ns=np.zeros(0, np.int64),
+            T_world_cam=np.zeros((0, 4, 4)),
+            encoded=(),
+            segment=np.zeros(0, np.int64),
+        ),
+        landmarks=replace(
+            landmarks,
+            p_world=np.zeros((0, 3)),
+            rgb=np.zeros((0, 3), np.uint8),
+            cov_world=np.zeros((0, 3, 3)),
+            observed_landmark=np.zeros(0, np.int64),
+            observed_keyframe=np.zeros(0, np.int64),
+            observed_uv_px=np.zeros((0, 2)),
+        ),
+    )
+    plan = make_floor_plan(nothing, ())
+    assert plan.rooms == () and plan.doors == () and plan.rooms_at(LEFT).tolist() == [-1]
