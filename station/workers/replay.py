@@ -199,10 +199,10 @@ def answers_hash(answers: Iterable[PlaceAnswer]) -> str:
 
 
 def answer_line(answer: PlaceAnswer) -> str:
-    """An answer as one line of JSON. `room` is null: maps have no rooms yet."""
+    """An answer as one line of JSON."""
     plain = replace(answer, position_map=None)
     position = None if answer.position_map is None else answer.position_map.tolist()
-    return json.dumps({**asdict(plain), "room": None, "position_map": position})
+    return json.dumps({**asdict(plain), "position_map": position})
 
 
 def answer_lines(answers: Iterable[PlaceAnswer]) -> str:

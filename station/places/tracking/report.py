@@ -1,7 +1,7 @@
 """A belief reported: how probable each place is, and the answer with its reason.
 
 The place is the one whose centroid is nearest to the robot (thesis 4.4, step 7), averaged over the position's
-uncertainty.
+uncertainty. Its room is reported beside it (room_report.py).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from station.model.place_map import Place
 from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.map_view import MapView
+from station.places.tracking.room_report import Drawn, RoomReporter
 
 SAMPLES = 200  # positions drawn per hypothesis
 TIE = 1.1  # centroids within 10 % of the nearest distance count as equally near
@@ -45,25 +46,25 @@ class Reporter:
     """Answers about beliefs over the active maps."""
 
     def __init__(self, maps: Sequence[MapView], config: BeliefConfig, seed: int = 0) -> None:
-        self._maps = maps
         self.config = config
         self._draws = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
+        self.regroup(maps)
 
     def regroup(self, maps: Sequence[MapView]) -> None:
         self._maps = maps
+        self._rooms = RoomReporter(maps, self.config)
 
     def probabilities(self, belief: Belief, T_nav_body: FloatArray) -> PlaceProbabilities:
         """How probable each place is while odometry is at this pose."""
-        return self._probabilities(belief, [h.pose(T_nav_body)[:3, 3] for h in belief.hypotheses])
+        return self._probabilities(belief, self._drawn(belief, T_nav_body))
 
-    def _probabilities(self, belief: Belief, position: Sequence[FloatArray]) -> PlaceProbabilities:
-        """`position`: (3,) of the robot by each hypothesis, in its map."""
+    def _probabilities(self, belief: Belief, drawn: Sequence[Drawn]) -> PlaceProbabilities:
         sizes = [len(m.centroids) for m in self._maps]
         first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
         place, tie = np.zeros(first[-1]), np.zeros(first[-1])
         unmapped, beyond = belief.unmapped, 0.0
-        for h, p_body in zip(belief.hypotheses, position, strict=True):
-            nearest, tied, covered = self._spread(self._maps[h.map_index], p_body, h.sigma_m)
+        for h, p_map in drawn:
+            nearest, tied, covered = self._spread(self._maps[h.map_index], p_map)
             if not len(nearest):
                 unmapped += h.weight
                 continue
@@ -82,12 +83,13 @@ class Reporter:
         """The current place by this belief, at the odometry pose of this time."""
         position = [h.pose(T_nav_body)[:3, 3] for h in belief.hypotheses]
         is_recognised = belief.localised > 0.5
-        found = self._probabilities(belief, position)
+        drawn = self._drawn(belief, T_nav_body)
+        found, room = self._probabilities(belief, drawn), self._rooms.answer(belief, drawn)
         order = largest(found.place, 4)
         candidates = [self._place_candidate(int(i), float(found.tie[i])) for i in order]
         # In a map of one place a robot that is lost in it is there, too: but nobody recognised it.
         is_known = is_recognised and bool(len(order)) and found.tie[order[0]] >= self.config.known_from
-        known_in = self._located(int(order[0]))[0] if is_known else None
+        known_in = self._located(int(order[0]))[0] if is_known else room.map_index
         # Where the place is known, its distance is to a position in its own map.
         among = [
             pair for pair in zip(belief.hypotheses, position, strict=True) if known_in in (None, pair[0].map_index)
@@ -110,6 +112,9 @@ class Reporter:
                 reason=f"{best.inliers} landmarks of the map were recognised"
                 + (f"; odometry over the {age_s:.0f} s since" if age_s >= 1.0 else ""),
                 map_id=map_id,
+                room=room.room,
+                room_alternatives=room.alternatives,
+                doorway=room.doorway,
             )
         is_localized = best is not None and best.weight > 0.5
         is_unknown = (
@@ -129,16 +134,26 @@ class Reporter:
             alternatives=tuple(candidates),
             reason=self._reason(is_unknown, found, belief, best, past),
             map_id=map_id,
+            room=room.room,
+            room_alternatives=room.alternatives,
+            doorway=room.doorway,
         )
 
-    def _spread(self, view: MapView, p_body: FloatArray, sigma_m: float) -> tuple[FloatArray, FloatArray, float]:
+    def _drawn(self, belief: Belief, T_nav_body: FloatArray) -> list[Drawn]:
+        """Positions that each hypothesis may mean, in its map."""
+        return [(h, self._positions(h, h.pose(T_nav_body)[:3, 3])) for h in belief.hypotheses]
+
+    def _positions(self, h: Hypothesis, p_body: FloatArray) -> FloatArray:
+        """(SAMPLES, 3)"""
+        sigma = min(h.sigma_m, 20.0) * self._maps[h.map_index].unit
+        return np.asarray(p_body + self._draws * np.array([1.0, 1.0, 0.2]) * sigma)
+
+    def _spread(self, view: MapView, p_map: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Shares (P,) of drawn positions nearest to each place, those within a tie, and the share that is mapped."""
         if not len(view.centroids):
             return np.zeros(0), np.zeros(0), 0.0
-        spread = self._draws * np.array([1.0, 1.0, 0.2]) * min(sigma_m, 20.0) * view.unit
-        p = p_body + spread
-        share, tied = view.nearest(p, TIE)
-        return share, tied, float(view.space.knows(p).mean())
+        share, tied = view.nearest(p_map, TIE)
+        return share, tied, float(view.space.knows(p_map).mean())
 
     def _place(self, number: int) -> Place:
         """By its number in `PlaceProbabilities`."""
