@@ -77,6 +77,8 @@ class PlaceAnswer:
     room: RoomCandidate | None = None  # None: no room is probable enough
     room_alternatives: tuple[RoomCandidate, ...] = ()  # the likeliest other ones; all of them while `room` is None
     doorway: str | None = None  # id of the door that the robot is in
+    forward_map: FloatArray | None = None  # (3,) unit vector, where the robot's front points; where there is a position
+    sigma_position: float | None = None  # map units, 1 sigma per axis of the position
 
 
 HijackCue = Literal["imu", "vision", "position"]

@@ -109,6 +109,8 @@ class CurrentPlace(IgnoringListener):
             room=None,
             room_alternatives=(),
             doorway=None,
+            forward_map=None,
+            sigma_position=None,
             reason=self._absent,
         )
         return replace(self._report, answer=nowhere, T_map_cam=None)

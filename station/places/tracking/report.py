@@ -81,7 +81,7 @@ class Reporter:
 
     def answer(self, belief: Belief, T_nav_body: FloatArray, t_robot_ns: int, past: Past) -> PlaceAnswer:
         """The current place by this belief, at the odometry pose of this time."""
-        position = [h.pose(T_nav_body)[:3, 3] for h in belief.hypotheses]
+        poses = [h.pose(T_nav_body) for h in belief.hypotheses]
         is_recognised = belief.localised > 0.5
         drawn = self._drawn(belief, T_nav_body)
         found, room = self._probabilities(belief, drawn), self._rooms.answer(belief, drawn)
@@ -91,10 +91,9 @@ class Reporter:
         is_known = is_recognised and bool(len(order)) and found.tie[order[0]] >= self.config.known_from
         known_in = self._located(int(order[0]))[0] if is_known else room.map_index
         # Where the place is known, its distance is to a position in its own map.
-        among = [
-            pair for pair in zip(belief.hypotheses, position, strict=True) if known_in in (None, pair[0].map_index)
-        ]
-        best, p_body = max(among, key=lambda pair: pair[0].weight, default=(None, None))
+        among = [pair for pair in zip(belief.hypotheses, poses, strict=True) if known_in in (None, pair[0].map_index)]
+        best, T_map_body = max(among, key=lambda pair: pair[0].weight, default=(None, None))
+        p_body = None if T_map_body is None else T_map_body[:3, 3]
         map_id = None if best is None else self._maps[best.map_index].place_map.id
         if is_known and best is not None and p_body is not None:
             centroid = self._place(int(order[0])).centroid_map
@@ -115,6 +114,8 @@ class Reporter:
                 room=room.room,
                 room_alternatives=room.alternatives,
                 doorway=room.doorway,
+                forward_map=_forward(T_map_body),
+                sigma_position=self._sigma(best),
             )
         is_localized = best is not None and best.weight > 0.5
         is_unknown = (
@@ -137,6 +138,8 @@ class Reporter:
             room=room.room,
             room_alternatives=room.alternatives,
             doorway=room.doorway,
+            forward_map=_forward(T_map_body) if is_localized else None,
+            sigma_position=self._sigma(best) if is_localized else None,
         )
 
     def _drawn(self, belief: Belief, T_nav_body: FloatArray) -> list[Drawn]:
@@ -145,8 +148,11 @@ class Reporter:
 
     def _positions(self, h: Hypothesis, p_body: FloatArray) -> FloatArray:
         """(SAMPLES, 3)"""
-        sigma = min(h.sigma_m, 20.0) * self._maps[h.map_index].unit
-        return np.asarray(p_body + self._draws * np.array([1.0, 1.0, 0.2]) * sigma)
+        return np.asarray(p_body + self._draws * np.array([1.0, 1.0, 0.2]) * self._sigma(h))
+
+    def _sigma(self, h: Hypothesis | None) -> float:
+        """Of its position, map units."""
+        return 0.0 if h is None else min(h.sigma_m, 20.0) * self._maps[h.map_index].unit
 
     def _spread(self, view: MapView, p_map: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Shares (P,) of drawn positions nearest to each place, those within a tie, and the share that is mapped."""
@@ -195,6 +201,11 @@ class Reporter:
         if past.was_recognised:
             return "images do not agree with where the robot was last recognised"
         return "no image has been recognised yet"
+
+
+def _forward(T_map_body: FloatArray | None) -> FloatArray | None:
+    """(3,) unit vector along the body's front, whatever the map's scale."""
+    return None if T_map_body is None else T_map_body[:3, 0] / np.linalg.norm(T_map_body[:3, 0])
 
 
 def largest(values: FloatArray, how_many: int) -> IntArray:
