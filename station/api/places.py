@@ -67,9 +67,7 @@ async def places(station: StationDep) -> list[PlaceModel]:
     return [place_model(active, place) for place in active.place_map.places]
 
 
-@router.get(
-    "/places/changes", summary="What people made of places and rooms, newest first", responses=responses(409)
-)
+@router.get("/places/changes", summary="What people made of places and rooms, newest first", responses=responses(409))
 async def changes(station: StationDep) -> list[PlacesChangeModel]:
     """Changes of the active map that can be taken back, one after the other; those taken back are not listed."""
     return [_change(change) for change in await station.maps.changes()]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter
 
 from station.api.deps import StationDep
 from station.api.problems import responses
@@ -65,19 +64,12 @@ async def erase(door_id: str, station: StationDep) -> list[RoomModel]:
 @router.get(
     "/floorplan",
     summary="The floor plan of the active map",
-    response_model=FloorPlanModel,
-    responses={200: {"content": {"image/svg+xml": {}, "image/png": {}}}, **responses(409)},
+    responses=responses(409),
 )
-async def floorplan(
-    station: StationDep, format: Annotated[Literal["json", "svg", "png"], Query()] = "json"
-) -> FloorPlanModel | Response:
+async def floorplan(station: StationDep) -> FloorPlanModel:
     active = station.maps.active.require_first()
     active.require_plan()
-    if format == "json":
-        return await asyncio.to_thread(floor_plan_model, active)
-    if format == "svg":
-        return Response(await asyncio.to_thread(floorplan_svg, active.place_map), media_type="image/svg+xml")
-    return Response(await asyncio.to_thread(floorplan_png, active.place_map), media_type="image/png")
+    return await asyncio.to_thread(floor_plan_model, active)
 
 
 def _rooms(station: Station) -> list[RoomModel]:

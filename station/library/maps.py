@@ -214,7 +214,7 @@ class Maps:
             return self._replace(await asyncio.to_thread(self._store.edit, active.place_map.id, change, said))
 
     async def changes(self) -> tuple[PlacesChange, ...]:
-        """What people made of the active map's places and rooms, newest first: what `undo` takes back. Raises Conflict."""
+        """What people made of the active map's places and rooms, newest first: `undo` takes them. Raises Conflict."""
         map_id = self.active.require_first().place_map.id
         return changes_of(await asyncio.to_thread(self._store.history, map_id))
 

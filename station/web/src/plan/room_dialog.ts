@@ -35,11 +35,8 @@ export async function openRoom(id: string, plan: FloorPlanModel): Promise<void> 
     void name(input.value.trim());
   });
   const button = closingButtons(dialog);
-  const about = present(
-    room.area_m2 !== null && `${room.area_m2.toFixed(1)} m²`,
-    count(room.doors.length, "door"),
-    count(room.places.length, "place"),
-  ).join(" · ");
+  const area = room.area_m2 === null ? [] : [`${room.area_m2.toFixed(1)} m²`];
+  const about = [...area, count(room.doors.length, "door"), count(room.places.length, "place")].join(" · ");
   dialog.replaceChildren(
     ...present(
       make("h2", {}, room.name),

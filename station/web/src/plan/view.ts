@@ -137,7 +137,7 @@ export class PlanView {
     }
     toast(`Door between ${a} and ${b}.`, {
       label: "Erase",
-      act: () => undoable(() => call("DELETE", `/doors/${door.id}`)),
+      act: () => undoable(() => call("DELETE", `/doors/${encodeURIComponent(door.id)}`)),
     });
   }
 
