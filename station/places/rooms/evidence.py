@@ -97,7 +97,7 @@ def without_specks(free: Cells, most: float) -> Cells:
 
 def _stands(p: FloatArray, unit: float) -> Cells:
     """(n,) which landmarks (n, 3) stand in the way of somebody on the floor."""
-    finite: Cells = np.isfinite(p).all(axis=1)
+    finite: Cells = np.asarray(np.isfinite(p).all(axis=1), dtype=np.bool_)
     if not finite.any():
         return finite
     floor = np.percentile(p[finite, 2], LOWEST_PERCENT)
