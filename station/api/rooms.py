@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter
+from fastapi import APIRouter, Query, Response
 
 from station.api.deps import StationDep
 from station.api.problems import responses
 from station.api.schema.base import NewName
 from station.api.schema.rooms import FloorPlanModel, RoomMerge, RoomModel, RoomSplit, floor_plan_model, room_model
 from station.app import Station
+from station.model.floor_plan import FloorPlan
+from station.model.place_map import PlaceMap
+from station.places.making.changes import without_hidden
+from station.places.rooms.geojson import floorplan_json
+from station.places.rooms.png import floorplan_png
+from station.places.rooms.svg import floorplan_svg
 
 router = APIRouter(tags=["rooms"])
+DRAWN: dict[str, tuple[Callable[[FloorPlan, PlaceMap], bytes], str]] = {
+    "geojson": (floorplan_json, "application/geo+json"),
+    "svg": (floorplan_svg, "image/svg+xml"),
+    "png": (floorplan_png, "image/png"),
+}
 
 
 @router.get("/rooms", summary="Rooms of the active map", responses=responses(409))
@@ -64,12 +77,19 @@ async def erase(door_id: str, station: StationDep) -> list[RoomModel]:
 @router.get(
     "/floorplan",
     summary="The floor plan of the active map",
-    responses=responses(409),
+    response_model=FloorPlanModel,
+    responses={200: {"content": {media_type: {} for _, media_type in DRAWN.values()}}, **responses(409)},
 )
-async def floorplan(station: StationDep) -> FloorPlanModel:
+async def floorplan(
+    station: StationDep, format: Annotated[Literal["json", "geojson", "svg", "png"], Query()] = "json"
+) -> FloorPlanModel | Response:
+    """JSON as the page draws it; a GeoJSON FeatureCollection in map units; or a drawing to print."""
     active = station.maps.active.require_first()
-    active.require_plan()
-    return await asyncio.to_thread(floor_plan_model, active)
+    plan = active.require_plan()
+    if format == "json":
+        return await asyncio.to_thread(floor_plan_model, active)
+    make, media_type = DRAWN[format]
+    return Response(await asyncio.to_thread(make, plan, without_hidden(active.place_map)), media_type=media_type)
 
 
 def _rooms(station: Station) -> list[RoomModel]:

@@ -13,7 +13,8 @@ from station.api.schema.places import PlaceName, RoomName
 from station.library.active_maps import ActiveMap
 from station.model.floor_plan import Door, NameSuggestion, Room
 from station.model.points import NO_PLACE
-from station.places.rooms.lines import driven_path, room_outlines
+from station.places.rooms.drawing import room_outlines
+from station.places.rooms.lines import driven_path
 
 Coordinate = Annotated[Number, Field(ge=-1e6, le=1e6)]
 Point = list[float]
