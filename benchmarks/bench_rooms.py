@@ -1,0 +1,113 @@
+"""Are a flat's rooms, doors and walls found? Plans of simulated flats mapped by SLAM beside the simulator's truth.
+
+    python -m benchmarks.bench_rooms --worlds home:600-609 plain:600-609 corner:600-609 large:600-604 [--cache DIR]
+
+Flats are mapped where they are missing from the cache (room_flats.py; minutes each). One JSON line per flat; one
+without a map counts as a flat with a wrong number of rooms. `--poses true`: the simulator's poses and depths instead
+of SLAM's. A `corner` is a flat with an L-shaped room; an opening as wide as the arm of the L is no door.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.result import Figure, Run, add_results_option, share, work_folder
+from benchmarks.room_flats import FlatName, mapped_rooms, parse_worlds
+from benchmarks.room_truth import Judgement, judge
+from station.places.rooms.plan import make_floor_plan
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    name: FlatName
+    judgement: Judgement | None  # None: SLAM made no map
+    cpu_s: float  # of the plan
+
+    def line(self) -> str:
+        j = self.judgement
+        if j is None:
+            return json.dumps({"flat": str(self.name), "failed": "no map"})
+        return json.dumps(
+            {
+                "flat": str(self.name),
+                "rooms": f"{j.rooms} of {j.true_rooms}",
+                "iou": [round(v, 2) for v in j.iou],
+                "doors": f"{j.doors_found} of {j.true_doors}",
+                "wrong_doors": j.doors - j.doors_found,
+                "wall_error_m": round(float(np.median(j.wall_error_m)), 3) if j.wall_error_m else None,
+                "wall_missed_m": round(float(np.median(j.wall_missed_m)), 3) if j.wall_missed_m else None,
+                "cpu_s": round(self.cpu_s, 2),
+            }
+        )
+
+
+def run(name: FlatName, cache: Path) -> Row:
+    mapped = mapped_rooms(name, cache)
+    if mapped is None:
+        return Row(name, None, 0.0)
+    begin = time.process_time()
+    plan = make_floor_plan(mapped.place_map.navigation, mapped.place_map.places)
+    cpu_s = time.process_time() - begin
+    return Row(name, judge(mapped, plan), cpu_s)
+
+
+def figures(rows: list[Row]) -> list[Figure]:
+    """Over all flats against what was asked, then the number of rooms of each kind."""
+    judged = [row.judgement for row in rows if row.judgement is not None]
+    iou = [v for j in judged for v in j.iou]
+    walls = [v for j in judged for v in j.wall_error_m]
+    missed = [v for j in judged for v in j.wall_missed_m]
+    right = sum(j.is_count_right for j in judged)
+    doors, found = sum(j.doors for j in judged), sum(j.doors_found for j in judged)
+    small = [row.cpu_s for row in rows if row.judgement is not None and row.judgement.true_rooms == 3]
+    made = [
+        share("flats whose number of rooms is right", right, len(rows), at_least=90),
+        Figure("overlap (IoU) with the true room, median", _median(iou), at_least=0.8, of=len(iou)),
+        share("doors found within 0.3 m", found, sum(j.true_doors for j in judged), at_least=90),
+        share("doors of the plans that are none", doors - found, doors, at_most=5),
+        Figure("walls of the plans to the nearest true wall, median", _median(walls), "m", at_most=0.1, of=len(judged)),
+        Figure("true walls to the nearest wall of the plan, median", _median(missed), "m", of=len(judged)),
+        Figure("CPU time of the plan of a three-room flat, largest", max(small, default=None), "s", at_most=3),
+    ]
+    for kind in dict.fromkeys(row.name.world for row in rows):
+        mine = [row for row in rows if row.name.world == kind]
+        good = sum(row.judgement is not None and row.judgement.is_count_right for row in mine)
+        made.append(share(f"{kind}: flats whose number of rooms is right", good, len(mine)))
+    return made
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--worlds", nargs="+", required=True)
+    parser.add_argument("--poses", choices=("slam", "true"), default="slam")
+    parser.add_argument("--cache", type=Path, help="folder of mapped flats; usually in benchmarks/results/work")
+    add_results_option(parser, "rooms")
+    a = parser.parse_args()
+    begun = Run.begin()
+    cache = a.cache or work_folder() / "room_flats"
+    rows = []
+    for name in parse_worlds(a.worlds, a.poses):
+        rows.append(run(name, cache))
+        print(rows[-1].line(), flush=True)
+    made = figures(rows)
+    for figure in made:
+        print(f"{figure.what}: {figure.value} {figure.unit}", file=sys.stderr)
+    begun.write(a.results, made)
+    return 0
+
+
+if __name__ == "__main__":
+    with threadpool_limits(limits=1):
+        raise SystemExit(main())
