@@ -24,11 +24,11 @@ MERGE_M = 0.06
 MAX_S = 300.0
 
 
-def map_truly(renderer: Renderer, calibration: Calibration, seed: int) -> PlaceMap:
+def map_truly(renderer: Renderer, calibration: Calibration, seed: int, max_s: float = MAX_S) -> PlaceMap:
     """A map along the mapping route with the simulator's poses, and its depths with 1 % noise."""
     camera, world = calibration.camera, renderer.world
     assert camera is not None
-    plan = Plan("mapping", plan_route(world, "mapping", seed), None, MAX_S)
+    plan = Plan("mapping", plan_route(world, "mapping", seed), None, max_s)
     robot = SimulatedRobot(renderer, calibration, SimulationConfig(), plan, seed)
     extractor, rays = FeatureExtractor(), unproject_pixels(camera)
     rng = np.random.default_rng(seed)

@@ -62,7 +62,7 @@ def make_plain(
 ) -> World:
     """Build the home of a seed. Twin rooms have the same shape, furniture and light; their pictures differ."""
     rng = np.random.default_rng([seed, 21])
-    plan = draw_plan(rng, needs_twins)
+    plan = draw_plan(rng, needs_twins, name)
     style = _Style(
         is_night=bool(rng.random() < NIGHT_SHARE),
         series_seed=int(rng.integers(0, 2**31)),
@@ -98,7 +98,7 @@ def _rooms(plan: Plan) -> tuple[Room, ...]:
     half = WALL_THICKNESS_M / 2
     rooms: list[Room] = []
     for planned in plan.rooms:
-        again = sum(room.name.removesuffix(" 2") == planned.use for room in rooms)
+        again = planned.part_of is None and any(room.name.removesuffix(" 2") == planned.use for room in rooms)
         x0, y0, x1, y1 = planned.cell
         name = planned.use + (" 2" if again else "")
         rooms.append(Room(name, x0 + half, y0 + half, x1 - half, y1 - half))

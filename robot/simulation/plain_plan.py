@@ -1,4 +1,7 @@
-"""Floor plans of plain homes: rooms off a corridor, an open living space with rooms off it, or rooms in a row."""
+"""Floor plans of plain homes: rooms off a corridor, an open living space with rooms off it, or rooms in a row.
+
+Two more by name: `corner`, with an L-shaped living room, and `large`, six to eight rooms off a long corridor.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from robot.simulation.world import Door
+from robot.simulation.world import WALL_THICKNESS_M, Door
 
 SOUTH, EAST, NORTH, WEST = range(4)  # sides of a room, in the order of walls.wall_runs
 DOOR_WIDTHS_M = (0.8, 0.95)
@@ -24,6 +27,7 @@ class PlannedRoom:
     cell: Cell
     use: str  # what it is furnished as
     window_side: int | None
+    part_of: int | None = None  # the planned room that this rectangle makes L-shaped
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +38,10 @@ class Plan:
     closed: tuple[Cell, ...] = ()  # parts of the building behind doors that never open
 
 
-def draw_plan(rng: np.random.Generator, needs_twins: bool) -> Plan:
+def draw_plan(rng: np.random.Generator, needs_twins: bool, name: str = "plain") -> Plan:
     """A plan by chance; with twin rooms where they are needed, else now and then."""
+    if name in ("corner", "large"):
+        return _corner(rng) if name == "corner" else _large(rng)
     kinds: list[Callable[[np.random.Generator, bool], Plan | None]] = [_corridor, _open_plan]
     has_twins = needs_twins or bool(rng.random() < TWIN_SHARE)
     if not needs_twins:
@@ -123,6 +129,63 @@ def _row(rng: np.random.Generator, _has_twins: bool) -> Plan:
     rooms = tuple(PlannedRoom(cell, use, side) for cell, use in zip(cells, uses, strict=False))
     doors = tuple(Door(cell[2], y, door_m, "y", (i, i + 1)) for i, cell in enumerate(cells[:-1]))
     return Plan(rooms, doors)
+
+
+def _corner(rng: np.random.Generator) -> Plan:
+    """A living room of two rectangles, an L; a kitchen in its corner, one or two rooms behind its long side."""
+    width, depth, arm = (float(v) for v in rng.uniform([4.6, 2.9, 2.3], [5.6, 3.6, 2.9]))
+    north, east = (float(v) for v in rng.uniform([2.6, 2.9], [3.4, 3.6]))
+    door_m, half = float(rng.uniform(*DOOR_WIDTHS_M)), WALL_THICKNESS_M / 2
+    top, right = depth + north, width + east
+    rooms = [
+        PlannedRoom((0.0, 0.0, width, depth), "living room", SOUTH),
+        PlannedRoom((0.0, depth, arm, top), "living room", WEST, part_of=0),
+        PlannedRoom((arm, depth, width, top), "kitchen", NORTH),
+        PlannedRoom((width, 0.0, right, depth), "bedroom", EAST),
+    ]
+    doors = [
+        Door(arm / 2, depth, arm - 2 * half, "x", (0, 1)),  # as wide as the arm
+        Door(width, _door_place(rng, depth, door_m), door_m, "y", (0, 3)),
+    ]
+    if rng.random() < 0.5:
+        doors.append(Door(arm + _door_place(rng, width - arm, door_m), depth, door_m, "x", (0, 2)))
+    else:
+        doors.append(Door(arm, depth + _door_place(rng, north, door_m), door_m, "y", (1, 2)))
+    if rng.random() < 0.5:
+        rooms.append(PlannedRoom((width, depth, right, top), "study", NORTH))
+        doors.append(Door(width + _door_place(rng, east, door_m), depth, door_m, "x", (3, 4)))
+        return Plan(tuple(rooms), tuple(doors))
+    return Plan(tuple(rooms), tuple(doors), closed=((width, depth, right, top),))
+
+
+def _large(rng: np.random.Generator) -> Plan:
+    """Five to seven rooms on both sides of a long corridor."""
+    north = _widths(rng, int(rng.integers(3, 5)), False, 2.7, 3.8)
+    south = _widths(rng, int(rng.integers(2, 4)), False, 2.9, 4.2)
+    south_depth, north_depth, width = (float(v) for v in rng.uniform([3.0, 2.9, 1.3], [4.0, 4.0, 1.7]))
+    length = max(sum(north), sum(south))
+    door_m = float(rng.uniform(*DOOR_WIDTHS_M))
+    hall = (0.0, south_depth, length, south_depth + width)
+    cells_south, cells_north = (
+        _side_by_side(south, 0.0, south_depth),
+        _side_by_side(north, hall[3], hall[3] + north_depth),
+    )
+    uses = ["living room", "kitchen", "study"][: len(south)] + ["bedroom", "guest room", "bedroom", "study"][
+        : len(north)
+    ]
+    rooms = [PlannedRoom(hall, "hall", WEST if rng.random() < 0.5 else None)]
+    doors: list[Door] = []
+    for index, (cell, use) in enumerate(zip([*cells_south, *cells_north], uses, strict=True), start=1):
+        is_north = index > len(south)
+        x = cell[0] + _door_place(rng, cell[2] - cell[0], door_m)
+        doors.append(Door(x, cell[1] if is_north else cell[3], door_m, "x", (0, index)))
+        rooms.append(PlannedRoom(cell, use, NORTH if is_north else SOUTH))
+    closed = tuple(
+        (cells[-1][2], cells[-1][1], length, cells[-1][3])
+        for cells in (cells_south, cells_north)
+        if length - cells[-1][2] > 1e-6
+    )
+    return Plan(tuple(rooms), tuple(doors), closed=closed)
 
 
 def _door_place(rng: np.random.Generator, length_m: float, door_m: float) -> float:

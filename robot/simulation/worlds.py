@@ -17,7 +17,7 @@ from robot.simulation.walls import wall_obstacles
 from robot.simulation.world import Room, World
 from shared.errors import ConfigError
 
-WORLD_NAMES = ("home", "small", "lookalike", "plain", "room", "vicon", "checker")
+WORLD_NAMES = ("home", "small", "lookalike", "plain", "corner", "large", "room", "vicon", "checker")
 
 
 PLAIN_WALKERS = (0, 0, 1, 2)  # persons in a plain home, by chance
@@ -29,7 +29,9 @@ def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> 
     `home`: a flat of 3-5 rooms. `small`: 3 rooms, mapped in about a minute. `lookalike`: a home in
     which two rooms differ in nothing but their pictures. `plain`: another kind of home, with bare walls,
     equal doors and radiators, by day or by night,
-    some with twin rooms, some with persons who walk about. `room`: one room for the triangle routes.
+    some with twin rooms, some with persons who walk about. `corner`: a plain home whose living room is an L,
+    two rectangles of one name. `large`: a plain home of six to eight rooms off a long corridor.
+    `room`: one room for the triangle routes.
     `vicon`: an 8x8x4 m hall around EuRoC's V1 paths. `checker`: a box of checkerboards, for geometry tests.
     """
     config = config or SimulationConfig()
@@ -50,7 +52,7 @@ def _make_world(name: str, seed: int, config: SimulationConfig) -> World:
         return make_flat(name, seed, options)
     if name == "small":
         return make_flat(name, seed, FlatOptions((3, 3), (8.4, 9.6), config.lookalike_rooms, moved, light))
-    if name == "plain":
+    if name in ("plain", "corner", "large"):
         return make_plain(name, seed, config.lookalike_rooms, moved, light)
     if name == "room":
         return _single_room(seed, moved, light)

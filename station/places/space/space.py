@@ -1,4 +1,4 @@
-"""Space: what a navigation saw to be free, and which part of that its map knows.
+"""Space: what a navigation saw to be free or taken, and which part of that its map knows.
 
 A camera sees through free space up to the landmarks that it observes. So every keyframe carves a star of free cells
 over the ground, and what several keyframes carved is free. A map knows the free space that its navigation's path
@@ -15,21 +15,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray
 from station.model.navigation import Navigation
 from station.places.making.scale import ground_rotation, units_per_metre
-from station.places.space.sight import Sight, sights
+from station.places.space.carving import FARTHEST_M, SEEN_BY, Carving
+from station.places.space.sight import sights
 
 Cells = npt.NDArray[np.bool_]
 
 CELL_M = 0.1
-SEEN_BY = 2  # keyframes that must have seen through a cell: one may hold false landmarks
-FARTHEST_M = 6.0  # farther landmarks say little about where exactly space ends
 PASSAGE_M = 1.0  # what is narrower ends the map where the path did not go through: doors are some 0.9 m wide
 DRIVEN_M = 0.2  # this near the path space is free: the robot was there itself
 AT_HAND_M = 0.4  # ... and known, also behind the cameras, unless it was seen to lie beyond a door
 CARRIED_AT_HAND_M = 1.0  # a rig in somebody's hands swings about, and never looked behind itself
-MAX_CELLS = 4_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,32 +38,38 @@ class Space:
     low: FloatArray  # (2,) map units, on the ground
     cell: float  # map units
     free: Cells  # seen through, or driven through
+    driven: Cells  # of it: by the robot's body
     known: Cells  # the part of it that belongs to the map, and what is at hand of the path
+    seen: npt.NDArray[np.uint16]  # how many keyframes saw through each cell
 
     @classmethod
-    def of(cls, navigation: Navigation) -> Space:
-        """What this navigation saw; nothing without keyframes."""
-        R = ground_rotation(navigation)
+    def of(cls, navigation: Navigation, R_ground_map: FloatArray | None = None, cell_m: float = CELL_M) -> Space:
+        """What this navigation saw; nothing without keyframes. `R_ground_map`: other axes on the ground."""
+        R = ground_rotation(navigation) if R_ground_map is None else R_ground_map
         path = (_path(navigation) @ R.T)[:, :2]
         if not len(path):
-            return cls(R, np.zeros(2), 1.0, *np.zeros((2, 0, 0), dtype=np.bool_))
+            none = np.zeros((0, 0), dtype=np.bool_)
+            return cls(R, np.zeros(2), 1.0, none, none, none, np.zeros((0, 0), np.uint16))
         metre = units_per_metre(navigation)
-        cell = CELL_M * metre
-        low = path.min(axis=0) - FARTHEST_M * metre
-        shape = np.ceil((path.max(axis=0) + FARTHEST_M * metre - low) / cell).astype(int)
-        while np.prod(shape.astype(float)) > MAX_CELLS:  # a path through a whole building, or one that ran away
-            cell, shape = 2 * cell, -(-shape // 2)
-        seen = np.zeros(shape, dtype=np.int32)
+        carving = Carving.around(path, metre, cell_m)
         for sight in sights(navigation, R, FARTHEST_M * metre):
-            _carve(seen, low, cell, sight)
-        on_path = np.zeros(shape, dtype=np.bool_)
+            carving.add(sight)
+        return cls.carved(carving, R, path, metre, has_wheels=navigation.calibration.has_wheels)
+
+    @classmethod
+    def carved(
+        cls, carving: Carving, R_ground_map: FloatArray, path: FloatArray, metre: float, *, has_wheels: bool
+    ) -> Space:
+        """What was carved from sights along a path (n, 2) on the ground."""
+        low, cell, seen = carving.low, carving.cell, carving.seen
+        on_path = np.zeros(seen.shape, dtype=np.bool_)
         on_path[tuple(np.floor((path - low) / cell).astype(int).T)] = True
         driven = _within(on_path, DRIVEN_M * metre / cell)
         free = (seen >= SEEN_BY) | driven
-        at_hand_m = AT_HAND_M if navigation.calibration.has_wheels else CARRIED_AT_HAND_M
+        at_hand_m = AT_HAND_M if has_wheels else CARRIED_AT_HAND_M
         reached = _reached(free, driven, 0.5 * PASSAGE_M * metre / cell)
         known = reached | driven | (_within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY))
-        return cls(R, low, cell, free, known)
+        return cls(R_ground_map, low, cell, free, driven, known, seen)
 
     def knows(self, p_map: FloatArray) -> Cells:
         """(n,) whether positions (n, 3) lie where the map knows its way."""
@@ -80,18 +84,6 @@ def _path(navigation: Navigation) -> FloatArray:
     """(n, 3) finite positions of the cameras and of the body."""
     p = np.concatenate([navigation.keyframes.T_world_cam[:, :3, 3], navigation.trajectory.T_world_body[:, :3, 3]])
     return np.asarray(p[np.isfinite(p).all(axis=1)])
-
-
-def _carve(seen: IntArray, low: FloatArray, cell: float, sight: Sight) -> None:
-    """Count one more keyframe for the cells that it saw through."""
-    begin = np.maximum(np.floor((sight.eye - sight.farthest - low) / cell).astype(int), 0)
-    end = np.minimum(np.ceil((sight.eye + sight.farthest - low) / cell).astype(int), seen.shape)
-    if np.any(end <= begin):
-        return
-    x, y = (low[i] + (np.arange(begin[i], end[i]) + 0.5) * cell for i in range(2))
-    middles = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-    window = seen[begin[0] : end[0], begin[1] : end[1]]
-    window += sight.sees_through(middles.reshape(-1, 2)).reshape(window.shape)
 
 
 def _within(cells: Cells, distance: float) -> Cells:

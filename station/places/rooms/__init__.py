@@ -1,0 +1,1 @@
+"""Rooms, doors and walls out of the free space that a navigation saw."""

@@ -1,0 +1,106 @@
+"""What a navigation's cameras and body say of the ground: free, taken, or never seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from shared.geometry import FloatArray
+from station.model.floor_plan import FREE, OCCUPIED, UNSEEN
+from station.model.navigation import Navigation
+from station.places.making.scale import units_per_metre
+from station.places.space.space import Cells, Space
+
+CELL_M = 0.05  # half as thick as a wall
+ABOVE_FLOOR_M = (0.08, 2.0)  # of landmarks that stand in the way: neither the floor nor what is above a door
+LOWEST_PERCENT = 2.0  # of all landmarks lie no higher than the floor, but for a few false ones
+MIN_LANDMARKS = 3  # in a cell and its eight neighbours, so that single false ones stand nowhere
+SEEN_THROUGH = 2.0  # times as often as its landmarks were observed: a cell over which one sees, or a false landmark
+SPECK_M2 = 0.1  # what is less, all around seen to be free, is a table leg or a sector that no landmark filled
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Evidence on a grid whose cell [i, j] begins at `low` + (i, j) * `cell`."""
+
+    R_ground_map: FloatArray  # (3, 3)
+    low: FloatArray  # (2,)
+    cell: float  # map units
+    unit: float  # map units per metre
+    free: Cells  # seen through or driven through, and nothing stands there
+    driven: Cells
+    occupied: Cells
+    standing: FloatArray  # (n, 2) landmarks high enough to stand in the way, on the ground
+    path: FloatArray  # (n, 2) of the cameras, in their order
+    visits: npt.NDArray[np.int64]  # (n, 2) cells of the body's path, in its order
+
+    @property
+    def state(self) -> npt.NDArray[np.uint8]:
+        """(X, Y) as a plan has it."""
+        return np.where(self.occupied, OCCUPIED, np.where(self.free, FREE, UNSEEN)).astype(np.uint8)
+
+    def cells_of(self, p: FloatArray) -> npt.NDArray[np.int64]:
+        """(n, 2) the cells of ground positions (n, 2), inside the grid or not."""
+        return np.floor((p - self.low) / self.cell).astype(np.int64)
+
+    def metres(self, length_m: float) -> float:
+        """A length in metres as cells."""
+        return length_m * self.unit / self.cell
+
+
+def gather_evidence(navigation: Navigation, R_ground_map: FloatArray) -> Ground:
+    """Free space as `space` carves it, less the cells in which landmarks stand that nobody looked through."""
+    unit = units_per_metre(navigation)
+    space = Space.of(navigation, R_ground_map, CELL_M)
+    p = navigation.landmarks.p_world @ R_ground_map.T
+    is_standing = _stands(p, unit)
+    standing = p[is_standing, :2]
+    observations = navigation.landmarks.num_observations[is_standing]
+    centres = (navigation.keyframes.T_world_cam[:, :3, 3] @ R_ground_map.T)[:, :2]
+    body = (navigation.trajectory.T_world_body[:, :3, 3] @ R_ground_map.T)[:, :2]
+    body = body if len(body) else centres
+    visits = np.floor((body[np.isfinite(body).all(axis=1)] - space.low) / space.cell).astype(np.int64)
+    count, observed = np.zeros(space.free.shape), np.zeros(space.free.shape)
+    index = np.floor((standing - space.low) / space.cell).astype(np.int64)
+    inside = np.all((index >= 0) & (index < space.free.shape), axis=1)
+    np.add.at(count, tuple(index[inside].T), 1)
+    np.add.at(observed, tuple(index[inside].T), observations[inside])
+    near = np.round(9 * ndimage.uniform_filter(count, 3, mode="constant"))
+    is_dense = (count > 0) & (near >= MIN_LANDMARKS)
+    occupied = is_dense & (SEEN_THROUGH * observed >= space.seen) & ~space.driven
+    free = without_specks(space.free & ~occupied, SPECK_M2 * (unit / space.cell) ** 2)
+    return Ground(
+        R_ground_map=R_ground_map,
+        low=space.low,
+        cell=space.cell,
+        unit=unit,
+        free=free,
+        driven=space.driven,
+        occupied=occupied & ~free,
+        standing=standing[inside],
+        path=centres[np.isfinite(centres).all(axis=1)],
+        visits=visits,
+    )
+
+
+def without_specks(free: Cells, most: float) -> Cells:
+    """With the holes filled that have no more cells than that."""
+    holes, count = ndimage.label(~free)
+    if not count:
+        return free
+    size = np.bincount(holes.ravel(), minlength=count + 1)
+    return np.asarray(free | ((holes > 0) & (size[holes] <= most)), dtype=np.bool_)
+
+
+def _stands(p: FloatArray, unit: float) -> Cells:
+    """(n,) which landmarks (n, 3) stand in the way of somebody on the floor."""
+    finite: Cells = np.asarray(np.isfinite(p).all(axis=1), dtype=np.bool_)
+    if not finite.any():
+        return finite
+    floor = np.percentile(p[finite, 2], LOWEST_PERCENT)
+    above = (p[:, 2] - floor) / unit
+    found = finite & (above > ABOVE_FLOOR_M[0]) & (above < ABOVE_FLOOR_M[1])
+    return np.asarray(found, dtype=np.bool_)

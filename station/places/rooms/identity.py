@@ -1,0 +1,56 @@
+"""Rooms keep who they are: each one of a plan takes id and name of the room of the plan before that it covers most."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+
+import numpy as np
+
+from shared.geometry import FloatArray, inverse_sim3, transform
+from station.model.floor_plan import NO_ROOM, FloorPlan
+from station.places.rooms.basins import Labels
+
+NAME_PREFIX = "Room "
+
+
+def inherited(
+    labels: Labels, count: int, low: FloatArray, cell: float, R: FloatArray, previous: FloorPlan, T: FloatArray
+) -> dict[int, int]:
+    """Number in `labels` (from 1 on) -> number in `previous.rooms`, one-to-one, the largest overlaps first.
+
+    `T` (4, 4) carries the previous plan's map frame into this one's, and may be a similarity.
+    """
+    index = np.argwhere(labels > 0)
+    if not len(index) or not previous.rooms:
+        return {}
+    ground = np.column_stack([low + (index + 0.5) * cell, np.zeros(len(index))])
+    there = previous.rooms_at(transform(inverse_sim3(T), ground @ R))
+    both = there != NO_ROOM
+    shared = np.zeros((count + 1, len(previous.rooms)), dtype=np.int64)
+    np.add.at(shared, (labels[tuple(index[both].T)], there[both]), 1)
+    taken: dict[int, int] = {}
+    for flat in np.argsort(-shared, axis=None, kind="stable"):
+        new, old = (int(k) for k in np.unravel_index(flat, shared.shape))
+        if shared[new, old] == 0:
+            break
+        if new not in taken and old not in taken.values():
+            taken[new] = old
+    return taken
+
+
+def new_id(navigation_id: str, number: int, others: Sequence[str]) -> str:
+    """An id for a room that no plan had before."""
+    for attempt in range(len(others) + 1):
+        digest = hashlib.sha256(json.dumps([navigation_id, number, attempt]).encode()).hexdigest()[:12]
+        if f"room-{digest}" not in others:
+            return f"room-{digest}"
+    raise AssertionError("more ids than rooms are taken")
+
+
+def new_names(count: int, taken: Sequence[str]) -> list[str]:
+    """The next numbers that no room has."""
+    used = [name.removeprefix(NAME_PREFIX) for name in taken if name.startswith(NAME_PREFIX)]
+    first = 1 + max([int(number) for number in used if number.isdecimal()], default=0)
+    return [f"{NAME_PREFIX}{number}" for number in range(first, first + count)]
