@@ -75,6 +75,7 @@ SUITE = (
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
+    Benchmark("stickers", PLACES, "bench_stickers", "--tries 100", "--tries 2"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
     Benchmark("appearance", PLACES, "bench_appearance", "--step 2", "--step 20", data=f"{DATA}/redkitchen"),
     Benchmark(
