@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
+from station.places.rooms.place_names import named_by_rooms
 from station.places.rooms.plan import make_floor_plan
 
 
@@ -19,7 +20,8 @@ def planned(place_map: PlaceMap, earlier: PlaceMap | None = None) -> PlaceMap:
 
 
 def with_plan(place_map: PlaceMap, plan: FloorPlan) -> PlaceMap:
-    """The map with this plan, and without suggestions for rooms that are gone."""
+    """The map with this plan, its places called after their rooms, and without suggestions for rooms that are gone."""
     ids = {room.id for room in plan.rooms}
     suggestions = tuple(suggestion for suggestion in place_map.suggestions if suggestion.room in ids)
-    return replace(place_map, plan=plan, suggestions=suggestions)
+    places = named_by_rooms(place_map.places, plan)
+    return replace(place_map, places=places, plan=plan, suggestions=suggestions)
