@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from shared.errors import RobotSystemError
+from shared.geometry import FloatArray
 from station.access.visitors import open_access
 from station.calibration.target import TargetKind
 from station.config import RecordingConfig, StationConfig
@@ -28,6 +29,7 @@ from station.library.navigation_records import NavigationLibrary, NavigationReco
 from station.library.navigations import Navigations
 from station.library.place_changes import PlacesChange
 from station.library.recordings import recover_recordings, retain_recordings
+from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place
 from station.places.making.config import PlacesMode
@@ -370,8 +372,33 @@ class Station:
         self.events.notify("map", f"{len(set(place_ids))} places are {place.name} now")
         return place
 
+    async def rename_room(self, room_id: str, name: str) -> Room:
+        """Raises Conflict, Unknown, DataError."""
+        room = await self.maps.rename_room(room_id, name)
+        self._regroup()
+        return room
+
+    async def merge_rooms(self, room_ids: list[str]) -> Room:
+        """Several rooms become the first of them. Raises Conflict, Unknown, DataError."""
+        room = await self.maps.merge_rooms(room_ids)
+        self._regroup()
+        self.events.notify("map", f"{len(set(room_ids))} rooms are {room.name} now")
+        return room
+
+    async def split_room(self, line: FloatArray) -> None:
+        """Draw a door. Raises Conflict, DataError."""
+        await self.maps.split_room(line)
+        self._regroup()
+        self.events.notify("map", "a door was drawn")
+
+    async def erase_door(self, door_id: str) -> None:
+        """Two rooms become one. Raises Conflict, Unknown, DataError."""
+        await self.maps.erase_door(door_id)
+        self._regroup()
+        self.events.notify("map", "a door was erased")
+
     async def undo_places(self, version: int | None) -> PlacesChange:
-        """Take back the newest change of the places. Raises Conflict."""
+        """Take back the newest change of places or rooms. Raises Conflict."""
         change = await self.maps.undo(version)
         self._regroup()
         self.events.notify("map", f"taken back: {change.why}")

@@ -105,6 +105,7 @@ class SimulationConfig(Section, frozen=True, kw_only=True):
     build: BuildErrors = BuildErrors()
     faults: Faults = Faults()
     lookalike_rooms: bool = False
+    stickers: bool = False  # one in each room, with its name (docs/names.md)
     moved_chairs_seed: int | None = None
     light_seed: int | None = None
     walkers: Annotated[int, Meta(ge=0, le=4)] | None = None  # persons who walk about; None: those of the world's kind

@@ -25,6 +25,7 @@ class Canvas:
     image: ImageArray  # (H, W, 3) BGR
     rng: np.random.Generator
     texels_per_m: float
+    text: str = ""  # that is printed on it
 
     @property
     def size_px(self) -> tuple[int, int]:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from robot.simulation import texture_furniture as furniture
 from robot.simulation import texture_plain as plain
 from robot.simulation import texture_plain_things as things
+from robot.simulation import texture_sticker as sticker
 from robot.simulation import texture_walls as walls
 from robot.simulation.texture_strokes import Canvas, ImageArray
 
@@ -40,6 +41,7 @@ class TextureSpec:
     texels_per_m: float
     ambient: float = 1.0  # brightness without the lamps
     glows: tuple[Glow, ...] = ()
+    text: str = ""  # that is printed on it
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -51,7 +53,7 @@ def paint(spec: TextureSpec) -> ImageArray:
     width, height = spec.size_px
     rng = np.random.default_rng([spec.seed, sum(map(ord, spec.kind))])
     image = np.empty((height, width, 3), np.uint8)
-    PAINTERS[spec.kind](Canvas(image, rng, spec.texels_per_m))
+    PAINTERS[spec.kind](Canvas(image, rng, spec.texels_per_m, spec.text))
     if spec.glows or spec.ambient != 1.0:
         image = np.asarray(cv2.multiply(image, cv2.merge([_light(spec)] * 3), dtype=cv2.CV_8U))
     return image
@@ -127,4 +129,5 @@ PAINTERS: dict[str, Callable[[Canvas], None]] = {
     "wall_tiles": things.paint_wall_tiles,
     "garment": plain.paint_garment,
     "head": plain.paint_head,
+    "sticker": sticker.paint_sticker,
 }

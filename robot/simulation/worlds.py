@@ -10,6 +10,7 @@ from robot.simulation.building import Builder, Pose2, TexturePicker
 from robot.simulation.config import SimulationConfig
 from robot.simulation.flat import FlatOptions, furnish_room, make_flat
 from robot.simulation.plain import make_plain
+from robot.simulation.stickers import with_stickers
 from robot.simulation.textures import TextureSpec
 from robot.simulation.walkers import with_walkers
 from robot.simulation.walls import wall_obstacles
@@ -37,7 +38,10 @@ def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> 
     walkers = config.walkers
     if walkers is None:
         walkers = int(np.random.default_rng([seed, 26]).choice(PLAIN_WALKERS)) if name == "plain" else 0
-    return with_walkers(_make_world(name, seed, config), walkers, config.walkers_seed)
+    world = _make_world(name, seed, config)
+    if config.stickers:
+        world = with_stickers(world, config.body.radius_m)
+    return with_walkers(world, walkers, config.walkers_seed)
 
 
 def _make_world(name: str, seed: int, config: SimulationConfig) -> World:

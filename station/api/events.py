@@ -74,7 +74,11 @@ def to_message(robot: RobotSession, event: Event) -> Model:
             navigation = cast(NavigationRecord | None, event.subject)
             return NavigationMessage(navigation=None if navigation is None else navigation_model(navigation))
         case "map":
-            return MapMessage(active=active.place_map.id if active else None, revision=robot.active_maps.revision)
+            return MapMessage(
+                active=active.place_map.id if active else None,
+                revision=robot.active_maps.revision,
+                has_plan=active is not None and active.place_map.plan is not None,
+            )
         case "job":
             return JobMessage(job=JobModel.of(event.subject))
         case "place":

@@ -52,7 +52,8 @@ class MapMessage(Model):
 
     type: Literal["map"] = "map"
     active: str | None
-    revision: int = Field(description="another one: the active map is another, or its places are")
+    revision: int = Field(description="another one: the active map is another, or its places or rooms are")
+    has_plan: bool = Field(description="GET /floorplan has something to show")
 
 
 class JobMessage(Model):

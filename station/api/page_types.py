@@ -23,6 +23,7 @@ from station.api.schema import (
     navigations,
     places,
     robot,
+    rooms,
     slam,
     station,
 )
@@ -58,7 +59,7 @@ def generate() -> str:
 
 def _models() -> Iterator[type[BaseModel]]:
     """Every model of the schema but the bases."""
-    for module in (base, calibration, comparisons, fleet, jobs, maps, navigations, places, robot, slam, station):
+    for module in (base, calibration, comparisons, fleet, jobs, maps, navigations, places, robot, rooms, slam, station):
         for value in vars(module).values():
             if isinstance(value, type) and issubclass(value, BaseModel) and value not in BASES:
                 yield value

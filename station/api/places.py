@@ -38,7 +38,7 @@ of_robot = APIRouter(tags=["places"])
 IMAGE = {"content": {"image/jpeg": {}}, "description": "JPEG"}
 
 
-@of_robot.get("/place/current", summary="Which place is the robot at, how sure is that, and why")
+@of_robot.get("/place/current", summary="Which room and place is the robot at, how sure is that, and why")
 async def place_current(robot: RobotDep) -> CurrentPlace:
     return current_place(robot)
 
@@ -67,7 +67,7 @@ async def places(station: StationDep) -> list[PlaceModel]:
     return [place_model(active, place) for place in active.place_map.places]
 
 
-@router.get("/places/changes", summary="What people made of the places, the newest first", responses=responses(409))
+@router.get("/places/changes", summary="What people made of places and rooms, newest first", responses=responses(409))
 async def changes(station: StationDep) -> list[PlacesChangeModel]:
     """Changes of the active map that can be taken back, one after the other; those taken back are not listed."""
     return [_change(change) for change in await station.maps.changes()]
@@ -90,9 +90,9 @@ async def merge(order: PlaceMerge, station: StationDep) -> PlaceModel:
     return place_model(station.maps.active.require_first(), merged)
 
 
-@router.post("/places/undo", summary="Take back the newest change of the places", responses=responses(409))
+@router.post("/places/undo", summary="Take back the newest change of places or rooms", responses=responses(409))
 async def undo(station: StationDep, order: UndoOrder | None = None) -> PlacesChangeModel:
-    """A new name, hiding or a merge. Answers what was taken back; 409 when another change came after `version`."""
+    """A name, hiding, a merge, a door. Answers what was taken back; 409 when another change came after `version`."""
     return _change(await station.undo_places(order.version if order else None))
 
 

@@ -85,6 +85,14 @@ ROLES: dict[str, Role | None] = {
     "PATCH /places/{place_id}": DRIVE,
     "POST /places/merge": DRIVE,
     "POST /places/repeatability": DRIVE,
+    # Rooms
+    "GET /rooms": WATCH,
+    "GET /rooms/{room_id}": WATCH,
+    "PATCH /rooms/{room_id}": DRIVE,
+    "POST /rooms/merge": DRIVE,
+    "POST /rooms/split": DRIVE,
+    "DELETE /doors/{door_id}": DRIVE,
+    "GET /floorplan": WATCH,
     # Maps and navigations
     "GET /calibration/target.pdf": WATCH,
     "GET /maps": WATCH,

@@ -18,6 +18,7 @@ from station.api import (
     problems,
     replay,
     robot,
+    rooms,
     slam,
 )
 from station.api.deps import admit_below, name_robot
@@ -30,7 +31,7 @@ from station.app import Station
 
 EACH_ROBOT = "/robots/{robot}"
 OF_ROBOT = (robot, camera, calibration, places, slam, events, navigations)
-SHARED = (robot, calibration, places, maps, replay, navigations, comparisons, health, access, page)
+SHARED = (robot, calibration, places, rooms, maps, replay, navigations, comparisons, health, access, page)
 # Where each router is: what concerns one robot is there twice, with and without the robot's name.
 ROUTERS: tuple[tuple[str, APIRouter], ...] = (
     *(("", part.of_robot) for part in OF_ROBOT),

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from station.errors import Conflict, Unknown
+from station.model.floor_plan import Door, FloorPlan, Room
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.colours import number_places
@@ -32,6 +33,30 @@ class ActiveMap:
             if place.id == place_id:
                 return place
         raise Unknown(f"the active map has no place {place_id!r}; GET /places lists them")
+
+    def require_plan(self) -> FloorPlan:
+        """Raises Conflict: it was made before there were plans, or of nothing that shows a floor."""
+        if self.place_map.plan is None:
+            raise Conflict(f"{self.place_map.name} has no floor plan; build it again with POST /maps")
+        return self.place_map.plan
+
+    @property
+    def rooms(self) -> tuple[Room, ...]:
+        return () if self.place_map.plan is None else self.place_map.plan.rooms
+
+    def room(self, room_id: str) -> Room:
+        """Raises Unknown."""
+        for room in self.rooms:
+            if room.id == room_id:
+                return room
+        raise Unknown(f"the active map has no room {room_id!r}; GET /rooms lists them")
+
+    def door(self, door_id: str) -> Door:
+        """Raises Unknown."""
+        for door in () if self.place_map.plan is None else self.place_map.plan.doors:
+            if door.id == door_id:
+                return door
+        raise Unknown(f"the active map has no door {door_id!r}; GET /floorplan lists them")
 
     @property
     def visible_places(self) -> tuple[Place, ...]:

@@ -10,6 +10,7 @@ from functools import partial
 
 from shared.advice import complete
 from shared.errors import RobotSystemError
+from shared.geometry import FloatArray
 from station.errors import Conflict, Unknown
 from station.events import Notifier
 from station.files.unwritable import Unwritable
@@ -19,10 +20,12 @@ from station.library.place_changes import PlacesChange, changes_of, why_not_that
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.repair.purging import collect_garbage, purge
 from station.maps.store import MapStore
+from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
 from station.places.localisation.index_path import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
+from station.places.rooms.edits import with_door_erased, with_room_renamed, with_room_split, with_rooms_merged
 
 logger = logging.getLogger(__name__)
 MAX_WHY = 200
@@ -168,23 +171,55 @@ class Maps:
             place_ids, merge, lambda places: f"{' and '.join(place.name for place in places)} are one"
         )
 
+    async def rename_room(self, room_id: str, name: str) -> Room:
+        """Raises Conflict, Unknown, or DataError for a name in use."""
+        name = tidy_name(name, "a room's name")
+        rename = partial(with_room_renamed, room_id=room_id, name=name)
+        changed = await self._edit(rename, lambda active: f"{active.room(room_id).name} is {name} now")
+        return changed.room(room_id)
+
+    async def merge_rooms(self, room_ids: Sequence[str]) -> Room:
+        """Make several rooms one, which keeps id and name of the first. Raises Conflict, Unknown, DataError."""
+        changed = await self._edit(
+            partial(with_rooms_merged, room_ids=room_ids),
+            lambda active: f"{' and '.join(active.room(room_id).name for room_id in room_ids)} are one",
+        )
+        return changed.room(room_ids[0])
+
+    async def split_room(self, line: FloatArray) -> ActiveMap:
+        """Draw a door along a line (2, 2) on the ground. Raises Conflict, DataError."""
+        return await self._edit(partial(with_room_split, line=line), lambda _: "a door was drawn")
+
+    async def erase_door(self, door_id: str) -> ActiveMap:
+        """Make one room of those that it leads to. Raises Conflict, Unknown, DataError."""
+
+        def why(active: ActiveMap) -> str:
+            rooms = [active.room(room_id).name for room_id in active.door(door_id).rooms if room_id is not None]
+            return f"the door between {' and '.join(rooms)} was erased"
+
+        return await self._edit(partial(with_door_erased, door_id=door_id), why)
+
     async def _change(
         self, place_ids: Sequence[str], change: Callable[[PlaceMap], PlaceMap], why: Callable[[Sequence[Place]], str]
     ) -> Place:
         """Change places of the active map; the first of them as it is then."""
+        changed = await self._edit(change, lambda active: why([active.place(place_id) for place_id in place_ids]))
+        return changed.place(place_ids[0])
+
+    async def _edit(self, change: Callable[[PlaceMap], PlaceMap], why: Callable[[ActiveMap], str]) -> ActiveMap:
+        """Change the active map. `why` says what is done to it, and raises where that cannot be."""
         async with self._changing:
             active = self.active.require_first()
-            said = why([active.place(place_id) for place_id in place_ids])[:MAX_WHY]
-            changed = self._replace(await asyncio.to_thread(self._store.edit, active.place_map.id, change, said))
-            return changed.place(place_ids[0])
+            said = why(active)[:MAX_WHY]
+            return self._replace(await asyncio.to_thread(self._store.edit, active.place_map.id, change, said))
 
     async def changes(self) -> tuple[PlacesChange, ...]:
-        """What people made of the active map's places, the newest first: what `undo` takes back. Raises Conflict."""
+        """What people made of the active map's places and rooms, newest first: `undo` takes them. Raises Conflict."""
         map_id = self.active.require_first().place_map.id
         return changes_of(await asyncio.to_thread(self._store.history, map_id))
 
     async def undo(self, version: int | None) -> PlacesChange:
-        """Take back the newest change of the places; `version`: only if it is that one. Returns what was taken back.
+        """Take back the newest change of places or rooms; `version`: only if it is that one. Returns the change.
 
         The map keeps its name: that is no change of its places.
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
-from station.files.navigation_folder import encode_navigation
 from station.maps import versions
 from station.maps.address import address_of
 from station.maps.blobs import Blobs, Damaged, Notify, read_checked
@@ -22,6 +21,7 @@ from station.maps.record import (
     decode_record,
     describe_map,
     encode_record,
+    map_files,
     same_content,
 )
 from station.maps.versions import Rows, VersionRow
@@ -46,13 +46,15 @@ class Contents:
 
     def save(self, place_map: PlaceMap, why: str) -> None:
         """Make a map the newest version of its id; nothing happens when that is the same already."""
-        files = encode_navigation(place_map.navigation)
+        self.save_record(replace(describe_map(place_map, self.put(map_files(place_map))), why=why))
+
+    def put(self, files: Mapping[str, bytes]) -> dict[str, FileRef]:
+        """Keep files, and what a record says of them."""
         addresses = self.blobs.put(files.values())
-        refs = {
+        return {
             name: FileRef(address, len(data))
             for (name, data), address in zip(files.items(), addresses, strict=True)
         }  # fmt: skip
-        self.save_record(replace(describe_map(place_map, refs), why=why))
 
     def save_record(self, content: MapRecord) -> bool:
         """As save, of a record whose files are here. False: it is the newest version already."""

@@ -1,7 +1,8 @@
 """One map as a folder of its own, as `station map build` writes it.
 
 ```
-map.json               sha256 of its content, names, places, edges, and the sha256 of every other file
+map.json               sha256 of its content, names, places, edges, rooms, and the sha256 of every other file
+floor_plan.npz         cells and walls of its floor plan, where it has one
 navigation/            the navigation the map was made from (station/files/navigation_folder.py)
 ```
 The map store of the first release kept maps this way too; the present one imports them (opening.py).
@@ -18,10 +19,12 @@ from typing import Any
 
 import msgspec
 
-from shared.bounded import MAX_JSON_BYTES, open_file, parse_json, read_text, shown
+from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, open_file, parse_json, read_file, read_text, shown
 from shared.disk import make_folder, replacing_folder
 from shared.errors import DataError
 from station.files.navigation_folder import load_navigation, save_navigation
+from station.files.npz import UNREADABLE as UNREADABLE_ARRAYS
+from station.maps.plan_files import CELLS, decode_plan, plan_files, with_plan
 from station.maps.record import UNREADABLE, decode_edges, decode_places, describe_map, encode_content
 from station.model.place_map import PlaceMap
 
@@ -49,6 +52,8 @@ def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str]
 
 def _write_map(place_map: PlaceMap, folder: Path) -> None:
     save_navigation(place_map.navigation, folder / "navigation")
+    for name, data in plan_files(place_map).items():
+        (folder / name).write_bytes(data)
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     content = {
         "format": FORMAT,
@@ -76,14 +81,24 @@ def load_map_folder(folder: Path) -> PlaceMap:
     """Read a folder written by save_map_folder. Raises DataError naming the file that is missing or damaged."""
     path = folder / "map.json"
     try:
-        document = msgspec.convert(_read_content(folder), _Document)
-        places, edges = decode_places(document.places), decode_edges(document.edges)
+        content = _read_content(folder)
+        document = msgspec.convert(content, _Document)
+        places, edges, plan = decode_places(document.places), decode_edges(document.edges), decode_plan(content)
     except UNREADABLE as exc:
         raise DataError(f"{path} is no map ({shown(exc)}); restore it from a copy or build it again") from exc
     for name, expected in document.files.items():
         _check_file(folder / name, expected)
     navigation = replace(load_navigation(folder / "navigation"), id=document.navigation)
-    return PlaceMap(document.id, document.name, navigation, places, edges, document.config)
+    place_map = PlaceMap(document.id, document.name, navigation, places, edges, document.config)
+    if plan is None:
+        return place_map
+    if CELLS not in document.files:
+        raise DataError(f"{path} has rooms but names no {CELLS}; restore it from a copy or build it again")
+    try:
+        return with_plan(place_map, plan, read_file(folder / CELLS, MAX_FILE_BYTES))
+    except UNREADABLE_ARRAYS as exc:
+        why = shown(exc)
+        raise DataError(f"{folder / CELLS} is no floor plan ({why}); restore the map or build it again") from exc
 
 
 def _check_file(path: Path, expected: str) -> None:

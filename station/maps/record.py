@@ -18,8 +18,10 @@ from shared.bounded import parse_json, shown
 from shared.errors import DataError
 from shared.text import is_printable, printable
 from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
+from station.files.npz import UNREADABLE as UNREADABLE_ARRAYS
 from station.maps.address import address_of
-from station.maps.blobs import Blobs, Damaged
+from station.maps.blobs import REPAIR_OR_RESTORE, Blobs, Damaged
+from station.maps.plan_files import CELLS, PlanRecord, decode_plan, describe_plan, encode_plan, plan_files, with_plan
 from station.model.map_store import VersionKind
 from station.model.place_map import Place, PlaceEdge, PlaceMap
 
@@ -31,7 +33,7 @@ _MEASURED = ("wall_s", "cpu_s", "realtime_factor", "versions", "id")  # differ b
 
 @dataclass(frozen=True, slots=True)
 class FileRef:
-    """A file of the map's navigation."""
+    """A file of the map's navigation, or the cells of its floor plan."""
 
     address: str
     size: int
@@ -48,6 +50,7 @@ class MapRecord:
     edges: tuple[PlaceEdge, ...]
     config: dict[str, Any]
     files: dict[str, FileRef]
+    plan: PlanRecord | None = None
     # Its place in a history; as it stands here, none yet:
     number: int = 0
     kind: VersionKind = "saved"
@@ -71,7 +74,13 @@ def describe_map(place_map: PlaceMap, files: dict[str, FileRef]) -> MapRecord:
         edges=place_map.edges,
         config=place_map.config,
         files=files,
+        plan=describe_plan(place_map),
     )
+
+
+def map_files(place_map: PlaceMap) -> dict[str, bytes]:
+    """The files of a map: their names, and what is in them."""
+    return encode_navigation(place_map.navigation) | plan_files(place_map)
 
 
 def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
@@ -84,7 +93,7 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
         return blobs.get(record.files[name].address, f"{what}: {name}")
 
     navigation = decode_navigation(read, what)
-    return PlaceMap(
+    place_map = PlaceMap(
         id=record.map_id,
         name=record.name,
         navigation=replace(navigation, id=record.navigation),
@@ -92,10 +101,16 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
         edges=record.edges,
         config=record.config,
     )
+    if record.plan is None:
+        return place_map
+    try:
+        return with_plan(place_map, record.plan, read(CELLS))
+    except UNREADABLE_ARRAYS as exc:
+        raise Damaged(f"{what}: {CELLS} is no floor plan ({shown(exc)}); {REPAIR_OR_RESTORE}") from exc
 
 
 def same_places(a: MapRecord, b: MapRecord) -> bool:
-    """Whether two versions of a map differ in nothing but its name."""
+    """Whether two versions of a map, its rooms included, differ in nothing but its name."""
     return encode_content(replace(a, name=b.name)) == encode_content(b)
 
 
@@ -129,13 +144,14 @@ def decode_record(data: bytes, what: str) -> MapRecord:
             edges=decode_edges(content["edges"]),
             config=content["config"],
             files={name: FileRef(**ref) for name, ref in content["files"].items()},
+            plan=decode_plan(content),
         )
     except UNREADABLE as exc:
         raise Damaged(f"{what} is no record of a map ({shown(exc)}); run `station map repair`") from exc
 
 
 def content_hash(record: MapRecord, report: bytes) -> str:
-    """SHA-256 over what the map is: places, edges, settings, files; not when, by whom or how fast it was made.
+    """SHA-256 over what the map is: places, edges, rooms, settings, files; not when, by whom or how fast it was made.
 
     `report` is the content of its navigation.json. Two runs that gave the same map give the same hash.
     """
@@ -148,7 +164,7 @@ def content_hash(record: MapRecord, report: bytes) -> str:
 
 def map_content_hash(place_map: PlaceMap) -> str:
     """As content_hash, of a map that was not stored (or not read back: files round poses to nine digits)."""
-    files = encode_navigation(place_map.navigation)
+    files = map_files(place_map)
     refs = {name: FileRef(address_of(data), len(data)) for name, data in files.items()}
     return content_hash(describe_map(place_map, refs), files[REPORT])
 
@@ -161,6 +177,7 @@ def encode_content(record: MapRecord) -> dict[str, Any]:
         "places": [encode_place(place) for place in record.places],
         "edges": [asdict(edge) for edge in record.edges],
         "config": record.config,
+        **encode_plan(record.plan),
     }
 
 

@@ -20,6 +20,7 @@ from station.maps.contents import Contents
 from station.maps.database import Database
 from station.maps.index_copy import IndexCopy
 from station.maps.opening import has_content, open_contents
+from station.maps.plan_files import plan_files
 from station.maps.record import (
     MAP_ID,
     MapRecord,
@@ -60,12 +61,13 @@ class MapStore:
         self.for_writing().save(place_map, why)
 
     def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> PlaceMap:
-        """Change places, edges or names of a map and return it. Two stations that edit at once keep both changes."""
+        """Change places, rooms or names of a map and return it. Two stations that edit at once keep both changes."""
         contents = self.for_writing()
         with contents.changing(map_id) as changing:
             record = self._present(changing.rows, map_id)
             place_map = change(read_map(record, contents.blobs))
-            fresh = replace(describe_map(place_map, record.files), why=why)
+            files = {**record.files, **contents.put(plan_files(place_map))}
+            fresh = replace(describe_map(place_map, files), why=why)
             if not same_content(record, fresh):
                 changing.append(fresh, record, "edited")
         return place_map

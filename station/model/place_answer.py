@@ -40,9 +40,28 @@ class PlaceCandidate:
     probability: float
 
 
+@dataclass(frozen=True, slots=True)
+class RoomCandidate:
+    """One room and how probable it is that the robot is in it, or as good as in its doorway.
+
+    In a doorway both rooms are right, so that the probabilities of two may sum to more than one.
+    """
+
+    id: str
+    name: str
+    probability: float
+
+
+def where(place: str, room: str) -> str:
+    """Names of the place and the room in words, each empty where it is not known: "at Sofa in Living room"."""
+    if place and room and not place.startswith(room):
+        return f"at {place} in {room}"
+    return f"at {place}" if place else f"in {room}" if room else "nowhere known"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceAnswer:
-    """The current place. `place` is None unless state is "known"."""
+    """The current place. `place` is None unless state is "known"; the room is often known before the place."""
 
     state: PlaceState
     place: PlaceCandidate | None
@@ -55,6 +74,11 @@ class PlaceAnswer:
     alternatives: tuple[PlaceCandidate, ...]
     reason: str  # a sentence for a person
     map_id: str | None = None  # of what is said of place, position and evidence; None: nothing speaks for any map
+    room: RoomCandidate | None = None  # None: no room is probable enough
+    room_alternatives: tuple[RoomCandidate, ...] = ()  # the likeliest other ones; all of them while `room` is None
+    doorway: str | None = None  # id of the door that the robot is in
+    forward_map: FloatArray | None = None  # (3,) unit vector, where the robot's front points; where there is a position
+    sigma_position: float | None = None  # map units, 1 sigma per axis of the position
 
 
 HijackCue = Literal["imu", "vision", "position"]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from shared.geometry import FloatArray, IntArray
+from station.model.floor_plan import FloorPlan, NameSuggestion, PlanEdits
 from station.model.navigation import Navigation
 
 
@@ -45,3 +46,24 @@ class PlaceMap:
     places: tuple[Place, ...]
     edges: tuple[PlaceEdge, ...]
     config: dict[str, object]  # the effective clustering parameters
+    plan: FloorPlan | None = None  # None: made before maps had plans, or of nothing that shows a floor
+    plan_edits: PlanEdits = field(default_factory=PlanEdits)
+    suggestions: tuple[NameSuggestion, ...] = ()  # of names for its rooms, found when it was made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grouping:
+    """What people change of a map in use: its places, their graph and its rooms."""
+
+    map_id: str
+    places: tuple[Place, ...]
+    edges: tuple[PlaceEdge, ...]
+    plan: FloorPlan | None
+
+    @classmethod
+    def of(cls, place_map: PlaceMap) -> Grouping:
+        return cls(place_map.id, place_map.places, place_map.edges, place_map.plan)
+
+    def applied_to(self, place_map: PlaceMap) -> PlaceMap:
+        """The map with these."""
+        return replace(place_map, places=self.places, edges=self.edges, plan=self.plan)

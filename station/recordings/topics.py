@@ -10,7 +10,7 @@ from mcap.writer import Writer
 from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from station.events import Level, LogLine
 from station.files.foxglove import CALIBRATION_SCHEMA_NAME, IMAGE_SCHEMA_NAME, image_schema, pose_of, time_of
-from station.model.place_answer import PlaceCandidate, PlaceReport
+from station.model.place_answer import PlaceCandidate, PlaceReport, RoomCandidate
 from station.model.slam_update import SlamUpdate
 
 LIBRARY = "sentinel-robot"  # what a recording says of its writer
@@ -87,6 +87,9 @@ JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
             alternatives={"type": "array", "items": _PLACE},
             reason=_TEXT,
             attempt=_TEXT,
+            room=_PLACE,
+            room_alternatives={"type": "array", "items": _PLACE},
+            doorway=_TEXT,
         ),
     ),
     LOG_TOPIC: ("foxglove.Log", _object(timestamp=_TIME, level=_INTEGER, message=_TEXT, name=_TEXT)),
@@ -134,7 +137,12 @@ def place_answer(report: PlaceReport) -> dict[str, Any]:
         "alternatives": [_place(candidate) for candidate in answer.alternatives],
         "reason": answer.reason,
         "attempt": report.attempt,
+        "room_alternatives": [_place(candidate) for candidate in answer.room_alternatives],
     }
+    if answer.room is not None:
+        content["room"] = _place(answer.room)
+    if answer.doorway is not None:
+        content["doorway"] = answer.doorway
     if answer.place is not None:
         content["place"] = _place(answer.place)
     if answer.distance is not None:
@@ -154,5 +162,5 @@ def log_line(line: LogLine) -> dict[str, Any]:
     }
 
 
-def _place(candidate: PlaceCandidate) -> dict[str, Any]:
+def _place(candidate: PlaceCandidate | RoomCandidate) -> dict[str, Any]:
     return {"id": candidate.id, "name": candidate.name, "probability": float(candidate.probability)}

@@ -20,7 +20,7 @@ from station.model.calibration_fit import CalibrationFit, newer
 from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
-from station.model.place_map import Place, PlaceEdge
+from station.model.place_map import Grouping
 from station.robots.link_events import IgnoringListener, drive_sample
 from station.robots.visits import Visits
 from station.workers.place_interface import PLACES, PlaceEvent, PlaceProgram
@@ -78,9 +78,7 @@ class CurrentPlace(IgnoringListener):
         self._is_ready = False
         self._generation = 0  # counts the calls of use_maps(): a worker that was killed for another map did not die
         self._lost = 0  # inertial samples
-        self._groups: Latest[tuple[str, tuple[Place, ...], tuple[PlaceEdge, ...]]] = (
-            Latest()
-        )  # as `regroup` was given them
+        self._groupings: Latest[Grouping] = Latest()
         self._queries: OrderedDict[int, bytes] = OrderedDict()
         self._report: PlaceReport | None = None
         self._report_s = 0.0  # when it came
@@ -108,6 +106,11 @@ class CurrentPlace(IgnoringListener):
             distance=None,
             position_map=None,
             alternatives=(),
+            room=None,
+            room_alternatives=(),
+            doorway=None,
+            forward_map=None,
+            sigma_position=None,
             reason=self._absent,
         )
         return replace(self._report, answer=nowhere, T_map_cam=None)
@@ -117,7 +120,7 @@ class CurrentPlace(IgnoringListener):
         self._map_ids = map_ids
         self._generation += 1
         self._forget()
-        self._groups = Latest()
+        self._groupings = Latest()
         self.status = "reading the map" if map_ids else "no map is active"
         self.progress = 0.0 if map_ids else None
         self._events.changed("place")
@@ -127,12 +130,12 @@ class CurrentPlace(IgnoringListener):
             worker.kill()  # it may be in the middle of a map that nobody wants any more
             await worker.close()
 
-    def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
-        """Give the worker changed places of the first of its maps: only those can be changed while it is in use.
+    def regroup(self, grouping: Grouping) -> None:
+        """Give the worker changed places or rooms of the first of its maps: only those are changed while it is in use.
 
         It may be busy: its next answer counts, nobody waits for it.
         """
-        self._groups.put((map_id, places, edges))
+        self._groupings.put(grouping)
         self._events.changed("place")
 
     def on_connected(self, hello: Hello) -> None:
@@ -264,8 +267,8 @@ class CurrentPlace(IgnoringListener):
                 async with self._slots.hold():
                     if self._frames.is_fresh:  # it came while others computed
                         run, frame = await self._frames.get()
-                    if self._groups.is_fresh:
-                        await worker.call(PlaceProgram.regroup, *await self._groups.get())
+                    if self._groupings.is_fresh:
+                        await worker.call(PlaceProgram.regroup, await self._groupings.get())
                     report = await self._answer(worker, frame)
                 is_of_now = self._generation == generation and self._runs == run
                 # The answer to a picture from before a hijack may be read after the notice of it.

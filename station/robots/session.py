@@ -25,6 +25,7 @@ from station.library.navigation_records import NavigationRecord
 from station.library.navigations import Navigations
 from station.model.calibration_fit import MISFITS, CalibrationFit, newer, why_misfit
 from station.model.map_store import StoreAddress
+from station.model.place_map import Grouping
 from station.robots.current_navigation import CurrentNavigation
 from station.robots.current_place import CurrentPlace
 from station.robots.driving import Driving
@@ -289,9 +290,8 @@ class RobotSession(IgnoringListener):
         await self.current_place.use_maps(tuple(one.place_map.id for one in active))
 
     def regroup(self) -> None:
-        """Places of the active map are others, or have other names."""
-        place_map = self.active_maps.require_first().place_map
-        self.current_place.regroup(place_map.id, place_map.places, place_map.edges)
+        """Places or rooms of the active map are others, or have other names."""
+        self.current_place.regroup(Grouping.of(self.active_maps.require_first().place_map))
 
     # What the link delivers, after navigation and place had it
 

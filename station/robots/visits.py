@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from station.events import Notifier
-from station.model.place_answer import PlaceAnswer, PlaceState
+from station.model.place_answer import PlaceAnswer, PlaceState, where
 
 MAX_VISITS = 200
 
@@ -20,6 +20,8 @@ class Visit:
     state: PlaceState
     place_id: str | None
     place_name: str
+    room_id: str | None  # may be known where the place is not
+    room_name: str
     start_wall_s: float
     end_wall_s: float
 
@@ -39,16 +41,27 @@ class Visits:
         return self._visits[-1] if self._visits else None
 
     def add(self, answer: PlaceAnswer) -> None:
-        """The place at present; a line in the log where it is another one than before."""
+        """Place and room at present; a line in the log where they are others than before."""
         now_s = time.time()
-        place_id = answer.place.id if answer.place else None
-        name = answer.place.name if answer.place else ""
+        place, room = answer.place, answer.room
+        visit = Visit(
+            answer.state,
+            place.id if place else None,
+            place.name if place else "",
+            room.id if room else None,
+            room.name if room else "",
+            now_s,
+            now_s,
+        )
         last = self.last
-        if last is not None and (last.state, last.place_id) == (answer.state, place_id):
-            self._visits[-1] = Visit(last.state, place_id, name, last.start_wall_s, now_s)
+        if last is not None and (last.state, last.place_id, last.room_id) == (
+            visit.state, visit.place_id, visit.room_id
+        ):  # fmt: skip
+            self._visits[-1] = replace(visit, start_wall_s=last.start_wall_s)
             return
-        self._visits.append(Visit(answer.state, place_id, name, now_s, now_s))
-        if answer.state == "known":
-            self._events.notify("place", f"at {name} ({answer.place.probability:.0%})" if answer.place else "known")
+        self._visits.append(visit)
+        likeliest = place or room
+        if likeliest is not None:
+            self._events.notify("place", f"{where(visit.place_name, visit.room_name)} ({likeliest.probability:.0%})")
         elif last is not None:
             self._events.notify("place", answer.reason, "warning" if answer.state == "lost" else "info")

@@ -11,7 +11,7 @@ from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
-from station.model.place_map import Place, PlaceEdge
+from station.model.place_map import Grouping
 from station.workers.request import Program, ProgramName, Vectors
 
 PlaceEvent = HijackNotice | MapReading | MapLeftOut
@@ -29,8 +29,8 @@ class PlaceProgram(Program, ABC):
         """The robot that drives now; what was known of another one's position is forgotten."""
 
     @abstractmethod
-    def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
-        """A map's places are others, or have other names; what is known of the robot's pose stays."""
+    def regroup(self, grouping: Grouping) -> None:
+        """A map's places or rooms are others, or have other names; what is known of the robot's pose stays."""
 
     @abstractmethod
     def add_imu(self, t_robot_ns: Sequence[int], gyro: Vectors, accel: Vectors) -> None:

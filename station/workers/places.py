@@ -15,7 +15,7 @@ from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceAnswer, PlaceReport
-from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.model.place_map import Grouping, PlaceMap
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import MapIndex
@@ -88,11 +88,11 @@ class PlaceFinder(PlaceProgram):
             raise EstimationError("no map was given to the localisation worker; activate one")
         self._tracker = PlaceTracker(self._maps, calibration, self._localizer)
 
-    def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
+    def regroup(self, grouping: Grouping) -> None:
         if not self._maps:
             raise EstimationError("no map was given to the localisation worker; activate one")
         self._maps = tuple(
-            without_hidden(replace(one, places=places, edges=edges)) if one.id == map_id else one for one in self._maps
+            without_hidden(grouping.applied_to(one)) if one.id == grouping.map_id else one for one in self._maps
         )
         if self._tracker is not None:
             self._tracker.estimator.regroup(self._maps)

@@ -199,10 +199,9 @@ def answers_hash(answers: Iterable[PlaceAnswer]) -> str:
 
 
 def answer_line(answer: PlaceAnswer) -> str:
-    """An answer as one line of JSON. `room` is null: maps have no rooms yet."""
-    plain = replace(answer, position_map=None)
-    position = None if answer.position_map is None else answer.position_map.tolist()
-    return json.dumps({**asdict(plain), "room": None, "position_map": position})
+    """An answer as one line of JSON."""
+    plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in asdict(answer).items()}
+    return json.dumps(plain)
 
 
 def answer_lines(answers: Iterable[PlaceAnswer]) -> str:

@@ -20,7 +20,7 @@ from station.events import Events
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_answer import MapReading, PlaceReport
-from station.model.place_map import PlaceMap
+from station.model.place_map import Grouping, PlaceMap
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import make_index
@@ -196,7 +196,8 @@ def test_the_worker_tells_how_far_all_maps_are_and_takes_the_new_names_of_one(
     assert readings[0].text == "looking at picture 1 of 7 of Hall" and readings[-1].text.endswith("7 of 7 of Attic")
     finder.calibrate(CALIBRATION)
     attic = rooms["Attic"]
-    finder.regroup(attic.id, tuple(replace(place, name=f"{place.name} up") for place in attic.places), attic.edges)
+    upper = tuple(replace(place, name=f"{place.name} up") for place in attic.places)
+    finder.regroup(Grouping.of(replace(attic, places=upper)))
     frames = [replace(frame(view), t_robot_ns=4_000_000_000 * k) for k, view in enumerate(views(WALLS["Attic"])[:4])]
     answers = [finder.answer(one).answer for one in frames]
     names = {candidate.name for candidate in answers[-1].alternatives}

@@ -17,7 +17,7 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
-from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.model.place_map import Grouping, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.changes import without_hidden
 from station.vision.features import Features
@@ -122,9 +122,9 @@ class PlaceByLight(PlaceProgram):
     def load(self, store: StoreAddress, map_ids: tuple[str, ...]) -> None:
         self._maps = [without_hidden(MapStore(store).load(map_id)) for map_id in map_ids]
 
-    def regroup(self, map_id: str, places: tuple[Place, ...], edges: tuple[PlaceEdge, ...]) -> None:
-        assert self._maps[0].id == map_id
-        self._maps[0] = without_hidden(replace(self._maps[0], places=places, edges=edges))
+    def regroup(self, grouping: Grouping) -> None:
+        assert self._maps[0].id == grouping.map_id
+        self._maps[0] = without_hidden(grouping.applied_to(self._maps[0]))
 
     def calibrate(self, calibration: Calibration) -> None:
         pass

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from typing import Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
 from station.api.schema.base import Model, Name, Question
 from station.library.active_maps import ActiveMap
+from station.model.place_answer import RoomCandidate
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
@@ -38,8 +40,21 @@ class Evidence(Model):
     age_s: float | None = Field(description="since the picture that was recognised", examples=[0.4])
 
 
+class RoomName(Model):
+    id: str = Field(examples=["room-3f21aa"])
+    name: str = Field(examples=["Kitchen"])
+
+
+class RoomProbability(RoomName):
+    probability: float = Field(
+        description="that the robot is in it or in a doorway of it: two may sum to more than 1", examples=[0.99]
+    )
+
+
 class CurrentPlace(Model):
-    """Which place the robot is at. `place` is null unless the state is "known"."""
+    """Which place the robot is at, and in which room. `place` is null unless the state is "known"; the room may be
+    known earlier, and between places.
+    """
 
     state: Literal["known", "unknown", "lost"]
     place: PlaceName | None
@@ -49,12 +64,25 @@ class CurrentPlace(Model):
     )
     distance_m: float | None = Field(description="robot to the place's centroid; null without a metric map")
     position_map: list[float] | None = Field(description="x, y, z of the robot in `map`", examples=[[1.2, 0.4, 0.1]])
+    forward_map: list[float] | None = Field(
+        description="x, y, z of where the robot's front points, of length 1; null without a position",
+        examples=[[0.0, 1.0, 0.0]],
+    )
+    sigma_position_m: float | None = Field(
+        description="1 sigma per axis of the position; null without one, or without a metric map", examples=[0.04]
+    )
     age_s: float | None = Field(description="since the picture the answer is about was taken", examples=[0.2])
     map: str | None = Field(
         description="id of the active map that place, position and evidence are of; while there are none, the first",
         examples=["map-0a1b"],
     )
     alternatives: list[PlaceProbability]
+    room: RoomProbability | None = Field(description="null while none is probable enough, or the map has no rooms")
+    room_alternatives: list[RoomProbability] = Field(description="what else it may be, the likeliest first")
+    doorway: str | None = Field(
+        description="id of the door of GET /floorplan in which the robot is: both of its rooms are right then",
+        examples=[None],
+    )
     evidence: Evidence
     preparing: float | None = Field(
         description="0..1 while the map is prepared for answers; else null", examples=[None]
@@ -71,6 +99,7 @@ class VisitModel(Model):
 
     state: Literal["known", "unknown", "lost"]
     place: PlaceName | None
+    room: RoomName | None
     start_unix_s: float
     end_unix_s: float
 
@@ -93,6 +122,7 @@ class PlaceModel(Model):
     )
     hidden: bool = Field(description="by a person: never the current place, and not in the graph")
     named: bool = Field(description="a person gave it its name")
+    room: str | None = Field(description="id of the room it is in", examples=["room-3f21aa"])
 
 
 class PlaceChange(Question):
@@ -117,7 +147,7 @@ class PlaceMerge(Question):
 
 
 class PlacesChangeModel(Model):
-    """What a person made of the places: renamed, hidden, merged."""
+    """What a person made of places or rooms: renamed, hidden, merged, doors drawn and erased."""
 
     version: int = Field(description="of the map, that the change led to", examples=[4])
     why: str = Field(examples=["Kitchen and Place 3 are one"])
@@ -178,9 +208,14 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             probability=0.0,
             distance_m=None,
             position_map=None,
+            forward_map=None,
+            sigma_position_m=None,
             age_s=None,
             map=first.place_map.id if first else None,
             alternatives=[],
+            room=None,
+            room_alternatives=[],
+            doorway=None,
             evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
             reason=_no_answer_yet(robot),
             preparing=robot.current_place.progress if first else None,
@@ -188,6 +223,14 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             pose_map=None,
         )
     answer, map_id = report.answer, report.map_id
+    room_names = {room.id: room.name for one in robot.active_maps.all for room in one.rooms}
+
+    def rooms_now(*candidates: RoomCandidate | None) -> Iterator[RoomProbability]:
+        """Those that are rooms still, by the names that they have now."""
+        for c in candidates:
+            if c is not None and c.id in room_names:
+                yield RoomProbability(id=c.id, name=room_names[c.id], probability=_probability(c.probability))
+
     likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
     is_metric = active.place_map.navigation.is_metric
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
@@ -198,6 +241,8 @@ def current_place(robot: RobotSession) -> CurrentPlace:
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
+        forward_map=None if answer.forward_map is None else [float(x) for x in answer.forward_map],
+        sigma_position_m=answer.sigma_position if is_metric else None,
         age_s=_age_s(robot, answer.t_robot_ns),
         map=map_id,
         alternatives=[
@@ -206,6 +251,9 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             if c.id in known
             for place, one in [known[c.id]]
         ],
+        room=next(rooms_now(answer.room), None),
+        room_alternatives=list(rooms_now(*answer.room_alternatives)),
+        doorway=answer.doorway,
         evidence=Evidence(
             query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,
             map_image=None if keyframe is None else f"/maps/{map_id}/images/{keyframe}.jpg",
@@ -242,6 +290,7 @@ def visit_model(visit: Visit) -> VisitModel:
     return VisitModel.of(
         visit,
         place=None if visit.place_id is None else PlaceName(id=visit.place_id, name=visit.place_name),
+        room=None if visit.room_id is None else RoomName(id=visit.room_id, name=visit.room_name),
         start_unix_s=visit.start_wall_s,
         end_unix_s=visit.end_wall_s,
     )
@@ -259,6 +308,7 @@ def place_model(active: ActiveMap, place: Place) -> PlaceModel:
         deviation_image=f"/places/{place.id}/images/deviation" if has_images else None,
         colour=active.numbers.get(place.id, NO_PLACE),
         named=has_own_name(place.name),
+        room=None if active.place_map.plan is None else active.place_map.plan.room_of_place.get(place.id),
     )
 
 

@@ -12,6 +12,7 @@ from station.model.place_map import PlaceMap
 from station.places.making.scale import units_per_metre
 from station.places.space.space import Space
 from station.places.tracking.floor import Floor
+from station.places.tracking.room_view import RoomView
 from station.places.tracking.sightings import Sightings
 
 
@@ -25,6 +26,7 @@ class MapView:
     space: Space
     floor: Floor | None
     sightings: Sightings
+    rooms: RoomView | None  # None without rooms
 
     @classmethod
     def of(cls, place_map: PlaceMap) -> MapView:
@@ -41,12 +43,14 @@ class MapView:
             space=Space.of(place_map.navigation),
             floor=Floor.of(place_map.navigation),
             sightings=Sightings(place_map, unit),
+            rooms=RoomView.of(place_map.plan),
         )
 
     def regrouped(self, place_map: PlaceMap) -> MapView:
-        """The same map with other places or names."""
+        """The same map with other places, rooms or names."""
         centroids = _centroids(place_map)
-        return replace(self, place_map=place_map, centroids=centroids, tree=_tree(centroids))
+        rooms = RoomView.of(place_map.plan)
+        return replace(self, place_map=place_map, centroids=centroids, tree=_tree(centroids), rooms=rooms)
 
     def nearest(self, p_map: FloatArray, tie: float) -> tuple[FloatArray, FloatArray]:
         """Shares of points (n, 3) that each place is the nearest one to, and near within `tie` times that; (P,), (P,).

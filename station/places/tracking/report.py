@@ -1,7 +1,7 @@
 """A belief reported: how probable each place is, and the answer with its reason.
 
 The place is the one whose centroid is nearest to the robot (thesis 4.4, step 7), averaged over the position's
-uncertainty.
+uncertainty. Its room is reported beside it (room_report.py).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from station.model.place_map import Place
 from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.map_view import MapView
+from station.places.tracking.room_report import Drawn, RoomReporter
 
 SAMPLES = 200  # positions drawn per hypothesis
 TIE = 1.1  # centroids within 10 % of the nearest distance count as equally near
@@ -45,25 +46,25 @@ class Reporter:
     """Answers about beliefs over the active maps."""
 
     def __init__(self, maps: Sequence[MapView], config: BeliefConfig, seed: int = 0) -> None:
-        self._maps = maps
         self.config = config
         self._draws = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
+        self.regroup(maps)
 
     def regroup(self, maps: Sequence[MapView]) -> None:
         self._maps = maps
+        self._rooms = RoomReporter(maps, self.config)
 
     def probabilities(self, belief: Belief, T_nav_body: FloatArray) -> PlaceProbabilities:
         """How probable each place is while odometry is at this pose."""
-        return self._probabilities(belief, [h.pose(T_nav_body)[:3, 3] for h in belief.hypotheses])
+        return self._probabilities(belief, self._drawn(belief, T_nav_body))
 
-    def _probabilities(self, belief: Belief, position: Sequence[FloatArray]) -> PlaceProbabilities:
-        """`position`: (3,) of the robot by each hypothesis, in its map."""
+    def _probabilities(self, belief: Belief, drawn: Sequence[Drawn]) -> PlaceProbabilities:
         sizes = [len(m.centroids) for m in self._maps]
         first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
         place, tie = np.zeros(first[-1]), np.zeros(first[-1])
         unmapped, beyond = belief.unmapped, 0.0
-        for h, p_body in zip(belief.hypotheses, position, strict=True):
-            nearest, tied, covered = self._spread(self._maps[h.map_index], p_body, h.sigma_m)
+        for h, p_map in drawn:
+            nearest, tied, covered = self._spread(self._maps[h.map_index], p_map)
             if not len(nearest):
                 unmapped += h.weight
                 continue
@@ -80,19 +81,19 @@ class Reporter:
 
     def answer(self, belief: Belief, T_nav_body: FloatArray, t_robot_ns: int, past: Past) -> PlaceAnswer:
         """The current place by this belief, at the odometry pose of this time."""
-        position = [h.pose(T_nav_body)[:3, 3] for h in belief.hypotheses]
+        poses = [h.pose(T_nav_body) for h in belief.hypotheses]
         is_recognised = belief.localised > 0.5
-        found = self._probabilities(belief, position)
+        drawn = self._drawn(belief, T_nav_body)
+        found, room = self._probabilities(belief, drawn), self._rooms.answer(belief, drawn)
         order = largest(found.place, 4)
         candidates = [self._place_candidate(int(i), float(found.tie[i])) for i in order]
         # In a map of one place a robot that is lost in it is there, too: but nobody recognised it.
         is_known = is_recognised and bool(len(order)) and found.tie[order[0]] >= self.config.known_from
-        known_in = self._located(int(order[0]))[0] if is_known else None
+        known_in = self._located(int(order[0]))[0] if is_known else room.map_index
         # Where the place is known, its distance is to a position in its own map.
-        among = [
-            pair for pair in zip(belief.hypotheses, position, strict=True) if known_in in (None, pair[0].map_index)
-        ]
-        best, p_body = max(among, key=lambda pair: pair[0].weight, default=(None, None))
+        among = [pair for pair in zip(belief.hypotheses, poses, strict=True) if known_in in (None, pair[0].map_index)]
+        best, T_map_body = max(among, key=lambda pair: pair[0].weight, default=(None, None))
+        p_body = None if T_map_body is None else T_map_body[:3, 3]
         map_id = None if best is None else self._maps[best.map_index].place_map.id
         if is_known and best is not None and p_body is not None:
             centroid = self._place(int(order[0])).centroid_map
@@ -110,6 +111,11 @@ class Reporter:
                 reason=f"{best.inliers} landmarks of the map were recognised"
                 + (f"; odometry over the {age_s:.0f} s since" if age_s >= 1.0 else ""),
                 map_id=map_id,
+                room=room.room,
+                room_alternatives=room.alternatives,
+                doorway=room.doorway,
+                forward_map=_forward(T_map_body),
+                sigma_position=self._sigma(best),
             )
         is_localized = best is not None and best.weight > 0.5
         is_unknown = (
@@ -129,16 +135,31 @@ class Reporter:
             alternatives=tuple(candidates),
             reason=self._reason(is_unknown, found, belief, best, past),
             map_id=map_id,
+            room=room.room,
+            room_alternatives=room.alternatives,
+            doorway=room.doorway,
+            forward_map=_forward(T_map_body) if is_localized else None,
+            sigma_position=self._sigma(best) if is_localized else None,
         )
 
-    def _spread(self, view: MapView, p_body: FloatArray, sigma_m: float) -> tuple[FloatArray, FloatArray, float]:
+    def _drawn(self, belief: Belief, T_nav_body: FloatArray) -> list[Drawn]:
+        """Positions that each hypothesis may mean, in its map."""
+        return [(h, self._positions(h, h.pose(T_nav_body)[:3, 3])) for h in belief.hypotheses]
+
+    def _positions(self, h: Hypothesis, p_body: FloatArray) -> FloatArray:
+        """(SAMPLES, 3)"""
+        return np.asarray(p_body + self._draws * np.array([1.0, 1.0, 0.2]) * self._sigma(h))
+
+    def _sigma(self, h: Hypothesis | None) -> float:
+        """Of its position, map units."""
+        return 0.0 if h is None else min(h.sigma_m, 20.0) * self._maps[h.map_index].unit
+
+    def _spread(self, view: MapView, p_map: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Shares (P,) of drawn positions nearest to each place, those within a tie, and the share that is mapped."""
         if not len(view.centroids):
             return np.zeros(0), np.zeros(0), 0.0
-        spread = self._draws * np.array([1.0, 1.0, 0.2]) * min(sigma_m, 20.0) * view.unit
-        p = p_body + spread
-        share, tied = view.nearest(p, TIE)
-        return share, tied, float(view.space.knows(p).mean())
+        share, tied = view.nearest(p_map, TIE)
+        return share, tied, float(view.space.knows(p_map).mean())
 
     def _place(self, number: int) -> Place:
         """By its number in `PlaceProbabilities`."""
@@ -180,6 +201,11 @@ class Reporter:
         if past.was_recognised:
             return "images do not agree with where the robot was last recognised"
         return "no image has been recognised yet"
+
+
+def _forward(T_map_body: FloatArray | None) -> FloatArray | None:
+    """(3,) unit vector along the body's front, whatever the map's scale."""
+    return None if T_map_body is None else T_map_body[:3, 0] / np.linalg.norm(T_map_body[:3, 0])
 
 
 def largest(values: FloatArray, how_many: int) -> IntArray:

@@ -9,6 +9,7 @@ import type { EventMessage, LogModel, RobotEntry } from "./link/messages";
 import { LastingSocket } from "./link/socket";
 import { MapView } from "./map/view";
 import { PlaceView } from "./places/card";
+import { PlanView } from "./plan/view";
 import { Review } from "./review/review";
 import { offerNoOthers, offerOthers, showChoice } from "./robots/choice";
 import { openHijack } from "./robots/hijack";
@@ -28,12 +29,13 @@ const health = new HealthView(library);
 const log = new EventLog();
 const places = new PlaceView();
 const calibrate = new CalibrateDialog(video.canvas, (say) => drive.emergencyStop("STOP", say));
+const plan = new PlanView((place) => places.open(place));
 const map = makeMap();
 
 /** Without WebGL everything but the 3D view works. */
 function makeMap(): MapView | null {
   try {
-    return new MapView(video.canvas, {
+    return new MapView(video.canvas, plan, {
       onPlace: (place) => places.open(place),
       onPlaces: (all, changes) => places.setPlaces(all, changes),
     });
@@ -72,7 +74,9 @@ function take(message: EventMessage): void {
       else attempt(() => library.reloadNavigations());
       break;
     case "map":
+      attempt(() => plan.showMap(message.has_plan ? message.active : null));
       if (map) attempt(() => map.showMap(message.active, message.revision));
+      else plan.setVisible(message.has_plan);
       attempt(() => library.reloadMaps());
       break;
     case "job":
@@ -81,6 +85,7 @@ function take(message: EventMessage): void {
       break;
     case "place":
       places.show(message.place, message.visit);
+      plan.showPlace(message.place);
       map?.showPlace(message.place);
       break;
     case "calibration":

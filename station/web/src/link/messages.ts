@@ -209,7 +209,7 @@ export interface ComparisonOrder {
   second: string;
 }
 
-/** Which place the robot is at. `place` is null unless the state is "known". */
+/** Which place the robot is at, and in which room. `place` is null unless the state is "known"; the room may be */
 export interface CurrentPlace {
   state: "known" | "unknown" | "lost";
   place: PlaceName | null;
@@ -219,11 +219,21 @@ export interface CurrentPlace {
   distance_m: number | null;
   /** x, y, z of the robot in `map` */
   position_map: number[] | null;
+  /** x, y, z of where the robot's front points, of length 1; null without a position */
+  forward_map: number[] | null;
+  /** 1 sigma per axis of the position; null without one, or without a metric map */
+  sigma_position_m: number | null;
   /** since the picture the answer is about was taken */
   age_s: number | null;
   /** id of the active map that place, position and evidence are of; while there are none, the first */
   map: string | null;
   alternatives: PlaceProbability[];
+  /** null while none is probable enough, or the map has no rooms */
+  room: RoomProbability | null;
+  /** what else it may be, the likeliest first */
+  room_alternatives: RoomProbability[];
+  /** id of the door of GET /floorplan in which the robot is: both of its rooms are right then */
+  doorway: string | null;
   evidence: Evidence;
   /** 0..1 while the map is prepared for answers; else null */
   preparing: number | null;
@@ -233,6 +243,19 @@ export interface CurrentPlace {
   t_robot_ns: number | null;
   /** T_map_cam of the newest picture, row-major 4x4; null when it was not recognised in `map` */
   pose_map: number[] | null;
+}
+
+/** A passage between two rooms. */
+export interface DoorModel {
+  id: string;
+  /** the two it leads to; null: nobody went through */
+  rooms: (string | null)[];
+  /** where its jambs are on the plan */
+  ends: number[][];
+  /** map units */
+  width: number;
+  /** by a person */
+  drawn: boolean;
 }
 
 /** The newest command went to the robot. */
@@ -306,6 +329,27 @@ export interface Evidence {
   inliers: number;
   /** since the picture that was recognised */
   age_s: number | null;
+}
+
+/** The plan of the active map's floor, in axes of its own: x to the right, y up. */
+export interface FloorPlanModel {
+  map: string;
+  /** lengths are metres; false: map units of unknown scale */
+  metric: boolean;
+  /** map units per metre; a guess unless the map is metric */
+  unit: number;
+  /** turns positions of the map to the plan's x, y and up */
+  R_ground_map: number[][];
+  /** where the smallest x and y of rooms and walls are */
+  low: number[];
+  high: number[];
+  rooms: PlanRoom[];
+  doors: DoorModel[];
+  walls: number[][][];
+  /** those that are not hidden */
+  places: PlanPlace[];
+  /** of the drives that it was made from */
+  path: number[][];
 }
 
 /** The topological map. */
@@ -411,8 +455,10 @@ export interface MapChoice {
 export interface MapMessage {
   type: "map";
   active: string | null;
-  /** another one: the active map is another, or its places are */
+  /** another one: the active map is another, or its places or rooms are */
   revision: number;
+  /** GET /floorplan has something to show */
+  has_plan: boolean;
 }
 
 export interface MapModel {
@@ -480,6 +526,19 @@ export interface MountingSigma {
   time_shift_s: number;
   line_delay_s: number;
   gravity: number[];
+}
+
+/** A name that something seen speaks for; PATCH /rooms/{id} uses it, nobody else does. */
+export interface NameSuggestionModel {
+  name: string;
+  source: "sticker" | "door plate" | "model" | "other map";
+  /** 0..1 */
+  confidence: number;
+  reason: string;
+  /** the picture that shows it */
+  image: string | null;
+  /** where in that picture */
+  corners_px: number[][] | null;
 }
 
 /** A navigation changed; null: one was deleted. */
@@ -584,6 +643,8 @@ export interface PlaceModel {
   hidden: boolean;
   /** a person gave it its name */
   named: boolean;
+  /** id of the room it is in */
+  room: string | null;
 }
 
 export interface PlaceName {
@@ -600,12 +661,32 @@ export interface PlaceProbability {
   map: string;
 }
 
-/** What a person made of the places: renamed, hidden, merged. */
+/** What a person made of places or rooms: renamed, hidden, merged, doors drawn and erased. */
 export interface PlacesChangeModel {
   /** of the map, that the change led to */
   version: number;
   why: string;
   unix_s: number;
+}
+
+/** A place as it is drawn. */
+export interface PlanPlace {
+  id: string;
+  name: string;
+  at: number[];
+  room: string | null;
+  colour: number;
+  representative_image: string | null;
+}
+
+/** A room as it is drawn. */
+export interface PlanRoom {
+  id: string;
+  name: string;
+  named: boolean;
+  middle: number[];
+  /** closed lines: what is inside an odd number of them is the room */
+  outline: number[][][];
 }
 
 export interface PoseMessage {
@@ -702,6 +783,46 @@ export interface RobotModel {
   /** why the camera head must look straight ahead; empty: it may turn */
   head_must_rest: string;
   faults: string[];
+}
+
+/** Which rooms are one; it keeps id and name of the first. */
+export interface RoomMerge {
+  rooms: string[];
+}
+
+/** A room of the active map. */
+export interface RoomModel {
+  id: string;
+  name: string;
+  /** a person gave it its name */
+  named: boolean;
+  /** null without a metric map */
+  area_m2: number | null;
+  /** x, y on the plan: a free spot far from its walls */
+  middle: number[];
+  /** ids of the doors that lead out of it */
+  doors: string[];
+  /** its places that are not hidden */
+  places: PlaceName[];
+  /** names that something seen speaks for */
+  suggestions: NameSuggestionModel[];
+}
+
+export interface RoomName {
+  id: string;
+  name: string;
+}
+
+export interface RoomProbability {
+  id: string;
+  name: string;
+  /** that the robot is in it or in a doorway of it: two may sum to more than 1 */
+  probability: number;
+}
+
+/** A line right across a room, from wall to wall, as on the plan: a door. */
+export interface RoomSplit {
+  line: number[][];
 }
 
 /** The shortest way along the graph's edges. */
@@ -805,6 +926,7 @@ export interface UndoOrder {
 export interface VisitModel {
   state: "known" | "unknown" | "lost";
   place: PlaceName | null;
+  room: RoomName | null;
   start_unix_s: number;
   end_unix_s: number;
 }

@@ -26,6 +26,8 @@ export class Painter {
   private readonly pixelRatio = Math.min(devicePixelRatio, 2);
   private pixels = 0; // per pixel of the page, as last drawn
   private isPending = false;
+  /** Nothing is drawn: something else lies over it. */
+  isResting = false;
   private soon = 0;
 
   /** `onDrawn` is told which share of the points was drawn. */
@@ -50,7 +52,7 @@ export class Painter {
   }
 
   draw(): void {
-    if (this.isPending) return;
+    if (this.isPending || this.isResting) return;
     this.isPending = true;
     this.pace.whenFree(() => requestAnimationFrame(() => this.render()));
   }

@@ -5,13 +5,14 @@ import { by, setText, show } from "../ui/dom";
 import { Switch } from "../ui/switch";
 import { Ground } from "./ground";
 import type { SceneLayer } from "./layer";
+import type { PlanView } from "../plan/view";
 import { LiveLayer } from "./live_layer";
 import { MapLayer } from "./map_layer";
 import { Painter, type Subject } from "./painter";
 import { ReviewLayer } from "./review_layer";
 import { type View, Viewpoint } from "./viewpoint";
 
-type LayerName = "map" | "live" | "review";
+type LayerName = "plan" | "map" | "live" | "review"; // the plan lies over the 3D view, which rests meanwhile
 
 export interface MapViewEvents {
   /** The name of a place was clicked. */
@@ -43,7 +44,11 @@ export class MapView {
   private before = this.choice; // what a review that is closed gives way to
   private numDrawn = 0;
 
-  constructor(video: HTMLCanvasElement, events: MapViewEvents) {
+  constructor(
+    video: HTMLCanvasElement,
+    private readonly plan: PlanView,
+    events: MapViewEvents,
+  ) {
     this.host.prepend(this.painter.canvas);
     const layerEvents = { onGrown: (layer: SceneLayer) => this.fit(layer), onPoints: () => this.describePoints() };
     this.map = new MapLayer(video, { ...layerEvents, ...events, onMap: (isOther) => this.takeMap(isOther) });
@@ -113,7 +118,11 @@ export class MapView {
   }
 
   private get layer(): SceneLayer {
-    return this[this.choice.name];
+    return this.isPlan ? this.map : this[this.choice.name as "map" | "live" | "review"];
+  }
+
+  private get isPlan(): boolean {
+    return this.choice.name === "plan";
   }
 
   private chooseLayer(name: LayerName): void {
@@ -126,6 +135,9 @@ export class MapView {
     this.choice = { name, isChosen };
     for (const layer of [this.map, this.live, this.review]) layer.group.visible = layer === this.layer;
     this.layerSwitch.show(name);
+    this.plan.setVisible(this.isPlan);
+    this.painter.isResting = this.isPlan;
+    for (const id of ["views", "labels"]) show(by(id), !this.isPlan);
     if (isOther) this.frameAll();
     this.describe();
     this.painter.draw();
@@ -137,8 +149,10 @@ export class MapView {
   }
 
   private takeMap(isOther: boolean): void {
+    show(by("plan-layer"), this.plan.hasPlan);
+    if (this.isPlan && !this.plan.hasPlan) this.showLayer("map");
     if (isOther) {
-      if (!this.choice.isChosen) this.showLayer(this.map.hasMap ? "map" : "live");
+      if (!this.choice.isChosen) this.showLayer(this.plan.hasPlan ? "plan" : this.map.hasMap ? "map" : "live");
       this.frameAll();
     }
     this.describe();
@@ -166,9 +180,9 @@ export class MapView {
   }
 
   private describe(): void {
-    setText(by("map-count"), this.layer.summary);
+    setText(by("map-count"), this.isPlan ? "" : this.layer.summary);
     const empty = by("scene-empty");
-    show(empty, this.layer.isEmpty);
+    show(empty, this.layer.isEmpty && !this.isPlan);
     setText(empty, this.layer.emptyText);
   }
 

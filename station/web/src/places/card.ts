@@ -59,14 +59,23 @@ export class PlaceView {
     card.dataset.state = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
     const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
     const otherwise = place.map === null ? "No map in use" : hasAnswer ? words[place.state] : "Getting ready…";
-    setText(by("place-name"), place.place?.name ?? otherwise);
-    const shown = place.place ? place.probability : place.preparing;
+    const room = roomInWords(place);
+    setText(by("place-name"), room ?? place.place?.name ?? otherwise);
+    card.dataset.room = String(place.room !== null);
+    const at = by("place-at");
+    show(at, room !== null);
+    setText(at, place.place ? `${place.place.name}, ${percent(place.probability)}` : otherwise);
+    const shown = place.room?.probability ?? (place.place ? place.probability : place.preparing);
     setText(by("place-probability"), shown === null ? "" : percent(shown));
     setText(
       by("place-kicker"),
-      place.place && place.distance_m !== null
-        ? `Current place · ${place.distance_m.toFixed(1)} m away`
-        : "Current place",
+      place.doorway !== null
+        ? "In the doorway"
+        : place.place && place.distance_m !== null
+          ? `${room === null ? "Current place" : "Current room and place"} · ${place.distance_m.toFixed(1)} m away`
+          : room === null
+            ? "Current place"
+            : "Current room",
     );
     setText(by("place-reason"), place.reason);
     by("place-reason").title = place.reason;
@@ -114,6 +123,15 @@ export class PlaceView {
           : `The last picture that was recognised: ${seen}. It does not tell where the robot is now.`,
     );
   }
+}
+
+const HARDLY = 0.2; // what is less probable is no alternative worth a large letter
+
+/** The room in large letters: one, both of a doorway, or which two it may be; null: nothing is known of it. */
+function roomInWords({ room, room_alternatives: others, doorway }: CurrentPlace): string | null {
+  if (room) return doorway !== null && others[0] ? `${room.name} / ${others[0].name}` : room.name;
+  const likely = others.filter((other) => other.probability >= HARDLY);
+  return likely.length === 2 ? `${likely.map((other) => other.name).join(" or ")}?` : null;
 }
 
 function setImage(image: HTMLImageElement, path: string | null): void {

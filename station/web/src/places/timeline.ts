@@ -39,13 +39,13 @@ export class Timeline {
     const recent = this.visits.filter((v) => v.end_unix_s > from);
     line.setAttribute(
       "aria-label",
-      `Places visited: ${recent.map((v) => v.place?.name ?? v.state).join(", ") || "none"}`,
+      `Places visited: ${recent.map((v) => v.place?.name ?? v.room?.name ?? v.state).join(", ") || "none"}`,
     );
     line.replaceChildren(
       ...recent.map((v) => {
         const left = Math.max(0, (v.start_unix_s - from) / TIMELINE_S);
         const width = Math.max(0.004, (Math.min(v.end_unix_s, now) - Math.max(v.start_unix_s, from)) / TIMELINE_S);
-        const name = v.place?.name ?? v.state;
+        const name = v.place?.name ?? v.room?.name ?? v.state;
         const piece = make(
           "span",
           { class: v.state, title: `${name}, since ${clock(v.start_unix_s)}` },

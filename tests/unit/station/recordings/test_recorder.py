@@ -30,7 +30,7 @@ from shared.messages import (
 )
 from station.datasets import open_dataset
 from station.events import LogLine
-from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport
+from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport, RoomCandidate
 from station.model.slam_update import SlamUpdate
 from station.recordings.recorder import Recorder
 from tests.support.datasets import frames_of, imu_of
@@ -274,9 +274,10 @@ def test_what_the_station_decides_is_recorded_with_its_reasons(tmp_path: Path) -
     recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
     sofa = PlaceCandidate("place-1", "Sofa", 0.9)
     answer = PlaceAnswer(
-        "known", sofa, 0.4, np.array([1.0, 2.0, 3.0]), START_NS, START_NS, 3, 40, (), "40 points agree"
-    )
-    lost = replace(answer, state="lost", place=None, distance=None, position_map=None, reason="carried")
+        "known", sofa, 0.4, np.array([1.0, 2.0, 3.0]), START_NS, START_NS, 3, 40, (), "40 points agree",
+        room=RoomCandidate("room-1", "Lounge", 0.95),
+    )  # fmt: skip
+    lost = replace(answer, state="lost", place=None, distance=None, position_map=None, reason="carried", room=None)
     for one in (answer, lost):
         recorder.on_answer(PlaceReport("map-1", one, None, None, "found"))
     recorder.on_command("page", 0.1, -0.2, 300)
@@ -289,7 +290,13 @@ def test_what_the_station_decides_is_recorded_with_its_reasons(tmp_path: Path) -
     known, unknown = messages_of(path, "/place/answer")
     assert known["place"] == {"id": "place-1", "name": "Sofa", "probability": 0.9}
     assert (known["reason"], known["attempt"], known["map"]) == ("40 points agree", "found", "map-1")
-    assert unknown["state"] == "lost" and "place" not in unknown and unknown["reason"] == "carried"
+    assert known["room"] == {"id": "room-1", "name": "Lounge", "probability": 0.95}
+    assert (
+        unknown["state"] == "lost"
+        and "place" not in unknown
+        and "room" not in unknown
+        and unknown["reason"] == "carried"
+    )
     command = {"driver": "page", "linear": 0.1, "angular": -0.2, "ttl_ms": 300}
     assert messages_of(path, "/drive/command") == [command]
     assert [m["state"] for m in messages_of(path, "/slam/state")] == ["tracking", "lost"]

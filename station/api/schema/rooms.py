@@ -1,0 +1,187 @@
+"""Rooms, doors and walls of the active map."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from shared.geometry import FloatArray
+from station.api.schema.base import Model, Number, Question
+from station.api.schema.places import PlaceName, RoomName
+from station.library.active_maps import ActiveMap
+from station.model.floor_plan import Door, NameSuggestion, Room
+from station.model.points import NO_PLACE
+from station.places.rooms.drawing import room_outlines
+from station.places.rooms.lines import driven_path
+
+Coordinate = Annotated[Number, Field(ge=-1e6, le=1e6)]
+Point = list[float]
+
+
+class NameSuggestionModel(Model):
+    """A name that something seen speaks for; PATCH /rooms/{id} uses it, nobody else does."""
+
+    name: str = Field(examples=["Kitchen"])
+    source: Literal["sticker", "door plate", "model", "other map"]
+    confidence: float = Field(description="0..1", examples=[0.98])
+    reason: str = Field(examples=["a sticker in this room says Kitchen"])
+    image: str | None = Field(description="the picture that shows it", examples=["/maps/map-0a1b/images/17.jpg"])
+    corners_px: list[Point] | None = Field(description="where in that picture")
+
+
+class RoomModel(Model):
+    """A room of the active map."""
+
+    id: str = Field(examples=["room-3f21aa"])
+    name: str = Field(examples=["Kitchen"])
+    named: bool = Field(description="a person gave it its name")
+    area_m2: float | None = Field(description="null without a metric map", examples=[11.2])
+    middle: Point = Field(description="x, y on the plan: a free spot far from its walls")
+    doors: list[str] = Field(description="ids of the doors that lead out of it")
+    places: list[PlaceName] = Field(description="its places that are not hidden")
+    suggestions: list[NameSuggestionModel] = Field(description="names that something seen speaks for")
+
+
+class DoorModel(Model):
+    """A passage between two rooms."""
+
+    id: str
+    rooms: list[str | None] = Field(description="the two it leads to; null: nobody went through")
+    ends: list[Point] = Field(description="where its jambs are on the plan")
+    width: float = Field(description="map units")
+    drawn: bool = Field(description="by a person")
+
+
+class PlanRoom(RoomName):
+    """A room as it is drawn."""
+
+    named: bool
+    middle: Point
+    outline: list[list[Point]] = Field(description="closed lines: what is inside an odd number of them is the room")
+
+
+class PlanPlace(PlaceName):
+    """A place as it is drawn."""
+
+    at: Point
+    room: str | None
+    colour: int
+    representative_image: str | None
+
+
+class FloorPlanModel(Model):
+    """The plan of the active map's floor, in axes of its own: x to the right, y up."""
+
+    map: str
+    metric: bool = Field(description="lengths are metres; false: map units of unknown scale")
+    unit: float = Field(description="map units per metre; a guess unless the map is metric")
+    R_ground_map: list[list[float]] = Field(description="turns positions of the map to the plan's x, y and up")
+    low: Point = Field(description="where the smallest x and y of rooms and walls are")
+    high: Point
+    rooms: list[PlanRoom]
+    doors: list[DoorModel]
+    walls: list[list[Point]]
+    places: list[PlanPlace] = Field(description="those that are not hidden")
+    path: list[Point] = Field(description="of the drives that it was made from")
+
+
+class RoomMerge(Question):
+    """Which rooms are one; it keeps id and name of the first."""
+
+    rooms: list[str] = Field(min_length=2, max_length=50, examples=[["room-3f21aa", "room-77d0e2"]])
+
+
+class RoomSplit(Question):
+    """A line right across a room, from wall to wall, as on the plan: a door."""
+
+    line: list[list[Coordinate]] = Field(min_length=2, max_length=2, examples=[[[1.0, -1.5], [1.0, 1.5]]])
+
+    @model_validator(mode="after")
+    def _has_points(self) -> Self:
+        if any(len(point) != 2 for point in self.line):
+            raise ValueError("each end of the line needs x and y")
+        return self
+
+
+def room_model(active: ActiveMap, room: Room) -> RoomModel:
+    plan, navigation = active.require_plan(), active.place_map.navigation
+    return RoomModel.of(
+        room,
+        named=room.id in active.place_map.plan_edits.names,
+        area_m2=room.area if navigation.is_metric else None,
+        middle=room.middle.tolist(),
+        doors=[door.id for door in plan.doors if room.id in door.rooms],
+        places=[
+            PlaceName(id=place.id, name=place.name)
+            for place in active.visible_places
+            if plan.room_of_place.get(place.id) == room.id
+        ],
+        suggestions=[
+            _suggestion_model(active, suggestion)
+            for suggestion in active.place_map.suggestions
+            if suggestion.room == room.id and suggestion.name.casefold() != room.name.casefold()
+        ],
+    )
+
+
+def floor_plan_model(active: ActiveMap) -> FloorPlanModel:
+    plan, place_map = active.require_plan(), active.place_map
+    R = plan.R_ground_map
+    outlines = room_outlines(plan)
+    drawn = [np.array(line) for outline in outlines for line in outline]
+    corners = np.concatenate([plan.walls.reshape(-1, 2), *drawn, np.zeros((0, 2))])
+    low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (plan.low, plan.low)
+    return FloorPlanModel(
+        map=place_map.id,
+        metric=place_map.navigation.is_metric,
+        unit=plan.unit,
+        R_ground_map=R.tolist(),
+        low=low.tolist(),
+        high=high.tolist(),
+        rooms=[
+            PlanRoom.of(
+                room,
+                named=room.id in place_map.plan_edits.names,
+                middle=_rounded(room.middle),
+                outline=[[_rounded(p) for p in line] for line in outline],
+            )
+            for room, outline in zip(plan.rooms, outlines, strict=True)
+        ],
+        doors=[_door_model(door) for door in plan.doors],
+        walls=[[_rounded(p) for p in wall] for wall in plan.walls],
+        places=[
+            PlanPlace(
+                id=place.id,
+                name=place.name,
+                at=_rounded((R @ place.centroid_map)[:2]),
+                room=plan.room_of_place.get(place.id),
+                colour=active.numbers.get(place.id, NO_PLACE),
+                representative_image=(
+                    f"/places/{place.id}/images/representative" if place.representative_keyframe >= 0 else None
+                ),
+            )
+            for place in active.visible_places
+        ],
+        path=[_rounded(p) for p in driven_path(place_map.navigation, R)],
+    )
+
+
+def _door_model(door: Door) -> DoorModel:
+    ends = [_rounded(p) for p in door.ends]
+    return DoorModel(id=door.id, rooms=list(door.rooms), ends=ends, width=door.width, drawn=door.is_drawn)
+
+
+def _suggestion_model(active: ActiveMap, suggestion: NameSuggestion) -> NameSuggestionModel:
+    index, corners = suggestion.keyframe_index, suggestion.corners_px
+    return NameSuggestionModel.of(
+        suggestion,
+        image=None if index is None else f"/maps/{active.place_map.id}/images/{index}.jpg",
+        corners_px=None if corners is None else corners.tolist(),
+    )
+
+
+def _rounded(p: FloatArray) -> Point:
+    """To the millimetre: a plan of a thousand rooms travels to a phone."""
+    return [round(float(x), 3) for x in p]

@@ -1,0 +1,1 @@
+"""Names with meaning for rooms, each a suggestion with its evidence."""

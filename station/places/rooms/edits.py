@@ -1,0 +1,147 @@
+"""What a person makes of a map's rooms: names, doors drawn and erased, rooms that are one. Pure: a map in, one out.
+
+A change is noted as an edit of the plan, and the plan is made anew with it: so it holds for every later plan, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from shared.errors import DataError
+from shared.geometry import FloatArray
+from station.model.floor_plan import NO_ROOM, Door, FloorPlan, PlanEdits, Room
+from station.model.place_map import PlaceMap
+from station.places.rooms.planning import planned, with_plan
+
+MAX_EDITS = 500  # doors that were drawn or erased in one map
+MIN_LINE_M = 0.2  # a shorter one is a click that slipped
+
+
+def find_room(place_map: PlaceMap, room_id: str) -> Room:
+    """Raises DataError."""
+    for room in require_plan(place_map).rooms:
+        if room.id == room_id:
+            return room
+    raise DataError(f'map "{place_map.name}" has no room with id "{room_id}"; GET /rooms lists them')
+
+
+def require_plan(place_map: PlaceMap) -> FloorPlan:
+    """Raises DataError: the map has no floor plan."""
+    if place_map.plan is None:
+        raise DataError(f'map "{place_map.name}" has no floor plan; build it again from its navigations')
+    return place_map.plan
+
+
+def with_room_renamed(place_map: PlaceMap, room_id: str, name: str) -> PlaceMap:
+    """The map with one room named by a person. Names are unique in a map, upper and lower case being one.
+
+    `name` is tidy already. Raises DataError.
+    """
+    plan = require_plan(place_map)
+    find_room(place_map, room_id)
+    if any(room.name.casefold() == name.casefold() and room.id != room_id for room in plan.rooms):
+        raise DataError(f'map "{place_map.name}" has another room named "{name}"; choose a different name')
+    edits = replace(place_map.plan_edits, names={**place_map.plan_edits.names, room_id: name})
+    rooms = tuple(replace(room, name=name) if room.id == room_id else room for room in plan.rooms)
+    return with_plan(replace(place_map, plan_edits=edits), replace(plan, rooms=rooms))
+
+
+def with_room_split(place_map: PlaceMap, line: FloatArray) -> PlaceMap:
+    """The map with a door drawn along a line (2, 2) on the ground, which parts a room in two.
+
+    Raises:
+        DataError: the line is too short, or parts no room.
+    """
+    plan, edits = require_plan(place_map), place_map.plan_edits
+    if np.linalg.norm(line[1] - line[0]) < MIN_LINE_M * plan.unit:
+        raise DataError("the line is too short for a door; draw it from wall to wall")
+    changed = _edited(place_map, replace(edits, doors_drawn=(*edits.doors_drawn, line)))
+    if len(require_plan(changed).rooms) <= len(plan.rooms):
+        raise DataError("the line parts no room; draw it right across one, from wall to wall")
+    return changed
+
+
+def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:
+    """The map without a door: what it led to is one room with where it led from.
+
+    Raises:
+        DataError: there is no such door, or nobody went through it.
+    """
+    door = next((door for door in require_plan(place_map).doors if door.id == door_id), None)
+    if door is None:
+        raise DataError(f'map "{place_map.name}" has no door with id "{door_id}"; GET /floorplan lists them')
+    if door.rooms[1] is None:
+        raise DataError("nobody went through this door, so no room is known behind it")
+    return with_rooms_merged(place_map, [door.rooms[0], door.rooms[1]], [door])
+
+
+def with_rooms_merged(place_map: PlaceMap, room_ids: Sequence[str], doors: Sequence[Door] | None = None) -> PlaceMap:
+    """The map with several rooms as one, which keeps id and name of the first.
+
+    `doors` between them are erased, by default all that there are.
+
+    Raises:
+        DataError: there is no such room, fewer than two are named, or no doors lead from each to the others.
+    """
+    rooms = [find_room(place_map, room_id) for room_id in dict.fromkeys(room_ids)]
+    if len(rooms) < 2:
+        raise DataError("two different rooms are needed to make them one; GET /rooms lists them")
+    ids = {room.id for room in rooms}
+    between = [door for door in require_plan(place_map).doors if ids.issuperset(door.rooms)] if doors is None else doors
+    edits = place_map.plan_edits
+    for door in between:
+        edits = _without_door(edits, door)
+    gone = {room.id for room in rooms[1:]}
+    edits = replace(edits, names={id: name for id, name in edits.names.items() if id not in gone})
+    changed = _edited(place_map, edits)
+    middles = np.array([room.middle for room in rooms])
+    merged = {room_id_at(require_plan(changed), xy) for xy in middles}
+    if len(merged) != 1 or None in merged:
+        names = " and ".join(room.name for room in rooms)
+        raise DataError(f"{names} cannot be one room: no door that could be erased leads from each to the others")
+    return _renumbered(changed, str(merged.pop()), rooms[0])
+
+
+def room_id_at(plan: FloorPlan, xy: FloatArray) -> str | None:
+    """Id of the room at a position (2,) on the ground."""
+    number = plan.rooms_at(np.append(xy, 0.0)[None] @ plan.R_ground_map)[0]
+    return None if number == NO_ROOM else plan.rooms[number].id
+
+
+def _edited(place_map: PlaceMap, edits: PlanEdits) -> PlaceMap:
+    if len(edits.doors_drawn) + len(edits.doors_erased) > MAX_EDITS:
+        raise DataError(f"a map keeps at most {MAX_EDITS} doors that people drew or erased; undo some")
+    return planned(replace(place_map, plan_edits=edits))
+
+
+def _without_door(edits: PlanEdits, door: Door) -> PlanEdits:
+    """A door that a person drew is drawn no more; any other one is noted to be none."""
+    if door.is_drawn and edits.doors_drawn:
+        middle = door.ends.mean(axis=0)
+        away = [float(np.linalg.norm(line.mean(axis=0) - middle)) for line in edits.doors_drawn]
+        nearest = int(np.argmin(away))
+        return replace(edits, doors_drawn=(*edits.doors_drawn[:nearest], *edits.doors_drawn[nearest + 1 :]))
+    return replace(edits, doors_erased=(*edits.doors_erased, door.ends))
+
+
+def _renumbered(place_map: PlaceMap, found: str, wanted: Room) -> PlaceMap:
+    """The map whose room `found` has id and name of the wanted one."""
+    plan = require_plan(place_map)
+
+    called = {room.id: room.id for room in plan.rooms} | {found: wanted.id}
+    return with_plan(
+        place_map,
+        replace(
+            plan,
+            rooms=tuple(replace(r, id=wanted.id, name=wanted.name) if r.id == found else r for r in plan.rooms),
+            doors=tuple(
+                replace(door, rooms=(called[a], None if b is None else called[b]))
+                for door in plan.doors
+                for a, b in [door.rooms]
+            ),
+            room_of_place={place: called[room] for place, room in plan.room_of_place.items()},
+        ),
+    )

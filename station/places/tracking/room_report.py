@@ -1,0 +1,94 @@
+"""A belief's room: the one that holds most of it, also while it is open which of its places is the nearest.
+
+Where two parts of one room look alike the place is not known and the room is; the same holds between two places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray
+from station.model.place_answer import RoomCandidate
+from station.places.tracking.belief import Belief, Hypothesis
+from station.places.tracking.config import BeliefConfig
+from station.places.tracking.map_view import MapView
+from station.places.tracking.room_view import RoomView
+
+MAX_CANDIDATES = 4
+Drawn = tuple[Hypothesis, FloatArray]  # a hypothesis, and (n, 3) positions in its map that it may mean
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoomProbabilities:
+    """Over the rooms of all maps, in order."""
+
+    inside: FloatArray  # (R,)
+    tie: FloatArray  # (R,) in it, or in a doorway of it
+
+
+@dataclass(frozen=True, slots=True)
+class RoomAnswer:
+    """What an answer says of the room."""
+
+    map_index: int | None = None  # of `room`
+    room: RoomCandidate | None = None
+    alternatives: tuple[RoomCandidate, ...] = ()
+    doorway: str | None = None  # id of the door
+
+
+class RoomReporter:
+    """Rooms of beliefs over the active maps."""
+
+    def __init__(self, maps: Sequence[MapView], config: BeliefConfig) -> None:
+        self._views: list[RoomView | None] = [view.rooms for view in maps]
+        sizes = [0 if view is None else len(view.area) for view in self._views]
+        self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        self._area = np.concatenate([np.zeros(0), *(view.area for view in self._views if view is not None)])
+        self._config = config
+
+    def probabilities(self, belief: Belief, drawn: Sequence[Drawn]) -> RoomProbabilities:
+        """How probable each room is. Lost in the maps, the robot is in a large room rather than in a small one."""
+        inside, tie = np.zeros((2, self._first[-1]))
+        for h, p_map in drawn:
+            view = self._views[h.map_index]
+            if view is not None:
+                within, tied = view.shares(p_map)
+                part = slice(self._first[h.map_index], self._first[h.map_index + 1])
+                inside[part] += h.weight * within
+                tie[part] += h.weight * tied
+        lost = belief.lost * self._area / max(self._area.sum(), 1e-9)
+        return RoomProbabilities(inside + lost, tie + lost)
+
+    def answer(self, belief: Belief, drawn: Sequence[Drawn]) -> RoomAnswer:
+        """The room where one is probable enough, and what else it may be."""
+        found = self.probabilities(belief, drawn)
+        order = np.argsort(-found.inside, kind="stable")[:MAX_CANDIDATES]
+        order = order[found.inside[order] > 0]
+        candidates = tuple(self._candidate(int(i), float(found.tie[i])) for i in order)
+        is_right = found.tie[order] >= self._config.known_from
+        # In a map of one room a robot that is lost in it is there, too: but nobody recognised it.
+        if belief.localised <= 0.5 or not len(order) or not is_right[0]:
+            return RoomAnswer(alternatives=candidates)
+        map_index, room = self._located(int(order[0]))
+        doorway = None
+        if len(order) > 1 and is_right[1]:
+            other_map, other = self._located(int(order[1]))
+            view, (_, p_map) = self._views[map_index], max(drawn, key=lambda pair: pair[0].weight)
+            if other_map == map_index and view is not None:
+                doorway = view.door_between(room, other, p_map.mean(axis=0))
+        return RoomAnswer(map_index, candidates[0], candidates[1:], doorway)
+
+    def _candidate(self, number: int, probability: float) -> RoomCandidate:
+        map_index, index = self._located(number)
+        view = self._views[map_index]
+        assert view is not None
+        room = view.plan.rooms[index]
+        return RoomCandidate(room.id, room.name, min(1.0, probability))
+
+    def _located(self, number: int) -> tuple[int, int]:
+        """Map and room of a number in `RoomProbabilities`."""
+        map_index = int(np.searchsorted(self._first, number, side="right")) - 1
+        return map_index, number - int(self._first[map_index])

@@ -1,0 +1,36 @@
+"""Codes on stickers (QR) in pictures, far or oblique as a robot sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import zxingcpp
+
+from shared.geometry import FloatArray
+from station.model.frames import ImageArray
+
+ENLARGED_WIDTH_PX = 1920  # pictures are read at three times VGA: 98 % of codes at 2.5 px a module, 70 % at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenCode:
+    """One code in one picture."""
+
+    text: str
+    corners_px: FloatArray  # (4, 2) of the code without its rim: top left, top right, bottom right, bottom left
+
+
+def read_codes(grey: ImageArray) -> list[SeenCode]:
+    """All QR codes of a picture (H, W)."""
+    scale = max(1, round(ENLARGED_WIDTH_PX / grey.shape[1]))
+    large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    found = zxingcpp.read_barcodes(large, formats=zxingcpp.BarcodeFormat.QRCode, try_invert=False)
+    return [SeenCode(code.text, _corners(code.position, scale)) for code in found]
+
+
+def _corners(position: zxingcpp.Position, scale: int) -> FloatArray:
+    """Pixel (0, 0) has its centre there at either size."""
+    corners = (position.top_left, position.top_right, position.bottom_right, position.bottom_left)
+    return (np.array([[p.x, p.y] for p in corners], dtype=np.float64) + 0.5) / scale - 0.5

@@ -1,0 +1,95 @@
+// One room: its name, names that something seen speaks for, and rooms that it is one with.
+import { call } from "../link/api";
+import type { FloorPlanModel, NameSuggestionModel, RoomModel } from "../link/messages";
+import { closingButtons } from "../ui/dialogs";
+import { by, make, present, setText } from "../ui/dom";
+import { count, percent, sentence } from "../ui/text";
+import { offerUndo, undoable } from "../places/changes";
+
+/** Ask for its name first: whoever clicks into a room most likely wants to name it. */
+export async function openRoom(id: string, plan: FloorPlanModel): Promise<void> {
+  const room = await call<RoomModel>("GET", `/rooms/${id}`);
+  const dialog = by("room-dialog", HTMLDialogElement);
+  const input = make("input", { value: room.named ? room.name : "", maxlength: "80", required: true, id: "room-name" });
+  input.placeholder = room.name;
+  const why = make("p", { class: "note bad", role: "alert" });
+  const form = make(
+    "form",
+    { method: "dialog", class: "row naming" },
+    make("label", { for: "room-name" }, "Name"),
+    input,
+    make("button", { type: "submit", class: "primary" }, "Save"),
+  );
+  const name = async (text: string) => {
+    try {
+      if (text !== room.name || !room.named) await call("PATCH", `/rooms/${room.id}`, { name: text });
+    } catch (error) {
+      setText(why, sentence(error)); // the dialog stays, for another name
+      return;
+    }
+    dialog.close();
+    await offerUndo();
+  };
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    void name(input.value.trim());
+  });
+  const button = closingButtons(dialog);
+  const area = room.area_m2 === null ? [] : [`${room.area_m2.toFixed(1)} m²`];
+  const about = [...area, count(room.doors.length, "door"), count(room.places.length, "place")].join(" · ");
+  dialog.replaceChildren(
+    ...present(
+      make("h2", {}, room.name),
+      make("p", { class: "note" }, about),
+      form,
+      why,
+      room.suggestions.length > 0 && suggestions(room.suggestions, (text) => void name(text)),
+      mergeRow(room, plan, button),
+      make("div", { class: "row end" }, button("Close", null, "quiet")),
+    ),
+  );
+  dialog.showModal();
+  input.focus();
+}
+
+function suggestions(all: NameSuggestionModel[], use: (name: string) => void): HTMLElement {
+  return make(
+    "ul",
+    { class: "suggestions", "aria-label": "Suggested names" },
+    ...all.map((s) =>
+      make(
+        "li",
+        {},
+        s.image !== null && make("img", { src: s.image, alt: `The picture that speaks for ${s.name}` }),
+        make(
+          "div",
+          {},
+          make("strong", {}, s.name),
+          make("p", { class: "note" }, `${s.reason} (${percent(s.confidence)})`),
+        ),
+        make("button", { type: "button", class: "small", onclick: () => use(s.name) }, "Use it"),
+      ),
+    ),
+  );
+}
+
+/** Rooms behind its doors: with each of them it may be one. */
+function mergeRow(
+  room: RoomModel,
+  plan: FloorPlanModel,
+  button: ReturnType<typeof closingButtons>,
+): HTMLElement | false {
+  const beside = new Set(plan.doors.filter((d) => d.rooms.includes(room.id)).flatMap((d) => d.rooms));
+  const others = plan.rooms.filter((r) => r.id !== room.id && beside.has(r.id));
+  if (!others.length) return false;
+  const select = make(
+    "select",
+    { id: "one-room-with" },
+    make("option", { value: "", selected: true }, "choose a room"),
+    ...others.map((r) => make("option", { value: r.id }, r.name)),
+  );
+  const merge = button("Merge", () => undoable(() => call("POST", "/rooms/merge", { rooms: [room.id, select.value] })));
+  merge.disabled = true;
+  select.addEventListener("change", () => (merge.disabled = !select.value));
+  return make("div", { class: "row merge" }, make("label", { for: "one-room-with" }, "One room with"), select, merge);
+}

@@ -1,0 +1,152 @@
+"""A map's floor plan is kept with it: through versions, undo and folders; damage becomes a sentence."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shared.errors import DataError
+from station.maps.folder import load_map_folder, save_map_folder
+from station.maps.plan_files import CELLS, decode_plan, describe_plan, encode_plan
+from station.maps.record import map_content_hash
+from station.maps.store import MapStore
+from station.model.floor_plan import FloorPlan, NameSuggestion, PlanEdits
+from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
+from tests.support.places import make_map
+from tests.support.plans import two_rooms, with_two_rooms
+from tests.support.store import content_hash
+
+EDITS = PlanEdits((np.array([[1.0, -1.5], [1.0, 1.5]]),), (np.array([[3.0, 0.0], [3.0, 0.5]]),), {"room-l": "Salon"})
+SUGGESTION = NameSuggestion("room-k", "Kitchen", "sticker", 0.98, "a sticker says so", 3, np.arange(8.0).reshape(4, 2))
+
+
+@pytest.fixture
+def planned() -> PlaceMap:
+    return replace(with_two_rooms(make_map()), plan_edits=EDITS, suggestions=(SUGGESTION,))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> MapStore:
+    return MapStore(StoreAddress(tmp_path / "maps", author="desk"))
+
+
+def plan_of(place_map: PlaceMap) -> FloorPlan:
+    assert place_map.plan is not None
+    return place_map.plan
+
+
+def assert_same_plan(a: PlaceMap, b: PlaceMap) -> None:
+    assert encode_plan(describe_plan(a)) == encode_plan(describe_plan(b))
+    for name in ("state", "room", "walls"):
+        np.testing.assert_array_equal(getattr(plan_of(a), name), getattr(plan_of(b), name))
+
+
+def without_wall(place_map: PlaceMap) -> PlaceMap:
+    return replace(place_map, plan=replace(plan_of(place_map), walls=plan_of(place_map).walls[1:]))
+
+
+def test_a_plan_comes_back_as_it_was_saved(planned: PlaceMap, store: MapStore) -> None:
+    store.save(planned)
+    assert_same_plan(store.load(planned.id), planned)
+    assert content_hash(store, planned.id) == map_content_hash(planned)
+
+
+def test_a_map_without_a_plan_is_written_as_it_was_before_there_were_plans(store: MapStore) -> None:
+    store.save(make_map())
+    record = store.history("map")[0]
+    assert CELLS not in record.files
+    assert encode_plan(record.plan) == {}
+    assert store.load("map").plan is None
+
+
+def test_undo_brings_an_earlier_plan_back(planned: PlaceMap, store: MapStore) -> None:
+    store.save(planned)
+    changed = store.edit(planned.id, without_wall, "a wall is gone")
+    assert_same_plan(store.load(planned.id), changed)
+    store.undo(planned.id)
+    assert_same_plan(store.load(planned.id), planned)
+
+
+def test_the_hash_of_a_map_covers_its_plan(planned: PlaceMap) -> None:
+    other_name = replace(planned, plan_edits=replace(EDITS, names={"room-l": "Lounge"}))
+    assert len({map_content_hash(one) for one in (planned, without_wall(planned), other_name, make_map())}) == 4
+
+
+def test_a_map_folder_lists_rooms_and_keeps_the_plan(planned: PlaceMap, tmp_path: Path) -> None:
+    save_map_folder(planned, tmp_path / "map")
+    document = json.loads((tmp_path / "map" / "map.json").read_text().partition("\n")[2])
+    assert [(room["id"], room["name"]) for room in document["rooms"]] == [
+        ("room-l", "Living room"),
+        ("room-k", "Room 2"),
+    ]
+    assert_same_plan(load_map_folder(tmp_path / "map"), planned)
+    (tmp_path / "map" / CELLS).write_bytes(b"no plan")
+    with pytest.raises(DataError, match=r"floor_plan\.npz is damaged"):
+        load_map_folder(tmp_path / "map")
+
+
+def test_a_damaged_plan_falls_back_to_the_version_before(planned: PlaceMap, tmp_path: Path) -> None:
+    heard: list[str] = []
+    store = MapStore(StoreAddress(tmp_path / "maps", author="desk"), heard.append)
+    store.save(planned)
+    store.edit(planned.id, without_wall, "a wall is gone")
+    address = store.history(planned.id)[0].files[CELLS].address
+    [blob] = (tmp_path / "maps" / "blobs").rglob(address)
+    blob.write_bytes(b"x" * 100)
+    assert_same_plan(store.load(planned.id), planned)
+    assert any(CELLS in sentence and "Version 1" in sentence for sentence in heard)
+
+
+def _npz(**others: Any) -> bytes:
+    plan = two_rooms()
+    file = io.BytesIO()
+    np.savez_compressed(file, **({"state": plan.state, "room": plan.room, "walls": plan.walls} | others))
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        _npz(room=np.full((100, 50), 7, dtype=np.int16)),
+        _npz(state=np.zeros((3, 3), dtype=np.uint8)),
+        _npz(walls=np.full((1, 2, 2), np.nan)),
+        _npz(state=np.zeros((3000, 3000), dtype=np.uint8)),
+        b"PK",
+    ],
+    ids=["a room that is not there", "other cells", "no number", "too large", "no file"],
+)
+def test_cells_that_do_not_fit_are_refused(planned: PlaceMap, store: MapStore, cells: bytes) -> None:
+    store.save(planned)
+    contents = store.for_writing()
+    record = store.history(planned.id)[0]
+    contents.save_record(replace(record, files={**record.files, **contents.put({CELLS: cells})}))
+    heard = store.load(planned.id)  # the version before is used
+    assert_same_plan(heard, planned)
+    with pytest.raises(DataError, match="is no floor plan"):
+        store.load(planned.id, 2)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda content: content["rooms"].pop(),
+        lambda content: content["rooms"][0].update(middle=[1.0, "x"]),
+        lambda content: content["floor_plan"].update(cell=0.0),
+        lambda content: content["floor_plan"].update(low=[0.0]),
+        lambda content: content["floor_plan"]["edits"].update(doors_drawn=[[[0.0, float("inf")], [1.0, 1.0]]]),
+        lambda content: content["floor_plan"]["suggestions"][0].update(source="a guess"),
+    ],
+)
+def test_a_record_whose_plan_cannot_be_is_refused(planned: PlaceMap, harm: Callable[[dict[str, Any]], Any]) -> None:
+    content = json.loads(json.dumps(encode_plan(describe_plan(planned))))
+    harm(content)
+    with pytest.raises(ValueError):  # noqa: PT011
+        decode_plan(content)

@@ -1,0 +1,115 @@
+"""The current room: known before the place, in two rooms at once in a doorway, never a guess."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.model.place_map import PlaceMap
+from station.places.tracking.room_view import RoomView
+from tests.support.places import SECOND, estimator_of, make_map, pose, seen
+from tests.support.plans import two_rooms, with_two_rooms
+
+
+def flat() -> PlaceMap:
+    return with_two_rooms(make_map())
+
+
+def test_the_room_is_the_one_that_the_robot_is_in() -> None:
+    estimator = estimator_of(flat())
+    estimator.on_candidates([seen(1.0, pose(5.0, 0.2))])
+    answer = estimator.answer(SECOND)
+    assert answer.room is not None and (answer.room.id, answer.room.name) == ("room-k", "Room 2")
+    assert answer.room.probability > 0.9
+    assert answer.doorway is None
+
+
+def test_the_room_is_known_where_two_of_its_parts_look_alike() -> None:
+    estimator = estimator_of(flat())
+    estimator.on_candidates([seen(1.0, pose(0.0, 0.0)), seen(1.0, pose(2.0, 0.5))])
+    answer = estimator.answer(SECOND)
+    assert answer.state == "lost" and answer.place is None
+    assert answer.room is not None and answer.room.id == "room-l"
+
+
+def test_of_two_rooms_that_look_alike_none_is_guessed() -> None:
+    estimator = estimator_of(flat())
+    estimator.on_candidates([seen(1.0, pose(0.0, 0.0)), seen(1.0, pose(6.0, 0.0))])
+    answer = estimator.answer(SECOND)
+    assert answer.room is None
+    assert {room.id for room in answer.room_alternatives} == {"room-l", "room-k"}
+    assert [room.probability for room in answer.room_alternatives] == pytest.approx([0.5, 0.5], abs=0.1)
+
+
+def test_in_a_doorway_both_rooms_are_right() -> None:
+    estimator = estimator_of(flat())
+    estimator.on_candidates([seen(1.0, pose(2.95, 0.1))])
+    answer = estimator.answer(SECOND)
+    assert answer.doorway == "door-lk"
+    assert answer.room is not None
+    assert {answer.room.id, answer.room_alternatives[0].id} == {"room-l", "room-k"}
+    assert min(answer.room.probability, answer.room_alternatives[0].probability) > 0.9
+
+
+def test_beyond_a_door_that_nobody_went_through_there_is_no_room() -> None:
+    estimator = estimator_of(flat())
+    estimator.on_candidates([seen(1.0, pose(7.6, 0.0))])
+    assert estimator.answer(SECOND).room is None
+
+
+def test_before_any_image_no_room_is_known_not_even_the_only_one() -> None:
+    plan = two_rooms()
+    only = replace(flat(), plan=replace(plan, rooms=plan.rooms[:1], room=np.minimum(plan.room, 0), doors=()))
+    assert estimator_of(only).answer(0).room is None
+
+
+def test_a_map_without_a_plan_has_no_rooms() -> None:
+    estimator = estimator_of(make_map())
+    estimator.on_candidates([seen(1.0, pose(2.8, 0.2))])
+    answer = estimator.answer(SECOND)
+    assert answer.state == "known" and answer.room is None and answer.room_alternatives == ()
+
+
+def test_a_room_renamed_is_answered_by_its_new_name() -> None:
+    place_map = flat()
+    estimator = estimator_of(place_map)
+    estimator.on_candidates([seen(1.0, pose(5.0, 0.2))])
+    plan = two_rooms()
+    rooms = (plan.rooms[0], replace(plan.rooms[1], name="Kitchen"))
+    estimator.regroup([replace(place_map, plan=replace(plan, rooms=rooms))])
+    answer = estimator.answer(SECOND)
+    assert answer.room is not None and answer.room.name == "Kitchen"
+
+
+def test_rooms_of_two_maps_are_kept_apart() -> None:
+    first, second = flat(), with_two_rooms(make_map("other"))
+    assert second.plan is not None
+    renamed = tuple(replace(room, id=f"other-{room.id}") for room in second.plan.rooms)
+    doors = tuple(replace(door, rooms=("other-room-l", "other-room-k")) for door in second.plan.doors[:1])
+    second = replace(second, plan=replace(second.plan, rooms=renamed, doors=doors))
+    estimator = estimator_of(first, second)
+    estimator.on_candidates([seen(1.0, pose(5.0, 0.2), map_id="other")])
+    answer = estimator.answer(SECOND)
+    assert answer.room is not None and answer.room.id == "other-room-k"
+    assert answer.map_id == "other"
+
+
+@pytest.mark.parametrize("unit", [1.0, 7.0])
+def test_a_position_drawn_into_a_wall_counts_to_the_room_beside_it(unit: float) -> None:
+    view = RoomView.of(two_rooms(unit))
+    assert view is not None
+    in_wall, in_room, outside, far_off = [6.0, 1.55], [6.0, 1.0], [7.9, 0.0], [90.0, -90.0]
+    p = np.array([[*xy, 0.0] for xy in (in_wall, in_room, outside, far_off)]) * unit
+    inside, tied = view.shares(p)
+    np.testing.assert_array_equal(inside, [0.0, 0.5])
+    np.testing.assert_array_equal(tied, [0.0, 0.5])
+
+
+def test_a_doorway_reaches_half_a_metre_into_both_rooms_and_not_round_the_corner() -> None:
+    view = RoomView.of(two_rooms())
+    assert view is not None
+    for x, y, rooms in ((2.6, 0.0, 2), (3.4, 0.0, 2), (2.3, 0.0, 1), (2.8, 1.3, 1)):
+        _, tied = view.shares(np.array([[x, y, 0.0]]))
+        assert tied.sum() == rooms, (x, y)
