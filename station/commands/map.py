@@ -28,7 +28,7 @@ from station.places.making.changes import without_hidden
 from station.places.making.config import PlacesConfig, ThesisConfig
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
-from station.places.rooms.planning import planned
+from station.places.rooms.planning import planned, with_suggestions
 from station.workers.executors.opening import open_executor
 from station.workers.executors.port import Executor
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
@@ -80,7 +80,7 @@ def build(
         place_map = machines.map(make_map, [MapOfNavigations(tuple(loaded), config, name)])[0]
     if old is not None:
         place_map = keep_places(old, place_map)
-    place_map = planned(place_map, old)
+    place_map = with_suggestions(planned(place_map, old))
     save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
     if as_json:
         print(json.dumps(to_json_dict(place_map)))

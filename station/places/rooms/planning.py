@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
+from station.places.naming.stickers import stickers_in
 from station.places.rooms.plan import make_floor_plan
 
 
@@ -23,3 +24,10 @@ def with_plan(place_map: PlaceMap, plan: FloorPlan) -> PlaceMap:
     ids = {room.id for room in plan.rooms}
     suggestions = tuple(suggestion for suggestion in place_map.suggestions if suggestion.room in ids)
     return replace(place_map, plan=plan, suggestions=suggestions)
+
+
+def with_suggestions(place_map: PlaceMap) -> PlaceMap:
+    """The map with names that something in its pictures speaks for. Looks at every picture; nothing is named yet."""
+    if place_map.plan is None:
+        return place_map
+    return replace(place_map, suggestions=stickers_in(place_map, place_map.plan))
