@@ -29,7 +29,7 @@ from station.places.making.config import PlacesConfig, ThesisConfig
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
 from station.places.naming.suggest import with_suggestions
-from station.places.rooms.plan import make_floor_plan
+from station.places.rooms.edits import require_plan
 from station.places.rooms.planning import planned
 from station.places.rooms.summary import plan_lines, plan_summary
 from station.workers.executors.opening import open_executor
@@ -171,10 +171,12 @@ def rooms(
     config: Config = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print rooms and doors as JSON on stdout.")] = False,
 ) -> None:
-    """Rooms, their areas and the doors between them, as the map's navigation saw them."""
+    """Rooms, their areas and the doors between them. Of a map older than plans they are found now."""
     place_map = open_map(which, data, config)
-    with working("looking for rooms and doors"):
-        plan = make_floor_plan(place_map.navigation, place_map.places)
+    if place_map.plan is None:
+        with working("looking for rooms and doors"):
+            place_map = planned(place_map)
+    plan = require_plan(place_map)
     if as_json:
         print(json.dumps(plan_summary(plan, place_map)))
         return
