@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, se3
+from shared.geometry import FloatArray
 from station.motion.preintegration import Preintegration
 
 UNIT_CAMERA = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)  # measurements are normalised coordinates
@@ -210,12 +210,3 @@ def prior_factors(
         gtsam.PriorFactorVector(velocity_key(keyframe), v, gtsam.noiseModel.Diagonal.Sigmas(sigma[6:9])),
         gtsam.PriorFactorVector(bias_key(keyframe), bias, gtsam.noiseModel.Diagonal.Sigmas(sigma[9:])),
     ]
-
-
-def predicted(
-    T: FloatArray, v: FloatArray, bias: FloatArray, link: Preintegration, gravity: float
-) -> tuple[FloatArray, FloatArray]:
-    """Pose and velocity at a link's end, from those at its beginning."""
-    dR, dv, dp = link.at(bias)
-    fall, t, R = np.array([0.0, 0.0, -gravity]), link.duration_s, T[:3, :3]
-    return se3(R @ dR, T[:3, 3] + v * t + 0.5 * fall * t * t + R @ dp), v + fall * t + R @ dv

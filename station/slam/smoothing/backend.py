@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,12 +27,23 @@ from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.map.keyframes import sample_colours
+from station.slam.ukf.map.pose_log import follow_poses
 from station.slam.ukf.memory import NavigationMemory, RecentFrame
 from station.vision.camera_model import CameraModel
 from station.vision.features import Features
 from station.vision.klt import TrackedFrame
 
 NOTHING = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBetween:
+    """A frame by the keyframe before it."""
+
+    frame_index: int
+    t_imu_ns: int
+    keyframe: int
+    T_keyframe_frame: FloatArray  # (4, 4)
 
 
 class SmoothingBackend:
@@ -49,6 +61,7 @@ class SmoothingBackend:
         self._frames_since = 0
         self._all_still = True
         self._tables: dict[int, LandmarkTable] = {}
+        self._between: list[FrameBetween] = []
         self.num_recalled = 0
 
     # ---- data in
@@ -73,16 +86,19 @@ class SmoothingBackend:
             self._begin(state, current)
         elif self._is_keyframe(current):
             self._add_keyframe(state, current)
-        return replace(update, T_world_body=self._live_pose(state))
-
-    def _live_pose(self, state: FilterState) -> FloatArray:
-        """The newest keyframe's pose, moved on as the filter has moved since."""
         assert self._window is not None
-        keyframe = self._window.keyframes[-1]
-        at = np.flatnonzero(state.clone_frame == keyframe.source.frame.index)
+        T_newest_now = self._since_keyframe(state)
+        newest = self._window.keyframes[-1]
+        self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
+        return replace(update, T_world_body=newest.T_world_body @ T_newest_now)
+
+    def _since_keyframe(self, state: FilterState) -> FloatArray:
+        """T_keyframe_now by the filter, both poses as it has them now; while the keyframe is still in its window."""
+        assert self._window is not None
+        at = np.flatnonzero(state.clone_frame == self._window.keyframes[-1].source.frame.index)
         if len(at):
             self._T_filter = se3(state.clone_R[at[0]], state.clone_x[at[0]])
-        return keyframe.T_world_body @ inverse(self._T_filter) @ state.T_world_body
+        return inverse(self._T_filter) @ state.T_world_body
 
     # ---- keyframes
 
@@ -129,7 +145,10 @@ class SmoothingBackend:
         assert self._window is not None
         image = self._odometry.tracker.image
         assert image is not None
-        T = self._live_pose(state)
+        newest = self._window.keyframes[-1]
+        T_newest_now = self._since_keyframe(state)
+        self._between.append(FrameBetween(current.frame.index, current.t_imu_ns, newest.number, T_newest_now))
+        T = newest.T_world_body @ T_newest_now
         table = self._window.landmarks
         tracked, trusted = self._recall(table, image, current.tracked, T)
         turn = T[:3, :3] @ state.R.T
@@ -232,9 +251,26 @@ class SmoothingBackend:
         T_old = np.array([memory.poses.pose_of(i) for i in index])
         T_new = np.array([k.T_world_body for k in part])
         memory.poses.follow(index, T_old, T_new, segment)
+        self._place_between(part, memory)
         items = []
         for k in part:
             colours = k.source.frame.half_bgr()
             items.append(replace(as_keyframe(k), rgb=sample_colours(colours, 0.5 * k.tracked.uv_px - 0.25)))
         others = [k for k in memory.keyframes.items if k.segment != segment]
         memory.keyframes.items = sorted([*others, *items], key=lambda k: k.image.index)
+
+    def _place_between(self, part: list[SmoothKeyframe], memory: NavigationMemory) -> None:
+        """Frames keep their motion since the keyframe before; what it is off by at the next one is spread over them."""
+        of: dict[int, list[FrameBetween]] = {}
+        for between in self._between:
+            of.setdefault(between.keyframe, []).append(between)
+        for before, after in itertools.pairwise(part):
+            frames = of.get(before.number, [])
+            if not frames or frames[-1].frame_index != after.source.frame.index:
+                continue
+            T = before.T_world_body @ np.array([f.T_keyframe_frame for f in frames])
+            ends = np.array([before.source.t_imu_ns, after.source.t_imu_ns])
+            T_old, T_new = np.array([before.T_world_body, T[-1]]), np.array([before.T_world_body, after.T_world_body])
+            moved = follow_poses(T, np.array([f.t_imu_ns for f in frames]), T_old, T_new, ends)
+            for f, pose in zip(frames, moved, strict=True):
+                memory.poses.improve(f.frame_index, pose)

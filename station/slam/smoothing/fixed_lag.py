@@ -20,7 +20,6 @@ from station.slam.mapping.inertial_graph import (
     inertial_factor,
     landmark_key,
     pose_key,
-    predicted,
     prior_factors,
     reprojection_factor,
     standstill_factors,
@@ -42,6 +41,7 @@ WHEEL_HUBER = 2.0
 MAX_TRIANGULATION_RMS = 2.0
 MIN_POINT_SIGMA_M = 0.5
 RELINEARISE_ROUNDS = 1
+RELINEARISE_ABOVE = 0.001  # rad, m, m/s; ten times as much makes the first seconds' path worse
 
 
 class FixedLagWindow:
@@ -75,15 +75,12 @@ class FixedLagWindow:
         parameters = gtsam.ISAM2Params()
         parameters.findUnusedFactorSlots = True  # else slots, memory and time grow without end
         parameters.relinearizeSkip = 1
-        parameters.setRelinearizeThreshold(0.01)
+        parameters.setRelinearizeThreshold(RELINEARISE_ABOVE)
         return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
 
     def add(self, keyframe: SmoothKeyframe, grey: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> None:
         """Take a keyframe in; it and those of the window get their newest estimate."""
         change = _Change()
-        first = not self.keyframes
-        if not first:
-            self._predict(keyframe)
         self._add_motion(change, keyframe)
         self.keyframes.append(keyframe)
         self._add_views(change, keyframe)
@@ -97,14 +94,6 @@ class FixedLagWindow:
             return
         self._forget()
         self._read()
-
-    def _predict(self, keyframe: SmoothKeyframe) -> None:
-        before = self.keyframes[-1]
-        assert keyframe.link is not None
-        keyframe.T_world_body, keyframe.v_world = predicted(
-            before.T_world_body, before.v_world, before.bias, keyframe.link, self._gravity
-        )
-        keyframe.bias = before.bias.copy()
 
     def _add_motion(self, change: _Change, keyframe: SmoothKeyframe) -> None:
         k, t = keyframe.number, keyframe.t_s
