@@ -252,6 +252,8 @@ class SmoothingBackend:
         T_new = np.array([k.T_world_body for k in part])
         memory.poses.follow(index, T_old, T_new, segment)
         self._place_between(part, memory)
+        if memory.views is not None:
+            memory.views.follow(memory.poses.pose_of, segment)
         items = []
         for k in part:
             colours = k.source.frame.half_bgr()

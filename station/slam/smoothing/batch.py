@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray
+from station.motion.preintegration import chain
 from station.slam.mapping.inertial_graph import (
     WHEELS_KEY,
     bias_key,
@@ -29,6 +31,7 @@ from station.slam.smoothing.keyframe import SmoothKeyframe, camera_pose, reproje
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.landmark_map import TrackObservations, triangulate_with_covariance
+from station.slam.ukf.map.pose_log import follow_poses
 from station.vision.camera_model import CameraModel
 from station.vision.lens import BoolArray
 
@@ -49,12 +52,53 @@ class BatchInput:
 
 def smooth_segment(keyframes: list[SmoothKeyframe], given: BatchInput) -> float:
     """Give all keyframes their final poses, velocities and biases; returns the median reprojection error in px."""
+    whole, keyframes = keyframes, thinned(keyframes, given.config.max_keyframes)
+    T_before = np.array([k.T_world_body for k in keyframes])
     error_px = 0.0
     for gate in GATES:
         table = TrackObservations.of([as_keyframe(k) for k in keyframes])
         ids, points, table = _triangulated(keyframes, table, given.camera, gate)
         error_px = _solve(keyframes, table, ids, points, given)
+    _bring_along(whole, keyframes, T_before)
     return error_px
+
+
+def thinned(keyframes: list[SmoothKeyframe], most: int) -> list[SmoothKeyframe]:
+    """Every second one, with links joined, until they are few enough: the time of a solution grows with their cube."""
+    while len(keyframes) > most:
+        kept = keyframes[:1]
+        for skipped, k in itertools.pairwise(keyframes):
+            if k is keyframes[-1] or (len(kept) and skipped is not kept[-1]):
+                joined = k
+                if skipped is not kept[-1]:
+                    joined = replace(
+                        k,
+                        link=None if skipped.link is None or k.link is None else chain(skipped.link, k.link),
+                        frames_since=skipped.frames_since + k.frames_since,
+                        is_still=skipped.is_still and k.is_still,
+                    )
+                kept.append(joined)
+        keyframes = kept
+    return keyframes
+
+
+def _bring_along(whole: list[SmoothKeyframe], solved: list[SmoothKeyframe], T_before: FloatArray) -> None:
+    """All keyframes get the solution; those left out move as their neighbours did."""
+    moved = follow_poses(
+        np.array([k.T_world_body for k in whole]),
+        np.array([k.source.t_imu_ns for k in whole]),
+        T_before,
+        np.array([k.T_world_body for k in solved]),
+        np.array([k.source.t_imu_ns for k in solved]),
+    )
+    of = {k.number: k for k in solved}
+    for k, T in zip(whole, moved, strict=True):
+        better = of.get(k.number)
+        if better is None:
+            k.v_world = T[:3, :3] @ k.T_world_body[:3, :3].T @ k.v_world
+            k.T_world_body = T
+        else:
+            k.T_world_body, k.v_world, k.bias = better.T_world_body, better.v_world, better.bias
 
 
 def as_keyframe(k: SmoothKeyframe) -> Keyframe:

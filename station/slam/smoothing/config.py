@@ -42,7 +42,9 @@ class SmoothingConfig:
     min_views: int = 3
     sigma_landmark_share: float = 0.5  # weak prior by depth, without which a landmark seen from afar is indeterminate
     sigma_recalled_m: float = 0.02  # of a landmark found again after it had left the window, besides its own
-    max_keyframes: int = 600
+    more_rounds: int = 1  # of the incremental solver per keyframe
+    relinearise_above: float = 0.001  # rad, m, m/s
+    max_keyframes: int = 300  # solved together when the drive ends; of a longer one every second is left out, and so on
 
     def for_robot(self, has_wheels: bool) -> SmoothingConfig:
         """What the filter takes for the noise of this robot's pictures is theirs here, too."""

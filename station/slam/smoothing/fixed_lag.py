@@ -40,8 +40,7 @@ SIGMA_START = np.array([0.03, 0.03, 1e-4, 1e-4, 1e-4, 1e-4, 0.2, 0.2, 0.2, *[0.0
 WHEEL_HUBER = 2.0
 MAX_TRIANGULATION_RMS = 2.0
 MIN_POINT_SIGMA_M = 0.5
-RELINEARISE_ROUNDS = 1
-RELINEARISE_ABOVE = 0.001  # rad, m, m/s; ten times as much makes the first seconds' path worse
+
 
 
 class FixedLagWindow:
@@ -75,7 +74,7 @@ class FixedLagWindow:
         parameters = gtsam.ISAM2Params()
         parameters.findUnusedFactorSlots = True  # else slots, memory and time grow without end
         parameters.relinearizeSkip = 1
-        parameters.setRelinearizeThreshold(RELINEARISE_ABOVE)
+        parameters.setRelinearizeThreshold(self._config.relinearise_above)
         return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
 
     def add(self, keyframe: SmoothKeyframe, grey: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> None:
@@ -87,9 +86,9 @@ class FixedLagWindow:
         self._add_new_landmarks(change, keyframe, grey)
         try:
             self._smoother.update(change.graph, change.values, change.times)
-            for _ in range(RELINEARISE_ROUNDS):
+            for _ in range(self._config.more_rounds):
                 self._smoother.update()
-        except RuntimeError:
+        except RuntimeError:  # GTSAM's: the equations are indeterminate
             self._restart()
             return
         self._forget()
