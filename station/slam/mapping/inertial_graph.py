@@ -42,9 +42,7 @@ def to_pose(T: FloatArray) -> gtsam.Pose3:
     return gtsam.Pose3(gtsam.Rot3(T[:3, :3]), T[:3, 3])
 
 
-def inertial_factor(
-    a: int, b: int, link: Preintegration, noise: ImuNoise, gravity: float
-) -> gtsam.CustomFactor:
+def inertial_factor(a: int, b: int, link: Preintegration, noise: ImuNoise, gravity: float) -> gtsam.CustomFactor:
     """The IMU between keyframes a and b, and how far biases walk meanwhile: thesis eq. 2.11."""
     fall = np.array([0.0, 0.0, -gravity])
     walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3) * np.sqrt(link.duration_s)
@@ -156,9 +154,7 @@ def _pixel_noise(sigma: float, huber: float) -> gtsam.noiseModel.Base:
     return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(huber), model)
 
 
-def wheel_factor(
-    keyframe: int, by_wheels: FloatArray, sigma: FloatArray, huber: float
-) -> gtsam.CustomFactor | None:
+def wheel_factor(keyframe: int, by_wheels: FloatArray, sigma: FloatArray, huber: float) -> gtsam.CustomFactor | None:
     """Body velocity R^T v as wheels have it, by their two constants (docs/slam.md, sec. 9); None: nothing is known.
 
     Args:
@@ -186,9 +182,7 @@ def wheel_factor(
     return gtsam.CustomFactor(robust, keys, error)
 
 
-def standstill_factors(
-    a: int, b: int, sigma_phi: float, sigma_x: float, sigma_v: float
-) -> list[gtsam.NonlinearFactor]:
+def standstill_factors(a: int, b: int, sigma_phi: float, sigma_x: float, sigma_v: float) -> list[gtsam.NonlinearFactor]:
     """The body has not moved between two keyframes and rests at the second."""
     same = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([sigma_phi, sigma_x], 3))
     return [

@@ -20,7 +20,7 @@ from station.motion.preintegration import preintegrate
 from station.slam.smoothing.batch import BatchInput, as_keyframe, smooth_segment
 from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
-from station.slam.smoothing.keyframe import SmoothKeyframe, camera_pose
+from station.slam.smoothing.keyframe import SmoothKeyframe
 from station.slam.smoothing.landmarks import LandmarkTable
 from station.slam.smoothing.search import Recaller
 from station.slam.ukf.backend import UkfBackend
@@ -108,9 +108,7 @@ class SmoothingBackend:
         wheels = WheelsKnown.before_the_drive(self._config.odometry.wheels) if self._calibration.has_wheels else None
         table = LandmarkTable(self._config.recall.stored_px)
         self._tables[memory.segment] = table
-        self._window = FixedLagWindow(
-            self._camera, self._noise, self._calibration.gravity, self._config, table, wheels
-        )
+        self._window = FixedLagWindow(self._camera, self._noise, self._calibration.gravity, self._config, table, wheels)
         at_clone = {int(f): i for i, f in enumerate(state.clone_frame)}
         last_ns = None
         for index, item in sorted(memory.recent.items()):
@@ -123,7 +121,9 @@ class SmoothingBackend:
             keyframe = self._make(item, T, state.clone_v[i], state, state.clone_omega[i], item.tracked, NOTHING)
             self._append(keyframe, item.frame.grey())
         if not self._window.keyframes:
-            keyframe = self._make(current, state.T_world_body, state.v, state, state.omega_body, current.tracked, NOTHING)
+            keyframe = self._make(
+                current, state.T_world_body, state.v, state, state.omega_body, current.tracked, NOTHING
+            )
             self._append(keyframe, current.frame.grey())
         self._T_filter = state.T_world_body
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -66,20 +65,20 @@ def smooth_segment(keyframes: list[SmoothKeyframe], given: BatchInput) -> float:
 def thinned(keyframes: list[SmoothKeyframe], most: int) -> list[SmoothKeyframe]:
     """Every second one, with links joined, until they are few enough: the time of a solution grows with their cube."""
     while len(keyframes) > most:
-        kept = keyframes[:1]
-        for skipped, k in itertools.pairwise(keyframes):
-            if k is keyframes[-1] or (len(kept) and skipped is not kept[-1]):
-                joined = k
-                if skipped is not kept[-1]:
-                    joined = replace(
-                        k,
-                        link=None if skipped.link is None or k.link is None else chain(skipped.link, k.link),
-                        frames_since=skipped.frames_since + k.frames_since,
-                        is_still=skipped.is_still and k.is_still,
-                    )
-                kept.append(joined)
-        keyframes = kept
+        pairs = zip(keyframes[1::2], keyframes[2::2], strict=False)
+        rest = keyframes[-1:] if len(keyframes) % 2 == 0 else []  # the newest one always stays
+        keyframes = [keyframes[0], *(_joined(left_out, k) for left_out, k in pairs), *rest]
     return keyframes
+
+
+def _joined(left_out: SmoothKeyframe, k: SmoothKeyframe) -> SmoothKeyframe:
+    """A keyframe that follows the one before the one that is left out."""
+    return replace(
+        k,
+        link=None if left_out.link is None or k.link is None else chain(left_out.link, k.link),
+        frames_since=left_out.frames_since + k.frames_since,
+        is_still=left_out.is_still and k.is_still,
+    )
 
 
 def _bring_along(whole: list[SmoothKeyframe], solved: list[SmoothKeyframe], T_before: FloatArray) -> None:
@@ -158,9 +157,7 @@ def distances(
     xy, sigma, distance = table.xy.copy(), np.zeros(len(p)), np.zeros(len(p))
     for number, view in enumerate(keyframes):
         rows = np.flatnonzero(table.keyframe == number)
-        xy[rows], sigma[rows], distance[rows] = reprojections(
-            view, camera, p[rows], table.uv_px[rows], table.xy[rows]
-        )
+        xy[rows], sigma[rows], distance[rows] = reprojections(view, camera, p[rows], table.uv_px[rows], table.xy[rows])
     return xy, sigma, distance
 
 
@@ -220,9 +217,9 @@ def motion_graph(
                     graph.push_back(factor)
         if given.wheels is not None and k.wheels is not None and k.wheels.by_wheels is not None and not k.is_still:
             sigma = k.wheels.sigma / np.sqrt(max(k.frames_since, 1))
-            factor = wheel_factor(n, k.wheels.by_wheels, sigma, WHEEL_HUBER)
-            if factor is not None:
-                graph.push_back(factor)
+            rolling = wheel_factor(n, k.wheels.by_wheels, sigma, WHEEL_HUBER)
+            if rolling is not None:
+                graph.push_back(rolling)
     return graph, values
 
 

@@ -30,10 +30,10 @@ class SmoothingConfig:
 
     odometry: UkfConfig = field(default_factory=UkfConfig)
     recall: RecallConfig = field(default_factory=RecallConfig)
-    min_interval_s: float = 0.14  # 7 keyframes per second: beyond 10, nothing is gained (docs/studies/smoothing.md)
+    min_interval_s: float = 0.14  # 7 keyframes per second
     max_interval_s: float = 0.5
     min_flow: float = 0.01  # fraction of the image width; less between the two intervals makes no keyframe
-    lag_s: float = 4.0
+    lag_s: float = 3.0  # 4 s cost more and gave no better live poses (docs/studies/smoothing.md)
     sigma_px: float = 1.0
     huber: float = 1.5  # sigmas
     gate: float = 4.0  # sigmas of a reprojection, before it enters the graph
@@ -42,8 +42,6 @@ class SmoothingConfig:
     min_views: int = 3
     sigma_landmark_share: float = 0.5  # weak prior by depth, without which a landmark seen from afar is indeterminate
     sigma_recalled_m: float = 0.02  # of a landmark found again after it had left the window, besides its own
-    more_rounds: int = 1  # of the incremental solver per keyframe
-    relinearise_above: float = 0.001  # rad, m, m/s
     max_keyframes: int = 300  # solved together when the drive ends; of a longer one every second is left out, and so on
 
     def for_robot(self, has_wheels: bool) -> SmoothingConfig:

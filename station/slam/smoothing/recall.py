@@ -1,8 +1,8 @@
 """Lost landmarks found again: each one's patch, warped as the new view should show it, near where it is predicted.
 
 A descriptor would have to be detected again at the same place; a patch is looked for where the landmark must be, and
-found to a tenth of a pixel. Source: Klein and Murray, ISMAR 2007 (PTAM), section 5; Baker and Matthews, IJCV 56(3), 2004
-(inverse compositional alignment).
+found to a tenth of a pixel. Source: Klein and Murray, ISMAR 2007 (PTAM), section 5; Baker and Matthews, IJCV
+56(3), 2004 (inverse compositional alignment).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ ALIGN_STEPS = 8
 MAX_ALIGN_PX = 1.5  # from the best whole pixel
 PEAK_PX = 2  # places nearer than this to the best one are the same peak
 MIN_DEPTH = 0.05
+NO_MAP = np.zeros(0, dtype=np.float32)  # both coordinates are in the first map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +75,7 @@ def find_again(
     rows = np.flatnonzero(is_visible)
     if not len(rows):
         return Found(rows, np.zeros((0, 2)))
-    templates = warped(patches.take(rows), np.linalg.inv(warp[rows]), config.patch_px + 2)
+    templates = warped(patches.take(rows), np.asarray(np.linalg.inv(warp[rows])), config.patch_px + 2)
     at, is_found = _search(grey, templates[:, 1:-1, 1:-1], uv[rows], reach_px[rows], config)
     rows, templates, at = rows[is_found], templates[is_found], at[is_found]
     if not len(rows):
@@ -126,7 +127,7 @@ def warped(patches: Patches, back: FloatArray, side: int) -> npt.NDArray[np.floa
     at[..., 1] += stored * np.arange(n)[:, None, None]
     stack = patches.grey.reshape(n * stored, stored)
     maps = at.astype(np.float32).reshape(n * side, side, 2)
-    return np.asarray(cv2.remap(stack, maps, None, cv2.INTER_LINEAR), dtype=np.float32).reshape(n, side, side)
+    return np.asarray(cv2.remap(stack, maps, NO_MAP, cv2.INTER_LINEAR), dtype=np.float32).reshape(n, side, side)
 
 
 def _search(
@@ -156,9 +157,7 @@ def _search(
     return at, found
 
 
-def align(
-    grey: ImageArray, templates: npt.NDArray[np.float32], at: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def align(grey: ImageArray, templates: npt.NDArray[np.float32], at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Places (n, 2) where templates (n, side + 2, side + 2) fit best, from a pixel's error; correlations (n,) there."""
     T = templates[:, 1:-1, 1:-1].astype(np.float64)
     gu = 0.5 * (templates[:, 1:-1, 2:] - templates[:, 1:-1, :-2]).astype(np.float64)
@@ -173,7 +172,7 @@ def align(
     place, correlation = at.astype(np.float64).copy(), np.zeros(n)
     for step in range(ALIGN_STEPS + 1):
         maps = (place[:, None, None] + grid).astype(np.float32).reshape(n * side, side, 2)
-        seen = cv2.remap(grey, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.remap(grey, maps, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         seen = np.asarray(seen, dtype=np.float64).reshape(n, -1)
         seen -= seen.mean(axis=1, keepdims=True)
         gain = np.linalg.norm(seen, axis=1)

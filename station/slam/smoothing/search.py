@@ -55,9 +55,7 @@ class Recaller:
             return nothing
         is_old = table.last_seen[rows] < oldest
         reach = np.where(is_old, config.old_reach_px, config.reach_px)
-        found = find_again(
-            image, camera.lens, T_world_cam, table.p_world[rows], table.patches(rows), reach, config
-        )
+        found = find_again(image, camera.lens, T_world_cam, table.p_world[rows], table.patches(rows), reach, config)
         rows, uv, is_old = rows[found.rows], found.uv_px, is_old[found.rows]
         agree = self._agreeing(table.p_world[rows], uv, T_world_cam)
         good = agree | ~is_old
@@ -106,9 +104,7 @@ class Recaller:
         distance = np.linalg.norm(uv[:, None] - tracked.uv_px[None], axis=2)
         nearest, at = distance.min(axis=1), distance.argmin(axis=1)
         free = nearest > NEAR_PX
-        same = [
-            (int(tracked.ids[at[i]]), int(numbers[i])) for i in np.flatnonzero(nearest < SAME_PX).tolist()
-        ]
+        same = [(int(tracked.ids[at[i]]), int(numbers[i])) for i in np.flatnonzero(nearest < SAME_PX).tolist()]
         # Two finds at one place: the first stays.
         keep = np.flatnonzero(free)
         apart = np.linalg.norm(uv[keep][:, None] - uv[keep][None], axis=2)
