@@ -18,6 +18,8 @@ from station.motion.preintegration import Preintegration
 
 UNIT_CAMERA = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)  # measurements are normalised coordinates
 
+ODOMETRY_SIGMA_RAD, ODOMETRY_SIGMA_M, ODOMETRY_SHARE = 1e-3, 0.002, 0.05
+
 
 def pose_key(number: int) -> int:
     return int(gtsam.symbol("x", number))
@@ -180,6 +182,13 @@ def wheel_factor(keyframe: int, by_wheels: FloatArray, sigma: FloatArray, huber:
     unit = gtsam.noiseModel.Unit.Create(int(known.sum()))
     robust = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(huber), unit)
     return gtsam.CustomFactor(robust, keys, error)
+
+
+def odometry_factor(a: int, b: int, T_a_b: FloatArray) -> gtsam.NonlinearFactor:
+    """What a filter says of the motion between two keyframes, where they see too little to say it themselves."""
+    sigma_x = ODOMETRY_SIGMA_M + ODOMETRY_SHARE * float(np.linalg.norm(T_a_b[:3, 3]))
+    model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([ODOMETRY_SIGMA_RAD, sigma_x], 3))
+    return gtsam.BetweenFactorPose3(pose_key(a), pose_key(b), to_pose(T_a_b), model)
 
 
 def standstill_factors(a: int, b: int, sigma_phi: float, sigma_x: float, sigma_v: float) -> list[gtsam.NonlinearFactor]:

@@ -152,7 +152,9 @@ class SmoothingBackend:
         table = self._window.landmarks
         tracked, trusted = self._recall(table, image, current.tracked, T)
         turn = T[:3, :3] @ state.R.T
-        self._append(self._make(current, T, turn @ state.v, state, state.omega_body, tracked, trusted), image)
+        self._append(
+            self._make(current, T, turn @ state.v, state, state.omega_body, tracked, trusted, T_newest_now), image
+        )
 
     def _recall(
         self, table: LandmarkTable, image: ImageArray, tracked: TrackedFrame, T_world_body: FloatArray
@@ -185,6 +187,7 @@ class SmoothingBackend:
         omega: FloatArray,
         tracked: TrackedFrame,
         trusted: np.ndarray[tuple[int], np.dtype[np.int64]],
+        T_before: FloatArray | None = None,
     ) -> SmoothKeyframe:
         window = self._window
         assert window is not None
@@ -208,6 +211,7 @@ class SmoothingBackend:
             omega=omega,
             segment=self._odometry.memory.segment,
             trusted=trusted,
+            T_before=T_before,
         )
 
     def _append(self, keyframe: SmoothKeyframe, image: ImageArray) -> None:

@@ -16,6 +16,7 @@ from station.slam.mapping.inertial_graph import (
     bias_key,
     inertial_factor,
     landmark_key,
+    odometry_factor,
     pose_key,
     prior_factors,
     reprojection_factor,
@@ -78,6 +79,8 @@ def _joined(left_out: SmoothKeyframe, k: SmoothKeyframe) -> SmoothKeyframe:
         link=None if left_out.link is None or k.link is None else chain(left_out.link, k.link),
         frames_since=left_out.frames_since + k.frames_since,
         is_still=left_out.is_still and k.is_still,
+        T_before=None if left_out.T_before is None or k.T_before is None else left_out.T_before @ k.T_before,
+        is_poor=left_out.is_poor or k.is_poor,
     )
 
 
@@ -210,6 +213,8 @@ def motion_graph(
         else:
             before = keyframes[i - 1].number
             graph.push_back(inertial_factor(before, n, k.link, given.noise, given.gravity))
+            if k.is_poor and k.T_before is not None:
+                graph.push_back(odometry_factor(before, n, k.T_before))
             if k.is_still:
                 for factor in standstill_factors(
                     before, n, still.sigma_still_rad, still.sigma_still_m, still.sigma_still_m_s

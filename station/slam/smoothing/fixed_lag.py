@@ -20,6 +20,7 @@ from station.slam.mapping.inertial_graph import (
     bias_key,
     inertial_factor,
     landmark_key,
+    odometry_factor,
     pose_key,
     prior_factors,
     reprojection_factor,
@@ -39,6 +40,7 @@ from station.vision.triangulation import triangulate
 # Rotation, position, velocity, biases. Position and yaw of a start are definitions.
 SIGMA_START = np.array([0.03, 0.03, 1e-4, 1e-4, 1e-4, 1e-4, 0.2, 0.2, 0.2, *[0.01] * 3, *[0.1] * 3])
 WHEEL_HUBER = 2.0
+MIN_SEEN = 8  # landmarks; with fewer a keyframe takes the motion since the last one from the filter
 MAX_TRIANGULATION_RMS = 2.0
 MIN_POINT_SIGMA_M = 0.5
 RELINEARISE_ABOVE = 0.01  # rad, m, m/s; a tenth of it costs a third more time
@@ -140,7 +142,13 @@ class FixedLagWindow:
             keyframe, self._camera, table.p_world[rows], tracked.uv_px[seen], tracked.xy[seen]
         )
         gate = np.where(np.isin(tracked.ids[seen], keyframe.trusted), config.gate_trusted, config.gate)
-        for i in np.flatnonzero((distance < gate) & ~table.is_bad[rows]).tolist():
+        fits = np.flatnonzero((distance < gate) & ~table.is_bad[rows])
+        keyframe.is_poor = keyframe.T_before is not None and len(fits) < MIN_SEEN
+        if keyframe.is_poor:
+            assert keyframe.T_before is not None
+            before = self.keyframes[-2].number
+            change.graph.push_back(odometry_factor(before, keyframe.number, keyframe.T_before))
+        for i in fits.tolist():
             row, number = int(rows[i]), int(tracked.ids[seen[i]])
             if number not in self._keys:
                 self._bring_back(change, number, row, keyframe.t_s)

@@ -30,6 +30,8 @@ class SmoothKeyframe:
     omega: FloatArray  # (3,) rad/s body, for the rolling shutter
     segment: int
     trusted: IntArray  # landmarks found again together, however far from where they were predicted
+    T_before: FloatArray | None  # (4, 4) T_before_this by the filter, of the keyframe before; None: it does not say
+    is_poor: bool = False  # too few landmarks were seen to say where it is
 
     @property
     def t_s(self) -> float:

@@ -22,7 +22,6 @@ ALIGN_STEPS = 8
 MAX_ALIGN_PX = 1.5  # from the best whole pixel
 PEAK_PX = 2  # places nearer than this to the best one are the same peak
 MIN_DEPTH = 0.05
-NO_MAP = np.zeros(0, dtype=np.float32)  # both coordinates are in the first map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +126,9 @@ def warped(patches: Patches, back: FloatArray, side: int) -> npt.NDArray[np.floa
     at[..., 1] += stored * np.arange(n)[:, None, None]
     stack = patches.grey.reshape(n * stored, stored)
     maps = at.astype(np.float32).reshape(n * side, side, 2)
-    return np.asarray(cv2.remap(stack, maps, NO_MAP, cv2.INTER_LINEAR), dtype=np.float32).reshape(n, side, side)
+    return np.asarray(cv2.remap(stack, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR), dtype=np.float32).reshape(
+        n, side, side
+    )
 
 
 def _search(
@@ -172,7 +173,7 @@ def align(grey: ImageArray, templates: npt.NDArray[np.float32], at: FloatArray) 
     place, correlation = at.astype(np.float64).copy(), np.zeros(n)
     for step in range(ALIGN_STEPS + 1):
         maps = (place[:, None, None] + grid).astype(np.float32).reshape(n * side, side, 2)
-        seen = cv2.remap(grey, maps, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.remap(grey, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         seen = np.asarray(seen, dtype=np.float64).reshape(n, -1)
         seen -= seen.mean(axis=1, keepdims=True)
         gain = np.linalg.norm(seen, axis=1)
