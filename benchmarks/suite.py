@@ -57,6 +57,11 @@ SUITE = (
     ),
     Benchmark("slam_flats", SLAM, "slam_studies", "flats --discard", None),
     Benchmark(
+        "smoothing", SLAM, "bench_smoothing",
+        f"{DATA}/euroc_v1_01_flight {DATA}/euroc_v1_01_static --v102 0-4 --flats 0-2", None,
+        data=f"{DATA}/euroc_v1_02_imu",
+    ),
+    Benchmark(
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
     Benchmark("calibrate_wheels", SLAM, "bench_calibrate_wheels", "--seeds 0-19", "--seeds 0"),

@@ -23,7 +23,7 @@ from shared.text import is_printable
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes
 MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their indexes are kept
-BACKENDS = ("sfm", "ukf", "mono")
+BACKENDS = ("sfm", "ukf", "mono", "smoothing")
 AUTO = "auto"  # what suits the robot
 DASK, PROCESSES = "dask://", "processes"
 NAME_RULE = "a robot's name has 1 to 40 letters, digits, - and _, and begins with a letter"

@@ -28,7 +28,7 @@ def demo(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page and the API.")] = 8080,
     world: Annotated[str, typer.Option(help="Simulated world.")] = "small",
     backend: Annotated[
-        str | None, typer.Option(help="SLAM: auto, ukf, sfm or mono; without it the station's own.")
+        str | None, typer.Option(help="SLAM: auto, ukf, smoothing, sfm or mono; without it the station's own.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results.json, logs and data.")] = Path("demo"),
 ) -> None:

@@ -52,7 +52,8 @@ def experiment(
     backend: Annotated[
         str | None,
         typer.Option(
-            "--backend", help="SLAM backend for datasets: auto, ukf, sfm, mono; without it the preset's, else sfm."
+            "--backend",
+            help="SLAM backend for datasets: auto, ukf, smoothing, sfm, mono; without it the preset's, else sfm.",
         ),
     ] = None,
     mode: Annotated[

@@ -48,7 +48,7 @@ def locate_command(
         str,
         typer.Option(
             "--backend",
-            help="SLAM beside it: ukf, sfm, mono (no poses in metres on the way), or auto: ukf where that can run.",
+            help="SLAM beside it: ukf, smoothing, sfm, mono (no poses in metres); auto: ukf where that can run.",
         ),
     ] = "auto",
     first: Annotated[int | None, typer.Option(help="Number of the first frame to use.")] = None,

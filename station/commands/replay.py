@@ -29,7 +29,9 @@ def register(app: typer.Typer) -> None:
 
 def replay_command(
     dataset: Annotated[Path, typer.Argument(help="MCAP recording, ASL/EuRoC folder, folder of images or video.")],
-    backend: Annotated[str, typer.Option("--backend", help="sfm, ukf, mono, or auto: what suits the robot.")] = "sfm",
+    backend: Annotated[
+        str, typer.Option("--backend", help="sfm, ukf, smoothing, mono, or auto: what suits the robot.")
+    ] = "sfm",
     known_map: Annotated[
         str, typer.Option("--map", metavar="MAP", help="Look for places in this map: a folder, or an id in the store.")
     ] = "",

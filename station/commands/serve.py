@@ -56,7 +56,8 @@ def serve(
         Path | None, typer.Option(help="Folder for navigations and maps.", show_default=str(DEFAULT_DATA_DIR))
     ] = None,
     backend: Annotated[
-        str | None, typer.Option(help="SLAM while recording: auto, ukf, sfm, mono.", show_default=SlamConfig().backend)
+        str | None,
+        typer.Option(help="SLAM while recording: auto, ukf, smoothing, sfm, mono.", show_default=SlamConfig().backend),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; options override it.", show_default="none")] = None,
     executor: Annotated[

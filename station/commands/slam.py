@@ -29,7 +29,9 @@ def register(app: typer.Typer) -> None:
 def slam(
     dataset: Annotated[Path, typer.Argument(help="ASL/EuRoC folder, folder of images, video or MCAP recording.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write the navigation into.")],
-    backend: Annotated[str, typer.Option("--backend", help="sfm, ukf, mono, or auto: what suits the robot.")] = "sfm",
+    backend: Annotated[
+        str, typer.Option("--backend", help="sfm, ukf, smoothing, mono, or auto: what suits the robot.")
+    ] = "sfm",
     first: Annotated[int | None, typer.Option(help="Number of the first frame to use.")] = None,
     last: Annotated[int | None, typer.Option(help="Number of the last frame to use.")] = None,
     step: Annotated[int, typer.Option(help="Use every step-th frame.")] = 1,

@@ -20,7 +20,7 @@ from station.workers.request import ArgumentsP, Limit, WorkerDied
 from station.workers.slam_interface import SLAM, SlamProgram
 from station.workers.worker import Worker
 
-LIVE_BACKENDS = ("ukf", "mono")
+LIVE_BACKENDS = ("ukf", "mono", "smoothing")
 DRIVE_BACKLOG = Limit(6000)  # 20 a second: five minutes
 MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
 QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes

@@ -52,6 +52,10 @@ def make_backend(
             from station.slam.ukf.config import UkfConfig
 
             return UkfBackend(calibration, UkfConfig(landmarks=landmarks), seed, initial_state)
+        if name == "smoothing":
+            from station.slam.smoothing.backend import SmoothingBackend
+
+            return SmoothingBackend(calibration, seed=seed)
         if name == "mono":
             from station.slam.mono.backend import MonoBackend
 

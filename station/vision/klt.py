@@ -72,6 +72,19 @@ class Tracker:
         keep = ~np.isin(self._ids, ids)
         self._ids, self._uv, self._xy = self._ids[keep], self._uv[keep], self._xy[keep]
 
+    @property
+    def image(self) -> ImageArray | None:
+        """The newest image (H, W)."""
+        return self._previous
+
+    def follow(self, uv_px: FloatArray, xy: FloatArray) -> IntArray:
+        """Follow these places (N, 2) of the newest image, too; their new ids (N,)."""
+        ids = np.arange(self._next_id, self._next_id + len(uv_px), dtype=np.int64)
+        self._next_id += len(uv_px)
+        self._ids = np.concatenate([self._ids, ids])
+        self._uv, self._xy = np.concatenate([self._uv, uv_px]), np.concatenate([self._xy, xy])
+        return ids
+
     def process(self, grey: ImageArray, R_prev_cur: FloatArray, is_bias_known: bool) -> TrackedFrame:
         """Follow the tracks into this image and add new ones.
 
@@ -151,12 +164,7 @@ class Tracker:
         )
         xy = self.lens.unproject(corners)
         usable = self.lens.is_invertible(corners, xy)
-        corners, xy = corners[usable], xy[usable]
-        ids = np.arange(self._next_id, self._next_id + len(corners), dtype=np.int64)
-        self._next_id += len(corners)
-        self._ids = np.concatenate([self._ids, ids])
-        self._uv = np.concatenate([self._uv, corners])
-        self._xy = np.concatenate([self._xy, xy])
+        self.follow(corners[usable], xy[usable])
 
 
 def _flow(

@@ -17,7 +17,12 @@ from station.workers.slam_interface import SLAM
 
 PROGRAMS = (SLAM.module, PLACES.module, LIBRARY.module, WATCHER.module)
 # some need libraries that a machine may lack
-BACKENDS = ("station.slam.sfm.backend", "station.slam.ukf.backend", "station.slam.mono.backend")
+BACKENDS = (
+    "station.slam.sfm.backend",
+    "station.slam.ukf.backend",
+    "station.slam.mono.backend",
+    "station.slam.smoothing.backend",
+)
 MAIN = ("shared.command_line",)  # and with it Typer: multiprocessing imports station.main in every child
 
 for _name in (*PROGRAMS, *BACKENDS, *MAIN):

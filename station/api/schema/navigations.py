@@ -37,7 +37,9 @@ class NavigationModel(Model):
 class ReprocessOrder(Question):
     """How to run SLAM over a recording again."""
 
-    backend: Literal["sfm", "ukf", "mono"] | None = Field(default=None, description="null: the station's own")
+    backend: Literal["sfm", "ukf", "mono", "smoothing"] | None = Field(
+        default=None, description="null: the station's own"
+    )
 
 
 class ReplayModel(Model):

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import cv2
@@ -94,6 +94,7 @@ class UkfBackend:
         self._lost_since: int | None = None
         self._lost_ns = 0
         self._last_message = "no image came"
+        self.newest: RecentFrame | None = None  # what was followed into the newest frame; None: it was left out
 
     def add_imu(self, imu: ImuBatch) -> None:
         """Samples that are not numbers, repeated or late are counted and left out."""
@@ -115,6 +116,7 @@ class UkfBackend:
 
     def _add_frame(self, frame: ImageFrame) -> SlamUpdate:
         grey = self._intake.take(frame)
+        self.newest = None
         if isinstance(grey, str):
             return self._update(frame, grey, self._filter.state if self._filter is not None else None)
         t_imu = frame.t_robot_ns + self._shift_ns
@@ -134,6 +136,8 @@ class UkfBackend:
         self._previous_t, self._previous_head = t_imu, head
         rgb = sample_grey(grey, tracked.uv_px) if is_grey(frame.encoded) else None
         current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu, is_still), rgb, head)
+        current.is_still = is_still and not self._is_commanded_to_move()
+        self.newest = current
         if self._filter is None:
             if self._lost_since is not None:
                 self._coasting.advance(segment, t_imu, rolled_m)
@@ -259,6 +263,25 @@ class UkfBackend:
         memory.recent = {}
         return self._update(frame, f"tracking lost: {reason}", None)
 
+    # ---- for a backend that builds on this one
+
+    @property
+    def state(self) -> FilterState | None:
+        """At the newest frame; None while nothing is tracked."""
+        return None if self._filter is None else self._filter.state
+
+    @property
+    def tracker(self) -> Tracker:
+        return self._tracker
+
+    @property
+    def imu(self) -> ImuBuffer:
+        return self._imu
+
+    @property
+    def memory(self) -> NavigationMemory:
+        return self._memory
+
     # ---- the end
 
     def catch_up(self) -> bool:
@@ -276,10 +299,14 @@ class UkfBackend:
 
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
-        with self._blas.limit(limits=1):
-            return self._finish()
+        return self.finish_improved(None)
 
-    def _finish(self) -> Navigation:
+    def finish_improved(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
+        """The same, with what somebody else knows of the keyframes by now; see `finish`."""
+        with self._blas.limit(limits=1):
+            return self._finish(improve)
+
+    def _finish(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
         memory, intake, config = self._memory, self._intake, self._config
         if self._filter is not None:
             memory.flush(self._filter, self._monitor.outage_since)
@@ -289,6 +316,8 @@ class UkfBackend:
             raise EstimationError("no usable image came; the ukf backend needs images and IMU samples")
         if not len(memory.poses) or not memory.keyframes.items:
             raise EstimationError(f"tracking never started: {self._last_message}")
+        if improve is not None:
+            improve(memory)
         report = make_report(intake, self._imu.counts, self._lost_ns * 1e-9, self._seed, config, self._messages)
         return make_navigation(
             f"ukf-{intake.first_t_ns}", memory, self._camera, self._calibration, config, report

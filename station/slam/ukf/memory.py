@@ -43,6 +43,7 @@ class RecentFrame:
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
     head: HeadPose | None  # as told; None while it was never turned
     T_body_head: FloatArray | None = None  # (4, 4) as the filter knew it then
+    is_still: bool = False  # the robot stands, by image and IMU
 
 
 class NavigationMemory:

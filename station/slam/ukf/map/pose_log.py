@@ -44,6 +44,11 @@ class PoseLog:
         if row is not None:
             self._T[row] = T_world_body
 
+    def pose_of(self, frame_index: int) -> FloatArray | None:
+        """(4, 4); None of a frame without a pose."""
+        row = self._row(frame_index)
+        return None if row is None else self._T[row].copy()
+
     def last(self) -> FloatArray | None:
         return self._T[self._length - 1].copy() if self._length else None
 

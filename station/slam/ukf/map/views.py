@@ -7,10 +7,12 @@ again: when the robot comes back, and when it looks for its place in the map ano
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from shared.geometry import FloatArray
 from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.tracks import Pairs
 from station.slam.ukf.map.keyframes import Keyframe
@@ -84,6 +86,17 @@ class MapViews:
         while self.describe_next():
             pass
         return self._items, self._pairs
+
+    def follow(self, pose_of: Callable[[int], FloatArray | None], segment: int) -> None:
+        """Give the views of a segment the poses (4, 4) that their frames have now, by frame index."""
+        self.describe_all()
+        for i, view in enumerate(self._items):
+            T = pose_of(view.frame_index) if view.segment == segment else None
+            if T is None:
+                continue
+            if view.keyframe.T_body_head is not None:
+                T = T @ view.keyframe.T_body_head
+            self._items[i] = replace(view, keyframe=replace(view.keyframe, T_world_head=T))
 
     def pictures(self) -> list[bytes]:
         """Of the views described so far, as they were encoded."""

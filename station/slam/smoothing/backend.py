@@ -1,0 +1,282 @@
+"""The smoothing backend: the filter as odometry, keyframes and landmarks smoothed behind it (docs/slam.md, sec. 11).
+
+`add_frame` is the reading path. Pure: no clock; the same data give the same result, bit for bit.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shared.calibration import Calibration
+from shared.geometry import FloatArray, inverse, se3
+from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.model.slam_update import SlamUpdate
+from station.motion.preintegration import preintegrate
+from station.slam.smoothing.batch import BatchInput, as_keyframe, smooth_segment
+from station.slam.smoothing.config import SmoothingConfig
+from station.slam.smoothing.fixed_lag import FixedLagWindow
+from station.slam.smoothing.keyframe import SmoothKeyframe
+from station.slam.smoothing.landmarks import LandmarkTable
+from station.slam.smoothing.search import Recaller
+from station.slam.ukf.backend import UkfBackend
+from station.slam.ukf.filter.constraints import WheelsKnown
+from station.slam.ukf.filter.state import FilterState
+from station.slam.ukf.map.keyframes import sample_colours
+from station.slam.ukf.map.pose_log import follow_poses
+from station.slam.ukf.memory import NavigationMemory, RecentFrame
+from station.vision.camera_model import CameraModel
+from station.vision.features import Features
+from station.vision.klt import TrackedFrame
+
+NOTHING = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBetween:
+    """A frame by the keyframe before it."""
+
+    frame_index: int
+    t_imu_ns: int
+    keyframe: int
+    T_keyframe_frame: FloatArray  # (4, 4)
+
+
+class SmoothingBackend:
+    def __init__(self, calibration: Calibration, config: SmoothingConfig | None = None, seed: int = 0) -> None:
+        config = config or SmoothingConfig()
+        self._odometry = UkfBackend(calibration, replace(config.odometry, refine=False), seed)
+        assert calibration.camera is not None and calibration.imu is not None
+        self._config = config.for_robot(calibration.has_wheels)
+        self._calibration = calibration
+        self._camera = CameraModel.of(calibration.camera, self._config.sigma_px)
+        self._noise = calibration.imu
+        self._keyframes: list[SmoothKeyframe] = []
+        self._window: FixedLagWindow | None = None
+        self._recaller = Recaller(self._camera, self._config.recall)
+        self._frames_since = 0
+        self._all_still = True
+        self._tables: dict[int, LandmarkTable] = {}
+        self._between: list[FrameBetween] = []
+        self.num_recalled = 0
+
+    # ---- data in
+
+    def add_imu(self, imu: ImuBatch) -> None:
+        self._odometry.add_imu(imu)
+
+    def add_drive(self, drive: DriveSample) -> None:
+        self._odometry.add_drive(drive)
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        """Follow the frame by the filter; make it a keyframe where it is one; carry the newest keyframe on to it."""
+        update = self._odometry.add_frame(frame)
+        state, current = self._odometry.state, self._odometry.newest
+        if state is None or current is None:
+            if state is None:
+                self._window = None
+            return update
+        self._frames_since += 1
+        self._all_still = self._all_still and current.is_still
+        if self._window is None:
+            self._begin(state, current)
+        elif self._is_keyframe(current):
+            self._add_keyframe(state, current)
+        assert self._window is not None
+        T_newest_now = self._since_keyframe(state)
+        newest = self._window.keyframes[-1]
+        self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
+        return replace(update, T_world_body=newest.T_world_body @ T_newest_now)
+
+    def _since_keyframe(self, state: FilterState) -> FloatArray:
+        """T_keyframe_now by the filter, both poses as it has them now; while the keyframe is still in its window."""
+        assert self._window is not None
+        at = np.flatnonzero(state.clone_frame == self._window.keyframes[-1].source.frame.index)
+        if len(at):
+            self._T_filter = se3(state.clone_R[at[0]], state.clone_x[at[0]])
+        return inverse(self._T_filter) @ state.T_world_body
+
+    # ---- keyframes
+
+    def _begin(self, state: FilterState, current: RecentFrame) -> None:
+        """A new piece of tracking: its frames so far become the first keyframes."""
+        memory = self._odometry.memory
+        wheels = WheelsKnown.before_the_drive(self._config.odometry.wheels) if self._calibration.has_wheels else None
+        table = LandmarkTable(self._config.recall.stored_px)
+        self._tables[memory.segment] = table
+        self._window = FixedLagWindow(self._camera, self._noise, self._calibration.gravity, self._config, table, wheels)
+        at_clone = {int(f): i for i, f in enumerate(state.clone_frame)}
+        last_ns = None
+        for index, item in sorted(memory.recent.items()):
+            i = at_clone.get(index)
+            if i is None or (last_ns is not None and item.t_imu_ns - last_ns < self._config.min_interval_s * 1e9):
+                continue
+            last_ns = item.t_imu_ns
+            T = se3(state.clone_R[i], state.clone_x[i])
+            self._all_still = item.is_still
+            keyframe = self._make(item, T, state.clone_v[i], state, state.clone_omega[i], item.tracked, NOTHING)
+            self._append(keyframe, item.frame.grey())
+        if not self._window.keyframes:
+            keyframe = self._make(
+                current, state.T_world_body, state.v, state, state.omega_body, current.tracked, NOTHING
+            )
+            self._append(keyframe, current.frame.grey())
+        self._T_filter = state.T_world_body
+
+    def _is_keyframe(self, current: RecentFrame) -> bool:
+        assert self._window is not None
+        config, last = self._config, self._window.keyframes[-1].source
+        since_s = (current.t_imu_ns - last.t_imu_ns) * 1e-9
+        if since_s < config.min_interval_s:
+            return False
+        if since_s > config.max_interval_s:
+            return True
+        _, i, j = np.intersect1d(last.tracked.ids, current.tracked.ids, assume_unique=True, return_indices=True)
+        if len(i) < 10:
+            return True
+        flow = np.linalg.norm(last.tracked.uv_px[i] - current.tracked.uv_px[j], axis=1)
+        return float(np.median(flow)) > config.min_flow * self._camera.lens.camera.width
+
+    def _add_keyframe(self, state: FilterState, current: RecentFrame) -> None:
+        assert self._window is not None
+        image = self._odometry.tracker.image
+        assert image is not None
+        newest = self._window.keyframes[-1]
+        T_newest_now = self._since_keyframe(state)
+        self._between.append(FrameBetween(current.frame.index, current.t_imu_ns, newest.number, T_newest_now))
+        T = newest.T_world_body @ T_newest_now
+        table = self._window.landmarks
+        tracked, trusted = self._recall(table, image, current.tracked, T)
+        turn = T[:3, :3] @ state.R.T
+        self._append(
+            self._make(current, T, turn @ state.v, state, state.omega_body, tracked, trusted, T_newest_now), image
+        )
+
+    def _recall(
+        self, table: LandmarkTable, image: ImageArray, tracked: TrackedFrame, T_world_body: FloatArray
+    ) -> tuple[TrackedFrame, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+        """What the image shows with the landmarks found again in it; and which of them agree on another pose."""
+        assert self._window is not None
+        found = self._recaller.search(table, image, tracked, T_world_body, self._window.oldest)
+        for track, landmark in found.same:
+            table.rename(track, landmark)
+        if len(found.landmarks):
+            xy = self._camera.lens.unproject(found.uv_px)
+            new = self._odometry.tracker.follow(found.uv_px, xy)
+            for track, landmark in zip(new.tolist(), found.landmarks.tolist(), strict=True):
+                table.rename(track, landmark)
+            tracked = replace(
+                tracked,
+                ids=np.concatenate([tracked.ids, new]),
+                uv_px=np.concatenate([tracked.uv_px, found.uv_px]),
+                xy=np.concatenate([tracked.xy, xy]),
+            )
+        self.num_recalled += len(found.landmarks) + len(found.same)
+        return tracked, found.trusted
+
+    def _make(
+        self,
+        source: RecentFrame,
+        T_world_body: FloatArray,
+        v_world: FloatArray,
+        state: FilterState,
+        omega: FloatArray,
+        tracked: TrackedFrame,
+        trusted: np.ndarray[tuple[int], np.dtype[np.int64]],
+        T_before: FloatArray | None = None,
+    ) -> SmoothKeyframe:
+        window = self._window
+        assert window is not None
+        link = None
+        bias = np.concatenate([state.bias_gyro, state.bias_accel])
+        if window.keyframes:
+            before = window.keyframes[-1]
+            segment = self._odometry.imu.segment(before.source.t_imu_ns, source.t_imu_ns)
+            link = preintegrate(segment, before.bias, self._noise)
+        return SmoothKeyframe(
+            number=len(self._keyframes),
+            source=source,
+            tracked=window.landmarks.named(tracked),
+            link=link,
+            wheels=source.wheels,
+            frames_since=self._frames_since,
+            is_still=self._all_still and link is not None,
+            T_world_body=T_world_body,
+            v_world=v_world,
+            bias=bias,
+            omega=omega,
+            segment=self._odometry.memory.segment,
+            trusted=trusted,
+            T_before=T_before,
+        )
+
+    def _append(self, keyframe: SmoothKeyframe, image: ImageArray) -> None:
+        assert self._window is not None
+        self._window.add(keyframe, image)
+        self._keyframes.append(keyframe)
+        self._frames_since, self._all_still = 0, True
+
+    # ---- the rest of the interface
+
+    def catch_up(self) -> bool:
+        return self._odometry.catch_up()
+
+    def keyframe_pictures(self) -> Sequence[bytes]:
+        return self._odometry.keyframe_pictures()
+
+    def keyframe_features(self, number: int) -> Features | None:
+        return self._odometry.keyframe_features(number)
+
+    def finish(self) -> Navigation:
+        """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
+        nav = self._odometry.finish_improved(self._improve)
+        report = replace(nav.report, backend="smoothing")
+        return replace(nav, id=nav.id.replace("ukf", "smoothing", 1), report=report)
+
+    def _improve(self, memory: NavigationMemory) -> None:
+        """Everything in one problem; poses, keyframes and views of the map follow."""
+        wheels = WheelsKnown.before_the_drive(self._config.odometry.wheels) if self._calibration.has_wheels else None
+        given = BatchInput(self._camera, self._noise, self._calibration.gravity, self._config, wheels)
+        for segment, table in self._tables.items():
+            part = [k for k in self._keyframes if k.segment == segment]
+            if len(part) < 3:
+                continue
+            for k in part:
+                k.tracked = table.named(k.tracked)
+            smooth_segment(part, given)
+            self._hand_over(part, memory, segment)
+
+    def _hand_over(self, part: list[SmoothKeyframe], memory: NavigationMemory, segment: int) -> None:
+        index = [k.source.frame.index for k in part]
+        T_old = np.array([memory.poses.pose_of(i) for i in index])
+        T_new = np.array([k.T_world_body for k in part])
+        memory.poses.follow(index, T_old, T_new, segment)
+        self._place_between(part, memory)
+        if memory.views is not None:
+            memory.views.follow(memory.poses.pose_of, segment)
+        items = []
+        for k in part:
+            colours = k.source.frame.half_bgr()
+            items.append(replace(as_keyframe(k), rgb=sample_colours(colours, 0.5 * k.tracked.uv_px - 0.25)))
+        others = [k for k in memory.keyframes.items if k.segment != segment]
+        memory.keyframes.items = sorted([*others, *items], key=lambda k: k.image.index)
+
+    def _place_between(self, part: list[SmoothKeyframe], memory: NavigationMemory) -> None:
+        """Frames keep their motion since the keyframe before; what it is off by at the next one is spread over them."""
+        of: dict[int, list[FrameBetween]] = {}
+        for between in self._between:
+            of.setdefault(between.keyframe, []).append(between)
+        for before, after in itertools.pairwise(part):
+            frames = of.get(before.number, [])
+            if not frames or frames[-1].frame_index != after.source.frame.index:
+                continue
+            T = before.T_world_body @ np.array([f.T_keyframe_frame for f in frames])
+            ends = np.array([before.source.t_imu_ns, after.source.t_imu_ns])
+            T_old, T_new = np.array([before.T_world_body, T[-1]]), np.array([before.T_world_body, after.T_world_body])
+            moved = follow_poses(T, np.array([f.t_imu_ns for f in frames]), T_old, T_new, ends)
+            for f, pose in zip(frames, moved, strict=True):
+                memory.poses.improve(f.frame_index, pose)

@@ -1,0 +1,68 @@
+"""The smoothing backend on real sequences, and on input that is wrong."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from shared.calibration import REFERENCE_ROBOT
+from shared.errors import ConfigError, EstimationError
+from station.datasets import Dataset, open_dataset
+from station.experiments.trajectory_error import absolute_trajectory_error
+from station.model.navigation import Navigation, Trajectory
+from station.model.slam_update import SlamUpdate
+from station.slam.backends import make_backend
+from station.slam.run import run_backend
+from tests.support.paths import RECORDINGS
+
+pytestmark = pytest.mark.computing
+
+needs_data = pytest.mark.skipif(not (RECORDINGS / "euroc_v1_01_flight").is_dir(), reason="../shared/data is not here")
+
+
+def run(name: str) -> tuple[Dataset, Navigation, list[SlamUpdate]]:
+    data = open_dataset(RECORDINGS / name, None, None, 1)
+    updates: list[SlamUpdate] = []
+    return data, run_backend(make_backend("smoothing", data.calibration), data.events(), updates.append), updates
+
+
+def ate(trajectory: Trajectory, data: Dataset) -> float:
+    truth = data.truth
+    assert truth is not None
+    return absolute_trajectory_error(trajectory, Trajectory(truth.t_robot_ns, truth.T_world_body)).rmse_m
+
+
+@needs_data
+def test_real_flight_is_followed_within_twelve_millimetres_with_the_same_bits_on_two_threads() -> None:
+    with threadpool_limits(limits=1):
+        data, one, updates = run("euroc_v1_01_flight")
+    with threadpool_limits(limits=2):
+        _, two, again = run("euroc_v1_01_flight")
+    assert ate(one.trajectory, data) < 0.012
+    assert one.report.backend == "smoothing"
+    assert len(one.landmarks) > 150
+    assert one.id == two.id
+    assert one.trajectory.T_world_body.tobytes() == two.trajectory.T_world_body.tobytes()
+    poses = [u.T_world_body for u in updates if u.T_world_body is not None]
+    assert len(poses) > 60
+    assert (
+        np.array(poses).tobytes() == np.array([u.T_world_body for u in again if u.T_world_body is not None]).tobytes()
+    )
+
+
+@needs_data
+def test_a_rig_at_rest_stays_where_it_is() -> None:
+    data, nav, _ = run("euroc_v1_01_static")
+    assert ate(nav.trajectory, data) < 0.005
+
+
+def test_without_an_imu_another_backend_is_named() -> None:
+    with pytest.raises(ConfigError, match="sfm"):
+        make_backend("smoothing", msgspec.structs.replace(REFERENCE_ROBOT, imu=None))
+
+
+def test_without_images_the_reason_is_said() -> None:
+    with pytest.raises(EstimationError, match="no usable image came"):
+        make_backend("smoothing", REFERENCE_ROBOT).finish()
