@@ -212,7 +212,7 @@ def _add_links(
     H: FloatArray, g: FloatArray, states: WindowStates, links: WindowLinks, noise: ImuNoise, gravity: float
 ) -> float:
     """The IMU between neighbouring poses, and how far biases walk meanwhile."""
-    r, J = _inertial_residuals(states, links, gravity)
+    r, J = inertial_residuals(states, links, gravity)
     r = (links.sqrt_information @ r[..., None])[..., 0]
     J = links.sqrt_information @ J
     JtJ, Jtr = np.swapaxes(J, 1, 2) @ J, (np.swapaxes(J, 1, 2) @ r[..., None])[..., 0]
@@ -233,7 +233,7 @@ def _add_links(
     return float((r * r).sum() + (d * d).sum())
 
 
-def _inertial_residuals(states: WindowStates, links: WindowLinks, gravity: float) -> tuple[FloatArray, FloatArray]:
+def inertial_residuals(states: WindowStates, links: WindowLinks, gravity: float) -> tuple[FloatArray, FloatArray]:
     """Thesis eq. 2.11 (K - 1, 9) and its derivative (K - 1, 9, 30) by both poses of each link."""
     d = states.bias[:-1] - links.bias
     dR = links.dR @ so3_exp((links.dR_by_bias @ d[:, :3, None])[..., 0])

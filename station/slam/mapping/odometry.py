@@ -8,18 +8,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csc_matrix, diags
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, IntArray, rotation_angle
+from shared.geometry import FloatArray, IntArray, rotation_angle, skew, so3_log
 from station.model.frames import DriveSample, ImuBatch
 from station.motion.dead_reckoning import reckon_drive
 from station.motion.inertial_track import InertialTrack
+from station.slam.mapping.odometry_bundle import HELD_SIGMA, BundleState
 
 SLIP = 0.15  # of the way between keyframes, one sigma: skid-steer wheels on carpets
 SLIP_PER_RADIAN_M = 0.03  # a skid-steer body turns about a point that wanders by centimetres
 GAP_SIGMA_RAD = 0.2  # while inertial samples are missing the body may turn unseen
 POSITION_FLOOR_M = 0.004
 VERTICAL_SIGMA_M = 0.003  # floors are flat; carpets and thresholds are not quite
+# Scale is a free gauge of the pictures, and noise would shrink it: held here, found by the inertial terms or metric.py.
+DRIVE_SCALE_SIGMA = 0.002
+GYRO_BIAS_SIGMA = 2e-3  # rad/s, around the bias the odometry was made with
+SLIP_CAUCHY = 3.0  # sigmas: wheels that spin against a chair are outliers, not noise
+MOTION_START = np.array([1.0, 0.0, 0.0, 0.0])  # BundleState.motion: real way per way said, change of gyroscope bias
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +56,63 @@ class RelativeMotions:
     sigma_rotation: FloatArray  # (N-1,) rad
     sigma_position: FloatArray  # (N-1, 3) m, body axes
     drift: Drift  # of the whole chain
+
+    def cost(self, state: BundleState) -> float:
+        weighted, _, _ = self._residuals(state)
+        turn = float((weighted[:, :3] ** 2).sum())
+        slip = float((SLIP_CAUCHY**2 * np.log1p((weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)).sum())
+        prior = (state.motion - MOTION_START) / _PRIOR_SIGMA
+        return turn + slip + float(prior @ prior)
+
+    def normal_equations(self, state: BundleState) -> tuple[csc_matrix, FloatArray]:
+        """See MotionTerms."""
+        n, k = len(state.R_world_body), len(self.p)
+        size = 6 * n + len(MOTION_START)
+        weighted, R_rel, p_rel = self._residuals(state)
+        J = np.zeros((k, 6, 16))
+        R_a_t = np.swapaxes(state.R_world_body[:-1], 1, 2)
+        J[:, :3, 0:3] = -np.swapaxes(R_rel, 1, 2)
+        J[:, :3, 6:9] = np.eye(3)
+        J[:, 3:, 0:3] = skew(p_rel)
+        J[:, 3:, 3:6] = -R_a_t
+        J[:, 3:, 9:12] = R_a_t
+        J[:, 3:, 12] = -self.p
+        J[:, :3, 13:16] = np.swapaxes(self.R, 1, 2) @ self.R_sum
+        J[:, :3] /= self.sigma_rotation[:, None, None]
+        J[:, 3:] /= self.sigma_position[:, :, None]
+        robust = 1.0 / np.sqrt(1.0 + (weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)
+        J[:, 3:] *= robust[:, None, None]
+        weighted = weighted.copy()
+        weighted[:, 3:] *= robust[:, None]
+        columns = np.hstack([
+            6 * np.arange(k)[:, None] + np.arange(12), np.broadcast_to(np.arange(6 * n, size), (k, len(MOTION_START)))
+        ])  # fmt: skip
+        jacobian = sparse_rows(J, columns, size)
+        prior = np.concatenate([np.full(6, HELD_SIGMA**-2), np.zeros(6 * n - 6), _PRIOR_SIGMA**-2])
+        g = jacobian.T @ weighted.ravel()
+        g[6 * n :] += (state.motion - MOTION_START) * _PRIOR_SIGMA**-2
+        return (jacobian.T @ jacobian + diags(prior)).tocsc(), g
+
+    def _residuals(self, state: BundleState) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(N-1, 6) weighted residuals; relative rotations and translations as estimated."""
+        R_a, R_b = state.R_world_body[:-1], state.R_world_body[1:]
+        R_rel = np.swapaxes(R_a, 1, 2) @ R_b
+        p_rel = np.einsum("nji,nj->ni", R_a, np.diff(state.p_world_body, axis=0))
+        error = np.swapaxes(self.R, 1, 2) @ R_rel
+        J_bias = np.swapaxes(self.R, 1, 2) @ self.R_sum
+        turn = so3_log(error) + J_bias @ state.motion[1:]
+        slip = p_rel - state.motion[0] * self.p
+        return np.hstack([turn / self.sigma_rotation[:, None], slip / self.sigma_position]), R_rel, p_rel
+
+
+_PRIOR_SIGMA = np.array([DRIVE_SCALE_SIGMA, GYRO_BIAS_SIGMA, GYRO_BIAS_SIGMA, GYRO_BIAS_SIGMA])
+
+
+def sparse_rows(J: FloatArray, columns: IntArray, size: int) -> csc_matrix:
+    """Blocks J (k, r, c), of which each has its own columns (k, c), as one matrix (k r, size)."""
+    k, r, c = J.shape
+    rows = np.repeat(np.arange(k * r), c)
+    return csc_matrix((J.ravel(), (rows, np.repeat(columns, r, axis=0).ravel())), shape=(k * r, size))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

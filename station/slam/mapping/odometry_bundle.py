@@ -1,9 +1,9 @@
-"""Bundle adjustment of a whole navigation with odometry: poses, landmarks, drive scale and gyroscope bias together.
+"""Bundle adjustment of a whole navigation: poses and landmarks, and what is known of the motion between the poses.
 
 COLMAP's bundle adjustment knows cameras only. A robot that turns on the spot before a blank wall is held together by
-its odometry, so relative motions between keyframes are residuals here, next to the reprojection errors: those of
-gyroscope and wheels, or the filter's. Poses have neither velocities nor accelerometer biases: inertial_bundle.py
-estimates those, over a window of some twenty poses.
+its odometry, so the motion between keyframes has residuals here, next to the reprojection errors: relative motions of
+gyroscope and wheels, or the filter's (odometry.py); or the inertial readings themselves (inertial_terms.py), with
+velocities and biases among the unknowns.
 Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000, sections 4.3 (robust weights) and 6.1 (Schur
 complement); Levenberg-Marquardt after Madsen, Nielsen and Tingleff, Methods for non-linear least squares, 2004.
 """
@@ -11,22 +11,17 @@ complement); Levenberg-Marquardt after Madsen, Nielsen and Tingleff, Methods for
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import bsr_matrix, csc_matrix, diags
+from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from shared.geometry import FloatArray, IntArray, skew, so3_exp, so3_log, transform
-from station.slam.mapping.odometry import RelativeMotions
+from shared.geometry import FloatArray, IntArray, skew, so3_exp, transform
 
-NUM_SHARED = 4  # drive scale, gyroscope bias (3)
-# Scale is a free gauge of the pictures, and noise would shrink it: held here, measured afterwards (metric.py).
-DRIVE_SCALE_SIGMA = 0.002
-GYRO_BIAS_SIGMA = 2e-3  # rad/s, around the bias the odometry was made with
-FIRST_POSE_SIGMA = 1e-4
-SLIP_CAUCHY = 3.0  # sigmas: wheels that spin against a chair are outliers, not noise
-MAX_DENSE_KEYFRAMES = 700
+HELD_SIGMA = 1e-4  # rad and m: the first pose stays where it is
+MAX_DENSE = 4200  # unknowns of the poses and their motion; beyond, equations are solved as sparse ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +29,20 @@ class BundleState:
     R_world_body: FloatArray  # (N, 3, 3)
     p_world_body: FloatArray  # (N, 3) m
     points: FloatArray  # (M, 3) m
-    drive_scale: float  # real way per commanded way
-    bias_change: FloatArray  # (3,) rad/s
+    motion: FloatArray  # (e,) the unknowns that the motion terms bring along
+
+
+class MotionTerms(Protocol):
+    """Residuals of the motion between poses: functions of the poses and of unknowns of their own."""
+
+    def cost(self, state: BundleState) -> float: ...
+
+    def normal_equations(self, state: BundleState) -> tuple[csc_matrix, FloatArray]:
+        """J^T J (6N + e, 6N + e) and J^T r: poses (rotation on the right, position), then BundleState.motion.
+
+        With what holds the frame: of the first pose, all that the terms say nothing of.
+        """
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,23 +65,31 @@ class _Linear:
     W: bsr_matrix  # (6N, 3M)
     g_pose: FloatArray  # (N, 6)
     g_point: FloatArray  # (M, 3)
-    H_odometry: csc_matrix  # (6N + 4, 6N + 4)
-    g_odometry: FloatArray
+    H_motion: csc_matrix  # (6N + e, 6N + e)
+    g_motion: FloatArray
 
 
 def adjust(
-    state: BundleState, seen: Observations, odometry: RelativeMotions, cauchy_px: float, max_iterations: int = 10
+    state: BundleState,
+    seen: Observations,
+    motion: MotionTerms,
+    cauchy_px: float,
+    damping: float = 1e-4,
+    max_iterations: int = 10,
 ) -> BundleState:
-    """Minimise reprojection (Cauchy loss of scale cauchy_px) and odometry residuals."""
-    damping = 1e-4
+    """Minimise reprojection (Cauchy loss of scale cauchy_px) and motion residuals.
+
+    Args:
+        damping: to begin with. What only the motion terms tell, such as the scale, hardly moves until it is small.
+    """
     order = np.argsort(seen.point, kind="stable")
-    cost = _cost(state, seen, odometry, cauchy_px)
+    cost = _cost(state, seen, motion, cauchy_px)
     for _ in range(max_iterations):
-        linear = _linearise(state, seen, odometry, cauchy_px, order)
+        linear = _linearise(state, seen, motion, cauchy_px, order)
         improved = False
         for _ in range(4):
             candidate = _step(state, linear, damping)
-            new_cost = _cost(candidate, seen, odometry, cauchy_px)
+            new_cost = _cost(candidate, seen, motion, cauchy_px)
             if new_cost < cost:
                 improved = True
                 break
@@ -124,35 +139,14 @@ def _project(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatA
     return residual, depth, (p_body, p_cam)
 
 
-def _cost(state: BundleState, seen: Observations, odometry: RelativeMotions, cauchy_px: float) -> float:
+def _cost(state: BundleState, seen: Observations, motion: MotionTerms, cauchy_px: float) -> float:
     residual, _, _ = _project(state, seen)
     visual = float((cauchy_px**2 * np.log1p((residual**2).sum(axis=1) / cauchy_px**2)).sum())
-    weighted = _odometry_residual(state, odometry)[0]
-    turn = float((weighted[:, :3] ** 2).sum())
-    slip = float((SLIP_CAUCHY**2 * np.log1p((weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)).sum())
-    return visual + turn + slip + _prior_cost(state)
-
-
-def _prior_cost(state: BundleState) -> float:
-    bias = state.bias_change / GYRO_BIAS_SIGMA
-    return ((state.drive_scale - 1.0) / DRIVE_SCALE_SIGMA) ** 2 + float(bias @ bias)
-
-
-def _odometry_residual(state: BundleState, odometry: RelativeMotions) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N-1, 6) weighted residuals; relative rotations and translations as estimated."""
-    R_a, R_b = state.R_world_body[:-1], state.R_world_body[1:]
-    R_rel = np.swapaxes(R_a, 1, 2) @ R_b
-    p_rel = np.einsum("nji,nj->ni", R_a, np.diff(state.p_world_body, axis=0))
-    error = np.swapaxes(odometry.R, 1, 2) @ R_rel
-    J_bias = np.swapaxes(odometry.R, 1, 2) @ odometry.R_sum
-    turn = so3_log(error) + J_bias @ state.bias_change
-    slip = p_rel - state.drive_scale * odometry.p
-    weighted = np.hstack([turn / odometry.sigma_rotation[:, None], slip / odometry.sigma_position])
-    return weighted, R_rel, p_rel
+    return visual + motion.cost(state)
 
 
 def _linearise(
-    state: BundleState, seen: Observations, odometry: RelativeMotions, cauchy_px: float, by_point: IntArray
+    state: BundleState, seen: Observations, motion: MotionTerms, cauchy_px: float, by_point: IntArray
 ) -> _Linear:
     n, m = len(state.R_world_body), len(state.points)
     residual, depth, (p_body, p_cam) = _project(state, seen)
@@ -173,15 +167,15 @@ def _linearise(
         shape=(6 * n, 3 * m),
         blocksize=(6, 3),
     )
-    H, g = _odometry_normal(state, odometry)
+    H, g = motion.normal_equations(state)
     return _Linear(
         U=_sum_by(seen.keyframe, J_pose_t @ J_pose, n),
         V=_sum_by(seen.point[by_point], (J_point_t @ J_point)[by_point], m),
         W=W,
         g_pose=_sum_by(seen.keyframe, (J_pose_t @ r[:, :, None])[:, :, 0], n),
         g_point=_sum_by(seen.point[by_point], (J_point_t @ r[:, :, None])[:, :, 0][by_point], m),
-        H_odometry=H,
-        g_odometry=g,
+        H_motion=H,
+        g_motion=g,
     )
 
 
@@ -194,46 +188,6 @@ def _sum_by(index: IntArray, values: FloatArray, size: int) -> FloatArray:
     return out
 
 
-def _odometry_normal(state: BundleState, odometry: RelativeMotions) -> tuple[csc_matrix, FloatArray]:
-    """Normal equations of odometry and priors, over poses and the shared unknowns."""
-    n = len(state.R_world_body)
-    size = 6 * n + NUM_SHARED
-    weighted, R_rel, p_rel = _odometry_residual(state, odometry)
-    k = n - 1
-    J = np.zeros((k, 6, 12 + NUM_SHARED))
-    R_a_t = np.swapaxes(state.R_world_body[:-1], 1, 2)
-    J[:, :3, 0:3] = -np.swapaxes(R_rel, 1, 2)
-    J[:, :3, 6:9] = np.eye(3)
-    J[:, 3:, 0:3] = skew(p_rel)
-    J[:, 3:, 3:6] = -R_a_t
-    J[:, 3:, 9:12] = R_a_t
-    J[:, 3:, 12] = -odometry.p
-    J[:, :3, 13:16] = np.swapaxes(odometry.R, 1, 2) @ odometry.R_sum
-    J[:, :3] /= odometry.sigma_rotation[:, None, None]
-    J[:, 3:] /= odometry.sigma_position[:, :, None]
-    robust = 1.0 / np.sqrt(1.0 + (weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)
-    J[:, 3:] *= robust[:, None, None]
-    weighted = weighted.copy()
-    weighted[:, 3:] *= robust[:, None]
-    columns = np.hstack(
-        [
-            6 * np.arange(k)[:, None] + np.arange(12),
-            np.broadcast_to(6 * n + np.arange(NUM_SHARED), (k, NUM_SHARED)),
-        ]
-    )
-    rows = np.repeat(np.arange(6 * k), 12 + NUM_SHARED)
-    flat = np.repeat(columns, 6, axis=0).ravel()
-    jacobian = csc_matrix((J.ravel(), (rows, flat)), shape=(6 * k, size))
-    prior = np.zeros(size)
-    prior[:6] = FIRST_POSE_SIGMA**-2
-    prior[6 * n] = DRIVE_SCALE_SIGMA**-2
-    prior[6 * n + 1 :] = GYRO_BIAS_SIGMA**-2
-    g = jacobian.T @ weighted.ravel()
-    g[6 * n] += (state.drive_scale - 1.0) / DRIVE_SCALE_SIGMA**2
-    g[6 * n + 1 :] += state.bias_change / GYRO_BIAS_SIGMA**2
-    return (jacobian.T @ jacobian + diags(prior)).tocsc(), g
-
-
 def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
     """One damped Gauss-Newton step; landmarks are eliminated first (Schur complement)."""
     n = len(state.R_world_body)
@@ -242,14 +196,14 @@ def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
     W = linear.W
     WV = bsr_matrix((W.data @ V_inv[W.indices], W.indices, W.indptr), shape=W.shape, blocksize=(6, 3))
     reduced = WV @ W.T.tobsr(blocksize=(3, 6))
-    H = linear.H_odometry
+    H = linear.H_motion
     diagonal = np.zeros(H.shape[0])
     diagonal[: 6 * n] = np.einsum("nii->ni", linear.U).ravel()
-    rhs = -linear.g_odometry.copy()
+    rhs = -linear.g_motion.copy()
     rhs[: 6 * n] -= linear.g_pose.ravel() - (WV @ linear.g_point.ravel())
     damp = damping * (diagonal + H.diagonal()) + 1e-12
     U = bsr_matrix((linear.U, np.arange(n), np.arange(n + 1)), shape=(6 * n, 6 * n))
-    if n <= MAX_DENSE_KEYFRAMES:
+    if H.shape[0] <= MAX_DENSE:
         S = H.toarray()
         S[: 6 * n, : 6 * n] += U.toarray() - reduced.toarray()
         S[np.diag_indices_from(S)] += damp
@@ -267,6 +221,5 @@ def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
         R_world_body=state.R_world_body @ so3_exp(pose[:, :3]),
         p_world_body=state.p_world_body + pose[:, 3:],
         points=points,
-        drive_scale=state.drive_scale + float(x[6 * n]),
-        bias_change=state.bias_change + x[6 * n + 1 :],
+        motion=state.motion + x[6 * n :],
     )

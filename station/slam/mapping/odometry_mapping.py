@@ -20,9 +20,10 @@ from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
 from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.loops import find_loops
-from station.slam.mapping.odometry import Odometry, RelativeMotions
+from station.slam.mapping.odometry import MOTION_START, Odometry, RelativeMotions
 from station.slam.mapping.odometry_bundle import (
     BundleState,
+    MotionTerms,
     Observations,
     adjust,
     landmark_covariances,
@@ -97,8 +98,7 @@ def map_with_motions(
         R_world_body=odometry.T_world_body[:, :3, :3].copy(),
         p_world_body=odometry.T_world_body[:, :3, 3].copy(),
         points=np.empty((0, 3)),
-        drive_scale=1.0,
-        bias_change=np.zeros(3),
+        motion=MOTION_START,
     )
     counts = [len(f) for f in features]
     tracks = build_tracks(counts, verified)
@@ -108,11 +108,23 @@ def map_with_motions(
         tracks = build_tracks(counts, [*verified, *loops])
         state, kept = refine(state, tracks, rays, odometry, camera, LOOP_SCALES)
     state, kept = refine(state, tracks, rays, odometry, camera, LAST_SCALES)
-    seen = observations(kept, rays, camera)
+    return odometry_map(state, kept, rays, camera, len(loops), len(verified))
+
+
+def odometry_map(
+    state: BundleState,
+    tracks: Tracks,
+    rays: Sequence[FloatArray],
+    camera: CameraCalibration,
+    num_loops: int,
+    num_matches: int,
+) -> OdometryMap:
+    """A state with how well it explains its tracks, and how well its landmarks are known."""
+    seen = observations(tracks, rays, camera)
     errors = reprojection_errors(state, seen)
     median = float(np.median(errors)) if len(errors) else 0.0
     return OdometryMap(
-        state, kept, len(loops), len(verified), median, landmark_covariances(state, seen, max(median, 0.3))
+        state, tracks, num_loops, num_matches, median, landmark_covariances(state, seen, max(median, 0.3))
     )
 
 
@@ -152,9 +164,11 @@ def refine(
     state: BundleState,
     tracks: Tracks,
     rays: Sequence[FloatArray],
-    odometry: RelativeMotions,
+    motion: MotionTerms,
     camera: CameraCalibration,
     scales: Sequence[float],
+    sigma_px: float = 1.0,
+    damping: float = 1e-4,
 ) -> tuple[BundleState, Tracks]:
     """Triangulate all tracks and adjust, with ever stricter residuals; the observations that fit at the end."""
     kept = tracks
@@ -162,7 +176,13 @@ def refine(
         kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * scale)
         used = longest(kept, OBSERVATIONS_PER_KEYFRAME)
         few = kept.only(used[kept.point])
-        state = adjust(replace(state, points=points[used]), observations(few, rays, camera), odometry, scale)
+        state = adjust(
+            replace(state, points=points[used]),
+            observations(few, rays, camera, sigma_px),
+            motion,
+            scale / sigma_px,
+            damping,
+        )
     kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * scales[-1])
     return replace(state, points=points), kept
 
@@ -205,9 +225,11 @@ def gather(tracks: Tracks, rays: Sequence[FloatArray]) -> FloatArray:
     return np.vstack(rays)[offset[tracks.keyframe] + tracks.feature]
 
 
-def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration) -> Observations:
-    """Tracks as the bundle adjustment wants them."""
-    focal = 0.5 * (camera.fx + camera.fy)
+def observations(
+    tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration, sigma_px: float = 1.0
+) -> Observations:
+    """Tracks as the bundle adjustment wants them, in units of sigma_px."""
+    focal = 0.5 * (camera.fx + camera.fy) / sigma_px
     return Observations(tracks.keyframe, tracks.point, gather(tracks, rays), camera.T_cam_body_matrix, focal)
 
 

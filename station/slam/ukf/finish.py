@@ -20,6 +20,7 @@ from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping.assemble import make_keyframes
 from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.landmark_map import TrackObservations, assemble, make_landmarks
 from station.slam.ukf.map.refine import refine_segment
@@ -88,6 +89,8 @@ def _from_views(
         CameraModel.of(better, camera.sigma_px),
         better,
         calibration.imu,
+        calibration.gravity,
+        WheelsKnown.before_the_drive(config.wheels) if calibration.has_wheels else None,
         lambda: len(make_landmarks(memory.keyframes.items, camera, config.quality)),
     )
     if made is None:

@@ -119,7 +119,7 @@ class NavigationMemory:
             bias=np.concatenate([state.bias_gyro, state.bias_accel]),
             segment=self.segment,
             link=old.link,
-            wheels=None if old.wheels is None else (old.wheels.v_body, old.wheels.sigma),
+            wheels=old.wheels,
             T_body_head=T_body_head,
         )
         self.keyframes.add(keyframe)

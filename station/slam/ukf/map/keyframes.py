@@ -10,6 +10,7 @@ import numpy.typing as npt
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray, ImageFrame
 from station.motion.preintegration import Preintegration, chain
+from station.slam.ukf.filter.constraints import BodyVelocity
 from station.vision.klt import TrackedFrame
 
 
@@ -26,7 +27,7 @@ class Keyframe:
     bias: FloatArray  # (6,)
     segment: int
     link: Preintegration | None  # IMU since the previous keyframe of the segment
-    wheels: tuple[FloatArray, FloatArray] | None  # body velocity and sigma, where wheels know it
+    wheels: BodyVelocity | None  # where wheels know it
     T_body_head: FloatArray | None = None  # (4, 4); None: the head was never turned, and is where the body is
 
 

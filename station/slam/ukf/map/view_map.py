@@ -16,9 +16,12 @@ from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_log, upright
 from station.model.navigation import Keyframes, Landmarks, join_maps
 from station.slam.mapping.assemble import Reconstructed
+from station.slam.mapping.inertial_mapping import lay_on_imu
+from station.slam.mapping.inertial_terms import InertialTerms, WheelTerms
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import map_with_motions, read_odometry_map
 from station.slam.mapping.rolling_shutter import turned_back
+from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
 from station.vision.camera_model import CameraModel
@@ -54,9 +57,11 @@ def map_views(
     camera: CameraModel,
     calibration: CameraCalibration,
     noise: ImuNoise,
+    gravity: float,
+    wheels: WheelsKnown | None,
     count_tracks: Callable[[], int],
 ) -> ViewMap | None:
-    """Map every segment and move its poses along.
+    """Map every segment and move its poses along. `wheels`: what is known of them before the drive.
 
     None where views have too few landmarks, and tracks would give more (`count_tracks` tells how many): SIFT cannot
     tell the fields of a chessboard apart, tracks can. Before plain walls both have few, and those of views are
@@ -77,9 +82,14 @@ def map_views(
         made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping)
         if made.tracks.num_points == 0:
             continue
-        frames = [v.keyframe.image for v in items]
-        part = read_odometry_map(made, frames, features, calibration, views.mapping)
-        parts.append((level(part, motions.T_world_body, calibration), items, motions.T_world_body))
+        terms = inertial_terms(items, noise, gravity, wheels)
+        if terms is not None:
+            v_world = np.array([v.keyframe.v_world for v in items])
+            made = lay_on_imu(made, motions.T_world_body, v_world, terms, rays, calibration, camera.sigma_px)
+        part = read_odometry_map(made, [v.keyframe.image for v in items], features, calibration, views.mapping)
+        if terms is None:
+            part = level(part, motions.T_world_body, calibration)
+        parts.append((part, items, motions.T_world_body))
         loops += made.num_loops
         errors.append(made.median_error_px)
     num_views = sum(len(items) for _, items, _ in parts)
@@ -113,6 +123,28 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
         sigma_position=np.repeat(sigma_position[:, None], 3, axis=1),
         drift=DRIFT,
     )
+
+
+def inertial_terms(
+    items: list[View], noise: ImuNoise, gravity: float, wheels: WheelsKnown | None
+) -> InertialTerms | None:
+    """The IMU and the wheels along the views; None where readings are missing, or the head was turned: its pose is not
+    the body's."""
+    links = [v.keyframe.link for v in items[1:]]
+    known = [link for link in links if link is not None]
+    if len(known) < len(links) or any(v.keyframe.T_body_head is not None for v in items):
+        return None
+    told = [v.keyframe.wheels for v in items]
+    rolling = None
+    if wheels is not None:
+        nothing = np.zeros((3, len(wheels.mean)))
+        rolling = WheelTerms(
+            by_constants=np.array([nothing if w is None or w.by_wheels is None else w.by_wheels for w in told]),
+            sigma=np.array([np.full(3, np.inf) if w is None else w.sigma for w in told]),
+            mean=wheels.mean,
+            sigma_mean=wheels.sigma,
+        )
+    return InertialTerms(known, noise, gravity, items[-1].keyframe.bias, rolling)
 
 
 def _head_turns(items: list[View]) -> FloatArray:

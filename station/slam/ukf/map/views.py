@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.geometry import FloatArray
+from station.motion.preintegration import Preintegration, chain
 from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.tracks import Pairs
 from station.slam.ukf.map.keyframes import Keyframe
@@ -35,7 +36,7 @@ class ViewConfig:
 class View:
     frame_index: int  # ImageFrame.index
     segment: int
-    keyframe: Keyframe
+    keyframe: Keyframe  # its IMU link is since the view before
     features: Features
     seen: Features  # what localisation sees in it
 
@@ -54,15 +55,20 @@ class MapViews:
         self._spacing = 1.0
         self._chosen: deque[Keyframe] = deque()  # that wait to be described
         self._newest: Keyframe | None = None
+        self._link: Preintegration | None = None  # IMU since the newest view, once
+        self._is_linked = False  # a keyframe has come after it
         self._items: list[View] = []
         self._pairs: list[Pairs] = []  # indices into items, unverified
 
     def add(self, keyframe: Keyframe) -> None:
         """Take a keyframe in; it becomes a view when it shows something else than the last one."""
+        self._link = joined(self._link, keyframe.link) if self._is_linked else keyframe.link
+        self._is_linked = True
         if not self._is_new(keyframe):
             return
         self._newest = keyframe
-        self._chosen.append(keyframe)
+        self._chosen.append(replace(keyframe, link=self._link))
+        self._is_linked = False
         if len(self._items) + len(self._chosen) > self._config.capacity:
             self.describe_all()
             self._thin()
@@ -123,7 +129,19 @@ class MapViews:
 
     def _thin(self) -> None:
         """Every second view stays, with the matches among those that stay."""
+        for gone, after in zip(range(1, len(self._items) - 1, 2), range(2, len(self._items), 2), strict=True):
+            before, kept = self._items[gone].keyframe, self._items[after].keyframe
+            self._items[after] = replace(
+                self._items[after], keyframe=replace(kept, link=joined(before.link, kept.link))
+            )
+        if len(self._items) % 2 == 0:  # the newest goes
+            self._link, self._is_linked = self._items[-1].keyframe.link, True
         self._items = self._items[::2]
         self._pairs = [(a // 2, b // 2, pairs) for a, b, pairs in self._pairs if a % 2 == 0 and b % 2 == 0]
         self._newest = self._items[-1].keyframe
         self._spacing *= 1.5
+
+
+def joined(before: Preintegration | None, after: Preintegration | None) -> Preintegration | None:
+    """The IMU over two intervals, where it is known over both."""
+    return None if before is None or after is None else chain(before, after)

@@ -11,6 +11,7 @@ from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray
 from station.motion.preintegration import Preintegration, chain
 from station.slam.mapping.inertial_bundle import Prior, WindowStates, WindowTracks, collect_tracks
+from station.slam.ukf.filter.constraints import BodyVelocity
 from station.slam.ukf.map.keyframes import Keyframe
 
 # Keyframes nearer to each other move along with their neighbours. In fast turns they come 0.05 s apart, and windows of
@@ -72,7 +73,7 @@ def window_of(keyframes: Sequence[Keyframe], sigma_first: FloatArray) -> Window:
     )
     wheels = [k.wheels for k in keyframes]
     has_wheels = any(w is not None for w in wheels)
-    nothing = (np.zeros(3), np.full(3, np.inf))
+    nothing = BodyVelocity(np.zeros(3), np.full(3, np.inf))
     prior = Prior(
         bias_gyro=states.bias[0, :3],
         bias_accel=states.bias[0, 3:],
@@ -82,8 +83,8 @@ def window_of(keyframes: Sequence[Keyframe], sigma_first: FloatArray) -> Window:
         sigma_v=max(float(sigma_first[3:6].mean()), 1e-3),
         R_first=states.R[0],
         sigma_phi=max(float(sigma_first[:3].mean()), 1e-4),
-        v_body=np.array([(w or nothing)[0] for w in wheels]) if has_wheels else None,
-        sigma_v_body=np.array([(w or nothing)[1] for w in wheels]) if has_wheels else None,
+        v_body=np.array([(w or nothing).v_body for w in wheels]) if has_wheels else None,
+        sigma_v_body=np.array([(w or nothing).sigma for w in wheels]) if has_wheels else None,
     )
     return Window(states, [k.link for k in keyframes[1:] if k.link is not None], tracks, prior)
 

@@ -8,7 +8,7 @@ import pytest
 from shared.geometry import FloatArray, se3
 from station.slam.mapping.config import MatchConfig
 from station.slam.mapping.loops import MIN_APART, find_loops
-from station.slam.mapping.odometry import DEAD_RECKONED, Drift
+from station.slam.mapping.odometry import DEAD_RECKONED, MOTION_START, Drift
 from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.tracks import Tracks
 from station.vision.features import Features
@@ -43,7 +43,7 @@ def loops_of(shift_m: float, drift: Drift) -> int:
         uv = FOCAL_PX * rays[k]
         features[k] = Features(uv, sift)
     tracks = Tracks(np.repeat([0, 1], 40), np.tile(np.arange(40), 2), np.tile(np.arange(40), 2), 40)
-    state = BundleState(R, p_body, chair, 1.0, np.zeros(3))
+    state = BundleState(R, p_body, chair, MOTION_START)
     found = find_loops(features, rays, state, tracks, se3(R_BODY_CAM, np.zeros(3)), FOCAL_PX, drift, MatchConfig())
     assert all(b == n - 1 for _, b, _ in found)
     return len(found)

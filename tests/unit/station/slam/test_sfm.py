@@ -17,7 +17,7 @@ from station.motion.imu_buffer import ImuBuffer
 from station.motion.inertial_track import InertialTrack
 from station.motion.preintegration import preintegrate
 from station.slam.mapping import odometry_bundle
-from station.slam.mapping.odometry import DEAD_RECKONED, Odometry, dead_reckon
+from station.slam.mapping.odometry import DEAD_RECKONED, MOTION_START, Odometry, dead_reckon
 from station.slam.mapping.odometry_bundle import BundleState, Observations, adjust, reprojection_errors
 from station.slam.mapping.pose_alignment import ScaleEstimate, align_to_imu, gyro_bias_from_rotations
 from station.slam.mapping.tracks import build_tracks, longest
@@ -161,11 +161,11 @@ def test_points_are_found_where_rays_meet(seed: int) -> None:
     assert not good_behind.any() and behind.shape == (5, 3)
 
 
-@pytest.mark.parametrize("max_dense", [700, 0])  # 0: the sparse solver of long drives
+@pytest.mark.parametrize("max_dense", [4200, 0])  # 0: the sparse solver of long drives
 def test_bundle_adjustment_corrects_poses_and_survives_outliers(
     max_dense: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(odometry_bundle, "MAX_DENSE_KEYFRAMES", max_dense)
+    monkeypatch.setattr(odometry_bundle, "MAX_DENSE", max_dense)
     rng = np.random.default_rng(5)
     T_body_cam = se3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.1, 0.0, 0.0]))
     n, m = 12, 150
@@ -198,9 +198,7 @@ def test_bundle_adjustment_corrects_poses_and_survives_outliers(
         drift=DEAD_RECKONED,
         track=InertialTrack(flat_drive()[1], np.zeros(3)),
     )
-    state = BundleState(
-        start[:, :3, :3], start[:, :3, 3], points + rng.normal(scale=0.1, size=(m, 3)), 1.0, np.zeros(3)
-    )
+    state = BundleState(start[:, :3, :3], start[:, :3, 3], points + rng.normal(scale=0.1, size=(m, 3)), MOTION_START)
     before = align_points(truth[:, :3, 3], start[:, :3, 3], "sim3").rms
     for scale in (10.0, 2.0):
         state = adjust(state, seen, odometry, scale, max_iterations=20)
